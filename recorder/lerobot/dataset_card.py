@@ -1,4 +1,4 @@
-"""The card of a dataset, its README.md: what it is, who drove, how it was made, and under which licence."""
+"""The card of a dataset, its README.md: content, drivers, processing and licence."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ NO_LICENCE: Final = "not stated: ask whoever recorded it before you use it"
 
 @dataclass(frozen=True)
 class CardSession:
-    """What the card says of one log."""
+    """The card's entry of one log."""
 
     name: str
     fingerprint: str
-    session: Mapping[str, str]  # where the log comes from, as its metadata says
+    session: Mapping[str, str]  # of the log's metadata: where it comes from
     rows: int
     episodes: int
     excluded: int

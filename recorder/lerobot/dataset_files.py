@@ -1,4 +1,4 @@
-"""The files of a dataset, written episode by episode, and in the end those that tell what the episodes are."""
+"""The files of a dataset, written episode by episode, and at the end those that describe the episodes."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class DatasetFiles:
         if kind is None:
             self.close()
             return
-        with contextlib.suppress(Exception):  # what was raised says why; nothing of the folder stays
+        with contextlib.suppress(Exception):  # the error that was raised counts; nothing of the folder stays
             self.close()
 
     def _write_episodes(self) -> None:

@@ -1,4 +1,4 @@
-"""LeRobot's dataset format v3.0: its files, its features, and how those are told to the libraries that read it.
+"""LeRobot's dataset format v3.0: its files, its features, and their description for the libraries that read it.
 
 After lerobot 0.6.1: `datasets/utils.py`, `datasets/feature_utils.py`, `datasets/dataset_writer.py`.
 """
@@ -38,10 +38,10 @@ LOG_VEHICLE: Final = "log_vehicle"
 """The vehicle state as the log has it: the format's own columns have 32 bits."""
 LOG_FINGERPRINT: Final = "log_fingerprint"
 LOG_CAR: Final = "log_car"
-"""A column of meta/episodes: the car that the episode's log is of, as JSON; empty if nothing tells."""
+"""A column of meta/episodes: the car of the episode's log, as JSON; empty if it is unknown."""
 LOG_NOT_RECORDED: Final = "log_not_recorded"
-"""A column of meta/episodes: the event at the first frame that tells why, and for how long, nothing was recorded
-before it (`recorder.log.meant_gaps`); empty without one."""
+"""A column of meta/episodes: the event at the first frame with the time before it that was not recorded, and why
+(`recorder.log.meant_gaps`); empty without one."""
 SPLIT: Final = "split"
 """A column of data files and of meta/episodes: the side of an index's split, `train` or `validation`."""
 REQUIRED: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index")
@@ -50,7 +50,7 @@ IMAGE_TYPE: Final = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 
 
 class FileNumber(NamedTuple):
-    """Where in its folders a file is: `chunk-000/file-000`."""
+    """The number of a file in its folders: `chunk-000/file-000`."""
 
     chunk: int = 0
     file: int = 0
@@ -66,7 +66,7 @@ class FileNumber(NamedTuple):
 
 @dataclass(frozen=True)
 class Feature:
-    """One column of a dataset, as `meta/info.json` tells it."""
+    """One column of a dataset, as in `meta/info.json`."""
 
     dtype: str
     shape: tuple[int, ...]
@@ -124,7 +124,7 @@ def info(
 
 
 def data_schema(of: Mapping[str, Feature]) -> pa.Schema:
-    """The schema of the data files, with what the library `datasets` is told of their columns."""
+    """The schema of the data files, with the description of their columns that the library `datasets` reads."""
     columns = {name: feature for name, feature in of.items() if feature.dtype != "video"}
     described = {name: _as_datasets_has_it(feature) for name, feature in columns.items()}
     fields = [pa.field(name, _arrow_type(feature)) for name, feature in columns.items()]

@@ -185,7 +185,7 @@ class _Export:
             found = pictures.read(number)
             if found is None:
                 continue
-            # also of an episode whose first pictures cannot be used, something must be looked at
+            # an episode whose first pictures cannot be used needs a sample, too
             is_sampled = number in sampled_rows or not kept
             decoded = [_decoded(picture) for picture in found] if is_video or is_sampled else []
             sound = [picture for picture in decoded if picture is not None]
@@ -240,7 +240,7 @@ class _Export:
         }
 
     def write_rest(self, licence: str | None) -> None:
-        """Write what tells what the episodes are, now that all of them are there."""
+        """Write the files that describe the episodes, now that all of them are there."""
         plan, root, is_video = self._plan, self._files.root, self._files.is_video
         columns = form.features(
             self._sizes, has_speed=plan.has_speed, is_video=is_video, has_split=self._files.has_split
@@ -289,7 +289,7 @@ def _decoded(picture: bytes) -> NDArray[np.uint8] | None:
 
 
 def _car(log: Log) -> str:
-    """The car that a log is of, as logs keep it; empty where nothing tells."""
+    """The car of a log, as logs keep it; empty if it is unknown."""
     try:
         return metadata_of(car_of(log))[CAR_KEY]
     except (LogError, RecordingError):
@@ -297,7 +297,7 @@ def _car(log: Log) -> str:
 
 
 def _not_recorded(log: Log) -> dict[int, str]:
-    """The events of a log that tell of time that was let pass on purpose, by log time."""
+    """The events of a log about time that was not recorded on purpose, by log time."""
     events = log.decoded(EVENTS) if EVENTS in log.counts else ()
     return {at.log_time_ns: event.message for at, event in events if is_not_recorded(event.message)}
 

@@ -1,4 +1,4 @@
-"""What is the same for all frames of a dataset, found out before anything is written: cameras, rate, speed."""
+"""The plan of an export, made before anything is written: the cameras, rate and speed of all frames."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from recorder.log.session_car import max_steering_deg_of
 from recorder.log.topics import camera_topic
 
 RATES_DIFFER: Final = 1.2
-"""Rates of sessions that are so many times as high as others are told: the format has one for all."""
+"""Sessions whose rates differ by this factor get a notice: the format has one rate for all."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class ExportPlan:
     """Every row has one."""
     rate_hz: float
     max_steering_deg: float
-    """How far the front wheels turn at steering 1."""
+    """The angle of the front wheels at steering 1."""
     rows: int
     """At most so many frames."""
     notices: tuple[str, ...]

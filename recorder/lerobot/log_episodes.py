@@ -27,7 +27,7 @@ class ChosenRows:
 
 @dataclass(frozen=True)
 class LogEpisodes:
-    """What is taken of a log."""
+    """The rows taken of a log, and their episodes."""
 
     states: States  # (N,) of the rows that are taken
     places: dict[Camera, NDArray[np.int64]]  # (N,) for each camera: which of `pictures` belongs to the row

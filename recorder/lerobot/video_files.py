@@ -58,7 +58,7 @@ class VideoFiles:
         self._frames += 1
 
     def episode_columns(self) -> dict[str, float | int]:
-        """Where the episode that was begun last is, for `meta/episodes`."""
+        """The place of the episode that was begun last, for `meta/episodes`."""
         return {
             f"videos/{self._key}/chunk_index": self._number.chunk,
             f"videos/{self._key}/file_index": self._number.file,
@@ -85,7 +85,7 @@ class VideoFiles:
 
 
 def video_info(fps: int, size: tuple[int, int]) -> dict[str, object]:
-    """What `meta/info.json` tells of a video, as lerobot's `datasets/video_utils.py` does."""
+    """The entries of a video in `meta/info.json`, as lerobot's `datasets/video_utils.py` writes them."""
     return {
         "video.height": size[1],
         "video.width": size[0],

@@ -1,4 +1,4 @@
-"""What the numbers of an environment's action are: steering, throttle, brake, or a constant."""
+"""The meaning of the numbers in an environment's action: steering, throttle, brake, or a constant."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PART: Final = re.compile(rf"(?:({_NUMBER})|(?:({_NUMBER})\*|(-))?({'|'.join(NAM
 
 @dataclass(frozen=True)
 class CarCommand:
-    """What a driver wants of a car."""
+    """A driver's command to a car."""
 
     steering: float  # -1 (left) .. 1 (right)
     throttle: float = 0.0  # 0 .. 1

@@ -37,7 +37,7 @@ BACK_TO_START_S: Final = 2.0
 
 @dataclass(frozen=True)
 class SimulatedDrive:
-    """Who drives the built-in simulator, where and how."""
+    """A drive of the built-in simulator: its driver, track and settings."""
 
     track: str = "lake"
     """The track of the built-in simulator: lake, mountain, random:SEED, or hairpins:SEED."""

@@ -1,4 +1,4 @@
-"""The columns of somebody's csv: which is what, as `--columns` says, and its rows."""
+"""The columns of somebody's csv, by their meaning in `--columns`, and its rows."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ class CsvRow:
 
 @dataclass(frozen=True)
 class CsvColumns:
-    """Which column is what."""
+    """The column of each value, by name."""
 
     names: Mapping[str, str]
 
     @classmethod
     def of(cls, given: Sequence[str]) -> CsvColumns:
-        """From `image=frame steering=angle`. Raises RecordingError for what does not say it."""
+        """From `image=frame steering=angle`. Raises RecordingError for another form."""
         names: dict[str, str] = {}
         for text in given:
             key, separator, name = text.partition("=")
@@ -109,7 +109,7 @@ class CsvColumns:
                 yield row
 
     def _positions(self, path: Path, header: Sequence[str]) -> dict[str, int] | None:
-        """Where each column is; None where the file has no header, and columns are counted from 1."""
+        """The position of each column; None if the file has no header, and columns are counted from 1."""
         missing = [name for name in self.names.values() if name not in header]
         are_numbers = len(missing) == len(self.names) and all(name in _POSITIONS for name in missing)
         if are_numbers and max(map(int, missing)) <= len(header):

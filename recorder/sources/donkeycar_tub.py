@@ -7,7 +7,7 @@ one JSON record a line; pictures in `images/`. Version 1 (donkeycar/parts/datast
 deleted records.
 
 A tub is somebody else's data: of every path only the file's name counts, and no link out of it is followed but
-`images` itself: who puts a link in its place keeps the pictures elsewhere.
+`images` itself: a tub with a link in its place keeps the pictures elsewhere.
 """
 
 from __future__ import annotations

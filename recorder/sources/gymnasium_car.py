@@ -1,4 +1,4 @@
-"""Any Gymnasium environment as a car with one camera: where its picture is, and what its action's numbers are.
+"""Any Gymnasium environment as a car with one camera: its picture, its speed, and the numbers of its action.
 
 Gymnasium is an extra (`pip install "behavioural-cloning-toolkit[gym]"`) and imported only here. An environment is
 somebody else's code: it is run because its user has named it, and what it gives is checked.
@@ -44,11 +44,11 @@ _SPEED: Final = re.compile(r"(?:(-?\d+\.?\d*|\.\d+)\*)?(.+)", re.ASCII)
 
 @dataclass(frozen=True)
 class GymnasiumMoment:
-    """What is known after a reset or a step."""
+    """The state after a reset or a step."""
 
     observation: Any
     picture: NDArray[np.uint8]  # (height, width, 3) RGB, or grey with one channel or none
-    speed_mph: float  # NaN where it is not told
+    speed_mph: float  # NaN if it is unknown
     reward: float = 0.0
     end: str = ""  # "terminated" or "truncated" where the episode has ended
 
@@ -62,7 +62,7 @@ class GymnasiumMoment:
         is_grey = self.picture.ndim == 2 or self.picture.shape[2] == 1
         bgr = cv2.cvtColor(self.picture, cv2.COLOR_GRAY2BGR if is_grey else cv2.COLOR_RGB2BGR)
         ok, encoded = cv2.imencode(".jpg", bgr, _JPEG)
-        if not ok:  # cannot happen with a picture that was checked; said rather than lost in silence
+        if not ok:  # cannot happen with a picture that was checked; an error rather than a silent loss
             raise RuntimeError("OpenCV could not write a JPEG")
         return encoded.tobytes()
 
@@ -167,7 +167,7 @@ class GymnasiumCar:
         size = math.prod(space.shape)
         if size != len(self.actions):
             raise RecordingError(
-                f"--gym-action: {self.name}'s action has {counted(size, 'number')}, {_named(space)}: tell what"
+                f"--gym-action: {self.name}'s action has {counted(size, 'number')}, {_named(space)}: name what"
                 f" each is, such as steering,throttle,brake; {self.actions.text} is {len(self.actions)}"
             )
         return space
@@ -209,7 +209,7 @@ class GymnasiumCar:
                 if value.size == 1 and np.isfinite(value).all():
                     return self._speed_factor * float(value.item())
         if not self._steps:
-            return math.nan  # info may tell it from the first step on
+            return math.nan  # info may have it from the first step on
         keys = sorted({*(observation if isinstance(observation, dict) else ()), *info})
         raise RecordingError(
             f"--gym-speed {self._flags.gym_speed}: no such number in {self.name}'s observation or info (there is:"

@@ -28,10 +28,10 @@ class GymFlags:
     """Who drives --gym's environment: a function of your own, or FILE.py:FUNCTION, from (env, observation) to an
     action."""
     gym_rate: Annotated[float | None, tyro.conf.arg(metavar="HZ")] = None
-    """Steps a second of --gym's environment, where it does not tell them itself (its render_fps)."""
+    """Steps a second of --gym's environment, where its render_fps does not give them."""
     episodes: int = 1
     """How many episodes of --gym's environment; each resets it with the next seed."""
 
 
 GYM_FLAGS: Final = tuple(field.name for field in fields(GymFlags) if field.name != "gym")
-"""What means nothing without `--gym`."""
+"""The flags that mean nothing without `--gym`."""

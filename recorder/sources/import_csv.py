@@ -41,7 +41,7 @@ def import_csv(
 ) -> Imported:
     """Write a folder of pictures and its csv to `log`; its pictures byte for byte, its rows in their order.
 
-    `source` is a csv, or a folder that has one. `columns` say what is where: `image=frame`, `steering=angle`; also
+    `source` is a csv, or a folder that has one. `columns` name its columns: `image=frame`, `steering=angle`; also
     `left`, `right`, `throttle`, `brake`, `speed_mph`, and `time_s` or another unit. Without times `rate_hz` is
     needed: rows are then so many a second, those that are left out too, from 1970 on. `car` is what was recorded.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
@@ -51,7 +51,7 @@ def import_csv(
     check_scale(steering_scale)
     chosen = CsvColumns.of(columns)
     if chosen.has_times and rate_hz is not None:
-        raise RecordingError("--rate: a column tells the times; leave it out")
+        raise RecordingError("--rate: a column has the times; leave it out")
     if not chosen.has_times and rate_hz is None:
         raise RecordingError("--columns without times: give --rate ROWS_A_SECOND, or time_s=COLUMN")
     csv = _csv(source)

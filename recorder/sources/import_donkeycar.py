@@ -55,7 +55,7 @@ def import_tub(
     tub = open_tub(folder, all_catalogs, skipped)
     is_timed = any(finite(record.values.get(tub.time_field)) is not None for record in tub.records(Skipped()))
     if is_timed and rate_hz is not None:
-        raise RecordingError(f"{folder}: --rate: the tub's records tell their times; leave it out")
+        raise RecordingError(f"{folder}: --rate: the tub's records have their times; leave it out")
     step_ms = None if is_timed else 1000 / (rate_hz or DEFAULT_RATE_HZ)
     frames = _frames(tub, step_ms, f"importing {folder.name}", skipped)
     first = next(frames, None)

@@ -35,7 +35,7 @@ from recorder.sources.mcap_messages import is_whole_picture
 from recorder.sources.udacity_recording import MOST_PICTURE_BYTES
 
 APART_NS: Final = 10_000_000_000
-"""Between episodes whose dates are not told: each is a drive of its own."""
+"""Between episodes whose dates are unknown: each is a drive of its own."""
 _TIME_END_NS: Final = 2**63
 
 
@@ -52,9 +52,9 @@ def import_lerobot(
     """Write the LeRobot dataset in `folder` to `log`: images byte for byte, frames of videos encoded anew.
 
     `image` names the feature that is the camera's pictures, `steering` the number that is the steering, as
-    `action.steering` or `action.0`; without them, names tell. Episodes are drives. An export of ours comes back
-    with its own times and all digits; of others the times begin in 1970. `car` is the one that was
-    recorded; an export of ours tells it.
+    `action.steering` or `action.0`; without them, features are found by their names. Episodes are drives. An
+    export of ours comes back with its own times and all digits; of others the times begin in 1970. `car` is the
+    one that was recorded; an export of ours has it.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     refuse_existing(log, overwrite)
@@ -100,7 +100,7 @@ def _metadata(dataset: LeRobotFolder, chosen: LeRobotFeatures, steering_scale: f
 
 
 def _stored_car(dataset: LeRobotFolder) -> Car | None:
-    """The car that an export of ours tells, if all of its episodes tell the same."""
+    """The car that is stored in an export of ours, if all of its episodes have the same."""
     try:
         cars = set(dataset.episode_table([LOG_CAR])[LOG_CAR].to_pylist())
     except RecordingError:  # of an earlier version
@@ -113,7 +113,7 @@ def _stored_car(dataset: LeRobotFolder) -> Car | None:
 
 
 def _own_events(dataset: LeRobotFolder) -> dict[int, str]:
-    """What an export of ours tells of time that was not recorded, by the episode before which it was."""
+    """The events about time that was not recorded, in an export of ours, by the episode behind it."""
     try:
         episodes = dataset.episode_table(["episode_index", LOG_NOT_RECORDED])
     except RecordingError:  # of an earlier version
@@ -205,7 +205,7 @@ def _rows(
 
 
 class _Clock:
-    """Times of episodes that tell only seconds since their own beginning, one after the other from 1970 on."""
+    """Times of episodes that have only seconds since their own beginning, one after the other from 1970 on."""
 
     def __init__(self) -> None:
         self._episode: int | None = None
@@ -238,7 +238,7 @@ def _is_sound(picture: object) -> bool:
 
 
 def _skip_missing(dataset: LeRobotFolder, counts: dict[int, int], skipped: Skipped) -> None:
-    """What meta/info.json counts, and no data file has."""
+    """Count as skipped what meta/info.json counts, and no data file has."""
     there = sorted(counts)
     stretches = [(-1, -1), *consecutive(there), (dataset.episodes, dataset.episodes)]
     for (_, end), (start, _) in itertools.pairwise(stretches):

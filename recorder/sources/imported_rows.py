@@ -14,7 +14,7 @@ from recorder.sources.import_result import SkippedEvents
 STEERING_OUT_OF_RANGE: Final = (
     "rows with steering beyond -1..1 (kept, but an index leaves them out; is --steering-scale right?)"
 )
-"""Why such a row is named, though it is not left out."""
+"""The remark on such rows, which are not left out."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class ImportedRow:
     time_ns: int
     state: VehicleState
     pictures: Mapping[Camera, bytes]  # JPEG or PNG, byte for byte
-    not_recorded: str = ""  # an event that tells what lies between the row before and this one
+    not_recorded: str = ""  # the event about the time between the row before and this one
 
 
 def write_rows(writer: LogWriter, rows: Iterable[ImportedRow], events: SkippedEvents) -> tuple[int, int]:

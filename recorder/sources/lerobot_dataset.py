@@ -1,4 +1,4 @@
-"""Reading a LeRobot dataset of format v3: what `meta/info.json` tells, its episodes, and its data files.
+"""Reading a LeRobot dataset of format v3: `meta/info.json`, its episodes, and its data files.
 
 A dataset is somebody else's: it is checked before it is used, and of a link only what it names within the dataset,
 or in the cache of Hugging Face's own programs, is read.
@@ -30,7 +30,7 @@ _CONVERT: Final = "LeRobot converts it: `python -m lerobot.scripts.convert_datas
 
 @dataclass(frozen=True)
 class LeRobotFolder:
-    """A dataset, as far as `meta/info.json` tells it."""
+    """A dataset, as far as `meta/info.json` describes it."""
 
     root: Path
     version: str
@@ -80,7 +80,7 @@ class LeRobotFolder:
         files = sorted((self.root / "meta/episodes").glob("*/*.parquet"))
         batches = [batch for path in files for batch in self.rows(path, columns)]
         if not batches:
-            raise RecordingError(f"{self.root / 'meta/episodes'}: no episode is told of there")
+            raise RecordingError(f"{self.root / 'meta/episodes'}: no episode is described there")
         return pa.Table.from_batches(batches)
 
     @contextlib.contextmanager

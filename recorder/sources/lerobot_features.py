@@ -1,4 +1,4 @@
-"""Which features of a LeRobot dataset are steering, pedals, speed, cameras: by flag, or by their names."""
+"""The features of a LeRobot dataset that are steering, pedals, speed and cameras: by flag, or by their names."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from recorder.sources.lerobot_dataset import LeRobotFolder
 _NUMBERS: Final = ("float16", "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32")
 _THROTTLE: Final = ("throttle", "gas", "accelerator")
 _MPH: Final = {"speed_mph": 1.0, "speed_mps": 1 / MPS_PER_MPH, "speed_kmh": 1000 / 3600 / MPS_PER_MPH}
-"""By name what makes mph of a speed. One whose unit is not told is not taken."""
+"""The factor to mph, by a speed's name. A speed of unknown unit is not used."""
 _CENTER: Final = ("center", "centre", "front")
 
 
@@ -46,7 +46,7 @@ class FeatureNumber:
 
 @dataclass(frozen=True)
 class LeRobotFeatures:
-    """What is taken of a dataset."""
+    """The features that are used of a dataset."""
 
     steering: FeatureNumber
     throttle: FeatureNumber | None
@@ -70,7 +70,7 @@ class LeRobotFeatures:
 def choose_features(
     dataset: LeRobotFolder, image: str | None, steering: str | None, steering_scale: float
 ) -> LeRobotFeatures:
-    """`image` and `steering` are what the user says, if he does. Raises RecordingError where nothing tells."""
+    """`image` and `steering` are the user's choice, if any. Raises RecordingError if a feature cannot be found."""
     is_own = LOG_TIME in dataset.features and dataset.features.get(LOG_VEHICLE, Feature("", ())).shape == (4,)
     cameras = _cameras(dataset, image)
     if is_own and steering is None and steering_scale == 1.0:
@@ -128,7 +128,7 @@ def _steering_by_name(dataset: LeRobotFolder) -> FeatureNumber:
 
 
 def _number(dataset: LeRobotFolder, text: str) -> FeatureNumber:
-    """What --steering names: a feature, and a name or a position in it."""
+    """The number that --steering names: a feature, and a name or a position in it."""
     numbers = _all_numbers(dataset)
     for number in numbers:
         if text in (number.label, f"{number.feature}.{number.index}"):

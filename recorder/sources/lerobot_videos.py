@@ -58,7 +58,7 @@ class CameraVideos(Closeable):
                         )
                 self._places[int(episode)] = paths[number], float(start_s)
             except (TypeError, ValueError):
-                raise RecordingError(f"{dataset.root}: meta/episodes does not tell where videos are") from None
+                raise RecordingError(f"{dataset.root}: meta/episodes does not have the places of videos") from None
         self._tolerance_s = 0.5 / dataset.fps
         self._episode = -1
         self._path: Path | None = None
@@ -100,7 +100,7 @@ class CameraVideos(Closeable):
     def _go_to(self, episode: int, path: Path, start_s: float) -> None:
         if path != self._path or self._container is None:
             self.close()
-            # told, and not guessed: a list of other files' addresses may call itself .mp4, too
+            # the format is given, not guessed: a list of other files' addresses may call itself .mp4, too
             self._container = self._av.open(str(path), "r", format="mp4")
             self._path = path
         if not self._container.streams.video:

@@ -1,4 +1,4 @@
-"""The pictures in a folder and the folders in it, found by however a csv names them."""
+"""The pictures in a folder and the folders in it, found by whatever name a csv has for them."""
 
 from __future__ import annotations
 

@@ -29,10 +29,10 @@ from simulator.driving.wandering import Wandering
 
 @dataclass(frozen=True)
 class GymRecording:
-    """What is recorded: the environment and its expert, and how.
+    """The settings of a recording: the environment, its expert, and how it is recorded.
 
-    What is sent wanders about what the expert wants, by a standard deviation of `wander` (of the steering -1..1),
-    so that he has something to correct; what he wants is recorded (Laskey et al. 2017, DART: Noise Injection for
+    The action that is sent wanders about the expert's, by a standard deviation of `wander` (of the steering
+    -1..1), so that he has something to correct; his own is recorded (Laskey et al. 2017, DART: Noise Injection for
     Robust Imitation Learning).
     """
 

@@ -1,4 +1,4 @@
-"""The kinds of recordings that can be imported: telling which one it is, and calling its importer."""
+"""The kinds of recordings that can be imported: recognising them, and calling their importers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from recorder.sources.lerobot_dataset import is_lerobot
 
 @dataclass(frozen=True)
 class Topics:
-    """Where in another program's log, or in a dataset, the pictures and the steering are."""
+    """The topics of another program's log, or features of a dataset, that are the pictures and the steering."""
 
     image: Annotated[str | None, tyro.conf.arg(metavar="TOPIC")] = None
     """Topic of the pictures in another program's log that --from names; their feature in a LeRobot dataset."""
@@ -56,7 +56,7 @@ def import_recording(
     if columns:
         if topics.image is not None or topics.steering is not None or all_catalogs:
             raise RecordingError(
-                "--columns says where everything is: leave out --image, --steering, --all-catalogs"
+                "--columns names all that is imported: leave out --image, --steering, --all-catalogs"
             )
         return import_csv(
             source,
@@ -85,7 +85,7 @@ def import_recording(
         )
     if rate_hz is not None and (is_log or is_dataset):
         what = "messages" if is_log else "frames"
-        raise RecordingError(f"{source}: --rate: its {what} tell their times; leave it out")
+        raise RecordingError(f"{source}: --rate: its {what} have their times; leave it out")
     if is_log:
         return import_mcap(source, log, _mcap_topics(source, log, topics), car=car, overwrite=overwrite)
     if is_dataset:

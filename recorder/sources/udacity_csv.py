@@ -40,7 +40,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST = datetime(2262, 1, 1, tzinfo=UTC)  # the last year whose nanoseconds fit into 63 bits
 
 # .NET writes a number as its user's country does. Besides the comma: 0/5 (Persian in Mono and .NET Framework), and
-# where it asks ICU, U+066B for the point, U+2212 for the minus, and marks that tell the direction of writing.
+# where it uses ICU, U+066B for the point, U+2212 for the minus, and marks of the direction of writing.
 _LOCALIZED = str.maketrans({"/": ".", "\u066b": ".", "\u2212": "-", "\u200e": "", "\u200f": "", "\u061c": ""})
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _TRAILING_MINUS = re.compile(r"([0-9.]+)-")  # 0.5-: Arabic and Persian, with a fixed number of decimals
@@ -112,7 +112,7 @@ class RowReader:
         name_time_ns = _time_in(names)
         if self._rate_hz is not None:
             if self._is_first and name_time_ns is not None:
-                raise RecordingError("--rate: the pictures' names tell when they were taken; leave it out")
+                raise RecordingError("--rate: the pictures' names have their times; leave it out")
             return round(self._position * 1e9 / self._rate_hz)
         if name_time_ns is None:
             raise ValueError("no time in their pictures' names (--rate 20 takes them as 20 a second)")
@@ -128,7 +128,7 @@ class _ValueReader:
         self._has_commas = False  # ... or commas that can only be decimal ones
 
     def read(self, text: str) -> _Values:
-        """The values at the end of a line. Raises ValueError, which says what is wrong with a row."""
+        """The values at the end of a line. Raises ValueError with the row's fault."""
         text = text.strip().rstrip(", ").translate(_LOCALIZED)
         if text.count('"') % 2:  # its other one is before the paths, or was cut off
             text = text.replace('"', "")
@@ -150,7 +150,7 @@ class _ValueReader:
             self._has_points |= "." in text
             self._has_commas |= "," in "".join(cells)
             return values
-        # A column of whole numbers may follow, or one value have a decimal comma: who had points has no commas.
+        # A column of whole numbers may follow, or one value have a decimal comma: files with points have none.
         if is_unambiguous or (len(cells) == 5 and self._has_points and not self._has_commas):
             raise ValueError("more than four values")
         readings = list(_decimal_comma_readings(cells))
@@ -199,7 +199,7 @@ def _decimal_comma_readings(cells: list[str]) -> Iterator[_Values]:
 
 
 def _names(text: str) -> tuple[tuple[str, str, str], str]:
-    """The file names (centre, left, right) of a line, and what follows them; ValueError says what is wrong."""
+    """The file names (centre, left, right) of a line, and what follows them. Raises ValueError with its fault."""
     match = _PATHS.match(text)
     if match is None:
         raise ValueError("fewer than three columns of pictures, or cut off")

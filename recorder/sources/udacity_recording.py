@@ -103,7 +103,7 @@ class PictureFiles:
                 pass
         if self._skipped.counts[LINKS]:
             return "its pictures are links out of it, which are not followed; `cp -rL` copies what they name"
-        return f"they are looked for in IMG/, in {self._folder.name}/ and in ../IMG/"
+        return f"they are expected in IMG/, in {self._folder.name}/ and in ../IMG/"
 
     def _places(self) -> tuple[Path, Path, Path]:
         root = Path(os.path.realpath(self._folder))

@@ -179,7 +179,7 @@ def test_flags_say_it_where_names_do_not(tmp_path: Path, capsys: pytest.CaptureF
     assert [row[2] for row in found["/vehicle"]] == pytest.approx([-value for value in STEERING])
     assert [row[2] for row in found["/camera/center"]] == [jpeg("right", row) for row in range(5)]
     assert call(bc_record, "mine", "--from", theirs, "--rate", 20, "--force", *sessions) == 1
-    assert "its frames tell their times" in capsys.readouterr().err
+    assert "its frames have their times" in capsys.readouterr().err
 
 
 def test_episodes_that_are_not_there_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
