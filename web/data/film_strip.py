@@ -62,7 +62,8 @@ def _thumbnail(log: Log, pictures: Pictures | None, share: float) -> NDArray[np.
         return None
     height, width = decoded.shape[:2]
     scale = max(WIDTH_PX / width, HEIGHT_PX / height)
-    shape = max(WIDTH_PX, round(width * scale)), max(HEIGHT_PX, round(height * scale))
-    resized = cv2.resize(decoded, shape, interpolation=cv2.INTER_AREA)
-    top, left = (shape[1] - HEIGHT_PX) // 2, (shape[0] - WIDTH_PX) // 2
-    return resized[top : top + HEIGHT_PX, left : left + WIDTH_PX].astype(np.uint8)
+    # cropped before it is resized: a picture of one row would be made 80 times as wide as it is
+    kept_width, kept_height = (max(1, round(side / scale)) for side in (WIDTH_PX, HEIGHT_PX))
+    left, top = (width - kept_width) // 2, (height - kept_height) // 2
+    middle = decoded[top : top + kept_height, left : left + kept_width]
+    return cv2.resize(middle, (WIDTH_PX, HEIGHT_PX), interpolation=cv2.INTER_AREA).astype(np.uint8)
