@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, Literal, Self
 
@@ -64,11 +64,9 @@ class DriveServer:
         Raises UserError if `log` exists and may not be overwritten, ListenError if the port is taken.
         """
         self._pilot = pilot
-        self.config = config
+        self.config = replace(config, car=built_in()) if is_built_in else config
         self._log = log
         self._is_built_in = is_built_in
-        if is_built_in:
-            config = replace(config, car=built_in())
         self.notify = notify
         self._show_status = show_status
         self._notified: set[str] = set()
@@ -264,7 +262,7 @@ def drive_metadata(pilot: Pilot, config: DriveConfig) -> dict[str, str]:
         "arithmetic": pilot.arithmetic,
         **{
             name: f"{value:g}" if isinstance(value, float) else str(value)
-            for name, value in asdict(replace(config, car=None)).items()
+            for name, value in vars(config).items()
             if name != "car"
         },
         **car_metadata(config.car),

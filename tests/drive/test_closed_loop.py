@@ -25,6 +25,7 @@ from model import load_pilot
 from recorder import Imported, Log, RecordingError, import_udacity
 from recorder.bc_pb2 import VehicleState
 from recorder.cli import main as record_main
+from recorder.log.session_car import built_in, car_in
 from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
 from simulator.cli import main as sim_main
 from simulator.roads.track import load_track
@@ -256,6 +257,7 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
     ]
     with Log(here.log) as log:
         assert log.read_metadata("bc.simulator")["trajectory_sha256"] == there["trajectory_sha256"]
+        assert car_in(log.metadata, log.path) == built_in()  # where its cameras stand, and how it turns
 
 
 def test_an_unknown_track_ends_an_evaluation_in_a_line_and_leaves_no_log(
