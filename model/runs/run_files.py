@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -37,9 +38,14 @@ def run_write_errors(path: Path) -> Iterator[None]:
 
 
 def append_json_line(path: Path, values: dict[str, Any]) -> None:
-    """Add a line of JSON, in which a number that does not exist (NaN, infinite) is null."""
-    with run_write_errors(path), path.open("a", encoding="utf-8") as stream:
-        stream.write(json.dumps(without_nan(values), allow_nan=False) + "\n")
+    """Add a line of JSON, in which a number that does not exist (NaN, infinite) is null. A line before it that a
+    full disk or a kill has cut off is ended first."""
+    line = json.dumps(without_nan(values), allow_nan=False).encode() + b"\n"
+    with run_write_errors(path), path.open("a+b") as stream:
+        if stream.seek(0, os.SEEK_END):
+            stream.seek(-1, os.SEEK_END)
+            line = line if stream.read(1) == b"\n" else b"\n" + line
+        stream.write(line)
 
 
 def keep_json_lines(path: Path, wanted: Callable[[dict[str, Any]], bool]) -> None:

@@ -132,6 +132,19 @@ def test_lines_that_are_no_results_are_left_out(
     assert [kept["result"]["track"] for kept in found["results"]] == ["lake"]
 
 
+def test_a_line_that_was_cut_off_takes_no_other_one_with_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A disk that was full, or a kill, may leave half a line."""
+    run = a_run(tmp_path, "first")
+    keep_result(run, "simulator", drive("lake", 0))
+    with (run / "results.jsonl").open("a") as stream:
+        stream.write('{"measured_at": "2026-')
+    keep_result(run, "simulator", drive("mountain", 1))
+    (found,) = listed(capsys, tmp_path)
+    assert [kept["result"]["track"] for kept in found["results"]] == ["lake", "mountain"]
+
+
 def test_without_runs_it_says_how_to_begin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "a file").touch()
     assert call(bc_runs, "--runs", tmp_path / "a file") == 1
