@@ -52,7 +52,7 @@ from dataset.index.build_state import (
 )
 from dataset.index.duplicates import UnreadablePictureError, refuse_shared_pictures
 from dataset.index.session_labels import LAGS_FOLDER, labels_of_sessions
-from dataset.index.sessions import name_problem
+from dataset.index.sessions import by_session_name, name_problem
 from dataset.index.staging import finish_interrupted_build, staged, stale_frames_files
 from dataset.missing_index import refuse_file
 from dataset.parquet_file import read_metadata, write_table
@@ -134,14 +134,14 @@ def build_index(
 
     It changes whole or, where anything is raised, not at all. Raises LogError if a log cannot be read
     (`leave_out_unreadable`: it is left out, and the notices name it), DatasetError if nothing in them can be used,
-    if a picture is in two of them, if `config` names a session that is not among them, or if a file cannot be
-    written; and what `check_settings` does. `passed_over` are the sessions that somebody chose not to have in the
-    index: `sessions_not_indexed` does not tell of them. `tasks` reads the logs: here, or on a cluster
-    (`common.ray_cluster`), which comes to the same bytes. With `divide_from_frames` or more, the samples are a
-    file a session (`dataset.samples.divided_writer`).
+    if two of them have the same name or a picture in common, if `config` names a session that is not among them,
+    or if a file cannot be written; and what `check_settings` does. `passed_over` are the sessions that somebody
+    chose not to have in the index: `sessions_not_indexed` does not tell of them. `tasks` reads the logs: here, or
+    on a cluster (`common.ray_cluster`), which comes to the same bytes. With `divide_from_frames` or more, the
+    samples are a file a session (`dataset.samples.divided_writer`).
     """
     index, config = Path(index), config or IndexConfig()
-    by_name = dict(sorted((session_name(log), log) for log in map(location, logs)))
+    by_name = dict(sorted(by_session_name(map(location, logs)).items()))
     check_settings(list(by_name.values()), index, config)
     with build_lock(index):
         finish_interrupted_build(index)

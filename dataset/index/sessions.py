@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from common.errors import did_you_mean, printable
@@ -28,7 +28,7 @@ def find_logs(sessions: Sequence[Location | str], folder: Location | str) -> lis
         if isinstance(folder, Path) and folder.is_file():
             raise DatasetError(f"{folder}: a file; the folder that logs are in was expected, such as sessions")
         raise DatasetError(f"{folder}: no logs in it; record one with `bc-record NAME`")
-    by_name: dict[str, Location] = {}
+    found: list[Location] = []
     listed: dict[Url, set[Url]] = {}
     for given in map(str, sessions):
         log = location(given) if given.endswith((".mcap", ".part")) else folder / f"{given}.mcap"
@@ -45,10 +45,18 @@ def find_logs(sessions: Sequence[Location | str], folder: Location | str) -> lis
             )
         if problem := name_problem(log):
             raise DatasetError(problem)
-        other = by_name.setdefault(session_name(log), log)
+        found.append(log)
+    return list(by_session_name(found).values())
+
+
+def by_session_name(logs: Iterable[Location]) -> dict[str, Location]:
+    """Each log once, by the name of its session. Raises DatasetError if two of them have the same one."""
+    found: dict[str, Location] = {}
+    for log in logs:
+        other = found.setdefault(session_name(log), log)
         if absolute(other) != absolute(log):
             raise DatasetError(f"{log} and {other}: two sessions of one name; rename one of them")
-    return list(by_name.values())
+    return found
 
 
 def finished_logs(folder: Location) -> list[Location]:

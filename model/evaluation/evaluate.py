@@ -23,7 +23,7 @@ from common.errors import counted
 from common.location import Location, absolute, location
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
 from dataset.frames.crash_frames import in_crashes
-from dataset.frames.frames_file import session_name
+from dataset.index.sessions import by_session_name
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, steering_in
 from dataset.preprocess import Image
@@ -185,7 +185,7 @@ def evaluate_sessions(run: Path | str, logs: Sequence[Location | str]) -> Evalua
 
 def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Location | str]) -> list[Evaluation]:
     """`evaluate_sessions` for several runs at once: each picture is decoded once, all have the same frames."""
-    paths = {session_name(log): log for log in map(location, logs)}
+    paths = by_session_name(map(location, logs))
     ahead_s = [speed_ahead_s_of_run(Path(run)) for run in runs if "speed" in targets_of_run(Path(run))]
     config = IndexConfig(
         validation=tuple(paths),

@@ -357,6 +357,9 @@ def test_two_sessions_of_one_name_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="two sessions of one name"):
         find_logs((given_twice, str(tmp_path / "there" / "lake.mcap")), tmp_path)
     assert find_logs((given_twice, "lake"), tmp_path / "here") == [Path(given_twice)]
+    with pytest.raises(DatasetError, match="two sessions of one name"):
+        build_index([tmp_path / "here" / "lake.mcap", tmp_path / "there" / "lake.mcap"], tmp_path / "index")
+    assert not (tmp_path / "index").exists()
 
 
 @pytest.mark.parametrize("steering", [[], [2.0, float("nan")]])
