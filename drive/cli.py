@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+from rich.markup import escape
 from rich.table import Table
 
 from common.command import DONE, DONE_BUT_SKIPPED, check_port, flags_given, run_command, usage_errors, warn
-from common.errors import UsageError, counted
+from common.errors import UsageError, counted, printable
 from common.files import refuse_existing
 from common.interrupts import stop_signals
 from common.location import Url
@@ -343,16 +344,24 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
             codes.append(_copy_round(config, done, drives, runs / done.run if len(rounds) > 1 else None))
     finally:  # what was driven is shown, whatever stops the rest
         if rounds:
-            table = Table(box=None, pad_edge=False)
-            for heading in ("run", "laps", "interventions", "autonomy", "log"):
-                table.add_column(heading, justify="left" if heading in ("run", "log") else "right")
-            for each in rounds:
-                percent = each.autonomy_percent
-                autonomy = "unknown" if percent is None else f"{percent:.1f} %"
-                laps = "unknown" if each.laps is None else f"{each.laps:.2f}"
-                table.add_row(each.run, laps, f"{each.interventions:,}", autonomy, str(each.log))
-            print_table(table)
+            print_table(_rounds_table(rounds))
     return max(codes)
+
+
+def _rounds_table(rounds: Sequence[AggregationRound]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for heading in ("run", "laps", "interventions", "autonomy", "log"):
+        table.add_column(heading, justify="left" if heading in ("run", "log") else "right")
+    for each in rounds:
+        percent = each.autonomy_percent
+        table.add_row(
+            escape(printable(each.run)),
+            "unknown" if each.laps is None else f"{each.laps:.2f}",
+            f"{each.interventions:,}",
+            "unknown" if percent is None else f"{percent:.1f} %",
+            escape(printable(str(each.log))),
+        )
+    return table
 
 
 def _copy_round(config: Drive, done: AggregationRound, drives: LogFolder, trained: Path | None) -> int:

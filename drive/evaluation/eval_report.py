@@ -76,7 +76,7 @@ def print_recorded_drives(run: str, drives: Sequence[RecordedDrive]) -> None:
     """Print the table of drives of recordings."""
     put_back = f"put back from {drives[0].departure_m:g} m on"
     table = _table(
-        f"{printable(run)} on recordings; metres from the recorded line, {put_back}",
+        f"{escape(printable(run))} on recordings; metres from the recorded line, {put_back}",
         *("session", "rows", "left out", "km", "interventions", "autonomy", "mean", "max", "known"),
     )
     for drive in drives:
@@ -106,7 +106,8 @@ def _measures_table(evaluation: Evaluation) -> Table:
     measures, balanced = evaluation.measures, evaluation.balanced_rmse_deg
     of = {"network": measures.network, "zero": measures.zero, "mean": measures.mean}
     is_scaled = evaluation.answers != AnswerScale()
-    title = f"{printable(run_name(evaluation.run))}: {counted(measures.frames, 'frame')}; errors in degrees"
+    name = escape(printable(run_name(evaluation.run)))
+    title = f"{name}: {counted(measures.frames, 'frame')}; errors in degrees"
     as_learnt = ("as learnt",) if is_scaled else ()
     table = _table(title, "", "network", "always zero", "always the mean", *as_learnt)
     columns = [*of.values(), evaluation.as_learnt] if is_scaled else [*of.values()]

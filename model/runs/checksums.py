@@ -55,7 +55,7 @@ def load_checksummed(path: Path, run: Path, otherwise: str) -> tuple[dict[str, T
         data = read_bounded(path, _MOST_BYTES)
         tensors = load(data)
         header, values = _halves(data)
-        metadata = json.loads(header).get("__metadata__", {})
+        metadata = json.loads(header).get("__metadata__") or {}  # null in a file of another program
     except (OSError, SafetensorError, ValueError, RecursionError) as error:
         raise RunError(f"{path}: cannot be read ({error}); {otherwise}") from None
     checksum = metadata.pop(CHECKSUM, None)

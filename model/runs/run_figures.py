@@ -173,7 +173,7 @@ def _draw_scatter(axes: Axes, predicted: Floats, recorded: Floats, measures: Mea
         title += f"\n({beyond:,} beyond ±{_FARTHEST} drawn at the edge)"
     axes.set_title(title, loc="left", fontsize=8)
     axes.set(xlim=(-1.03, 1.03), ylim=(-_FARTHEST, _FARTHEST), xticks=_TICKS, yticks=_TICKS)
-    axes.set_xlabel("recorded steering (1: 25° to the right)")
+    axes.set_xlabel(f"recorded steering (1: {measures.max_deg:g}° to the right)")
     axes.set_ylabel("predicted steering")
 
 

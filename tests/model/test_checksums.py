@@ -155,3 +155,16 @@ def test_runs_of_earlier_versions_are_read_and_that_is_said_once(
     assert record.levelno == logging.WARNING
     assert record.getMessage().startswith(f"{run}: of an earlier version, without checksums")
     assert b"sha256" in header_of(checkpoint(run))  # what is written from now on has one
+
+
+def test_weights_without_any_metadata_are_those_of_an_earlier_version(
+    run: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Another program may write `null` for none."""
+    data = weights(run).read_bytes()
+    names = {**json.loads(header_of(weights(run))), "__metadata__": None}
+    header = json.dumps(names).encode()
+    values = data[8 + len(header_of(weights(run))) :]
+    weights(run).write_bytes(len(header).to_bytes(8, "little") + header + values)
+    load_pilot(run, "float32")
+    assert "without checksums" in caplog.text

@@ -243,6 +243,15 @@ def test_the_tables_show_the_numbers_of_the_json(here: Path, capsys: pytest.Capt
     assert lines[-1] == "measured on what index holds out"
 
 
+def test_the_name_of_a_run_is_no_markup(
+    here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = shutil.copytree(here / "runs" / "toy", tmp_path / "[red]toy")
+    monkeypatch.setenv("COLUMNS", "200")
+    assert call(main, run, "--index", "index", "--worst", 0) == 0
+    assert capsys.readouterr().out.splitlines()[0].strip().startswith("[red]toy: ")
+
+
 def test_the_worst_frames_come_with_the_commands_that_show_them(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -177,6 +177,12 @@ def test_every_frame_is_a_point_and_the_diagonal_is_drawn() -> None:
     np.testing.assert_array_equal(diagonal.get_xdata(), diagonal.get_ydata())
     off_deg = 25 * math.sqrt(float(np.mean((PREDICTED - RECORDED) ** 2)))
     assert scatter.get_title(loc="left") == f"1,000 frames held out: RMSE {off_deg:.2f}°, correlation 1.00"
+    assert "25°" in scatter.get_xlabel()
+
+
+def test_degrees_are_those_of_the_runs_car() -> None:
+    _, _, scatter, _ = draw_steering(PREDICTED, RECORDED, 30.0).axes
+    assert "30°" in scatter.get_xlabel()
 
 
 def test_predictions_beyond_the_edge_are_drawn_at_it_and_counted() -> None:
