@@ -35,10 +35,10 @@ def drive_car(port: int) -> Car:
 def test_ones_own_simulator_is_recorded(tmp_path: Path) -> None:
     path = tmp_path / "mine.mcap"
     settings = ROOT / "examples" / "own_simulator.toml"
-    flags = ("--listen", "--port", 0, "--idle", 0.3, "--sessions", tmp_path, "--car", settings)
+    flags = ("--listen", "--port", 0, "--sessions", tmp_path, "--car", settings)
     with Process(command("bc-record", "mine", *flags)) as process:
         car = drive_car(int(process.wait_for(r"waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]))
-        assert process.join() == 0
+        assert process.end() == 0
     with Log(path) as log:
         steering = log.vehicle()["steering"].to_pylist()
         assert car_of(log).max_steering_deg == MAX_DEG

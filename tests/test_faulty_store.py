@@ -11,7 +11,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from bucket import Bucket, in_parts_of, serving_bucket, unfinished_parts
+from bucket import Bucket, end_uploads, in_parts_of, serving_bucket, unfinished_parts
 from common.location import Url
 from common.stored_folder import StoredFolder
 from dataset import IndexConfig, build_index
@@ -61,6 +61,7 @@ def store(served: Store) -> Store:
     shutil.rmtree(served.made, ignore_errors=True)
     shutil.rmtree(served.bucket.folder)
     shutil.copytree(served.here, served.bucket.folder)
+    end_uploads(served.bucket)
     served.bucket.pass_all()
     return served
 

@@ -148,6 +148,9 @@ def test_a_command_is_spelled_with_its_path_where_the_shell_does_not_find_it(
     (scripts / "bc-play").chmod(0o755)
     monkeypatch.setattr("sysconfig.get_path", lambda name: str(scripts))
     monkeypatch.setenv("PATH", "/nowhere")
+    far = tmp_path.joinpath(*"abcdefghijklmnopqrst")  # from here, no other path to it is shorter
+    far.mkdir(parents=True)
+    monkeypatch.chdir(far)
     assert shlex.split(shell_command("bc-play")) == [str(scripts / "bc-play")]
     monkeypatch.chdir(tmp_path)
     print_result("look at it with `bc-play run.mcap`; `bc-playful` is none, and bc-play is a name")

@@ -44,11 +44,12 @@ from driving import (
     untrained_run,
 )
 from model import load_pilot
+from ports import free_ports
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.recover import recover, recovered_name
 from recorder.server.telemetry import MAX_IMAGE_BYTES
-from rrd import contents, free_ports
+from rrd import contents
 from serving import ModernClient
 from simulator.protocol.client import (
     ServerCommand,
@@ -610,7 +611,7 @@ def test_a_car_that_cannot_be_braked_is_told_and_a_second_ctrl_c_ends_at_once(
     pilot_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It tells 9 mph, and then nothing any more."""
-    with DriveProcess(pilot_run, tmp_path / "run.mcap") as process:
+    with DriveProcess(pilot_run, tmp_path / "run.mcap", minds_silence=True) as process:
         client = OldClient(process.wait_until_it_listens())
         client.tell(fields(0, speed="30.0000"))
         process.popen.send_signal(signal.SIGINT)
@@ -629,7 +630,7 @@ def test_a_silent_simulator_is_sent_the_brake_and_its_release_without_being_aske
     """One that is silent for long when Ctrl-C is pressed, and one that falls silent while it is braked: both keep
     their last command for ever."""
     log = tmp_path / "run.mcap"
-    with DriveProcess(pilot_run, log) as process:
+    with DriveProcess(pilot_run, log, minds_silence=True) as process:
         client = ModernClient(process.wait_until_it_listens())
         client.tell(fields(0))
         if answers_braked:
@@ -743,7 +744,7 @@ def test_a_simulator_that_falls_silent_is_steered_once_without_being_asked(
     pilot_run: Path, tmp_path: Path
 ) -> None:
     log = tmp_path / "run.mcap"
-    with DriveProcess(pilot_run, log) as process:
+    with DriveProcess(pilot_run, log, minds_silence=True) as process:
         client = ModernClient(process.wait_until_it_listens())
         answer = client.tell(fields(1))
         client.wait_for(2)

@@ -549,8 +549,8 @@ def test_a_killed_drive_leaves_a_log_that_can_be_recovered(tmp_path: Path) -> No
 
 def test_a_viewer_that_is_stopped_keeps_neither_the_drive_nor_its_log(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    viewer = "127.0.0.1:9"  # nobody is there; it is stopped before it could find that out
-    with DriveProcess(untrained_run(tmp_path / "run"), path, "--viewer", viewer) as process:
+    viewer = "import time; time.sleep(1000)"
+    with DriveProcess(untrained_run(tmp_path / "run"), path, "--viewer", "web", viewer=viewer) as process:
         port = process.wait_until_it_listens()
         children = Path(f"/proc/{process.popen.pid}/task/{process.popen.pid}/children")
         if not children.exists():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -43,6 +44,12 @@ def in_parts_of(patch: pytest.MonkeyPatch, size: int) -> None:
 def unfinished_parts(bucket: Bucket) -> list[Path]:
     """The parts that the server keeps of uploads which are not finished."""
     return sorted((bucket.folder.parent / localbucket.UPLOADS_DIR).glob("*/[0-9]*"))
+
+
+def end_uploads(bucket: Bucket) -> None:
+    """The server forgets the uploads that are not finished, of which some have no part yet."""
+    for upload in (bucket.folder.parent / localbucket.UPLOADS_DIR).glob("*"):
+        shutil.rmtree(upload)
 
 
 @contextlib.contextmanager

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 import pytest
 
+from waiting import PATIENCE_S
+
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
@@ -32,7 +34,7 @@ def chromium() -> Iterator[Browser]:
     if os.geteuid() == 0:
         flags.append("--no-sandbox")  # it refuses to run as root with one
     with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=flags)
+        browser = playwright.chromium.launch(executable_path=program, args=flags, timeout=PATIENCE_S * 1000)
         try:
             yield browser
         finally:

@@ -51,11 +51,19 @@ def command(name: str, *arguments: object) -> list[str]:
     return [sys.executable, "-c", code, *map(str, arguments)]
 
 
+def command_after(code: Sequence[str], name: str, *arguments: object) -> list[str]:
+    """The same, when these lines of Python have run."""
+    python, flag, line, *rest = command(name, *arguments)
+    return [python, flag, "; ".join([*code, line]), *rest]
+
+
 def command_with_viewer(viewer: str, name: str, *arguments: object) -> list[str]:
     """The same, with this Python code in the place of the viewer that the command starts."""
-    replace = f"import common.preview; common.preview.VIEWER = ('-c', {viewer!r})"
-    python, flag, code, *rest = command(name, *arguments)
-    return [python, flag, f"{replace}; {code}", *rest]
+    return command_after([_viewer(viewer)], name, *arguments)
+
+
+def _viewer(code: str) -> str:
+    return f"import common.preview; common.preview.VIEWER = ('-c', {code!r})"
 
 
 def environment() -> dict[str, str]:
@@ -241,13 +249,27 @@ class Process:
         self.stdout = self.popen.stdout.read()
 
 
-class DriveProcess(Process):
-    """`bc-drive` on a free port, with the run and the log given, and no window."""
+_PATIENT: Final = (
+    f"import drive.drive_session as it; it.WATCHDOG_S = it.SILENT_S = {PATIENCE_S}; "
+    f"import drive.control.braking as it; it.stopping_s = lambda speed_mph: {PATIENCE_S}"
+)
 
-    def __init__(self, run_folder: Path, log: Path, *flags: object) -> None:
+
+class DriveProcess(Process):
+    """`bc-drive` on a free port, with the run and the log given, and no window.
+
+    It has patience with its simulator, which others may keep from telling for a moment. Where `minds_silence`, it
+    is as ever: a second's silence is answered unasked, and a brake lasts as long as the car would need. `viewer`:
+    Python code in the place of its viewer."""
+
+    def __init__(
+        self, run_folder: Path, log: Path, *flags: object, minds_silence: bool = False, viewer: str = ""
+    ) -> None:
         self.log = log
         hidden = () if "--viewer" in flags else ("--viewer", "off")
-        super().__init__(command("bc-drive", run_folder, "--log", log, "--port", 0, *hidden, *flags))
+        arguments = (run_folder, "--log", log, "--port", 0, *hidden, *flags)
+        before = [*([] if minds_silence else [_PATIENT]), *([_viewer(viewer)] if viewer else [])]
+        super().__init__(command_after(before, "bc-drive", *arguments), loads_pytorch=True)
 
     def wait_until_it_listens(self) -> int:
         """Its port."""

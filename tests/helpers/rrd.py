@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import socket
 import warnings
 from pathlib import Path
 from typing import Any
@@ -52,12 +51,6 @@ def view_names(rrd: Path) -> set[str]:
         if "ViewBlueprint:display_name" in batch.schema.names:
             names.update(value[0] for value in batch.column("ViewBlueprint:display_name").to_pylist() if value)
     return names
-
-
-def free_ports(count: int) -> list[int]:
-    with contextlib.ExitStack() as stack:
-        taken = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
-        return [each.getsockname()[1] for each in taken]
 
 
 def listening(process: psutil.Process) -> dict[int, str]:

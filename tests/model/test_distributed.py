@@ -22,8 +22,8 @@ from model import train
 from model.cli import Train
 from model.cli import train as bc_train
 from model.config import TrainConfig
+from ports import free_ports
 from repository import ROOT
-from rrd import free_ports
 from toy import toy_index
 
 FLAGS = [

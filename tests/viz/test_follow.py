@@ -25,10 +25,11 @@ from common import UserError
 from common.car import CAMERAS
 from driving import Process, command, command_with_viewer, environment
 from logs import START_NS, STEP_NS, read_messages
+from ports import free_ports
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.topics import PICTURE_TOPICS
-from rrd import arrived, contents, free_ports, listening, lives, view_names
+from rrd import arrived, contents, listening, lives, view_names
 from udacity import call
 from viz import save_growing, save_rrd
 from viz.cli import main

@@ -15,7 +15,8 @@ from rerun.experimental import ViewerClient
 
 from driving import road_jpeg
 from logs import STEP_NS, write_log
-from rrd import contents, free_ports
+from ports import free_ports
+from rrd import contents
 from udacity import call
 from viz.cli import main
 from viz.viewer_process import viewer_program

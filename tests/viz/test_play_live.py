@@ -24,9 +24,10 @@ from common.car import CAMERAS, Camera
 from common.preview import preview
 from driving import Process, command, environment
 from logs import START_NS, STEP_NS, write_log
+from ports import free_ports
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from rrd import arrived, contents, free_ports, lives
+from rrd import arrived, contents, lives
 from udacity import call
 from viz.cli import main
 from viz.live.live_messages import LiveMessage

@@ -26,7 +26,8 @@ from histories import epoch_line, step_lines, write_lines, write_run
 from model import RunError
 from model.runs.history import HistoryReader, read_history
 from model.runs.training_progress import Epoch, Step
-from rrd import contents, free_ports, listening, view_names
+from ports import free_ports
+from rrd import contents, listening, view_names
 from udacity import call
 from viz.cli import main
 from viz.viewer_process import viewer_program

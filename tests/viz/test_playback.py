@@ -17,10 +17,11 @@ from common.preview import has_display
 from disk import files_of_at_most
 from driving import Process, command, one_line_of, road_jpeg, run
 from layouts import write_as_before
+from ports import free_ports
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.topics import EVENTS, PICTURE_TOPICS
-from rrd import contents, free_ports, listening, view_names
+from rrd import contents, listening, view_names
 from udacity import call
 from viz import save_growing, save_rrd
 from viz.cli import main

@@ -16,10 +16,11 @@ from driving import call_drive, road_jpeg, untrained_run
 from logs import START_NS, STEP_NS, read_messages, write_log
 from model import RunError, load_pilot
 from model.evaluation.predict_log import predict_log
+from ports import free_ports
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.check import check
-from rrd import contents, free_ports, view_names
+from rrd import contents, view_names
 from udacity import call
 from viz.cli import main
 from viz.viewer_process import Ports, open_viewer, wait_until_it_listens

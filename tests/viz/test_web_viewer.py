@@ -22,7 +22,8 @@ from common.car import Camera
 from driving import command, environment
 from logs import write_log
 from pages import window_of
-from rrd import free_ports, listening
+from ports import free_ports
+from rrd import listening
 from waiting import wait_until
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from urllib.parse import urlencode
 import pytest
 
 from driving import Process, command
+from ports import free_ports
 from recorder import Log
-from rrd import free_ports
 from waiting import wait_until
 from web.data.cache_folder import default_cache_folder
 from web.data.jobs import Jobs

@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,6 +51,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory, bucket_of_tests: dict[str, s
         for name, value in {**bucket_of_tests, "BC_CACHE": str(folder / "chunks")}.items():
             patched.setenv(name, value)
         with served(folder, drives=drives) as found:
+            wait_until(lambda: found.get("/drives/toy").status == 200)  # the store has answered
             yield found
 
 
@@ -65,12 +67,25 @@ def constant_run(folder: Path, first_layers: float = 0) -> None:
     save_weights(folder, network.state_dict(), 1)
 
 
+@pytest.fixture
+def hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Once called, what predicts does not begin: a prediction lasts as long as a test looks at it."""
+
+    def begin() -> None:
+        (tmp_path / "sitecustomize.py").write_text("import time\ntime.sleep(1000)\n")
+        monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+
+    return begin
+
+
 def changed_config(folder: Path, **changed: Any) -> None:
     config = folder / "config.json"
     config.write_text(json.dumps({**json.loads(config.read_text()), **changed}))
 
 
-def test_the_page_shows_the_prediction_and_its_worst_moments_first(browser: Browser, bench: Served) -> None:
+def test_the_page_shows_the_prediction_and_its_worst_moments_first(
+    browser: Browser, bench: Served, hold: Callable[[], None]
+) -> None:
     errors_deg = 25 * (ANSWER - np.array(STEERING))
     worst = int(np.argmax(np.abs(errors_deg)))
     rmse_deg = math.sqrt(np.mean(errors_deg**2))
@@ -96,6 +111,7 @@ def test_the_page_shows_the_prediction_and_its_worst_moments_first(browser: Brow
         page.goto(f"{bench.address}/drives/toy#run=constant")
         page.reload()
         page.wait_for_selector("#session[data-run=constant]")
+        hold()
         page.select_option("#run", "another")
         page.click("#predict-stop")
         wait_until(lambda: "stopped" in page.inner_text("#said"))
@@ -116,7 +132,8 @@ def predicting() -> list[str]:
     return found
 
 
-def test_a_prediction_is_stopped_also_one_that_waits(bench: Served) -> None:
+def test_a_prediction_is_stopped_also_one_that_waits(bench: Served, hold: Callable[[], None]) -> None:
+    hold()
     for name in ("first", "second"):
         constant_run(bench.folder / "runs" / name, 0.1 if name == "first" else 0.2)
     shown = bench.get("/sessions/toy/state").json["fingerprint"]

@@ -10,7 +10,7 @@ import pytest
 
 from driving import Process, command
 from logs import write_log
-from rrd import free_ports
+from ports import free_ports
 from workbench import Served, served
 
 FROM_OUR_PAGE = {"Sec_Fetch_Site": "same-origin", "Sec_Fetch_Mode": "cors", "Sec_Fetch_Dest": "empty"}

@@ -20,19 +20,24 @@ AGAIN_S: Final = 10.0
 """After a store did not answer, it is asked again."""
 
 
-class _Asked(NamedTuple, Generic[Result]):
-    version: str
-    future: Future[Result | UserError]
+class _Made(NamedTuple, Generic[Result]):
+    result: Result | UserError
     at_s: float
 
+
+class _Asked(NamedTuple, Generic[Result]):
+    version: str
+    future: Future[_Made[Result]]
+
     def is_of(self, version: str) -> bool:
-        """Whether what it makes is, or will be, the result of that version: what a store did not answer is not."""
+        """Whether what it makes is, or will be, the result of that version: what a store did not answer is, for a
+        while."""
         if self.version != version:
             return False
-        is_late = time.monotonic() >= self.at_s + AGAIN_S
-        if not is_late or not self.future.done() or self.future.cancelled():
+        if not self.future.done() or self.future.cancelled():
             return True
-        return not isinstance(self.future.result(), StoreError)
+        made = self.future.result()
+        return not isinstance(made.result, StoreError) or time.monotonic() < made.at_s + AGAIN_S
 
 
 class Background(Generic[Place, Result]):
@@ -56,7 +61,7 @@ class Background(Generic[Place, Result]):
                 if known is None or not known.is_of(version):
                     if known is not None:
                         known.future.cancel()
-                    known = _Asked(version, self._pool.submit(self._run, path, version), time.monotonic())
+                    known = _Asked(version, self._pool.submit(self._run, path, version))
                 self._asked[path] = known
             for gone in before.values():
                 gone.future.cancel()
@@ -64,9 +69,15 @@ class Background(Generic[Place, Result]):
         wait(futures.values(), patience_s)
         # one that was cancelled is of a version that another request has seen replaced
         there = ((path, future) for path, future in futures.items() if future.done() and not future.cancelled())
-        return {path: future.result() for path, future in there}
+        return {path: future.result().result for path, future in there}
 
-    def _run(self, path: Place, version: str) -> Result | UserError:
+    def _run(self, path: Place, version: str) -> _Made[Result]:
+        result = self._result(path, version)
+        with self._lock:
+            self.done += 1
+        return _Made(result, time.monotonic())
+
+    def _result(self, path: Place, version: str) -> Result | UserError:
         try:
             return self._make(path, version)
         except UserError as error:
@@ -75,6 +86,3 @@ class Background(Generic[Place, Result]):
             return UserError(f"{path}: {error.strerror or error}")
         except Exception as error:  # a bug: one log must not take the others out of the list
             return UserError(f"{path}: {tell_bug(error)}")
-        finally:
-            with self._lock:
-                self.done += 1

@@ -54,7 +54,7 @@ class Share(msgspec.Struct, frozen=True):
 class InIndex:
     """What the index has of a session."""
 
-    words: str  # "in the index", "not in the index", "changed since", "left out"
+    words: str  # "in the index", "not in the index", "changed since", "being read", "left out"
     why: str = ""
     frames: dict[str, int] = field(default_factory=dict)  # by split
 
@@ -188,10 +188,12 @@ class SessionCards:
         if built.sources[0] != str(absolute(path)):
             return InIndex("not in the index", "it has another log of that name")
         sources = sources_of(session, path, self._folders.index_here, self._folders.stat)
-        if built.sources != sources and not (
-            _but_tags(built.sources) == _but_tags(sources) and self._has_tags_of(share, path, built.fingerprint)
-        ):
-            return InIndex("changed since", "`bc-index` brings it up to date")
+        if built.sources != sources:
+            are_tags = _but_tags(built.sources) == _but_tags(sources)
+            if are_tags and share is None:
+                return InIndex("being read")  # what the index has of its tags
+            if not (are_tags and self._has_tags_of(share, path, built.fingerprint)):
+                return InIndex("changed since", "`bc-index` brings it up to date")
         if not built.fingerprint:
             return InIndex("left out", printable(built.notice))
         if isinstance(share, UserError):

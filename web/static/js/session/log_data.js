@@ -31,6 +31,7 @@ export class LogData extends EventTarget {
     this.tagsVersion = null; // of the file, as it was when it was read
     this.storeProblem = ""; // why the store that the log is in does not answer
     this.busyUntil = 0;
+    this.asked = 0; // how often the tags were
   }
 
   async load() {
@@ -52,8 +53,10 @@ export class LogData extends EventTarget {
   }
 
   async loadTags() {
+    const asked = (this.asked += 1);
     try {
       const found = await (await ask(`${this.address}/tags`)).json();
+      if (asked < this.asked) return; // a later question has, or will have, the newer answer
       this.tagsVersion = found.version;
       this.names = found.names;
       this.tags = found.tags.map(([first, last, name]) => ({
