@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from common.command import check_port, flags_given, run_command, usage_errors, warn_skipped
-from common.errors import UsageError, counted
+from common.errors import UsageError, counted, printable
 from common.files import refuse_existing
 from common.location import Url, local_path
 from common.location_flag import LocationFlag
@@ -181,7 +181,7 @@ def _refuse_contradictions(config: Record) -> None:
     name = config.name
     if isinstance(config.sessions, Url) and config.copy_to is not None:
         raise UsageError(f"--sessions {config.sessions}: is where the log is copied to: leave out --copy-to")
-    if not name or name.startswith(".") or any(character in name for character in '/\\\0\n\r:*?"<>|'):
+    if not name or name.startswith(".") or set(name) & set('/\\:*?"<>|') or printable(name) != name:
         raise UsageError(f"{name!r}: not a name for a session; give a plain one, such as `bc-record lake`")
     if name.endswith(".mcap"):
         raise UsageError(f"{name}: give the name without its ending: `bc-record {name.removesuffix('.mcap')}`")

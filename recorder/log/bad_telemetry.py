@@ -10,7 +10,7 @@ MOST_OF_EACH: Final = 5
 """So many of a kind become events; the others are counted."""
 
 _PREFIX: Final = "bad telemetry: "
-_MORE: Final = re.compile(r" \(([0-9,]{1,26}) more\)$")
+_MORE: Final = re.compile(r" \(([0-9][0-9,]{0,25}) more\)$")
 
 
 class BadTelemetry:

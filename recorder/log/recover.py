@@ -59,7 +59,7 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     skipped = Skipped()
     refuse_taken(to, [path], overwrite)  # before a long log is read
     goes_on = is_being_written(path)
-    if goes_on and to == final_path(path):
+    if goes_on and to.resolve() == final_path(path.resolve()):
         raise LogError(f"{to}: the name that the recording will take, which still goes on; give another by --to")
     with Log(path, salvages=True) as log:
         order = in_order_of_rows(log, skipped)

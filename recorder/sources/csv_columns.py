@@ -99,9 +99,9 @@ class CsvColumns:
         if at is None:
             at = {key: int(name) - 1 for key, name in self.names.items()}
         rest = lines if has_header else itertools.chain([first], lines)
-        cells_of_rows = filter(any, csv.reader(rest, delimiter=delimiter))
-        for index, cells in enumerate(cells_of_rows):
-            line = index + 1 + has_header
+        reader = csv.reader(rest, delimiter=delimiter)
+        for index, cells in enumerate(filter(any, reader)):
+            line = reader.line_num + has_header
             row = self._row(line, index, cells, at, scale, delimiter == ";")
             if isinstance(row, str):
                 skipped.add(row, f"line {line}")
@@ -133,13 +133,10 @@ class CsvColumns:
         if not math.isfinite(numbers["steering"]):
             return "rows whose steering is no number"
         time_ns: int | None = None
-        for key, unit_ns in _TIMES.items():
-            if key in values:
-                time_ns = int(values[key]) if key == "time_ns" and values[key].isdecimal() else None
-                if time_ns is None and math.isfinite(numbers[key]):
-                    time_ns = round(numbers[key] * unit_ns)
-                if time_ns is None or not 0 <= time_ns < 2**63:
-                    return "rows with a time that no log can hold"
+        for key in _TIMES.keys() & values.keys():  # one at most
+            time_ns = _time_ns(key, values[key], numbers[key])
+            if time_ns is None:
+                return "rows with a time that no log can hold"
         pictures = {camera: values[camera] for camera in CAMERAS if values.get(camera)}
         if not pictures:
             return "rows that name no picture"
@@ -172,6 +169,15 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         return math.nan
+
+
+def _time_ns(key: str, text: str, number: float) -> int | None:
+    """None for a time that no log can hold."""
+    if not 0 <= number * _TIMES[key] <= 2**63:  # NaN is not, either
+        return None
+    is_exact = key == "time_ns" and text.isdecimal()  # a float does not hold all of its digits
+    time_ns = int(text) if is_exact else round(number * _TIMES[key])
+    return time_ns if time_ns < 2**63 else None
 
 
 def _or_zero(value: float) -> float:

@@ -14,13 +14,13 @@ import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common.closeable import Closeable
 from common.errors import UsageError, UserError, counted, printable
 from common.named_function import in_one_line, load_function
 from common.versions import TOOLKIT
@@ -67,8 +67,8 @@ class GymnasiumMoment:
         return encoded.tobytes()
 
 
-class GymnasiumCar:
-    """A Gymnasium environment that is driven. A context manager, which closes it."""
+class GymnasiumCar(Closeable):
+    """A Gymnasium environment that is driven."""
 
     def __init__(self, flags: GymFlags) -> None:
         """Makes the environment.
@@ -122,9 +122,10 @@ class GymnasiumCar:
         self._steps += 1
         sent = np.clip(action.reshape(self._space.shape), self._space.low, self._space.high)
         with _their_errors(f"--gym {self.name}", f"its step {self._steps}"):
-            observation, reward, terminated, truncated, info = self.env.step(sent.astype(self._space.dtype))
+            observation, told, terminated, truncated, info = self.env.step(sent.astype(self._space.dtype))
+            reward = float(told)
         end = "terminated" if terminated else "truncated" if truncated else ""
-        return self._moment(observation, info, float(reward), end)
+        return self._moment(observation, info, reward, end)
 
     def expert_action(self, moment: GymnasiumMoment) -> NDArray[np.float64]:
         """The expert's action (N,). Raises RecordingError for one that is none."""
@@ -146,12 +147,7 @@ class GymnasiumCar:
     def expert_command(self, moment: GymnasiumMoment) -> CarCommand:
         return self.actions.command(self.expert_action(moment))
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         self.env.close()
 
     def _check_action(self) -> Any:
@@ -205,9 +201,9 @@ class GymnasiumCar:
             return math.nan
         for place in (observation, info):
             if isinstance(place, dict) and self._speed_key in place:
-                value = np.asarray(place[self._speed_key])
-                if value.size == 1 and np.isfinite(value).all():
-                    return self._speed_factor * float(value.item())
+                with contextlib.suppress(TypeError, ValueError):  # a text, or several numbers
+                    if math.isfinite(speed := float(np.asarray(place[self._speed_key]).item())):
+                        return self._speed_factor * speed
         if not self._steps:
             return math.nan  # info may have it from the first step on
         keys = sorted({*(observation if isinstance(observation, dict) else ()), *info})

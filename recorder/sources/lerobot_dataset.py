@@ -110,7 +110,7 @@ def open_dataset(folder: Path) -> LeRobotFolder:
         raise RecordingError(f"{path}: not JSON; download the dataset again") from None
     try:
         return _dataset(folder, loaded)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:  # 1e999 is no count
         raise RecordingError(f"{path}: not as LeRobot writes it ({printable(repr(error)[:200])})") from None
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from av.container import InputContainer
 
 JPEG_QUALITY: Final = 95
+_MOST_S: Final = 1e9  # into a video: thirty years
 
 
 class CameraVideos(Closeable):
@@ -56,8 +57,10 @@ class CameraVideos(Closeable):
                         raise RecordingError(
                             f"{dataset.root / relative}: not there; download the dataset with its videos"
                         )
+                if not abs(start_s) < _MOST_S:
+                    raise ValueError(start_s)
                 self._places[int(episode)] = paths[number], float(start_s)
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 raise RecordingError(f"{dataset.root}: meta/episodes does not have the places of videos") from None
         self._tolerance_s = 0.5 / dataset.fps
         self._episode = -1

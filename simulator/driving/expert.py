@@ -96,10 +96,10 @@ def plan_speed(line: Centreline, most_mps: float) -> Floats:
     """
     span = 2 * round(_CURVATURE_SPAN_M / line.step_m / 2) + 1
     curvature = np.mean([np.roll(line.curvature_per_m, k - span // 2) for k in range(span)], axis=0)
-    allowed: Floats = np.minimum(most_mps**2, BEND_MPS2 / np.maximum(np.abs(curvature), 1e-6))
+    allowed: Floats = np.minimum(most_mps * most_mps, BEND_MPS2 / np.maximum(np.abs(curvature), 1e-6))
     gain = 2.0 * SLOW_DOWN_MPS2 * line.step_m
     planned = allowed.copy()
-    for k in range(1, math.ceil(most_mps**2 / gain)):
+    for k in range(1, math.ceil(min(len(allowed), most_mps * most_mps / gain))):  # a lap later it is the same bend
         planned = np.minimum(planned, np.roll(allowed, -k) + k * gain)
     speed: Floats = np.sqrt(planned)
     return speed

@@ -176,7 +176,7 @@ class SimulatorClient:
     def _command(self, payload: str) -> list[ServerCommand]:
         try:
             name, *arguments = json.loads(payload)
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, RecursionError):
             return []
         if name == "manual":
             self.manuals += 1

@@ -25,14 +25,14 @@ class UdacityWriter:
     """
 
     def __init__(self, folder: Path) -> None:
-        if folder.exists() and any(folder.iterdir()):
-            raise UserError(f"{folder}: not empty; a recording needs a new folder")
         self._folder = folder
         self._images = folder.resolve() / "IMG"
         self._csv_path = folder / "driving_log.csv"
         self._part = files.part_path(self._csv_path)
         self._made: list[Path] = []
         with self._writing():
+            if folder.exists() and any(folder.iterdir()):
+                raise UserError(f"{folder}: not empty; a recording needs a new folder")
             self._made = files.make_folder(self._images)
             try:
                 self._csv = self._part.open("x", encoding="utf-8", newline="")

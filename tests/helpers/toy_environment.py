@@ -33,6 +33,8 @@ class Bar(gymnasium.Env[Any, Any]):
             "picture": PICTURE,
             "numbers": speed,
         }
+        seen["worded"] = seen["dict"]
+        self._info = {"pace": "fast"} if observation == "worded" else {}
         self._kind = observation
         self.observation_space = seen[observation]
         self.action_space = spaces.Discrete(3) if action == "discrete" else STEER_AND_GAS
@@ -45,13 +47,13 @@ class Bar(gymnasium.Env[Any, Any]):
         super().reset(seed=seed)
         self.place = float(self.np_random.uniform(-0.8, 0.8))
         self.actions.clear()
-        return self._observe(), {}
+        return self._observe(), dict(self._info)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         assert action in self.action_space
         self.actions.append(action)
         self.place = min(1.0, max(-1.0, self.place + 0.1 * float(action[0])))
-        return self._observe(), 1.0 - abs(self.place), False, len(self.actions) == STEPS, {}
+        return self._observe(), 1.0 - abs(self.place), False, len(self.actions) == STEPS, dict(self._info)
 
     def _observe(self) -> Any:
         picture = np.full((HEIGHT, WIDTH, 3), 90, np.uint8)

@@ -102,6 +102,13 @@ def test_a_folder_that_is_not_empty_is_left_alone(tmp_path: Path) -> None:
     assert sorted(tmp_path.rglob("*")) == [tmp_path / "recorded", tmp_path / "recorded" / "mine"]
 
 
+def test_a_file_in_the_place_of_the_folder_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "recorded").touch()
+    with pytest.raises(UserError, match="recorded: cannot be written"):
+        record_simulated(SHORT_DRIVE, tmp_path / "x.mcap", udacity=tmp_path / "recorded")
+    assert list(tmp_path.iterdir()) == [tmp_path / "recorded"]
+
+
 def test_ctrl_c_leaves_no_half_recording(tmp_path: Path) -> None:
     folder = tmp_path / "recorded"
     line = command("bc-record", "x", "--laps", 50, "--udacity", folder, "--sessions", tmp_path / "sessions")

@@ -98,6 +98,21 @@ def test_times_in_nanoseconds_keep_every_one(tmp_path: Path) -> None:
         assert log.vehicle()["log_time_ns"].to_pylist() == [1_720_880_000_123_456_789]
 
 
+@pytest.mark.parametrize(
+    ("column", "time"), [("time_ns", "1" * 5000), ("time_s", "1e305"), ("time_ns", str(2**63)), ("time_ms", "-1")]
+)
+def test_a_time_that_no_log_can_hold_costs_its_row(tmp_path: Path, column: str, time: str) -> None:
+    folder = folder_of(tmp_path, f"p,s,t\na.jpg,0,1\nb.jpg,0,{time}\n", ["a.jpg", "b.jpg"])
+    done = imported(folder, "image=p", "steering=s", f"{column}=t")
+    assert "rows with a time that no log can hold: 1 (line 3)" in done.skipped.lines()
+
+
+def test_lines_are_counted_as_an_editor_does(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, 'p,s\n\na.jpg,0\n\n"x\ny",?\nb.jpg,none\n', ["a.jpg"])
+    done = imported(folder, "image=p", "steering=s", rate_hz=10.0)
+    assert done.skipped.lines()[0] == "rows whose steering is no number: 2 (line 6, line 7)"
+
+
 def test_a_csv_without_a_header_has_columns_by_number(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, "a.jpg,7,0.5\nb.jpg,7,0.25\n", ["a.jpg", "b.jpg"])
     done = imported(folder, "image=1", "steering=3", rate_hz=10.0)

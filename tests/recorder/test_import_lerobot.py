@@ -10,6 +10,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from numpy.typing import NDArray
@@ -232,6 +233,14 @@ def without_features(folder: Path) -> None:
     change_info(folder, features=7)
 
 
+def frames_beyond_count(folder: Path) -> None:
+    change_info(folder, total_frames=math.inf)
+
+
+def more_frames_a_second_than_there_are_numbers(folder: Path) -> None:
+    change_info(folder, fps=10**400)
+
+
 def cut_off(folder: Path) -> None:
     path = folder / "data/chunk-000/file-000.parquet"
     path.write_bytes(path.read_bytes()[:-500])
@@ -271,6 +280,8 @@ def a_link_out_of_it(folder: Path) -> None:
         (version_2, r"format v2.1; v3.0 was expected. LeRobot converts it: `python -m lerobot"),
         (not_json, r"info.json: not JSON"),
         (without_features, r"info.json: not as LeRobot writes it"),
+        (frames_beyond_count, r"info.json: not as LeRobot writes it"),
+        (more_frames_a_second_than_there_are_numbers, r"info.json: not as LeRobot writes it"),
         (cut_off, r"file-000.parquet: cannot be read as parquet .* Download it again"),
         (without_data, r"data: no parquet file in it"),
         (steering_of_another_shape, r"which number is the steering\? Give --steering, one of none"),
@@ -300,6 +311,13 @@ def test_videos_that_are_missing_or_none_are_one_line(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"file-000.mp4: not there; download the dataset with its videos"):
         imported(tmp_path / "out")
     video.write_bytes(original)
+    episodes = tmp_path / "out/meta/episodes/chunk-000/file-000.parquet"
+    table = pq.read_table(episodes)
+    start = "videos/observation.images.center/from_timestamp"
+    never = pa.array([math.inf] * len(table))
+    pq.write_table(table.set_column(table.column_names.index(start), start, never), episodes)
+    with pytest.raises(RecordingError, match="meta/episodes does not have the places of videos"):
+        imported(tmp_path / "out")
     change_info(tmp_path / "out", video_path="{video_key:>999999999999}")
     with pytest.raises(RecordingError, match="was expected"):
         imported(tmp_path / "out")

@@ -25,8 +25,9 @@ from websocket import ABNF
 from common import UserError
 from driving import PATIENCE_S, Process, road_jpeg
 from logs import START_NS, read_messages
-from recorder import Imported, RecordingError
+from recorder import Imported, LogWriter, RecordingError
 from recorder.errors import ListenError
+from recorder.log.check import check
 from recorder.sources.live_telemetry import listen_for_telemetry
 from serving import ModernClient
 from simulator.protocol.client import (
@@ -489,3 +490,10 @@ def test_a_full_disk_ends_the_recording_in_one_line_that_names_the_file(tmp_path
     assert part.suffix == ".part"
     assert str(part) in error
     assert "File too large" in error
+
+
+def test_an_event_of_another_hand_is_counted_or_not_but_no_error(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "theirs.mcap", {"source": "test"}) as writer:
+        for text in ("bad telemetry: x (,,, more)", "bad telemetry: x (1,000 more)", "bad telemetry: x ( more)"):
+            writer.event(START_NS, text)
+    assert [found.where for found in check(tmp_path / "theirs.mcap").findings] == ["x (1,002)"]

@@ -148,6 +148,11 @@ def test_car_racing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
         ([*BAR, *CENTRE, "--gym-args", '{"fps": null}'], 1, "by --gym-rate"),
         ([*BAR, *CENTRE, "--rate", "15"], 1, "must divide the environment's 20 steps a second"),
         ([*BAR, *CENTRE, "--gym-speed", "velocity"], 1, "there is: pixels, speed"),
+        (
+            [*BAR, *CENTRE, "--gym-speed", "pace", "--gym-args", '{"observation": "worded"}'],
+            1,
+            "--gym-speed pace: no such number",
+        ),
         ([*BAR, *CENTRE, "--episodes", "0"], 2, "--episodes 0"),
         ([*BAR, *CENTRE, "--wander", "nan"], 2, "--wander nan"),
         ([*BAR, *CENTRE, "--track", "mountain"], 2, "not with --gym"),

@@ -191,7 +191,9 @@ def test_a_command_that_it_cannot_read_costs_a_telemetry_and_is_counted(nonsense
     assert (client.steers, client.bad_steers, client.telemetries) == (1, 1, 2)
 
 
-@pytest.mark.parametrize("ignored", ["40", '40{"sid":"x"}', "43[]", "6", '42["other",{}]', "42[]", "42{", "42"])
+@pytest.mark.parametrize(
+    "ignored", ["40", '40{"sid":"x"}', "43[]", "6", '42["other",{}]', "42[]", "42{", "42", f"42{'[' * 9_999}"]
+)
 def test_what_is_no_command_is_ignored(ignored: str) -> None:
     def serve(wire: Wire) -> None:
         wire.say(OPEN)

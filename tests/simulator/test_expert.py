@@ -85,6 +85,11 @@ def test_it_brakes_before_the_bend_and_not_in_it() -> None:
     assert slowed.max() <= 2.0 + 1e-6
 
 
+@pytest.mark.parametrize("mph", [1e6, 1e200])
+def test_no_set_speed_is_so_high_that_planning_takes_for_ever(mph: float) -> None:
+    assert plan_speed(HAIRPINS.line, mph * MPS_PER_MPH).max() == plan_speed(HAIRPINS.line, 100.0).max()
+
+
 def test_it_steers_at_ten_commands_a_second_too() -> None:
     course, expert = Course(HAIRPINS), Expert(HAIRPINS.line, 20)
     while course.whole_laps < 1:
