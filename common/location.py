@@ -57,6 +57,15 @@ class Url:
     def with_name(self, name: str) -> Url:
         return self.parent / name
 
+    def is_in(self, folder: Url) -> bool:
+        """True for what is in a folder, or in one within that."""
+        is_there = (self.scheme, self.bucket) == (folder.scheme, folder.bucket)
+        return is_there and self.key.startswith(f"{folder.key}/" if folder.key else "")
+
+    def name_in(self, folder: Url) -> str:
+        """The name, with slashes, of what `is_in` a folder."""
+        return self.key.removeprefix(f"{folder.key}/")
+
     def joined(self, relative: str) -> Url:
         """The place that a path relative to this folder leads to. Raises ValueError for one that leads out of the
         bucket."""

@@ -91,22 +91,21 @@ class ObjectFile(Closeable):
         if (known := self._known(offset, length)) is not None:
             return known
         with self._lock:
-            is_next = (
-                self._read_from <= offset <= self._read_to
-            )  # a record may begin in what its head was read with
+            # a record may begin in what its head was read with
+            is_next = self._read_from <= offset <= self._read_to
             self._ahead = min(2 * self._ahead, LARGEST_READ) if is_next else _SMALL
-            wanted = min(max(length, self._ahead if is_next or length < _SMALL else 0), self.size - offset)
+            wanted = max(length, self._ahead if is_next or length < _SMALL else 0)
         data = self._fetched(offset, wanted)
         self._keep(offset, data)
         return data[:length]
 
     def read_many(self, ranges: Iterable[Range]) -> Iterator[bytes]:
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(AT_ONCE, "store")
+        with self._lock:
+            pool = self._pool = self._pool or ThreadPoolExecutor(AT_ONCE, "store")
         waiting: deque[Future[bytes]] = deque()
         for offset, length in ranges:
             known = self._known(offset, length)
-            waiting.append(self._pool.submit(self._fetched, offset, length) if known is None else _done(known))
+            waiting.append(pool.submit(self._fetched, offset, length) if known is None else _done(known))
             if len(waiting) == 2 * AT_ONCE:
                 yield waiting.popleft().result()
         while waiting:
@@ -115,8 +114,14 @@ class ObjectFile(Closeable):
     def read_alone(self, offset: int, length: int) -> bytes:
         return self._fetched(offset, length)
 
+    def read_from(self, start: int = 0, part_bytes: int = LARGEST_READ) -> Iterator[bytes]:
+        """All that follows `start`, in parts of so many bytes. Raises what `read_many` does."""
+        starts = range(start, self.size, part_bytes)
+        return self.read_many((at, min(part_bytes, self.size - at)) for at in starts)
+
     def _fetched(self, offset: int, length: int) -> bytes:
-        if length == 0:
+        length = min(length, self.size - offset)
+        if length <= 0:
             return b""
         with as_store_error(self.url):
             for attempt in range(CUT_OFF):

@@ -138,9 +138,7 @@ def put_file(url: Url, file: Path, replaces: ObjectVersion | None) -> ObjectVers
 def _version_if_same(url: Url, file: Path) -> ObjectVersion | None:
     """The object's version, if it has the bytes of the file. Raises StoreError."""
     with ObjectFile(url) as there, file.open("rb") as here:
-        starts = range(0, there.size, LARGEST_READ)
-        parts = there.read_many((at, min(LARGEST_READ, there.size - at)) for at in starts)
-        is_same = all(data == here.read(len(data)) for data in parts) and not here.read(1)
+        is_same = all(data == here.read(len(data)) for data in there.read_from()) and not here.read(1)
         return there.object_version if is_same else None
 
 

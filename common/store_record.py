@@ -51,11 +51,18 @@ def cached_from(folder: Path) -> str:
 
 
 def record_of(stored: bytes) -> StoreRecord:
-    """The record in these bytes; an empty one if they are none: then all is copied again."""
+    """The record in these bytes; an empty one if they are none, or name a file elsewhere: then all is copied
+    again."""
     try:
-        return msgspec.json.decode(stored, type=StoreRecord)
+        record = msgspec.json.decode(stored, type=StoreRecord)
     except (msgspec.MsgspecError, ValueError, RecursionError):
         return StoreRecord()
+    return record if all(map(is_within, (*record.files, *record.left))) else StoreRecord()
+
+
+def is_within(name: str) -> bool:
+    """True for a name, with slashes, of a file in a folder or in one within it, on any system."""
+    return not any(part in ("", ".", "..") or "\\" in part or ":" in part for part in name.split("/"))
 
 
 def write_record(folder: Path, record: StoreRecord) -> None:

@@ -30,7 +30,16 @@ from common.object_store import (
     read_object,
     remove,
 )
-from common.store_record import RECORD_NAME, Copy, StoreRecord, bytes_of, read_record, record_of, write_record
+from common.store_record import (
+    RECORD_NAME,
+    Copy,
+    StoreRecord,
+    bytes_of,
+    is_within,
+    read_record,
+    record_of,
+    write_record,
+)
 from common.users_cache import users_cache
 
 if TYPE_CHECKING:
@@ -41,7 +50,6 @@ OnBytes: TypeAlias = Callable[[int], object]
 
 _LOCK: Final = ".store.lock"
 _MOST_BYTES: Final = 1 << 28
-_PART_BYTES: Final = 1 << 23
 _AT_ONCE: Final = 8  # files
 _MOST_WRITERS: Final = 20  # that add lines to one file at the same time
 
@@ -89,7 +97,7 @@ class StoredFolder(Closeable):
         Raises UserError for a file that was, or whose name cannot be here; StoreError.
         """
         found = list_below(self.url) if objects is None else objects
-        objects_by_name = {str(each.url).removeprefix(f"{self.url}/"): each for each in found}
+        objects_by_name = {each.url.name_in(self.url): each for each in found}
         record = objects_by_name.get(RECORD_NAME)
         there = {name: each for name, each in objects_by_name.items() if not _is_hidden(name)}
         differ = [name for name, each in there.items() if self._differs(name, each, keeps_ours=keeps_ours)]
@@ -203,7 +211,7 @@ class StoredFolder(Closeable):
 
     def _differs(self, name: str, there: StoredObject, *, keeps_ours: bool) -> bool:
         """True if a file has to be fetched for the local folder to hold it. Raises UserError as `bring` does."""
-        if any(not part or "\\" in part or ":" in part for part in name.split("/")):
+        if not is_within(name):
             raise UserError(f"{there.url}: a name that no file here may have; remove it there")
         ours = self._copies.get(name)
         is_ours = ours is not None and _version_of(ours).name == there.version
@@ -231,8 +239,7 @@ class StoredFolder(Closeable):
                 atomic_file(path, overwrite=True) as part,
                 part.open("wb") as stream,
             ):
-                starts = range(0, source.size, _PART_BYTES)
-                for data in source.read_many((at, min(_PART_BYTES, source.size - at)) for at in starts):
+                for data in source.read_from():
                     content.update(data)
                     stream.write(data)
                     on_bytes(len(data))

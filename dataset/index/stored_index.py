@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from common.errors import ObjectChangedError, UsageError
-from common.location import Location
+from common.location import Location, Url
 from dataset.errors import DatasetError
 from dataset.index.build_state import FRAMES_FOLDER, STATE_NAME
 from dataset.samples.samples_format import SAMPLES_FOLDER, SAMPLES_NAME
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 def index_here(index: Location, logs: Sequence[Location]) -> Iterator[tuple[Path, Callable[[], object]]]:
     """The folder to build an index in, and what puts the finished one where it belongs: nothing, if that is here.
 
-    Raises UsageError for logs of this machine in an index in a store, DatasetError where another machine has
-    written the index meanwhile, StoreError.
+    Raises UsageError for logs of this machine in an index in a store, and for logs in the index's own folder;
+    DatasetError where another machine has written the index meanwhile, StoreError.
     """
     if isinstance(index, Path):
         yield index, lambda: None
@@ -37,6 +37,11 @@ def index_here(index: Location, logs: Sequence[Location]) -> Iterator[tuple[Path
         raise UsageError(
             f"--index {index}: {here} is on this machine, where no other one would find it; `bc-log copy` it to"
             f" the store, and give --sessions {index.parent / 'sessions'}"
+        )
+    if within := next((log for log in logs if isinstance(log, Url) and log.is_in(index)), None):
+        raise UsageError(
+            f"--index {index}: {within} is in it, and all of an index is copied here and there; give a folder of"
+            f" its own, such as --index {index / 'index'}"
         )
     from common.stored_folder import StoredFolder  # an extra
 
@@ -55,7 +60,7 @@ def frames_here(index: Location) -> Path:
     from common.stored_folder import StoredFolder
 
     objects = list_below(index)
-    names = [str(each.url).removeprefix(f"{index}/") for each in objects]
+    names = [each.url.name_in(index) for each in objects]
     with StoredFolder(index, waits=True) as folder:
         folder.bring(objects=objects, wanted=[name for name in names if name.startswith(f"{FRAMES_FOLDER}/")])
         return folder.here / FRAMES_FOLDER

@@ -319,9 +319,8 @@ def open_logs(index: Location, sources: Mapping[str, IndexedLog]) -> dict[str, L
     """
     allow_open_files(2 * len(sources))  # what is kept of a log in a store is a file, too
     places = {session: log_place(source.path, index) for session, source in sources.items()}
-    logs: dict[str, Log] = {}
+    logs = _open_in_stores({name: place for name, place in places.items() if isinstance(place, Url)})
     try:
-        logs.update(_open_in_stores({name: place for name, place in places.items() if isinstance(place, Url)}))
         for session, source in sources.items():
             place = places[session]
             if isinstance(place, Path):
@@ -340,9 +339,13 @@ def open_logs(index: Location, sources: Mapping[str, IndexedLog]) -> dict[str, L
         for log in logs.values():
             log.close()
         if isinstance(error, LogError | OSError):
-            raise DatasetError(f"{error} (session {session} of the index; without it: `bc-index`)") from None
+            raise _unreadable(error, session) from None
         raise
     return {session: logs[session] for session in sources}
+
+
+def _unreadable(error: Exception, session: str) -> DatasetError:
+    return DatasetError(f"{error} (session {session} of the index; without it: `bc-index`)")
 
 
 def _open_in_stores(places: Mapping[str, Url]) -> dict[str, Log]:
@@ -353,11 +356,9 @@ def _open_in_stores(places: Mapping[str, Url]) -> dict[str, Log]:
 
     def opened(session: str) -> Log:
         try:
-            log = Log(places[session], cache=cache)
+            return Log(places[session], cache=cache)
         except LogError as error:
-            raise DatasetError(f"{error} (session {session} of the index; without it: `bc-index`)") from None
-        _ = log.file_fingerprint
-        return log
+            raise _unreadable(error, session) from None
 
     with ThreadPoolExecutor(_OPENED_AT_ONCE) as pool:
         opening = {session: pool.submit(opened, session) for session in places}

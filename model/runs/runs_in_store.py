@@ -64,7 +64,7 @@ def runs_in_store(runs: Url) -> list[RunInStore]:
 
     by_run: dict[str, list[StoredObject]] = {}
     for each in list_below(runs):
-        name, slash, _ = str(each.url).removeprefix(f"{runs}/").partition("/")
+        name, slash, _ = each.url.name_in(runs).partition("/")
         if slash and is_name(name):
             by_run.setdefault(name, []).append(each)
     found = (_run_of(runs / name, objects) for name, objects in sorted(by_run.items()))
@@ -172,4 +172,4 @@ def _newest(runs: Url) -> RunInStore:
 
 
 def _run_of(url: Url, objects: Iterable[StoredObject]) -> RunInStore:
-    return RunInStore(url, {str(each.url).removeprefix(f"{url}/"): each for each in objects})
+    return RunInStore(url, {each.url.name_in(url): each for each in objects})

@@ -182,8 +182,7 @@ def _download(url: Url, path: Path, overwrite: bool, on_bytes: OnBytes) -> Copie
             begun = min(stream.tell(), source.size)
             stream.truncate(begun)
             on_bytes(begun)
-            starts = range(begun, source.size, PART_BYTES)
-            for data in source.read_many((at, min(PART_BYTES, source.size - at)) for at in starts):
+            for data in source.read_from(begun, PART_BYTES):
                 stream.write(data)
                 on_bytes(len(data))
             stream.flush()
@@ -199,8 +198,7 @@ def bring_log(url: Url, path: Path, on_bytes: OnBytes = lambda more: None) -> No
     """Write a log of a store to the new file `path` as it is, finished or not, and its tags beside it. Raises
     StoreError."""
     with ObjectFile(url) as source, path.open("xb") as stream:
-        starts = range(0, source.size, PART_BYTES)
-        for data in source.read_many((at, min(PART_BYTES, source.size - at)) for at in starts):
+        for data in source.read_from(part_bytes=PART_BYTES):
             stream.write(data)
             on_bytes(len(data))
     if (tags := read_object(tags_path(url), MOST_BYTES)) is not None:

@@ -97,19 +97,19 @@ class Log(Closeable):
             if salvages:
                 self._as_found = replace(self._structure, chunks=list(self.chunks))
                 salvage(self._file, self._structure)
+            self.size = self._file.size
+            """Bytes of the file when it was opened."""
+            self.fetched = self._fetched_chunks(cache)
+            """The part on this machine of a log in a store, if it has a cache."""
         except BaseException:
             self._file.close()
             raise
         self.problem = self._structure.problem
         """The reason why the log counts as unfinished; empty for a finished one."""
-        self.size = self._file.size
-        """Bytes of the file when it was opened."""
         self.lost = self._structure.lost
         """Stretches of bytes (from, to) in which nothing whole was found. Of a finished log nobody looks for them,
         unless it `salvages`."""
         self.channels = self._structure.channels
-        self.fetched = self._fetched_chunks(cache)
-        """The part on this machine of a log in a store, if it has a cache."""
         self._copied_from: set[int] = set()
         self._copied = 0
         self._is_mixed = False

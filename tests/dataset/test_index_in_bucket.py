@@ -18,6 +18,9 @@ import pytest
 import dataset.cli
 from bucket import Bucket, serving_bucket
 from common.location import Url
+from common.random_access import open_for_reading
+from common.store_record import Copy, StoreRecord, write_record
+from common.stored_folder import StoredFolder
 from dataset import DatasetError, Samples, build_index, load
 from dataset.cli import main
 from disk import files_of_at_most
@@ -307,3 +310,38 @@ def test_divided_samples_come_here_once_and_those_of_an_earlier_index_go(divided
         told = "0.parquet is not there, which samples.parquet names; give the command again"
         with pytest.raises(DatasetError, match=re.escape(told)):
             _ = samples.table
+
+
+def test_a_bucket_may_be_an_index_but_none_that_logs_are_in(
+    bucket: Bucket, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert index(place="s3://logs") == 2
+    assert "--index s3://logs/: s3://logs/sessions/0.mcap is in it" in capsys.readouterr().err
+    bucket.folder.with_name("indexes").mkdir()
+    for _ in range(2):
+        assert index(place="s3://indexes") == 0
+        assert sessions("s3://indexes") == ["0"]
+    assert not [path for path in Path("caches").rglob("*") if path.suffix == ".mcap"]
+
+
+def test_a_record_in_a_copy_names_no_file_elsewhere(bucket: Bucket, tmp_path: Path) -> None:
+    assert index() == 0
+    mine = tmp_path / "mine"
+    mine.write_text("mine")
+    for name in ("../mine", str(mine), "a/../../mine"):
+        copied = Copy(4, mine.stat().st_mtime_ns, "")
+        (tmp_path / "copy").mkdir(exist_ok=True)
+        write_record(tmp_path / "copy", StoreRecord(INDEX, {name: copied}))
+        with StoredFolder(bucket.url("index"), tmp_path / "copy") as folder:
+            folder.bring()
+        assert mine.read_text() == "mine"
+
+
+def test_what_lies_behind_the_end_of_an_object_is_nothing_as_on_a_disk(bucket: Bucket, tmp_path: Path) -> None:
+    size = 400_000
+    (bucket.folder / "x").write_bytes(bytes(size))
+    for place in (bucket.url("x"), bucket.folder / "x"):
+        with contextlib.closing(open_for_reading(place)) as file:
+            assert [len(file.read(at, 9)) for at in (size - 4, size, size + 4)] == [4, 0, 0]
+            assert [len(file.read_alone(at, 9)) for at in (size - 4, size + 4)] == [4, 0]
+            assert [len(found) for found in file.read_many([(9, size), (size + 4, 9)])] == [size - 9, 0]
