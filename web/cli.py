@@ -82,8 +82,8 @@ def serve(config: Web) -> int:
 
 
 def _check_folders(config: Web) -> None:
-    """Raise UserError for a file where a folder was expected; say which of those that were named are not there.
-    Stores are asked by the pages."""
+    """Raise UserError for a file where a folder was expected; print which named folders are not there.
+    Folders in stores are left to the pages."""
     for name in ("sessions", "index", "runs", "drives"):
         folder: Location = getattr(config, name)
         if isinstance(folder, Url):

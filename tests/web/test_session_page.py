@@ -163,7 +163,7 @@ def test_odd_rows_and_pictures_are_told(tmp_path: Path) -> None:
         looked = bench.get("/sessions/a/state").json
         assert looked["odd"] == [["stuck_steering", 10, 49], ["frozen_picture", 60, 79]]
         shutil.rmtree(tmp_path / "cache")
-        assert bench.get("/sessions/a/state").json["looked"] is False
+        assert bench.get("/sessions/a/state").json["pictures_checked"] is False
         flags = ("--sessions", log.parent, "--index", tmp_path / "index", "--look", "--block-s", 1, "--gap-s", 0)
         assert call(dataset.cli.main, *flags) == 0
         assert ["frozen_picture", 60, 79] in bench.get("/sessions/a/state").json["odd"]

@@ -75,15 +75,15 @@ def _shown(samples: Samples, chosen: pa.Table) -> list[AlteredSample]:
     full_deg = samples.max_steering_deg
     return [
         AlteredSample(
-            printable(told["session"]),
-            told["row"],
-            printable(told["camera"]),
-            ", ".join(["mirrored"] * told["flip"] + [name for name in told["alteration"].split("+") if name]),
-            told["recorded"] * (-1 if told["flip"] else 1) * full_deg,  # of the picture that it stands beside
-            told["label"] * full_deg,
+            printable(sample["session"]),
+            sample["row"],
+            printable(sample["camera"]),
+            ", ".join(["mirrored"] * sample["flip"] + [name for name in sample["alteration"].split("+") if name]),
+            sample["recorded"] * (-1 if sample["flip"] else 1) * full_deg,  # of the unmirrored picture beside it
+            sample["label"] * full_deg,
             pictures,
         )
-        for told, pictures in zip(chosen.to_pylist(), zip(as_driven, as_learnt, strict=True), strict=True)
+        for sample, pictures in zip(chosen.to_pylist(), zip(as_driven, as_learnt, strict=True), strict=True)
     ]
 
 

@@ -1,4 +1,4 @@
-"""Where a run's network looks in a picture, as a transparent picture to lie over it."""
+"""The attention map of a run's network for a picture, as a transparent picture to lie over it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from web.data.project_folders import RUN_CONFIG
 from web.data.run_networks import WEIGHTS, check_network
 from web.errors import WebError
 
-if TYPE_CHECKING:  # these load PyTorch: not before somebody asks
+if TYPE_CHECKING:  # these load PyTorch, which only requests need
     from dataset.picture_spec import PictureSpec
     from model.network.picture_network import PictureNetwork
 
@@ -28,17 +28,17 @@ _KEPT: Final = 2  # networks in memory
 
 
 class Attention:
-    """The networks that were asked last. One picture is looked at at a time."""
+    """The networks used last. They run on one picture at a time."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._networks: dict[Path, tuple[str, PictureNetwork, PictureSpec]] = {}
 
     def overlay(self, run: Path, place: Location, log: Location, encoded: bytes) -> bytes:
-        """A PNG with the shape of the picture: coloured where the network looks, dark where it sees nothing. `run`
+        """A PNG with the shape of the picture: coloured where the network looks, dark outside its crop. `run`
         is here; `place` is where it is kept.
 
-        Raises RunError for a run that cannot be loaded, or a network of which it cannot be told; WebError for code
+        Raises RunError for a run that cannot be loaded, or a network without an attention map; WebError for code
         of one's own, and for a picture that does not decode.
         """
         from dataset.preprocess import decode, preprocess
@@ -51,12 +51,12 @@ class Attention:
         except ValueError as error:
             raise WebError(f"{log}: no picture here that decodes ({error})", 422) from None
         with self._lock:
-            network, seen = self._network(run, log, place)
+            network, spec = self._network(run, log, place)
             try:
-                _, maps = predict_with_attention(network, as_input(preprocess(picture, seen)[None]))
+                _, maps = predict_with_attention(network, as_input(preprocess(picture, spec)[None]))
             except RunError as error:
                 raise RunError(f"{run}: {error}") from None
-        return _drawn(maps[0].numpy(), picture.shape[0], picture.shape[1], seen)
+        return _drawn(maps[0].numpy(), picture.shape[0], picture.shape[1], spec)
 
     def _network(self, run: Path, log: Location, place: Location) -> tuple[PictureNetwork, PictureSpec]:
         import torch
@@ -76,15 +76,15 @@ class Attention:
         return known[1], known[2]
 
 
-def _drawn(seen_map: NDArray[np.float32], height: int, width: int, seen: PictureSpec) -> bytes:
-    """`seen_map` (seen.height_px, seen.width_px), 0 to 1, over the rows of a picture that the network sees."""
+def _drawn(attention: NDArray[np.float32], height: int, width: int, spec: PictureSpec) -> bytes:
+    """`attention` (spec.height_px, spec.width_px), 0 to 1, over the rows of a picture that the network sees."""
     scale = min(1.0, _WIDEST_PX / width)
     size = max(1, round(height * scale)), max(1, round(width * scale))
     alpha = np.full(size, _UNSEEN, np.float32)
     color = np.zeros((*size, 3), np.uint8)
-    rows = seen.crop_slice(size[0])
+    rows = spec.crop_slice(size[0])
     part = alpha[rows]
-    part[:] = _MOST * cv2.resize(seen_map, (part.shape[1], part.shape[0]), interpolation=cv2.INTER_LINEAR)
+    part[:] = _MOST * cv2.resize(attention, (part.shape[1], part.shape[0]), interpolation=cv2.INTER_LINEAR)
     color[rows] = _COLOR
     ok, png = cv2.imencode(".png", np.dstack([color, np.rint(255 * alpha).astype(np.uint8)]))
     assert ok  # noqa: S101 - of any array of that type

@@ -11,13 +11,13 @@ from typing import Final, Generic, NamedTuple, TypeVar
 from common import UserError
 from common.errors import StoreError
 from common.location import Location
-from web.errors import tell_bug
+from web.errors import report_bug
 
 Place = TypeVar("Place", bound=Location)
 Result = TypeVar("Result")
 
 AGAIN_S: Final = 10.0
-"""After a store did not answer, it is asked again."""
+"""Time after which a store that did not answer is asked again."""
 
 
 class _Made(NamedTuple, Generic[Result]):
@@ -25,13 +25,12 @@ class _Made(NamedTuple, Generic[Result]):
     at_s: float
 
 
-class _Asked(NamedTuple, Generic[Result]):
+class _Task(NamedTuple, Generic[Result]):
     version: str
     future: Future[_Made[Result]]
 
     def is_of(self, version: str) -> bool:
-        """Whether what it makes is, or will be, the result of that version: what a store did not answer is, for a
-        while."""
+        """Whether its result is, or will be, that of `version`; where a store did not answer, for a while."""
         if self.version != version:
             return False
         if not self.future.done() or self.future.cancelled():
@@ -44,30 +43,30 @@ class Background(Generic[Place, Result]):
     """A result for each file, made anew when its version is another one."""
 
     def __init__(self, pool: Executor, make: Callable[[Place, str], Result]) -> None:
-        """`make` takes a file and its version. What it raises is the result, as UserError."""
+        """`make` takes a file and its version. An exception is the result, as UserError."""
         self._pool = pool
         self._make = make
         self._lock = threading.Lock()
-        self._asked: dict[Place, _Asked[Result]] = {}
+        self._tasks: dict[Place, _Task[Result]] = {}
         self.done = 0
         """Grows with every result: pages that have not shown it yet ask again."""
 
     def results(self, versions: Iterable[tuple[Place, str]], patience_s: float) -> dict[Place, Result | UserError]:
-        """Those that are there after `patience_s` at most. Of files that are not among these, nothing is kept."""
+        """The results that are there after `patience_s` at most. Those of other files are dropped."""
         with self._lock:
-            before, self._asked = self._asked, {}
+            before, self._tasks = self._tasks, {}
             for path, version in versions:
                 known = before.pop(path, None)
                 if known is None or not known.is_of(version):
                     if known is not None:
                         known.future.cancel()
-                    known = _Asked(version, self._pool.submit(self._run, path, version))
-                self._asked[path] = known
-            for gone in before.values():
-                gone.future.cancel()
-            futures = {path: asked.future for path, asked in self._asked.items()}
+                    known = _Task(version, self._pool.submit(self._run, path, version))
+                self._tasks[path] = known
+            for dropped in before.values():
+                dropped.future.cancel()
+            futures = {path: task.future for path, task in self._tasks.items()}
         wait(futures.values(), patience_s)
-        # one that was cancelled is of a version that another request has seen replaced
+        # a cancelled one is of a version that another request has found replaced
         there = ((path, future) for path, future in futures.items() if future.done() and not future.cancelled())
         return {path: future.result().result for path, future in there}
 
@@ -85,4 +84,4 @@ class Background(Generic[Place, Result]):
         except OSError as error:  # deleted meanwhile, or not ours to read
             return UserError(f"{path}: {error.strerror or error}")
         except Exception as error:  # a bug: one log must not take the others out of the list
-            return UserError(f"{path}: {tell_bug(error)}")
+            return UserError(f"{path}: {report_bug(error)}")

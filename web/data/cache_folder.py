@@ -31,7 +31,7 @@ class CacheFolder:
         self.folder = folder
 
     def get(self, key: str, make: Callable[[], bytes]) -> bytes:
-        """What was kept under that key, or what `make` makes; an error that it raises is kept nowhere."""
+        """The data kept under that key, else those that `make` returns, which are then kept."""
         if data := self.find(key):
             return data
         data = make()
@@ -39,7 +39,7 @@ class CacheFolder:
         return data
 
     def struct(self, key: str, kind: type[Kept], make: Callable[[], Kept]) -> Kept:
-        """The same of a value that msgspec writes; made anew where the file is damaged."""
+        """`get` for a value that msgspec encodes; made anew where the file is damaged."""
         data = self.get(key, lambda: msgspec.json.encode(make()))
         try:
             return msgspec.json.decode(data, type=kind)
@@ -48,14 +48,14 @@ class CacheFolder:
             return make()
 
     def find(self, key: str) -> bytes | None:
-        """What is kept under that key, if anything is."""
+        """The data kept under that key, if any."""
         try:
             return self._path(key).read_bytes() or None
         except OSError:
             return None
 
     def forget(self, key: str) -> None:
-        """What is kept under that key is no good."""
+        """Delete the data kept under that key."""
         with contextlib.suppress(OSError):
             self._path(key).unlink()
 
@@ -87,6 +87,6 @@ class CacheFolder:
             path.parent.mkdir(parents=True, exist_ok=True)
             part.write_bytes(data)
             part.replace(path)  # no fsync: what a power cut takes is made again
-        except OSError:  # a full disk, a folder that is nobody's: then it is made each time
+        except OSError:  # a full disk, a folder that cannot be written to: then it is made each time
             with contextlib.suppress(OSError):
                 part.unlink()

@@ -80,7 +80,7 @@ def _step(value: float, most: float) -> int:
 
 
 def _places(drive: DriveView) -> list[EventPlace]:
-    """Where the car was when somebody intervened: at the last point that is not after it."""
+    """The places of interventions: for each, the last point of the path that is not after it."""
     found = []
     for event in drive.events:
         before = [place for place in drive.path if place.row <= event.row] or drive.path[:1]

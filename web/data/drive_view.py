@@ -36,7 +36,7 @@ class DriveEvent(msgspec.Struct, frozen=True):
 
 
 class CarPlace(NamedTuple):
-    """Where the car was at a row, in metres."""
+    """The car's place at a row, in metres."""
 
     row: int
     x_m: float
@@ -44,12 +44,11 @@ class CarPlace(NamedTuple):
     mph: float
     driver: int  # bc.PilotCommand.Driver
     error_deg: float | None
-    """How far the steering that was sent lay from what the simulator's expert would have sent; None where there
-    was no expert."""
+    """The steering sent minus that of the simulator's expert; None where there was no expert."""
 
 
 class DriveView(msgspec.Struct, frozen=True):
-    """`path` has at most so many rows; none where the log has no poses."""
+    """A drive as its page shows it. `path` has a limited number of rows; none where the log has no poses."""
 
     counted: dict[str, str]
     events: list[DriveEvent]
@@ -57,7 +56,7 @@ class DriveView(msgspec.Struct, frozen=True):
 
 
 class DriveViews:
-    """Those of all drives that are shown."""
+    """The views of all drives that are shown."""
 
     def __init__(self, folders: ProjectFolders, cache: CacheFolder, pool: Executor) -> None:
         self._folders = folders
@@ -69,7 +68,7 @@ class DriveViews:
         return self._views.done
 
     def views(self, logs: Iterable[Location], patience_s: float) -> dict[Location, DriveView | UserError]:
-        """Of those that could be read by then; a UserError says why one cannot be."""
+        """The views of logs that could be read by then; a UserError for each that cannot be."""
         return self._views.results([(path, self._folders.version_of_log(path)) for path in logs], patience_s)
 
     def _view(self, log: Location, version: str) -> DriveView:
@@ -85,10 +84,10 @@ def _read(path: Location) -> DriveView:
         states = log.vehicle()
         rows, time_ns, mph = (states[name].to_numpy() for name in ("row", "log_time_ns", "speed_mph"))
         events: list[DriveEvent] = []
-        for message, told in log.decoded(topics.EVENTS) if topics.EVENTS in log.counts else ():
+        for message, event in log.decoded(topics.EVENTS) if topics.EVENTS in log.counts else ():
             if len(rows) and len(events) < _MOST_EVENTS:
                 at = min(int(np.searchsorted(time_ns, message.log_time_ns)), len(rows) - 1)
-                text = printable(told.message)[:300]
+                text = printable(event.message)[:300]
                 seconds = float(time_ns[at] - time_ns[0]) / 1e9
                 events.append(DriveEvent(int(rows[at]), seconds, text, text.startswith(_INTERVENTIONS)))
         sent: dict[int, tuple[int, float | None]] = {}

@@ -16,7 +16,7 @@ _PART: Final = ".part"
 
 
 def version_of(*paths: Path) -> str:
-    """Of files: it changes when one of them is written to, replaced, or removed."""
+    """The version of files: it changes when one of them is written to, replaced, or removed."""
     digest = hashlib.sha256()
     for path in paths:
         try:
@@ -29,7 +29,7 @@ def version_of(*paths: Path) -> str:
 
 
 def version_of_growing(path: Path) -> str:
-    """Of a file that is being written to: it changes now and then."""
+    """The version of a file that is being written to: it changes now and then."""
     try:
         status = path.stat()
     except OSError:
@@ -38,7 +38,7 @@ def version_of_growing(path: Path) -> str:
 
 
 def version_of_stats(found: Iterable[tuple[Location, Stat]]) -> str:
-    """Of objects in a store, by their sizes and ETags."""
+    """The version of objects in a store, by their sizes and ETags."""
     digest = hashlib.sha256()
     for place, stat in found:
         digest.update(f"{place},{stat};".encode())
@@ -46,7 +46,7 @@ def version_of_stats(found: Iterable[tuple[Location, Stat]]) -> str:
 
 
 def version_of_folder(folder: Path) -> str:
-    """Of the names, sizes and times of what is directly in a folder; "" if there is none."""
+    """The version of a folder's names, sizes and times, without subfolders; "" if there is none."""
     digest = hashlib.sha256()
     try:
         with os.scandir(folder) as entries:

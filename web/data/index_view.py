@@ -1,4 +1,4 @@
-"""What the page of the index shows: its settings, its bins, each session's share, and the split along time."""
+"""The contents of the index page: settings, bins, each session's share, and the split along time."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _BEFORE, _AFTER, _OTHER, _AXIS = "#8d97a1", "#4a90d9", "#8885", "#8884"
 
 @dataclass(frozen=True)
 class IndexView:
-    """An index as it stands on the disk, by what its samples.parquet says of itself."""
+    """An index as it is on the disk, by the metadata of its samples.parquet."""
 
     settings: dict[str, str]
     before: list[int]  # training samples of each steering bin, before it was balanced, and after
@@ -40,7 +40,7 @@ class IndexView:
 
     @property
     def ways(self) -> list[str]:
-        """What becomes of frames, as far as it becomes of any."""
+        """The uses of frames (training, held out ...) that any frame has."""
         ways = list(dict.fromkeys(way for counts in self.counts.values() for way in counts))
         return [way for way in ways if any(counts.get(way) for counts in self.counts.values())]
 
@@ -111,7 +111,7 @@ def session_bins_sketch(index: Path, session: str) -> bytes:
 
 
 def split_sketch(index: Path, session: str) -> bytes:
-    """Which rows of a session are trained on and which are held out, along it; grey is neither."""
+    """A sketch of a session's rows, trained on or held out, along it; grey is neither."""
     frames = read_frames(index / FRAMES_FOLDER / f"{session}.parquet", ["row", "split"]).sort_by("row")
     height, total = 14, max(1, len(frames))
     parts = [f'<rect width="{_WIDTH}" height="{height}" fill="{_OTHER}"/>']

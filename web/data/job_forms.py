@@ -1,7 +1,7 @@
-"""What can be started from the page, and the command line that each form makes.
+"""The forms that start commands from the page, and the command line that each makes.
 
-A field that is left empty gives no flag, so that the command's own default holds; what a value may be is the
-command's own business, which it says in its first second.
+A field that is left empty gives no flag, so that the command's own default holds; values are checked by the
+command itself, in its first second.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class JobForm:
         return words
 
     def fills(self, folders: ProjectFolders) -> bool:
-        """Whether what it makes will be seen here."""
+        """Whether its output will be shown here."""
         return self.fills_project and folders.are_new and folders.parent is not None
 
     def page_of(self, values: Mapping[str, str], folders: ProjectFolders) -> str:

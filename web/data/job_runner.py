@@ -1,6 +1,6 @@
 """A job's own process: it runs a command, keeps what it prints, and its exit code; whether or not bc-web goes on.
 
-Its lock is held as long as the command runs, so that nobody takes another process of the same number for it.
+Its lock is held as long as the command runs, so that another process of the same number is not taken for it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Final
 from common.locks import lock
 
 ABOUT, OUTPUT, EXIT, LOCK = "job.json", "output.txt", "exit", "lock"
-"""The files of a job's folder: what was asked for, what was printed, how it ended, what is held while it runs."""
+"""The files of a job's folder: the request, the output, the exit code, and the lock held while it runs."""
 READY: Final = b"ready\n"
 
 _START: Final = "import sys; sys.path.append({root!r}); sys.argv[0] = {name!r}; " + (
@@ -40,7 +40,7 @@ def run_job(folder: Path, root: Path) -> None:
     signal.signal(signal.SIGINT, _leave_to_the_command)
     with (folder / LOCK).open("ab") as held, (folder / OUTPUT).open("ab") as output:
         lock(held)
-        with os.fdopen(1, "wb") as asking:  # the pipe of who has started this process
+        with os.fdopen(1, "wb") as asking:  # the pipe of the process that has started this one
             asking.write(READY)
         environment = {**os.environ, "COLUMNS": "160", "NO_COLOR": "1", "PYTHONUNBUFFERED": "1"}
         line = [*python_of(words[0], root), *words[1:]]

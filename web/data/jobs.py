@@ -49,7 +49,7 @@ _WORDS: Final = {
 
 
 class About(msgspec.Struct):
-    """What is known of a job from its beginning."""
+    """The description of a job, known from its beginning."""
 
     words: list[str]  # of the command line, "bc-..." first
     began: str  # UTC, ISO 8601
@@ -64,7 +64,7 @@ class Job:
     folder: Path
     about: About
     code: int | None
-    """Its exit code; None while it runs, and where it never said."""
+    """Its exit code; None while it runs, and where it left none."""
     is_running: bool
 
     @property
@@ -87,7 +87,7 @@ class Job:
 
     @property
     def seconds(self) -> float:
-        """How long it has taken, or takes by now."""
+        """Its duration; until now, while it runs."""
         began_s = datetime.fromisoformat(self.about.began).timestamp()
         try:
             end_s = (self.folder / EXIT).stat().st_mtime
@@ -96,7 +96,7 @@ class Job:
         return max(0.0, end_s - began_s)
 
     def output(self) -> str:
-        """What it has printed, the last of it."""
+        """The last part of its output."""
         try:
             with (self.folder / OUTPUT).open("rb") as stream:
                 size = stream.seek(0, os.SEEK_END)
@@ -134,8 +134,8 @@ class Jobs:
         """It changes with what any job prints, and when one begins or ends."""
         digest = hashlib.sha256()
         for job in self.all():
-            told = version_of(job.folder / OUTPUT, job.folder / EXIT)
-            digest.update(f"{job.key} {told} {job.is_running};".encode())
+            version = version_of(job.folder / OUTPUT, job.folder / EXIT)
+            digest.update(f"{job.key} {version} {job.is_running};".encode())
         return digest.hexdigest()[:16]
 
     def start(self, words: Sequence[str], made: str) -> Job:
@@ -189,9 +189,9 @@ class Jobs:
             shutil.rmtree(job.folder, ignore_errors=True)
 
 
-def _is_ready(said: IO[bytes]) -> bool:
-    with said:
-        return said.readline() == READY
+def _is_ready(stream: IO[bytes]) -> bool:
+    with stream:
+        return stream.readline() == READY
 
 
 def _job(folder: Path, about: About) -> Job:

@@ -1,4 +1,4 @@
-"""What can be made of a log from its page: the commands of `bc-log`, whose new logs lie beside it.
+"""The jobs on a log's page: the commands of `bc-log` that check it or make new logs beside it.
 
 Nothing is overwritten: none of them is given `--force`, and a name that is taken is refused before a job begins.
 """
@@ -22,8 +22,8 @@ _MOST_CHARACTERS: Final = 200  # of a new log's name
 
 
 @dataclass(frozen=True)
-class NewLogAsked:
-    """What a form of the page says."""
+class NewLogForm:
+    """The values of a form of the page."""
 
     new: str = ""  # name of the new log, without its folder
     first: str = ""  # rows
@@ -33,42 +33,42 @@ class NewLogAsked:
 
 @dataclass(frozen=True)
 class LogJob:
-    """A command over one log. `new`: how the log that it makes is called unless somebody says otherwise."""
+    """A command over one log. `new` gives the default name of the log that it makes."""
 
     name: str
     title: str
     about: str
-    words: Callable[[Location, Location, NewLogAsked, Mapping[str, Location]], Sequence[str]]
-    """Of the command line behind `bc-log NAME LOG`, for a log, the new one, what is asked, and all logs by key."""
+    words: Callable[[Location, Location, NewLogForm, Mapping[str, Location]], Sequence[str]]
+    """The words after `bc-log NAME LOG`, for a log, the new one, the form, and all logs by key."""
     new: Callable[[Location], Location] | None = None
     has_rows: bool = False
     has_others: bool = False
     first_made: Callable[[Location], Location] | None = None  # where the command gives the names
 
 
-def _nothing(log: Location, new: Location, asked: NewLogAsked, logs: Mapping[str, Location]) -> list[str]:
+def _nothing(log: Location, new: Location, form: NewLogForm, logs: Mapping[str, Location]) -> list[str]:
     return []
 
 
-def _trim(log: Location, new: Location, asked: NewLogAsked, logs: Mapping[str, Location]) -> list[str]:
-    rows = [_row(asked.first, "first row"), _row(asked.last, "last row")]
+def _trim(log: Location, new: Location, form: NewLogForm, logs: Mapping[str, Location]) -> list[str]:
+    rows = [_row(form.first, "first row"), _row(form.last, "last row")]
     if rows[0] > rows[1]:
         raise WebError(f"rows {rows[0]} to {rows[1]}: the first row, then the last one", 422)
     return ["--rows", *map(str, rows), f"--to={new}"]
 
 
-def _merge(log: Location, new: Location, asked: NewLogAsked, logs: Mapping[str, Location]) -> list[str]:
-    if not asked.others:
+def _merge(log: Location, new: Location, form: NewLogForm, logs: Mapping[str, Location]) -> list[str]:
+    if not form.others:
         raise WebError("choose at least one other log to merge it with", 422)
     others = []
-    for key in asked.others:
+    for key in form.others:
         if key not in logs:
             raise WebError(f"no log {key!r} beside this one; it may have been deleted, renamed or moved", 404)
         others.append(str(logs[key]))
     return [*others, f"--to={new}"]
 
 
-def _recover(log: Location, new: Location, asked: NewLogAsked, logs: Mapping[str, Location]) -> list[str]:
+def _recover(log: Location, new: Location, form: NewLogForm, logs: Mapping[str, Location]) -> list[str]:
     return [f"--to={new}"]
 
 
@@ -125,7 +125,7 @@ def log_job(name: str) -> LogJob:
 
 
 def command_line(
-    job: LogJob, log: Location, asked: NewLogAsked, logs: Mapping[str, Location], folders: ProjectFolders
+    job: LogJob, log: Location, form: NewLogForm, logs: Mapping[str, Location], folders: ProjectFolders
 ) -> tuple[list[str], Location | None]:
     """The words of the command, and the log that it makes, or the first of several; None for none. `logs` are
     those of the log's folder, by key.
@@ -134,8 +134,8 @@ def command_line(
     """
     if log.name.endswith(PART_SUFFIX) and is_being_written(log):
         raise WebError("it is being recorded: when that has ended, new logs can be made of it", 409)
-    new = log.with_name(_name(asked.new) if asked.new else job.new(log).name) if job.new else log
-    words = ["bc-log", job.name, str(log), *job.words(log, new, asked, logs)]
+    new = log.with_name(_name(form.new) if form.new else job.new(log).name) if job.new else log
+    words = ["bc-log", job.name, str(log), *job.words(log, new, form, logs)]
     made = new if job.new else job.first_made(log) if job.first_made else None
     if made is not None and folders.is_there(made):
         raise WebError(f"{printable(str(made))}: exists already; give another name, or remove it", 409)
@@ -146,15 +146,15 @@ def command_line(
     return words, made
 
 
-def _name(asked: str) -> str:
-    name = asked.strip().removesuffix(_SUFFIX)
+def _name(given: str) -> str:
+    name = given.strip().removesuffix(_SUFFIX)
     is_name = name.isprintable() and "/" not in name and "\\" not in name and not name.startswith((".", "-"))
     if not (name and is_name and len(name) <= _MOST_CHARACTERS):
-        raise WebError(f"{printable(asked[:60])!r}: the name of a log was expected, such as lake-2", 422)
+        raise WebError(f"{printable(given[:60])!r}: the name of a log was expected, such as lake-2", 422)
     return name + _SUFFIX
 
 
-def _row(text: str, what: str) -> int:
+def _row(text: str, field: str) -> int:
     if not (text.isascii() and text.isdigit() and len(text) < 13):
-        raise WebError(f"{what}: the number of a row was expected, not {printable(text[:20])!r}", 422)
+        raise WebError(f"{field}: the number of a row was expected, not {printable(text[:20])!r}", 422)
     return int(text)

@@ -16,7 +16,7 @@ from web.data.project_folders import ProjectFolders
 
 @dataclass(frozen=True)
 class TagsBeside:
-    """What the file of tags beside a log holds."""
+    """The contents of the file of tags beside a log."""
 
     version: str  # of the file
     tags: list[Tag]  # of this content of the log, by their rows
@@ -24,7 +24,7 @@ class TagsBeside:
 
 
 class LogTags:
-    """Those of all logs that are shown."""
+    """The tags of all logs that are shown."""
 
     def __init__(self, folders: ProjectFolders, cache: CacheFolder) -> None:
         self._folders = folders
@@ -33,7 +33,7 @@ class LogTags:
         self._known: dict[Location, tuple[tuple[str, str], TagsBeside | UserError]] = {}
 
     def of(self, path: Location, fingerprint: str) -> TagsBeside:
-        """Those for this content of a log, which lie beside it. Raises LogError for a broken file, StoreError."""
+        """The tags beside a log, for this content of it. Raises LogError for a broken file, StoreError."""
         key = self._folders.version_of(tags_path(path)), fingerprint
         with self._lock:
             known = self._known.get(path)

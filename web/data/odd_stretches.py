@@ -30,8 +30,8 @@ class OddStretch:
 
 
 def odd_stretches(log: Log, states: States, findings: ImageFindings | None) -> list[OddStretch]:
-    """In their order. Frozen and broken pictures, and steering that contradicts them, are among them where
-    `findings` of the log's pictures are given.
+    """The odd stretches of a log, in order. Frozen and broken pictures, and steering that contradicts them, are
+    among them where `findings` of the log's pictures are given.
 
     A gap is a stretch of two rows: the last before it and the first after it. One that the recorder meant is none.
     """

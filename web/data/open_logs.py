@@ -26,11 +26,11 @@ class OpenLog:
     def __init__(self, path: Location, version: str, cache: ChunkCache | None) -> None:
         self.log = Log(path, cache=cache)
         self.version = version
-        """Of the file, by `ProjectFolders.version_of`."""
+        """The version of the file, by `ProjectFolders.version_of`."""
         self.users = 0
         if isinstance(path, Url):  # a page's requests come at once: each would ask the store for the same
             try:
-                with contextlib.suppress(LogError):  # who needs its rows is told
+                with contextlib.suppress(LogError):  # raised again where its rows are used
                     _ = self.states
             except BaseException:
                 self.log.close()
@@ -38,7 +38,7 @@ class OpenLog:
 
     @cached_property
     def states(self) -> States:
-        """One for each row; of a log without vehicle states, none."""
+        """The vehicle states, one for each row; empty for a log without them."""
         return States.of(self.log.vehicle())
 
     @cached_property
@@ -46,14 +46,14 @@ class OpenLog:
         return int(self.states.time_ns[0]) if len(self.states.time_ns) else 0
 
     def position(self, row: int) -> int | None:
-        """Where among the rows the one of that number is."""
+        """The position of a row among all rows, by its number."""
         found = np.flatnonzero(self.states.row == row)
         return int(found[0]) if len(found) else None
 
 
 class OpenLogs:
-    """The logs that were asked for last. A log is closed when it is not kept any more and nobody uses it: another
-    file may else get the number of its descriptor while somebody reads."""
+    """The logs used last. A log that is not kept any more is closed only when no request uses it: else another
+    file might get its descriptor's number during a read."""
 
     def __init__(self, folders: ProjectFolders) -> None:
         self._folders = folders
@@ -69,7 +69,7 @@ class OpenLogs:
         if found is None:
             with self._lock:
                 opening = self._opening.setdefault(path, threading.Lock())
-            with opening:  # who asks meanwhile gets the same one
+            with opening:  # requests meanwhile get the same one
                 found = self._used(path, version) or self._opened(path, version)
         try:
             yield found
@@ -105,7 +105,7 @@ class OpenLogs:
 
     @cached_property
     def _cache(self) -> ChunkCache:
-        return default_cache()  # that of trainings: what was looked at need not be fetched for them
+        return default_cache()  # shared with trainings, which need not fetch the same chunks again
 
     def drop_changed(self) -> None:
         """Close those whose files were deleted or replaced: an open file keeps its space on the disk."""

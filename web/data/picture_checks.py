@@ -1,5 +1,5 @@
 """The check of all pictures of a log, which decodes them: frozen and broken ones, and steering that contradicts
-them. Read from the index, or made here when somebody asks."""
+them. Read from the index, or made here on request."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class _StoppedError(Exception):
 
 @dataclass
 class Checking:
-    """A check that was asked for."""
+    """A check that was requested."""
 
     pictures: int = 0  # that were decoded
     is_done: bool = False
@@ -40,12 +40,12 @@ class PictureChecks:
         self._kept = cache.folder / "checks"
         self._pool = ThreadPoolExecutor(1, "checking pictures")
         self._lock = threading.Lock()
-        self._asked: dict[str, Checking] = {}
+        self._checks: dict[str, Checking] = {}
         self._is_stopped = False
 
     def findings(self, log: Log) -> ImageFindings | None:
-        """What is known of the pictures of a log; None where nobody has looked at them. Earlier versions have not
-        compared them with the steering."""
+        """The findings of a check of a log's pictures; None if they were never checked. Those of earlier versions
+        lack the comparison with the steering."""
         of_index = read_image_check(self._index, session_name(log.path), log.fingerprint)
         if of_index is not None and of_index.against is not None:
             return of_index
@@ -53,15 +53,15 @@ class PictureChecks:
 
     def checking(self, fingerprint: str) -> Checking | None:
         with self._lock:
-            return self._asked.get(fingerprint)
+            return self._checks.get(fingerprint)
 
     def start(self, path: Location, fingerprint: str) -> None:
         """Begin with a check, if it is not under way."""
         with self._lock:
-            known = self._asked.get(fingerprint)
+            known = self._checks.get(fingerprint)
             if known is not None and not known.is_done:
                 return
-            self._asked[fingerprint] = checking = Checking()
+            self._checks[fingerprint] = checking = Checking()
         self._pool.submit(self._check, path, fingerprint, checking)
 
     def close(self) -> None:

@@ -1,7 +1,7 @@
-"""The process in which a run's network sees a whole log. It says on stdout how far it is, and leaves a file.
+"""The process in which a run's network predicts a whole log. It reports progress on stdout, and writes a file.
 
-Of its own: a network uses all processors for a while, and shall not hold up the pages. Code of a network of one's
-own is not run here, as nobody has named it.
+A process of its own: a network uses all processors for a while, and shall not hold up the pages. A network of
+one's own code is not run here, because no user has named it.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ def main() -> None:
             raise WebError("the log has been replaced since this page was opened: reload it")
         _write(found, Path(result))
     except UserError as error:
-        _say(problem=printable(str(error)))
+        _report(problem=printable(str(error)))
     except OSError as error:
-        _say(problem=printable(f"{error.filename or log}: {error.strerror}"))
+        _report(problem=printable(f"{error.filename or log}: {error.strerror}"))
     except MemoryError:
-        _say(problem="not enough memory")
+        _report(problem="not enough memory")
 
 
 def _predict(log: Path, run: Path) -> LogPredictions:
@@ -60,7 +60,7 @@ def _predict(log: Path, run: Path) -> LogPredictions:
     def on_batch() -> None:
         nonlocal pictures
         pictures += BATCH
-        _say(pictures=pictures)
+        _report(pictures=pictures)
 
     return predict_log(log, [run], on_batch=on_batch)
 
@@ -81,16 +81,16 @@ def _write(found: LogPredictions, result: Path) -> None:
         ],
         notes=[printable(line) for line in (*found.skipped.lines(), found.notice) if line],
     )
-    told = np.frombuffer(msgspec.json.encode(about), np.uint8)
+    encoded = np.frombuffer(msgspec.json.encode(about), np.uint8)
     result.parent.mkdir(parents=True, exist_ok=True)
     part = result.with_name(f"{result.name}.{os.getpid()}")
     try:
         with part.open("wb") as stream:
-            np.savez(stream, row=found.row, predicted=predicted, about=told)
+            np.savez(stream, row=found.row, predicted=predicted, about=encoded)
         part.replace(result)
     finally:
         part.unlink(missing_ok=True)
 
 
-def _say(**values: object) -> None:
+def _report(**values: object) -> None:
     print_result(json.dumps(values))

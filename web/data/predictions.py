@@ -1,5 +1,5 @@
-"""What a run's network would have steered in a log: made by a process of its own, one at a time, and kept in the
-cache by the fingerprints of the log and of the run's weights."""
+"""The steering that a run's network predicts for a log: made by a process of its own, one at a time, and kept in
+the cache by the fingerprints of the log and of the run's weights."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class WorstMoment(msgspec.Struct, frozen=True):
 
 
 class Measured(msgspec.Struct, frozen=True):
-    """How well a network predicts. RMSEs are None where nothing was recorded to compare with."""
+    """The errors of a network. RMSEs are None where nothing was recorded to compare with."""
 
     frames: int
     rmse_deg: float | None
@@ -60,7 +60,7 @@ class Predicted:
     steering: NDArray[np.float64]  # (N,), -1 (left) to 1 (right), before any clamp
 
     def at(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
-        """For rows (M,) of the log; NaN where there was no picture."""
+        """The steering at rows (M,) of the log; NaN where there was no picture."""
         found = np.full(len(rows), np.nan)
         if len(self.row):
             order = np.argsort(self.row, kind="stable")
@@ -72,7 +72,7 @@ class Predicted:
 
 @dataclass
 class Predicting:
-    """A prediction that was asked for."""
+    """A prediction that was requested."""
 
     total: int  # pictures
     pictures: int = 0
@@ -81,10 +81,10 @@ class Predicting:
     is_stopped: bool = False
     problem: str = ""
     left_s: float | None = None
-    """How long it will take; None while that cannot be told."""
+    """Remaining time; None while it is unknown."""
     _first: tuple[int, float] | None = None  # pictures by the first report, and when: before lies the beginning
 
-    def has_seen(self, pictures: int) -> None:
+    def advance_to(self, pictures: int) -> None:
         self.pictures = min(self.total, pictures)
         now_s = time.monotonic()
         if self._first is None:
@@ -95,13 +95,13 @@ class Predicting:
 
 
 class Predictions:
-    """Those that are kept, and those that are being made. The folder may be deleted at any time."""
+    """Predictions that are kept, and those that are being made. The folder may be deleted at any time."""
 
     def __init__(self, cache: Path) -> None:
         self._folder = cache / "predictions"
         self._pool = ThreadPoolExecutor(1, "predicting")
         self._lock = threading.Lock()
-        self._asked: dict[str, Predicting] = {}
+        self._requested: dict[str, Predicting] = {}
         self._fingerprints: dict[Path, tuple[str, str]] = {}
         self._process: subprocess.Popen[bytes] | None = None
         self._at_work: Predicting | None = None  # what that process is for
@@ -125,7 +125,7 @@ class Predictions:
         return hashlib.sha256(f"{_FORMAT} {log_fingerprint} {known[1]}".encode()).hexdigest()
 
     def find(self, key: str) -> Predicted | None:
-        """None where it was not made yet, or is kept no more."""
+        """The prediction of that key; None where it was not made yet, or is kept no more."""
         path = self._path(key)
         try:
             with np.load(path, allow_pickle=False) as kept:
@@ -140,27 +140,27 @@ class Predictions:
 
     def predicting(self, key: str) -> Predicting | None:
         with self._lock:
-            return self._asked.get(key)
+            return self._requested.get(key)
 
     def start(self, key: str, log: Location, log_fingerprint: str, run: Path, pictures: int) -> None:
         """Begin with it, if it is not under way."""
         with self._lock:
-            known = self._asked.get(key)
+            known = self._requested.get(key)
             if known is not None and not (known.is_done or known.is_stopped):
                 return
-            self._asked[key] = asked = Predicting(pictures)
+            self._requested[key] = predicting = Predicting(pictures)
         words = [as_word(log), str(run.absolute()), log_fingerprint, str(self._path(key).absolute())]
-        self._pool.submit(self._run, asked, words)
+        self._pool.submit(self._run, predicting, words)
 
     def stop(self, key: str) -> None:
-        """End it, for all who wait for it; what has ended stays as it is."""
+        """End it, for all pages that wait for it; one that has ended stays as it is."""
         with self._lock:
-            asked = self._asked.get(key)
-            if asked is None or asked.is_done:
+            predicting = self._requested.get(key)
+            if predicting is None or predicting.is_done:
                 return
-            asked.is_stopped = True
-            asked.problem = asked.problem or STOPPED
-            if self._at_work is asked and self._process is not None:
+            predicting.is_stopped = True
+            predicting.problem = predicting.problem or STOPPED
+            if self._at_work is predicting and self._process is not None:
                 self._process.kill()
 
     def close(self) -> None:
@@ -173,19 +173,19 @@ class Predictions:
     def _path(self, key: str) -> Path:
         return self._folder / f"{key}.npz"
 
-    def _run(self, asked: Predicting, words: list[str]) -> None:
+    def _run(self, predicting: Predicting, words: list[str]) -> None:
         leave_signals_to_main_thread()
         # of its own: a process that is killed leaves its copy of a log in a store behind
         with tempfile.TemporaryDirectory(prefix="bc-web-", ignore_cleanup_errors=True) as temporary:
-            self._run_in(temporary, asked, words)
+            self._run_in(temporary, predicting, words)
 
-    def _run_in(self, temporary: str, asked: Predicting, words: list[str]) -> None:
+    def _run_in(self, temporary: str, predicting: Predicting, words: list[str]) -> None:
         try:
             with self._lock:
-                if self._is_closed or asked.is_stopped:
+                if self._is_closed or predicting.is_stopped:
                     return
-                asked.is_begun = True
-                self._at_work = asked
+                predicting.is_begun = True
+                self._at_work = predicting
                 self._process = process = subprocess.Popen(
                     own_process("web.data.prediction_process", *words),
                     stdin=subprocess.PIPE,  # it ends with this process
@@ -197,21 +197,21 @@ class Predictions:
             with process:
                 assert process.stdout is not None  # noqa: S101
                 for line in process.stdout:
-                    _hear(asked, line)
-            if process.returncode and not asked.problem:
-                asked.problem = f"the process that predicts ended with {process.returncode}; try it again"
+                    _update(predicting, line)
+            if process.returncode and not predicting.problem:
+                predicting.problem = f"the process that predicts ended with {process.returncode}; try it again"
         except OSError as error:
-            asked.problem = f"it cannot be started: {error.strerror}"
+            predicting.problem = f"it cannot be started: {error.strerror}"
         finally:
             with self._lock:
                 self._process = self._at_work = None
-            asked.is_done = True
+            predicting.is_done = True
 
 
-def _hear(asked: Predicting, line: bytes) -> None:
+def _update(predicting: Predicting, line: bytes) -> None:
     with contextlib.suppress(ValueError):
-        said = json.loads(line)
-        if "problem" in said:
-            asked.problem = printable(str(said["problem"]))
+        message = json.loads(line)
+        if "problem" in message:
+            predicting.problem = printable(str(message["problem"]))
         else:
-            asked.has_seen(int(said["pictures"]))
+            predicting.advance_to(int(message["pictures"]))

@@ -39,7 +39,7 @@ _LOG: Final = ".mcap"
 
 @dataclass(frozen=True)
 class ProjectFolders:
-    """Where the commands keep what they write; none of them need be there yet."""
+    """The folders that the commands write to; none of them need be there yet."""
 
     sessions: Location = Path("sessions")
     index: Location = Path("index")
@@ -77,11 +77,11 @@ class ProjectFolders:
         """The index, or the copy of it that pages read."""
         return self.index if isinstance(self.index, Path) else self._index_copy.here  # type: ignore[union-attr]
 
-    def look_at_index(self) -> str:
-        """Bring what has changed of an index in a store; why what is here is not what is there, or ""."""
+    def refresh_index(self) -> str:
+        """Fetch what has changed of an index in a store; returns the problem if that fails, else ""."""
         if self._index_copy is None:
             return ""
-        self._index_copy.look()
+        self._index_copy.refresh()
         return self._index_copy.problem
 
     def logs(self, place: Place) -> dict[str, Location]:
@@ -89,22 +89,22 @@ class ProjectFolders:
         folder: Location = getattr(self, place)
         if isinstance(folder, Path):
             return {key_of(path): path for path in logs_in(folder)}
-        self.look(place)
+        self.refresh(place)
         return {key_of(url): url for url in self._listings.objects(folder) if url.suffix == _LOG}
 
-    def look(self, place: Place) -> None:
+    def refresh(self, place: Place) -> None:
         """List a folder in a store anew, if the last time is some seconds ago."""
         folder: Location = getattr(self, place)
         if isinstance(folder, Url):
-            self._listings.look(folder)
+            self._listings.refresh(folder)
 
     def problem(self, place: Place) -> str:
-        """Why what is shown of a folder may not be what is in it: its store does not answer, or refuses."""
+        """The problem of a folder's store, if what is shown may be outdated: it does not answer, or refuses."""
         folder: Location = getattr(self, place)
         return self._listings.problem(folder) if isinstance(folder, Url) else ""
 
     def log(self, place: Place, key: str) -> Location:
-        """Raises WebError if no log of that key is there (any more), or if its store does not answer."""
+        """The log of that key. Raises WebError if it is not there (any more), or if its store does not answer."""
         known = self._found.get((place, key))
         if known is not None and self._is_there(known):  # a thousand logs are not listed for each picture
             return known
@@ -131,27 +131,27 @@ class ProjectFolders:
         """Whether a file, or anything else, has that name."""
         return (log.exists() or log.is_symlink()) if isinstance(log, Path) else self.stat(log) is not None
 
-    def see(self, place: Location) -> None:
-        """What is beside a log was changed from here: see it at once."""
+    def refresh_object(self, place: Location) -> None:
+        """Refresh the listing of an object in a store that was changed from here."""
         if isinstance(place, Url):
-            self._listings.see(place)
+            self._listings.refresh_object(place)
 
     def version_of(self, place: Location) -> str:
-        """Of a log, or what lies beside it: it changes when that is written to, replaced, or removed."""
+        """The version of a log or its tags: it changes when the file is written to, replaced, or removed."""
         return version_of(place) if isinstance(place, Path) else version_of_stats([(place, self.stat(place))])
 
     def version_of_log(self, place: Location) -> str:
-        """The same of a log, as lists tell it apart: one that is being recorded changes all the time."""
+        """The version of a log for lists: that of one that is being recorded changes less often."""
         if isinstance(place, Path) and place.name.endswith(PART_SUFFIX):
             return version_of_growing(place)
         return self.version_of(place)
 
     def version_of_folder(self, place: Place) -> str:
-        """Of the logs in a folder, and what lies beside them. Nothing is read; a store is asked now and then."""
+        """The version of a folder's logs and tags. No file is read; a store is listed now and then."""
         folder: Location = getattr(self, place)
         if isinstance(folder, Path):
             return version_of_folder(folder)
-        self.look(place)
+        self.refresh(place)
         objects = self._listings.objects(folder)
         return version_of_stats((url, self.stat(url)) for url in objects) + self.problem(place)
 
@@ -161,7 +161,7 @@ class ProjectFolders:
             raise StoreError(problem)
 
     def has_tags(self, log: Location) -> bool:
-        """False for a log in a store with no tags beside it: nobody need ask for them."""
+        """False for a log in a store with no tags beside it, which need not be fetched."""
         return isinstance(log, Path) or self.stat(tags_path(log)) is not None
 
     @cached_property
@@ -170,20 +170,20 @@ class ProjectFolders:
 
     @property
     def runs_problem(self) -> str:
-        """Why what is shown of the runs may not be what is there: their store does not answer, or refuses."""
+        """The problem of the runs' store, if what is shown may be outdated: it does not answer, or refuses."""
         return self._stored_runs.problem if self._stored_runs else ""
 
     def run_folders(self) -> dict[str, Path]:
         """The runs by the key that they have in addresses, also those that cannot be read; of one in a store, the
         folder that its small files were brought to."""
         if self._stored_runs:
-            self._stored_runs.look()
+            self._stored_runs.refresh()
             return {key_of(path): path for path in self._stored_runs.runs()}
         assert isinstance(self.runs, Path)  # noqa: S101
         return {key_of(path.parent): path.parent for path in sorted(self.runs.glob(f"*/{RUN_CONFIG}"))}
 
     def run(self, key: str) -> Path:
-        """Raises WebError if no run of that key is there (any more)."""
+        """The run of that key. Raises WebError if it is not there (any more)."""
         path = self.run_folders().get(key)
         if path is None:
             if self.runs_problem:
@@ -192,17 +192,17 @@ class ProjectFolders:
         return path
 
     def run_place(self, run: Path) -> Location:
-        """Where a run is, by its folder here."""
+        """The location of a run, by its folder here."""
         return (self._stored_runs and self._stored_runs.url(run)) or run
 
     def version_of_run(self, run: Path, names: Sequence[str]) -> str:
-        """Of some of a run's files."""
+        """The version of some of a run's files."""
         if self._stored_runs:
             return self._stored_runs.version(run, names)
         return version_of(*(run / name for name in names))
 
     def bring_run(self, run: Path, names: Sequence[str]) -> None:
-        """See to it that these files of a run are here as they are there. Raises StoreError."""
+        """Fetch those of these files of a run that have changed in its store. Raises StoreError."""
         if self._stored_runs:
             self._stored_runs.bring(run, names)
 
@@ -213,8 +213,8 @@ def as_word(log: Location) -> str:
 
 
 def key_of(path: Location) -> str:
-    """What a file or folder is called in addresses: its name (without .mcap) where that is plain, else a hash of
-    it: a name may hold whatever a file system takes, even bytes that are no text."""
+    """The key of a file or folder in addresses: its name (without .mcap) where that is plain, else a hash of it,
+    because a name may hold whatever a file system takes, even bytes that are no text."""
     name = path.name.removesuffix(_LOG)
     if _PLAIN.fullmatch(name):
         return name

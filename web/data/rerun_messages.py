@@ -1,4 +1,4 @@
-"""What Rerun's viewer asks of the process that serves its log, passed on to it and back: gRPC-Web, over HTTP/1.1.
+"""The proxy between Rerun's viewer and the process that serves its log: gRPC-Web, over HTTP/1.1.
 
 So a viewer asks bc-web only. Across `ssh -L` and with `--host` it needs no port but the page's own, and what
 guards the page guards the log's data, too.
@@ -18,7 +18,7 @@ from anyio.abc import SocketStream
 from web.errors import WebError
 
 METHOD: Final = "/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"
-"""The one that a viewer calls. Its answer is the log and, where that is being recorded, what comes to it."""
+"""The method that a viewer calls. Its response is the log and, while that is being recorded, its growth."""
 
 _LOCAL: Final = "127.0.0.1"
 _PASSED_ON: Final = ("content-type", "accept", "x-grpc-web")
@@ -37,11 +37,11 @@ class Messages:
 async def ask_for_messages(port: int, headers: Mapping[str, str], body: bytes) -> Messages:
     """Ask the process that serves a log on `port`. Raises WebError if it does not answer."""
     connection = h11.Connection(h11.CLIENT)
-    told = [(name, headers[name]) for name in _PASSED_ON if name in headers]
+    passed_on = [(name, headers[name]) for name in _PASSED_ON if name in headers]
     request = h11.Request(
         method="POST",
         target=METHOD,
-        headers=[("host", f"{_LOCAL}:{port}"), ("content-length", str(len(body))), *told],
+        headers=[("host", f"{_LOCAL}:{port}"), ("content-length", str(len(body))), *passed_on],
     )
     try:
         stream = await anyio.connect_tcp(_LOCAL, port)
@@ -61,7 +61,7 @@ async def ask_for_messages(port: int, headers: Mapping[str, str], body: bytes) -
 
 
 async def _body(connection: h11.Connection, stream: SocketStream) -> AsyncIterator[bytes]:
-    """Until all of it was said, or the process has ended: then the page is told."""
+    """The body of Rerun's response, to its end or that of the process, which `open_log` reports to the page."""
     async with stream:
         with contextlib.suppress(OSError, anyio.BrokenResourceError, h11.RemoteProtocolError):
             while isinstance(event := await _next_event(connection, stream), h11.Data):
@@ -69,7 +69,7 @@ async def _body(connection: h11.Connection, stream: SocketStream) -> AsyncIterat
 
 
 async def _next_event(connection: h11.Connection, stream: SocketStream) -> object:
-    """One of h11's, once enough of it has come."""
+    """The next event of h11, once enough of it has come."""
     while (event := connection.next_event()) is h11.NEED_DATA:
         try:
             data = await stream.receive(_AT_ONCE)

@@ -1,4 +1,4 @@
-"""The process that serves a log to Rerun's viewer: `bc-play --web` that ends with whoever has started it."""
+"""The process that serves a log to Rerun's viewer: `bc-play --web` that ends with its parent process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Logs that are open in Rerun: for each, a process that serves it on this machine, ended when nobody looks.
+"""Logs that are open in Rerun: for each, a process that serves it on this machine, ended when no page shows it.
 
 Rerun's viewer is a program of WebAssembly that the `rerun` program has in it and serves on one port; the log comes
 from another one. The viewer's own files are passed on by bc-web, so that its page is one of ours.
@@ -33,7 +33,7 @@ from web.errors import WebError
 MOST: Final = 2
 """Logs that are open at once; one more ends the oldest."""
 FILES: Final = {"re_viewer.js": "text/javascript", "re_viewer_bg.wasm": "application/wasm"}
-"""Of the viewer, and their types."""
+"""The viewer's files, and their media types."""
 
 _LOCAL: Final = "127.0.0.1"
 _PATIENCE_S: Final = 10.0  # for a file of the viewer
@@ -53,7 +53,7 @@ class RerunViewer:
         self._why_ended = ""
         self._is_ended = False
         self.notes: list[str] = []
-        """What bc-play has said, such as what it had to leave out; an error last."""
+        """Messages of bc-play, such as what it had to leave out; an error last."""
         if isinstance(log, Url):
             self.notes.append("a copy of the log comes from its store first")
         words = [as_word(log), "--web", f"--web-port={self.web_port}", f"--port={self.data_port}"]
@@ -92,7 +92,7 @@ class RerunViewer:
         return self._is_ended or self._process.poll() is not None
 
     def why_ended(self) -> str:
-        """What its page says then."""
+        """The message of its page at the end."""
         if not self._why_ended and self._process.poll() == FAILED:
             self._reader.join(_GRACE_S)
             self._why_ended = next(reversed(self.notes), "")
@@ -193,7 +193,7 @@ def command_of(log: Location) -> str:
 
 
 def viewer_version() -> str:
-    """Of Rerun: its files are kept by the browser under it."""
+    """The version of Rerun, under which a browser keeps the viewer's files."""
     return version_of("rerun-sdk")
 
 

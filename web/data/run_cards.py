@@ -1,4 +1,4 @@
-"""What the list of runs shows of each: its summary, as `bc-runs` has it, and whether it is being trained."""
+"""The entries of the list of runs: each run's summary, as `bc-runs` has it, and whether it is being trained."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from web.data.background import Background
 from web.data.project_folders import RUN_CONFIG, ProjectFolders, key_of
 from web.errors import WebError
 
-if TYPE_CHECKING:  # these load PyTorch: not before a run is looked at
+if TYPE_CHECKING:  # these load PyTorch, which only pages of runs need
     from model.runs.history import History
     from model.runs.run_summary import RunSummary
 
@@ -25,12 +25,12 @@ _SUMMED_UP: Final = RUN_CONFIG, "metrics.jsonl", "results.jsonl", "model.safeten
 _GROWING: Final = "steps.jsonl", "worst.jsonl"
 _HISTORY: Final = "metrics.jsonl", *_GROWING
 _LOCK: Final = Path("last") / ".lock"  # held while a run is trained
-_HISTORIES: Final = 16  # kept in memory: of the runs that are looked at
+_HISTORIES: Final = 16  # kept in memory, of the runs shown last
 
 
 @dataclass(frozen=True)
 class RunCard:
-    """A run in the list. `summary` is None while it is being read, and where `problem` says why it cannot be."""
+    """A run in the list. `summary` is None while it is being read, and where it cannot be (`problem`)."""
 
     key: str
     path: Path
@@ -44,7 +44,7 @@ class RunCard:
 
     @property
     def state(self) -> str:
-        """In one word: "" for a run that is whole."""
+        """The state in one word: "" for a run that is whole."""
         if self.problem:
             return "damaged"
         if self.is_training:
@@ -53,7 +53,7 @@ class RunCard:
 
 
 class RunCards:
-    """The cards of all runs, and the histories of those that are looked at."""
+    """The cards of all runs, and the histories of those shown last."""
 
     def __init__(self, folders: ProjectFolders) -> None:
         self._folders = folders
@@ -78,7 +78,7 @@ class RunCards:
         return digest.hexdigest()[:16] + self._folders.runs_problem
 
     def cards(self, patience_s: float) -> list[RunCard]:
-        """Of all runs, by name; those that cannot be read in that time have no `summary` yet."""
+        """The cards of all runs, by name; those that cannot be read in that time have no `summary` yet."""
         found = self._folders.run_folders().values()
         versions = [(path, self._folders.version_of_run(path, _SUMMED_UP)) for path in found]
         summaries = self._summaries.results(versions, patience_s)

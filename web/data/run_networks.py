@@ -1,4 +1,4 @@
-"""Networks of runs, as far as bc-web runs them: not code of one's own, which nobody has named here."""
+"""Networks of runs, as far as bc-web runs them: not code of one's own, which no user has named here."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from web.errors import WebError
 
 WEIGHTS: Final = "model.safetensors"  # `model.runs.run_folder.WEIGHTS`, without PyTorch
 NETWORK_FILES: Final = WEIGHTS, RUN_CONFIG
-"""What a run's network is loaded from."""
+"""The files that a run's network is loaded from."""
 
 
 def check_network(run: Path, log: Location, place: Location) -> None:

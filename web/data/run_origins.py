@@ -1,4 +1,4 @@
-"""What runs were trained on: the index as it is now, or a session; read without PyTorch."""
+"""The data that runs were trained on: the index as it is now, or a session; read without PyTorch."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from web.data.file_versions import version_of
 from web.data.project_folders import RUN_CONFIG
 
 _OF_THE_RUN: Final = ("fingerprint", "content_fingerprint", "targets_fingerprint")
-"""What a run's config says of its data, and the index does not say of itself."""
+"""Fields of a run's config for its data that the index itself lacks."""
 
 
 @dataclass(frozen=True)
 class RunOrigin:
-    """`index` is the checksum of what the index said of itself then: its settings, logs and balance; "" where that
-    is not known."""
+    """`index` is the checksum of the index's metadata at that time: its settings, logs and balance; "" where they
+    are unknown."""
 
     sessions: frozenset[str]
     index: str
 
 
 def origin_of(run: Path) -> RunOrigin:
-    """Of nothing, where the run's config.json cannot be read: the list of runs says why."""
+    """The origin of a run; empty where its config.json cannot be read, which the list of runs shows."""
     config = run / RUN_CONFIG
     return _origin(config, version_of(config))
 
 
 def index_checksum(index: Path) -> str:
-    """Of what the index says of itself now; "" where there is none."""
+    """The checksum of the index's present metadata; "" where there is no index."""
     metadata = read_metadata(index / SAMPLES_NAME)
     return _checksum(metadata) if metadata else ""
 

@@ -26,7 +26,7 @@ _DEEPEST: Final = 4
 
 
 def run_settings(run: Path) -> dict[str, str]:
-    """What the run's config.json says of its training and its data, by dotted name. Raises RunError where it
+    """The settings of the training and its data in a run's config.json, by dotted name. Raises RunError where it
     cannot be read."""
     from model.runs.run_folder import load_config  # loads PyTorch
 

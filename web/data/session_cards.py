@@ -1,4 +1,4 @@
-"""What the list of sessions shows of each: its log in short, its tags, and what of it is in the index."""
+"""The entries of the list of sessions: each log in short, its tags, and its frames in the index."""
 
 from __future__ import annotations
 
@@ -37,22 +37,22 @@ TagRows = tuple[str, int, int]
 
 
 class Glance(msgspec.Struct, frozen=True):
-    """What is read of a log, and kept for the next start: not its tags, which change without it."""
+    """The part of a log that is cached between starts: without its tags, which change without it."""
 
     info: LogInfo
     fingerprint: str
 
 
 class Share(msgspec.Struct, frozen=True):
-    """What is read of a session's frames file, and kept for the next start."""
+    """The part of a session's frames file that is cached between starts."""
 
     frames: dict[str, int]  # by split
-    tags: list[TagRows] | None  # that its rows had; None where the file does not tell
+    tags: list[TagRows] | None  # that its rows had; None where the file lacks them
 
 
 @dataclass(frozen=True)
 class InIndex:
-    """What the index has of a session."""
+    """A session's state in the index."""
 
     words: str  # "in the index", "not in the index", "changed since", "being read", "left out"
     why: str = ""
@@ -61,7 +61,7 @@ class InIndex:
 
 @dataclass(frozen=True)
 class SessionCard:
-    """A log in the list. `info` is None while it is being read, and where `problem` says why it cannot be."""
+    """A log in the list. `info` is None while it is being read, and where it cannot be (`problem`)."""
 
     key: str
     path: Location
@@ -79,7 +79,7 @@ class SessionCard:
 
     @property
     def state(self) -> str:
-        """In one word: "" for a finished log."""
+        """The state in one word: "" for a finished log."""
         if self.problem:
             return "damaged"
         if self.is_recording:
@@ -89,8 +89,8 @@ class SessionCard:
     @property
     def why(self) -> str:
         """Why it is damaged or unfinished, and what helps; without its path, as its name stands beside it."""
-        told = self.problem or (self.info.notice if self.info else "")
-        return told.removeprefix(f"{printable(str(self.path))}: ")
+        notice = self.problem or (self.info.notice if self.info else "")
+        return notice.removeprefix(f"{printable(str(self.path))}: ")
 
     @cached_property
     def flags(self) -> dict[str, int]:
@@ -121,7 +121,7 @@ class SessionCards:
         return sum(made.done for made in glances) + sum(made.done for made in shares)
 
     def cards(self, place: Place, patience_s: float) -> list[SessionCard]:
-        """Of all logs in that folder, by name; those that cannot be read in that time have no `info` yet."""
+        """The cards of all logs in a folder, by name; those not read in that time have no `info` yet."""
         logs = self._folders.logs(place)
         versions = [(path, self._folders.version_of_log(path)) for path in logs.values()]
         glances = self._glances[place].results(versions, patience_s)
@@ -136,13 +136,13 @@ class SessionCards:
         ]
 
     def info(self, path: Location) -> LogInfo:
-        """What the page of a log says of it; of one in a store, what is kept. Raises LogError, StoreError."""
+        """The description on the page of a log; of one in a store, from the cache. Raises LogError, StoreError."""
         if isinstance(path, Path):
             return describe(path, with_tags=False)
         return self._glance(path, self._folders.version_of_log(path)).info
 
     def tags(self, path: Location, fingerprint: str) -> TagsBeside:
-        """Those beside the log. Raises LogError for a broken file, StoreError."""
+        """The tags beside the log. Raises LogError for a broken file, StoreError."""
         return self._tags.of(path, fingerprint)
 
     def _card(
@@ -220,7 +220,7 @@ def frames_path(index: Path, log: Location) -> Path:
 
 
 def rows_by_name(tags: Sequence[Tag]) -> Counter[str]:
-    """How many rows have each name; `tags` are in the order of their rows, and may lie over each other."""
+    """The number of rows with each name; `tags` are in the order of their rows, and may overlap."""
     counts, reached = Counter[str](), dict[str, int]()
     for tag in tags:
         first = max(tag.first_row, reached.get(tag.name, -1) + 1)

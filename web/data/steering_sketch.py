@@ -1,4 +1,4 @@
-"""How a session was steered, as a small SVG: steering along it, and how often each steering was used."""
+"""The steering of a session as a small SVG: its course, and a histogram."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ WIDTH, HEIGHT = 240, 40
 _ALONG: Final = 170  # of the width; the histogram has the rest
 _GAP: Final = 10
 _BINS: Final = 25  # as the index has them by default
-_LINE, _BARS, _AXIS = "#4a90d9", "#c77d1e", "#8884"  # to be told from each other, and from a light or a dark page
+_LINE, _BARS, _AXIS = "#4a90d9", "#c77d1e", "#8884"  # distinct from each other, on a light and on a dark page
 
 
 def steering_sketch(steering: Values) -> bytes:
-    """Of the rows' steering (N,); values that are no steering are left out. Right is up, and right in the bars."""
+    """The sketch of the rows' steering (N,), without invalid values. Right is up, and right in the bars."""
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}">',
         f'<path d="M0 {HEIGHT / 2}H{_ALONG}" stroke="{_AXIS}"/>',

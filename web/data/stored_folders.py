@@ -21,30 +21,32 @@ Listing = Mapping[Url, "StoredObject"]
 
 
 class StoreListings:
-    """What folders in stores hold, as they were listed last."""
+    """The latest listings of folders in stores."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._listed: dict[Url, Refreshed[Listing]] = {}
-        self._seen: dict[Url, tuple[float, StoredObject | None]] = {}  # since a listing began, and when
+        self._changed_here: dict[
+            Url, tuple[float, StoredObject | None]
+        ] = {}  # objects asked for since a listing began, and when
 
-    def look(self, folder: Url) -> None:
-        """List it anew, if the last time is some seconds ago; pages that show a folder do, others need not."""
-        self._of(folder).look()
+    def refresh(self, folder: Url) -> None:
+        """List the folder anew, if the last time is some seconds ago; only pages that show it need to."""
+        self._of(folder).refresh()
 
     def objects(self, folder: Url) -> Listing:
-        """What is right in a folder, as it was listed last."""
+        """The objects directly in a folder, as it was listed last."""
         listed = self._of(folder)
         if listed.value is None:
-            listed.look()
+            listed.refresh()
         with self._lock:
-            seen = {url: found for url, (_, found) in self._seen.items() if url.parent == folder}
+            changed = {url: found for url, (_, found) in self._changed_here.items() if url.parent == folder}
         objects = listed.value or {}
-        if not seen:
+        if not changed:
             return objects
-        return {url: found for url, found in {**objects, **seen}.items() if found is not None}
+        return {url: found for url, found in {**objects, **changed}.items() if found is not None}
 
-    def see(self, url: Url) -> None:
+    def refresh_object(self, url: Url) -> None:
         """Ask for an object that was changed from here: the next listing may be seconds away."""
         from common.object_store import find_object  # an extra
 
@@ -52,10 +54,10 @@ class StoreListings:
         with contextlib.suppress(StoreError):
             found = find_object(url)
             with self._lock:
-                self._seen[url] = now_s, found
+                self._changed_here[url] = now_s, found
 
     def problem(self, folder: Url) -> str:
-        """Why there is no newer listing; empty if there is."""
+        """The reason why there is no newer listing; empty if there is one."""
         return self._of(folder).problem
 
     def find(self, url: Url) -> StoredObject | None:
@@ -71,9 +73,11 @@ class StoreListings:
         began_s = time.monotonic()
         found = _list(folder)
         with self._lock:
-            known = [url for url, (at_s, _) in self._seen.items() if url.parent == folder and at_s < began_s]
+            known = [
+                url for url, (at_s, _) in self._changed_here.items() if url.parent == folder and at_s < began_s
+            ]
             for url in known:
-                del self._seen[url]
+                del self._changed_here[url]
         return found
 
 
@@ -89,13 +93,13 @@ class StoredCopy:
         self._url = url
         self._listed = Refreshed[Listing](str(url), self._brought)
 
-    def look(self) -> None:
-        """Bring what has changed, if the last time that anybody looked is some seconds ago."""
-        self._listed.look()
+    def refresh(self) -> None:
+        """Fetch what has changed, if the last refresh is some seconds ago."""
+        self._listed.refresh()
 
     @property
     def problem(self) -> str:
-        """Why it is not as it is there; empty if it is."""
+        """The reason why the copy is outdated; empty if it is not."""
         return self._listed.problem
 
     def _brought(self, before: Listing | None) -> Listing:

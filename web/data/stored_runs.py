@@ -30,17 +30,17 @@ class StoredRuns:
         self._others: dict[tuple[Path, tuple[str, ...]], str] = {}  # the version that was brought
         self._listed = Refreshed[None](str(url), lambda before: self._bring_changed())
 
-    def look(self) -> None:
-        """Bring what has changed, if the last time that anybody looked is some seconds ago."""
-        self._listed.look()
+    def refresh(self) -> None:
+        """Fetch what has changed, if the last refresh is some seconds ago."""
+        self._listed.refresh()
 
     @property
     def problem(self) -> str:
-        """Why what is here is not all of what is there; empty if it is."""
+        """The reason why the copies are outdated; empty if they are not."""
         return self._listed.problem
 
     def runs(self) -> Mapping[Path, RunInStore]:
-        """By name."""
+        """The runs by the folders of their copies, in the order of their names."""
         with self._lock:
             return dict(sorted(self._brought.items(), key=lambda item: item[1].name))
 
@@ -50,14 +50,14 @@ class StoredRuns:
         return found.url if found else None
 
     def version(self, run: Path, names: Sequence[str]) -> str:
-        """Of these files of a run, as they were listed last."""
+        """The version of these files of a run, as they were listed last."""
         with self._lock:
             found = self._brought.get(run)
         files = [found.files.get(name) for name in names] if found else []
         return version_of_stats((each.url, (each.size, each.version)) for each in files if each is not None)
 
     def bring(self, run: Path, names: Sequence[str]) -> None:
-        """See to it that these files are here as they were listed last. Raises StoreError."""
+        """Fetch those of these files that have changed since. Raises StoreError."""
         version = self.version(run, names)
         with self._lock:
             found = self._brought.get(run)
@@ -84,8 +84,8 @@ class StoredRuns:
 
         there = {cached_copy(run.url): run for run in runs_in_store(self._url)}
         with self._lock:
-            for gone in self._brought.keys() - there.keys():
-                del self._brought[gone]
+            for removed in self._brought.keys() - there.keys():
+                del self._brought[removed]
             changed = [run for here, run in there.items() if self._brought.get(here) != run]
         with ThreadPoolExecutor(_AT_ONCE) as pool:
             problem = next(filter(None, pool.map(bring, changed)), None)

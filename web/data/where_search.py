@@ -1,4 +1,4 @@
-"""Which sessions have rows that a condition holds for: the SQL of `bc-index --where`, asked of each log."""
+"""The search for rows that a condition holds for: the SQL of `bc-index --where`, over each log."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ _MOST_SEARCHES: Final = 8  # of which the results are kept
 _LONGEST: Final = 2000  # characters of a condition
 
 Found = Mapping[Location, int]
-"""Rows of each log that has been looked at."""
+"""Number of rows found in each log that has been searched."""
 
 
 class WhereSearches:
-    """Conditions that pages have asked for last, with what was found so far."""
+    """The conditions that pages have used last, with what was found so far."""
 
     def __init__(self, folders: ProjectFolders, pool: Executor) -> None:
         self._folders = folders
@@ -47,7 +47,7 @@ class WhereSearches:
             return self._done + sum(search.done for search in self._searches.values())
 
     def rows(self, where: str, logs: Sequence[Location], patience_s: float) -> Found:
-        """How many rows the condition holds for, of each log that could be looked at in that time; 0 where a log
+        """The number of rows that the condition holds for, of each log searched in that time; 0 where a log
         cannot be read. Raises UserError if it is no condition."""
         if len(where) > _LONGEST:
             raise UserError(f"a condition of {len(where):,} characters: at most {_LONGEST:,} are taken")

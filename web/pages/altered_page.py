@@ -1,4 +1,4 @@
-"""Augmentations: samples as training sees them, beside the pictures that they were made of."""
+"""Augmentations: samples as they are trained on, beside the pictures that they were made of."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def altered_routes(bench: Workbench) -> list[Route]:
         return HTMLResponse(render("altered_rows.html", found=found, shown=shown, trial=trial, others=others))
 
     def picture(request: Request) -> Response:
-        """The picture as it was driven (0), or as training sees it (1)."""
+        """The picture as it was driven (0), or as it is trained on (1)."""
         number, which = request.path_params["number"], request.path_params["which"]
         trial, others = request.query_params.get("trial", ""), _number(request.query_params.get("others", "0"))
         shown = samples_of(trial, others).shown
@@ -45,5 +45,5 @@ def altered_routes(bench: Workbench) -> list[Route]:
 
 
 def _number(text: str) -> int:
-    """Whoever types no number gets the first ones."""
+    """The number in an address; 0 for anything else."""
     return int(text) if text.isascii() and text.isdigit() and len(text) < 7 else 0

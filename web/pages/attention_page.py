@@ -1,4 +1,4 @@
-"""Where a run's network looks in the centre camera's picture of a row."""
+"""The attention map of a run's network for the centre camera's picture of a row."""
 
 from __future__ import annotations
 

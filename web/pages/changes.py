@@ -1,4 +1,4 @@
-"""The versions of what the lists show: a page asks for its list again when that of its own has changed."""
+"""The versions of the lists: a page requests its list again when its version has changed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def change_routes(bench: Workbench) -> list[Route]:
 def sessions_version(bench: Workbench) -> str:
     """It changes with the logs and their tags, with the index, and with each log that has been read."""
     folders = bench.folders
-    folders.look_at_index()
+    folders.refresh_index()
     built = version_of(folders.index_here / STATE_NAME)
     return f"{folders.version_of_folder('sessions')} {built} {bench.cards.done + bench.searches.done}"
 

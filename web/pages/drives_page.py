@@ -1,4 +1,4 @@
-"""Drives: how far each got, what happened in it, and chosen ones on one map."""
+"""The list of drives, with their results and events, and chosen ones on one map."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ MOST_CHOSEN: Final = 8
 def drive_routes(bench: Workbench) -> list[Route]:
     def page(request: Request) -> Response:
         live = drives_version(bench)
-        return HTMLResponse(render("drives.html", live=live, **_told(request)))
+        return HTMLResponse(render("drives.html", live=live, **_context(request)))
 
     def rows(request: Request) -> Response:
-        return HTMLResponse(render("drive_rows.html", **_told(request)))
+        return HTMLResponse(render("drive_rows.html", **_context(request)))
 
-    def _told(request: Request) -> dict[str, Any]:
+    def _context(request: Request) -> dict[str, Any]:
         query = request.query_params
         by = query.get("by", "drive") if query.get("by") in WAYS else "drive"
         there = bench.folders.logs("drives")
@@ -52,7 +52,7 @@ def drive_routes(bench: Workbench) -> list[Route]:
         on_map = [by_key[key] for key in chosen if key in by_key and by_key[key]["view"]]
         on_one_map = drive_map([drive["view"] for drive in on_map], WAYS[by])
         if on_map and on_one_map is None:
-            problems.append("none of these drives has poses: their simulator does not tell where the car is")
+            problems.append("none of these drives has poses: their simulator does not report where the car is")
         return {
             "drives": shown,
             "chosen": chosen,

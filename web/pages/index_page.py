@@ -35,29 +35,29 @@ _PATIENCE_S: Final = 0.3
 
 def index_routes(bench: Workbench) -> list[Route]:
     def folder_of(request: Request) -> Path:
-        """The index, or the trial that is asked for."""
+        """The index, or the requested trial."""
         trial = request.query_params.get("trial", "")
         return bench.trials.get(trial) if trial else bench.folders.index_here
 
     def page(request: Request) -> Response:
         values = dict(request.query_params)
         trial = values.pop("trial", "")
-        told: dict[str, Any] = {"trial": trial, "values": values, "fields": INDEX_FIELDS, "version": ""}
-        store_problem = bench.folders.look_at_index()
+        context: dict[str, Any] = {"trial": trial, "values": values, "fields": INDEX_FIELDS, "version": ""}
+        store_problem = bench.folders.refresh_index()
         here = bench.folders.index_here
-        told["version_of_index"] = version_of(here / STATE_NAME)
-        told["known"] = sorted(
+        context["version_of_index"] = version_of(here / STATE_NAME)
+        context["known"] = sorted(
             printable(path.name.removesuffix(".mcap")) for path in bench.folders.logs("sessions").values()
         )
-        told["now"], problem = _view(here)
-        told["folder"] = printable(str(bench.folders.index))
-        told["problem"] = store_problem or problem.replace(printable(str(here)), told["folder"])
-        told["stale"] = _stale()
-        told["then"], told["trial_problem"] = _view(bench.trials.get(trial)) if trial else (None, "")
-        told["settings"] = _changed(told["now"], told["then"])
-        told["sessions"] = _sessions(told["now"], told["then"])
-        told["runs"] = _runs() if told["now"] else []
-        return HTMLResponse(render("index.html", **told))
+        context["now"], problem = _view(here)
+        context["folder"] = printable(str(bench.folders.index))
+        context["problem"] = store_problem or problem.replace(printable(str(here)), context["folder"])
+        context["stale"] = _stale()
+        context["then"], context["trial_problem"] = _view(bench.trials.get(trial)) if trial else (None, "")
+        context["settings"] = _changed(context["now"], context["then"])
+        context["sessions"] = _sessions(context["now"], context["then"])
+        context["runs"] = _runs() if context["now"] else []
+        return HTMLResponse(render("index.html", **context))
 
     def _stale() -> list[str]:
         """The sessions that are newer than the index, and those whose log or tags have changed since."""

@@ -62,17 +62,17 @@ def job_routes(bench: Workbench) -> list[Route]:
 
     def one(request: Request) -> Response:
         live = bench.jobs.version()
-        return HTMLResponse(render("job.html", live=live, **_told(request)))
+        return HTMLResponse(render("job.html", live=live, **_context(request)))
 
     def body(request: Request) -> Response:
-        return HTMLResponse(render("job_body.html", **_told(request)))
+        return HTMLResponse(render("job_body.html", **_context(request)))
 
     def stop(request: Request) -> Response:
         key = request.path_params["job"]
         bench.jobs.stop(key)
         return RedirectResponse(f"/jobs/{key}", status_code=303)
 
-    def _told(request: Request) -> dict[str, Any]:
+    def _context(request: Request) -> dict[str, Any]:
         job = bench.jobs.get(request.path_params["job"])
         return {"job": job, "output": job.output()}
 

@@ -48,8 +48,8 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
     def picture(request: Request) -> Response:
         camera, row = _camera_of(request), int(request.path_params["row"])
         with bench.logs.open(bench.folders.log(place, request.path_params["log"])) as opened:
-            asked = request.query_params.get("v", opened.version)
-            if asked != opened.version:
+            version = request.query_params.get("v", opened.version)
+            if version != opened.version:
                 raise WebError("the log has changed since this page was opened: reload it", 409)
             try:
                 data = opened.log.picture(row, camera)

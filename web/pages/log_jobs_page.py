@@ -14,7 +14,7 @@ from starlette.routing import Route
 from common import UserError
 from common.errors import printable
 from common.location import Location
-from web.data.log_jobs import LOG_JOBS, NewLogAsked, command_line, log_job
+from web.data.log_jobs import LOG_JOBS, NewLogForm, command_line, log_job
 from web.data.project_folders import Place, key_of
 from web.pages.form_values import form_pairs
 from web.pages.workbench import Workbench
@@ -22,12 +22,12 @@ from web.pages.workbench import Workbench
 
 def log_job_routes(bench: Workbench, place: Place) -> list[Route]:
     def command(request: Request) -> Response:
-        """The command that a form would run, or why it cannot."""
+        """The command that a form would run, or its problem."""
         log = bench.folders.log(place, request.path_params["log"])
         job = log_job(request.path_params["job"])
         try:
             words, _ = command_line(
-                job, log, _asked(request.query_params.multi_items()), bench.folders.logs(place), bench.folders
+                job, log, _form_of(request.query_params.multi_items()), bench.folders.logs(place), bench.folders
             )
         except UserError as error:
             return PlainTextResponse(printable(str(error)))
@@ -36,8 +36,8 @@ def log_job_routes(bench: Workbench, place: Place) -> list[Route]:
     async def start(request: Request) -> Response:
         log = bench.folders.log(place, request.path_params["log"])
         job = log_job(request.path_params["job"])
-        asked = _asked(await form_pairs(request))
-        words, made = command_line(job, log, asked, bench.folders.logs(place), bench.folders)
+        form = _form_of(await form_pairs(request))
+        words, made = command_line(job, log, form, bench.folders.logs(place), bench.folders)
         address = f"/{place}/{key_of(made)}" if made is not None else ""
         started = await run_in_threadpool(bench.jobs.start, words, address)
         return RedirectResponse(f"/jobs/{started.key}", status_code=303)
@@ -47,7 +47,7 @@ def log_job_routes(bench: Workbench, place: Place) -> list[Route]:
 
 
 def shown_log_jobs(log: Location) -> list[dict[str, Any]]:
-    """What the page of a log offers, with the names that new logs get unless another one is given."""
+    """The jobs that the page of a log offers, with the default names of new logs."""
     return [
         {
             "job": job,
@@ -57,10 +57,10 @@ def shown_log_jobs(log: Location) -> list[dict[str, Any]]:
     ]
 
 
-def _asked(pairs: Iterable[tuple[str, str]]) -> NewLogAsked:
+def _form_of(pairs: Iterable[tuple[str, str]]) -> NewLogForm:
     given = list(pairs)
     values = dict(given)
-    return NewLogAsked(
+    return NewLogForm(
         values.get("new", "").strip(),
         values.get("first", "").strip(),
         values.get("last", "").strip(),

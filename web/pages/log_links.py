@@ -1,4 +1,4 @@
-"""Where a log leads: to the runs that learnt from it, and from a drive to the run that drove."""
+"""Links of a log: to the runs that learnt from it, and from a drive to the run that drove."""
 
 from __future__ import annotations
 

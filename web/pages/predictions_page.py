@@ -1,4 +1,4 @@
-"""The predictions of a run over a session: asked for, how far they are, and as a column beside the log's own."""
+"""The predictions of a run for a session: started, their progress, and as a column beside the log's own."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ _KEY: Final = re.compile(r"[0-9a-f]{64}")
 
 
 def prediction_routes(bench: Workbench, place: Place) -> list[Route]:
-    def asked(request: Request) -> Response:
-        """How far a prediction is. POST begins with it where it has not been made yet."""
+    def prediction(request: Request) -> Response:
+        """The state of a prediction. POST starts it where it has not been made yet."""
         path = bench.folders.log(place, request.path_params["log"])
         run = bench.folders.run(request.path_params["run"])
         log = request.query_params.get("log", "")  # the fingerprint of what the page shows
         if path.name.endswith(PART_SUFFIX) and is_being_written(path):
-            raise WebError("it is being recorded: a network can look at it when that has ended", 409)
+            raise WebError("it is being recorded: predictions can be made when that has ended", 409)
         with bench.logs.open(path) as opened:
-            return JSONResponse(_told(bench, path, opened, log, run, is_start=request.method == "POST"))
+            return JSONResponse(_state(bench, path, opened, log, run, is_start=request.method == "POST"))
 
     def stop(request: Request) -> Response:
-        """End the prediction of a run over what the page shows, for all pages that wait for it."""
+        """End the prediction of a run for the page's log, for all pages that wait for it."""
         bench.folders.log(place, request.path_params["log"])
         run = bench.folders.run(request.path_params["run"])
         bench.predictions.stop(bench.predictions.key(request.query_params.get("log", ""), run))
@@ -56,13 +56,13 @@ def prediction_routes(bench: Workbench, place: Place) -> list[Route]:
 
     at = f"/{place}/{{log}}/predictions"
     return [
-        Route(f"{at}/{{run}}", asked, methods=["GET", "POST"]),
+        Route(f"{at}/{{run}}", prediction, methods=["GET", "POST"]),
         Route(f"{at}/{{run}}/stop", stop, methods=["POST"]),
         Route(f"{at}/rows/{{key}}", column),
     ]
 
 
-def _told(
+def _state(
     bench: Workbench, path: Location, opened: OpenLog, log: str, run: Path, *, is_start: bool
 ) -> dict[str, object]:
     fingerprint = opened.log.fingerprint
@@ -70,25 +70,25 @@ def _told(
         raise WebError("the log has changed since this page has read it: choose the run again, or reload it", 409)
     bench.folders.bring_run(run, NETWORK_FILES)
     key = bench.predictions.key(fingerprint, run)
-    told: dict[str, object] = {"key": key, "name": printable(run.name), "about": None, "problem": ""}
+    state: dict[str, object] = {"key": key, "name": printable(run.name), "about": None, "problem": ""}
     before = bench.predictions.predicting(key)
     was_done = before is not None and before.is_done  # then what it has made is there
     if (found := bench.predictions.find(key)) is not None:
-        return {**told, "about": msgspec.to_builtins(found.about)}
+        return {**state, "about": msgspec.to_builtins(found.about)}
     pictures = len(opened.log.pictures(camera_topic("center")).sequence)
     if not pictures:
-        return {**told, "problem": "no picture of the centre camera in this log: a network has nothing to see"}
+        return {**state, "problem": "no picture of the centre camera in this log: a network has nothing to see"}
     if is_start:
         check_network(run, path, bench.folders.run_place(run))
         bench.predictions.start(key, path, fingerprint, run, pictures)
     predicting = bench.predictions.predicting(key)
     if predicting is None:
-        return told
+        return state
     problem = predicting.problem
     if was_done and predicting is before and not problem:
         problem = "the prediction could not be kept: the cache folder may be full"
     return {
-        **told,
+        **state,
         "problem": problem,
         "is_begun": predicting.is_begun,
         "pictures": predicting.pictures,

@@ -23,7 +23,7 @@ from web.errors import WebError
 from web.pages.workbench import Workbench
 from web.server.templates import render
 
-_LOOK_EVERY_S: Final = 0.1
+_POLL_S: Final = 0.1
 _POLICY: Final = "; ".join(  # the viewer is a program of Rerun's: it reaches nothing but this server
     (
         "default-src 'none'",
@@ -68,25 +68,25 @@ def rerun_routes(bench: Workbench) -> list[Route]:
 
 def rerun_log_routes(bench: Workbench, place: Place) -> list[Route]:
     def open_log(request: Request) -> Response:
-        """Lines of JSON: where the viewer is, as soon as it can be opened, what is said of the log, and what ends
-        it. It lives as long as somebody reads them."""
+        """Lines of JSON: the viewer's address, as soon as it can be opened, notes on the log, and the reason of
+        its end. The viewer lives as long as these lines are read."""
         path = bench.folders.log(place, request.path_params["log"])
         is_growing = path.name.endswith(PART_SUFFIX) and is_being_written(path)
         with bench.logs.open(path) as opened:
             late_s = 1e-9 * (opened.first_time_ns - opened.log.time_range_ns[0])
 
-        async def told() -> AsyncIterator[str]:
+        async def lines() -> AsyncIterator[str]:
             viewer = None
             try:
                 viewer = await run_in_threadpool(bench.viewers.open, path, is_growing=is_growing)
-                is_told, notes = False, 0
+                is_announced, notes = False, 0
                 while not viewer.is_ended and not request.scope["is_ending"]():
-                    if not is_told and (is_told := viewer.is_listening()):
+                    if not is_announced and (is_announced := viewer.is_listening()):
                         yield _line(frame=f"/rerun/{viewer.key}", late_s=late_s, is_growing=is_growing)
                     for note in viewer.notes[notes:]:
                         notes += 1
                         yield _line(note=note)
-                    await anyio.sleep(_LOOK_EVERY_S)
+                    await anyio.sleep(_POLL_S)
                 yield _line(problem=viewer.why_ended() if viewer.is_ended else "bc-web has ended")
             except UserError as error:
                 yield _line(problem=printable(str(error)))
@@ -94,7 +94,7 @@ def rerun_log_routes(bench: Workbench, place: Place) -> list[Route]:
                 if viewer is not None:
                     bench.viewers.end(viewer)
 
-        return StreamingResponse(told(), media_type="application/x-ndjson")
+        return StreamingResponse(lines(), media_type="application/x-ndjson")
 
     return [Route(f"/{place}/{{log}}/rerun", open_log, methods=["POST"])]
 

@@ -29,13 +29,13 @@ _MOST_NUMBERS: Final = 12  # of a result
 def run_routes(bench: Workbench) -> list[Route]:
     def page(request: Request) -> Response:
         live = runs_version(bench)
-        return HTMLResponse(render("run.html", live=live, **_told(request)))
+        return HTMLResponse(render("run.html", live=live, **_context(request)))
 
     def body(request: Request) -> Response:
-        return HTMLResponse(render("run_body.html", **_told(request)))
+        return HTMLResponse(render("run_body.html", **_context(request)))
 
     def worst_picture(request: Request) -> Response:
-        """What the network saw of the worst frame of that number after that epoch."""
+        """The network's picture of the worst frame of that number after that epoch."""
         epoch, number = request.path_params["epoch"], request.path_params["number"]
         path = bench.folders.run(request.path_params["run"])
         pictures = next((found for found in bench.runs.history(path).worst if found.epoch == epoch), None)
@@ -43,7 +43,7 @@ def run_routes(bench: Workbench) -> list[Route]:
             raise WebError(f"{path}: no such frame after epoch {epoch}", 404)
         return Response(pictures.jpegs[number], media_type="image/jpeg")
 
-    def _told(request: Request) -> dict[str, Any]:
+    def _context(request: Request) -> dict[str, Any]:
         key = request.path_params["run"]
         path = bench.folders.run(key)
         card = next((found for found in bench.runs.cards(PATIENCE_S) if found.key == key), None)
@@ -76,12 +76,12 @@ def _is_of_index(run: Path, index: Path) -> bool:
 def _settings(path: Path) -> dict[str, str]:
     try:
         return run_settings(path)
-    except UserError:  # between two looks
+    except UserError:  # changed since the card was read
         return {}
 
 
 def _sessions(folders: ProjectFolders, card: RunCard) -> list[tuple[str, str]]:
-    """The sessions that it learnt from, and where their pages are; "" for those that are not here."""
+    """The sessions that it learnt from, and the addresses of their pages; "" for those that are not here."""
     return [
         (printable(name), log_address(folders, name)) for name in (card.summary.sessions if card.summary else ())
     ]
@@ -94,17 +94,17 @@ def log_address(folders: ProjectFolders, session: str) -> str:
 
 
 def _results(folders: ProjectFolders, card: RunCard) -> list[dict[str, Any]]:
-    """What `bc-eval` has measured of its present weights: the last of each kind."""
+    """The results of `bc-eval` for its present weights: the last of each kind."""
     found = []
     for kept in card.summary.results if card.summary else ():
         log = kept.result.get("log")
-        told = {
+        shown = {
             "way": kept.way,
             "when": printable(kept.measured_at[:16].replace("T", " ")),
             "numbers": _numbers(kept.result),
             "log": log_address(folders, Path(log).name.removesuffix(".mcap")) if isinstance(log, str) else "",
         }
-        found.append(told)
+        found.append(shown)
     return found
 
 
@@ -130,15 +130,15 @@ def _drives(bench: Workbench, run: str) -> list[tuple[str, str, str]]:
     ]
 
 
-def _worst(bench: Workbench, path: Path, card: RunCard, asked: str) -> dict[str, Any]:
-    """The worst frames after the epoch that was kept, or the one that is asked for."""
+def _worst(bench: Workbench, path: Path, card: RunCard, requested: str) -> dict[str, Any]:
+    """The worst frames after the epoch that was kept, or the requested one."""
     try:
         history = bench.runs.history(path)
     except UserError as error:
         return {"worst": [], "epochs": [], "epoch": 0, "kept": 0, "problem": printable(str(error))}
     kept = card.summary.kept_epoch if card.summary else 0
     by_epoch = {found.epoch: found for found in history.worst}
-    epoch = int(asked) if asked.isascii() and asked.isdigit() and len(asked) < 9 else kept
+    epoch = int(requested) if requested.isascii() and requested.isdigit() and len(requested) < 9 else kept
     if epoch not in by_epoch and by_epoch:
         epoch = max(by_epoch)
     frames = []

@@ -1,4 +1,4 @@
-"""The list of runs; the curves of chosen ones over each other, and what their settings differ in."""
+"""The list of runs; the curves of chosen ones over each other, and the differences in their settings."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ MOST_CHOSEN: Final = 8
 
 
 @dataclass(frozen=True)
-class AskedRuns:
-    """What the form above the list asks for."""
+class RunQuery:
+    """The values of the form above the list."""
 
     text: str
     sort: str
     chosen: tuple[str, ...]  # keys of runs
 
     @classmethod
-    def of(cls, query: QueryParams) -> AskedRuns:
-        """What makes no sense is as if it were not there."""
+    def of(cls, query: QueryParams) -> RunQuery:
+        """The query of an address, without invalid values."""
         sort = query.get("sort", "newest")
         chosen = tuple(dict.fromkeys(query.getlist("run")))[:MOST_CHOSEN]
         return cls(query.get("text", "").strip(), sort if sort in SORTED_BY else "newest", chosen)
@@ -46,48 +46,48 @@ class AskedRuns:
 def run_list_routes(bench: Workbench) -> list[Route]:
     def page(request: Request) -> Response:
         live = runs_version(bench)  # before the runs are read
-        asked = AskedRuns.of(request.query_params)
+        query = RunQuery.of(request.query_params)
         return HTMLResponse(
-            render("runs.html", asked=asked, live=live, sorts=list(SORTED_BY), **_list(asked), **_differing(asked))
+            render("runs.html", query=query, live=live, sorts=list(SORTED_BY), **_list(query), **_differing(query))
         )
 
     def rows(request: Request) -> Response:
-        return HTMLResponse(render("run_rows.html", **_list(AskedRuns.of(request.query_params))))
+        return HTMLResponse(render("run_rows.html", **_list(RunQuery.of(request.query_params))))
 
     def differences(request: Request) -> Response:
-        return HTMLResponse(render("run_differences.html", **_differing(AskedRuns.of(request.query_params))))
+        return HTMLResponse(render("run_differences.html", **_differing(RunQuery.of(request.query_params))))
 
     def curves(request: Request) -> Response:
-        """Of each chosen run, its lines; or why it has none."""
+        """The lines of each chosen run, or the problem why it has none."""
         found = []
-        for key, path in _chosen(AskedRuns.of(request.query_params)):
-            told: dict[str, Any] = {"key": key, "name": printable(path.name), "lines": {}, "problem": ""}
+        for key, path in _chosen(RunQuery.of(request.query_params)):
+            shown: dict[str, Any] = {"key": key, "name": printable(path.name), "lines": {}, "problem": ""}
             try:
-                told["lines"] = run_curves(bench.runs.history(path))
+                shown["lines"] = run_curves(bench.runs.history(path))
             except UserError as error:
-                told["problem"] = printable(str(error))
-            found.append(told)
+                shown["problem"] = printable(str(error))
+            found.append(shown)
         return JSONResponse(found)
 
-    def _list(asked: AskedRuns) -> dict[str, Any]:
+    def _list(query: RunQuery) -> dict[str, Any]:
         folder = bench.folders.runs
         cards = bench.runs.cards(PATIENCE_S)
         return {
-            "cards": _sorted([card for card in cards if _has(card, asked.text)], asked.sort),
+            "cards": _sorted([card for card in cards if _has(card, query.text)], query.sort),
             "total": len(cards),
-            "chosen": {key: number for number, (key, _) in enumerate(_chosen(asked), 1)},
+            "chosen": {key: number for number, (key, _) in enumerate(_chosen(query), 1)},
             "driven": driven_words,
             "folder": printable(str(folder)),
             "problem": bench.folders.runs_problem,
         }
 
-    def _chosen(asked: AskedRuns) -> list[tuple[str, Any]]:
+    def _chosen(query: RunQuery) -> list[tuple[str, Any]]:
         there = bench.folders.run_folders()
-        return [(key, there[key]) for key in asked.chosen if key in there]
+        return [(key, there[key]) for key in query.chosen if key in there]
 
-    def _differing(asked: AskedRuns) -> dict[str, Any]:
+    def _differing(query: RunQuery) -> dict[str, Any]:
         names, settings, problems = [], [], []
-        for _, path in _chosen(asked):
+        for _, path in _chosen(query):
             try:
                 settings.append(run_settings(path))
             except UserError as error:
@@ -105,16 +105,16 @@ def run_list_routes(bench: Workbench) -> list[Route]:
 
 
 def _sorted(cards: Sequence[RunCard], by: str) -> list[RunCard]:
-    """Those that cannot be read, or are not read yet, come last."""
+    """The cards in order; those that cannot be read, or are not read yet, come last."""
     known = [(order_of(by, card.summary), card) for card in cards if card.summary]
     known.sort(key=lambda pair: pair[0])
     return [card for _, card in known] + [card for card in cards if not card.summary]
 
 
 def _has(card: RunCard, text: str) -> bool:
-    """Whether all words of the text are in what is told of the run."""
-    told = [card.name, card.state]
+    """Whether all words of the text are in the run's name, state, network, recipe or sessions."""
+    words = [card.name, card.state]
     if card.summary:
-        told += [card.summary.network, card.summary.recipe, *card.summary.sessions]
-    lower = " ".join(told).casefold()
+        words += [card.summary.network, card.summary.recipe, *card.summary.sessions]
+    lower = " ".join(words).casefold()
     return all(word in lower for word in text.casefold().split())

@@ -51,14 +51,14 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         )
 
     def version(request: Request) -> Response:
-        """What tells whether `state`, `rows` or `tags` have to be asked for again."""
-        bench.folders.look(place)
+        """The versions of the log and its tags, which change when `state`, `rows` or `tags` are outdated."""
+        bench.folders.refresh(place)
         bench.logs.drop_changed()
         path = path_of(request)
         is_growing = path.name.endswith(PART_SUFFIX) and is_being_written(path)
         version_of = bench.folders.version_of
-        told = {"log": version_of(path), "tags": version_of(tags_path(path)), "growing": is_growing}
-        return JSONResponse(told | {"problem": bench.folders.problem(place)})
+        versions = {"log": version_of(path), "tags": version_of(tags_path(path)), "growing": is_growing}
+        return JSONResponse(versions | {"problem": bench.folders.problem(place)})
 
     def state(request: Request) -> Response:
         path = path_of(request)
@@ -85,8 +85,8 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         rows = [(tag.first_row, tag.last_row, number[tag.name]) for tag in found.tags]
         return JSONResponse({"version": found.version, "names": names, "tags": rows, "stale": found.stale})
 
-    def look(request: Request) -> Response:
-        """Begin to decode all pictures, to find those that are frozen or broken; or how far that is."""
+    def check_pictures(request: Request) -> Response:
+        """The progress of the check for frozen and broken pictures, which decodes all; POST starts it."""
         path = path_of(request)
         with bench.logs.open(path) as opened:
             fingerprint = opened.log.fingerprint
@@ -111,7 +111,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         Route(f"{at}/tags", tags),
         Route(f"{at}/names", known_names),
         Route(f"{at}/tags", change, methods=["POST"]),
-        Route(f"{at}/look", look, methods=["GET", "POST"]),
+        Route(f"{at}/look", check_pictures, methods=["GET", "POST"]),
     ]
 
 
@@ -138,5 +138,5 @@ def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
             (stretch.flag, stretch.first, stretch.last)
             for stretch in (odd_stretches(log, states, findings) if len(states.row) else ())
         ],
-        "looked": findings is not None and findings.against is not None,
+        "pictures_checked": findings is not None and findings.against is not None,
     }

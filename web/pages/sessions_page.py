@@ -39,8 +39,8 @@ ONLY: Final[dict[str, Callable[[SessionCard], bool]]] = {
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What the form above the list asks for."""
+class SessionQuery:
+    """The values of the form above the list."""
 
     text: str = ""
     sort: str = "newest"
@@ -48,8 +48,8 @@ class Asked:
     where: str = ""
 
     @classmethod
-    def of(cls, query: Mapping[str, str]) -> Asked:
-        """What makes no sense, because somebody typed the address, is as if it were not there."""
+    def of(cls, query: Mapping[str, str]) -> SessionQuery:
+        """The query of an address, without invalid values."""
         sort, only = query.get("sort", "newest"), query.get("only", "all")
         return cls(
             query.get("text", "").strip(),
@@ -67,7 +67,7 @@ class Listed:
     total: int
     reading: int  # logs that are not read yet
     rows: dict[str, int]  # by key: rows that the condition holds for
-    looked: int | None  # logs that the condition has been asked of; None where there is none
+    searched: int | None  # logs that the condition was evaluated on; None where there is none
     where_problem: str
 
 
@@ -76,17 +76,17 @@ def session_list_routes(bench: Workbench) -> list[Route]:
         return RedirectResponse("/sessions")
 
     def page(request: Request) -> Response:
-        asked = Asked.of(request.query_params)
-        version = sessions_version(bench)  # before anything is looked at: what changes meanwhile is seen
-        shown = _list(asked)
+        query = SessionQuery.of(request.query_params)
+        version = sessions_version(bench)  # before anything is read, so that later changes are noticed
+        shown = _list(query)
         choices = {"sorts": list(SORTS), "only": list(ONLY)}
-        return HTMLResponse(render("sessions.html", asked=asked, live=version, **choices, **shown))
+        return HTMLResponse(render("sessions.html", query=query, live=version, **choices, **shown))
 
     def rows(request: Request) -> Response:
-        return HTMLResponse(render("session_rows.html", **_list(Asked.of(request.query_params))))
+        return HTMLResponse(render("session_rows.html", **_list(SessionQuery.of(request.query_params))))
 
-    def _list(asked: Asked) -> dict[str, Any]:
-        found = list_sessions(bench, asked)
+    def _list(query: SessionQuery) -> dict[str, Any]:
+        found = list_sessions(bench, query)
         folder = bench.folders.sessions
         demo = printable(shlex.join(form_of("demo").words({}, bench.folders)))
         return {
@@ -103,34 +103,34 @@ def session_list_routes(bench: Workbench) -> list[Route]:
     ]
 
 
-def list_sessions(bench: Workbench, asked: Asked) -> Listed:
-    """The sessions that are asked for, in the order that is asked for."""
+def list_sessions(bench: Workbench, query: SessionQuery) -> Listed:
+    """The sessions that match the query, in its order."""
     cards = bench.cards.cards("sessions", _PATIENCE_S)
-    chosen = [card for card in cards if ONLY[asked.only](card) and _has(card, asked.text.casefold())]
+    chosen = [card for card in cards if ONLY[query.only](card) and _has(card, query.text.casefold())]
     rows: dict[str, int] = {}
-    looked: int | None = None
+    searched: int | None = None
     problem = ""
-    if asked.where:
+    if query.where:
         readable: dict[Location, SessionCard] = {card.path: card for card in chosen if not card.problem}
         try:
-            counts = bench.searches.rows(asked.where, list(readable), _PATIENCE_S)
+            counts = bench.searches.rows(query.where, list(readable), _PATIENCE_S)
         except UserError as error:
             problem = str(error)
         else:
-            looked = len(counts)
+            searched = len(counts)
             rows = {readable[path].key: count for path, count in counts.items() if count}
             chosen = [card for card in chosen if card.key in rows]
-    chosen.sort(key=lambda card: (card.info is None, SORTS[asked.sort](card) if card.info else 0, card.name))
+    chosen.sort(key=lambda card: (card.info is None, SORTS[query.sort](card) if card.info else 0, card.name))
     reading = sum(card.info is None and not card.problem for card in cards)
-    return Listed(chosen, len(cards), reading, rows, looked, problem)
+    return Listed(chosen, len(cards), reading, rows, searched, problem)
 
 
 def _has(card: SessionCard, text: str) -> bool:
-    """Whether all words of the text are in what is told of the session."""
+    """Whether all words of the text are in the session's name, tags, flags, states or metadata."""
     if not text:
         return True
-    told: Sequence[str] = (card.name, *card.tags, *card.flags, card.index.words, card.state)
+    words: Sequence[str] = (card.name, *card.tags, *card.flags, card.index.words, card.state)
     if card.info:
-        told = (*told, card.info.start, *card.info.session.values())
-    lower = " ".join(told).casefold()
+        words = (*words, card.info.start, *card.info.session.values())
+    lower = " ".join(words).casefold()
     return all(word in lower for word in text.split())

@@ -21,7 +21,7 @@ from web.pages.workbench import Workbench
 
 
 class TagChange(msgspec.Struct, forbid_unknown_fields=True):
-    """What a page asks for: a name for rows of the log with that fingerprint, or that it be taken away again."""
+    """A request of a page: to add a name to rows of the log with that fingerprint, or to remove it."""
 
     action: Literal["add", "remove"]
     name: str
@@ -63,7 +63,7 @@ def _changed(bench: Workbench, place: Place, path: Location, change: TagChange) 
         return {"changed": False, "command": "", "notice": ""}
     notice = _notice(change.name, there, names_known(bench, place, path)) if is_add else ""
     (add_tag if is_add else remove_tag)(path, change.log, tag)
-    bench.folders.see(tags_path(path))
+    bench.folders.refresh_object(tags_path(path))
     return {"changed": True, "command": command_of(path, change), "notice": notice}
 
 
@@ -76,7 +76,7 @@ def names_known(bench: Workbench, place: Place, path: Location) -> set[str]:
 
 
 def _notice(name: str, there: set[Tag], used: set[str]) -> str:
-    """A name that nobody has used yet is perhaps one that was mistyped."""
+    """A notice about a name that is not in use yet: it may be mistyped."""
     if any(tag.name == name for tag in there):
         return ""
     return "" if name in used else f"new tag {name!r}. {did_you_mean(name, used)}".strip()

@@ -1,4 +1,4 @@
-"""What the pages share: the folders they show, and what is kept of them in memory and in the cache."""
+"""The state that pages share: the folders they show, and what is kept of them in memory and in the cache."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from web.data.where_search import WhereSearches
 
 @dataclass(frozen=True)
 class Workbench:
-    """One for each server. Nothing in it is state: all of it can be read anew from the folders."""
+    """The shared objects of a server. All of them can be built anew from the folders."""
 
     folders: ProjectFolders
     cache: CacheFolder

@@ -1,1 +1,1 @@
-"""The web server: who may ask it, how it starts and stops, templates, and what an error looks like."""
+"""The web server: the check of requests, start and stop, templates, and responses for errors."""

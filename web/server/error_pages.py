@@ -1,4 +1,4 @@
-"""What an error looks like: a page for somebody who opens an address, JSON for a script."""
+"""Responses for errors: a page where a browser opens an address, JSON for a script."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from starlette.types import Scope
 from common import UserError
 from common.errors import StoreError, printable
 from common.output import safe_line
-from web.errors import WebError, tell_bug
+from web.errors import WebError, report_bug
 from web.server.templates import render
 
 
@@ -50,7 +50,7 @@ def on_os_error(request: Request, error: Exception) -> Response:
 
 def on_bug(request: Request, error: Exception) -> Response:
     """Anything else is a mistake of ours: its traceback is on the command's stderr."""
-    return error_answer(request.scope, WebError(tell_bug(error, "a bug of the workbench"), 500))
+    return error_answer(request.scope, WebError(report_bug(error, "a bug of the workbench"), 500))
 
 
 HANDLERS = {UserError: on_user_error, HTTPException: on_http_error, OSError: on_os_error, Exception: on_bug}

@@ -1,7 +1,7 @@
-"""Who may ask: the check of each request's Host, Origin and token, and the headers of each answer.
+"""Access control: the check of each request's Host, Origin and token, and the headers of each response.
 
 A page of another site, open in the same browser, can send requests to this machine. Its `Host` is not one of ours
-(DNS rebinding) or its `Origin` not that of our own pages; `Sec-Fetch-Site` says so of requests without an Origin
+(DNS rebinding) or its `Origin` not that of our own pages; `Sec-Fetch-Site` shows it for requests without an Origin
 (https://www.w3.org/TR/fetch-metadata/). Programs that are no browsers send neither, and need not be kept out: they
 can read the files themselves. Where others can reach the port, everything needs the token that was printed.
 """
@@ -107,7 +107,7 @@ class RequestGuard:
             raise WebError("asked by a page of another site: only the workbench's own pages may ask", 403)
 
     def _check_token(self, scope: Scope) -> ASGIApp | None:
-        """Whoever has brought the token in the address gets a cookie, and is sent to the address without it."""
+        """A request with the token in its address gets a cookie, and is redirected to the address without it."""
         headers = Headers(scope=scope)
         given = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
         in_address = next((value for name, value in given if name == TOKEN), "")
@@ -138,11 +138,11 @@ def _cookie(headers: Headers) -> str:
 
 
 def _check_size(scope: Scope) -> None:
-    """A body without a length is refused too: nobody needs to send one."""
+    """Refuse a body that is too long, or has no length, which no client of ours sends."""
     if scope["method"] in ("GET", "HEAD"):
         return
     length = Headers(scope=scope).get("content-length", "")
     if not (length.isascii() and length.isdigit() and len(length) < 12):
-        raise WebError("a request with a body tells its length (Content-Length)", 411)
+        raise WebError("a request with a body needs its length (Content-Length)", 411)
     if int(length) > MOST_BODY_BYTES:
         raise WebError(f"a request of {int(length):,} bytes: at most {MOST_BODY_BYTES:,} are taken", 413)

@@ -15,7 +15,7 @@ from common.interrupts import leave_signals_to_main_thread
 from recorder.errors import ListenError
 from recorder.server.listening_socket import listen, send_at_once
 
-_LAST_ANSWERS_S: Final = 2  # for those who are being answered when the server stops
+_LAST_ANSWERS_S: Final = 2  # for requests that are being answered when the server stops
 _TICK_S: Final = 0.2
 
 
@@ -53,12 +53,12 @@ class WorkbenchServer:
         self._thread.start()
 
     def serve_until(self, is_stopped: Callable[[float], bool]) -> None:
-        """Serve until `is_stopped`, which waits as long as it is told, says so; or the server ends by itself."""
+        """Serve until `is_stopped`, called with the seconds to wait, is true, or the server ends by itself."""
         while self._thread.is_alive() and not is_stopped(_TICK_S):
             pass
 
     def stop(self) -> None:
-        """End it; whoever is being answered gets a moment more."""
+        """End it; requests that are being answered get a moment more."""
         self._server.should_exit = True
         self._thread.join()
         self._socket.close()

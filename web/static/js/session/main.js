@@ -213,7 +213,7 @@ function showTags() {
     onRemove: (taken) => change(() => done.make("remove", taken.name, taken.rows)),
   });
   curves.mark({});
-  by("look").hidden = data.state.looked || !data.state.cameras.length;
+  by("look").hidden = data.state.pictures_checked || !data.state.cameras.length;
   page.dataset.tags = data.tags.length; // what is shown now, for whoever waits for it
 }
 
