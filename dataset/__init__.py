@@ -1,4 +1,4 @@
-"""From logs to what training reads: preprocessing, the index, steering bins and balance, and the loader."""
+"""The way from logs to training: preprocessing, the index, steering bins and balance, and the loader."""
 
 from behavioural_cloning_toolkit import refuse_hidden
 

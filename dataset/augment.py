@@ -1,4 +1,4 @@
-"""Alterations: what a filling copy's picture gets, so that the network never sees the same one twice.
+"""Alterations of a filling copy's picture, so that the network never sees the same one twice.
 
 Each takes a picture, (height, width, 3) BGR uint8, and gives a new one; its strength is drawn from a random
 generator.

@@ -97,7 +97,7 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
     code = print_log_notices(indexed, config.folder, config.sessions)
     for notice in _one_sided(indexed, config):
         code = warn(notice)
-    if others:  # said here, so that training need not
+    if others:  # reported here, so that training need not
         names = ", ".join(map(printable, others))
         print_message(
             f"{config.index}: does not hold {names}; `bc-index` without names takes in all of {config.folder}"
@@ -142,7 +142,7 @@ def _refuse_contradictions(config: Index) -> None:
 
 
 def _one_sided(indexed: Indexed, config: Index) -> list[str]:
-    """A line for a split without samples, unless that is what was asked for."""
+    """A line for a split without samples, unless the settings mean that."""
     counts = indexed.counts.values()
     if not any(count.training for count in counts):
         return [

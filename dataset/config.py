@@ -14,7 +14,7 @@ from dataset.augment import Alteration
 from dataset.prediction_targets import MOST_AHEAD_S
 
 CORRECTION_SIGNS: Final[Mapping[Camera, float]] = {"center": 0.0, "left": 1.0, "right": -1.0}
-"""The side correction's sign in the label of each camera that is trained on unless others are asked for."""
+"""The side correction's sign in the label of each camera that is trained on by default."""
 
 Drives = Literal["all", "takeovers"]
 Labels = Literal["auto", "as-recorded"]
@@ -22,10 +22,10 @@ Labels = Literal["auto", "as-recorded"]
 
 @dataclass(frozen=True)
 class IndexConfig:
-    """How frames become balanced samples. What is not of the recipe is as in the original project."""
+    """Settings that make balanced samples of frames. Those that no recipe sets are as in the original project."""
 
     EARLIER: ClassVar[Mapping[str, Any]] = {"recipe": "original", "labels": "as-recorded"}
-    """How the original project did, and earlier versions of this one, which had none of these settings."""
+    """The values by which the original project worked, and earlier versions of this one without these settings."""
 
     recipe: Recipe = "people"
     """Defaults: people: what learns best from people (--labels auto); original: as the original project did."""

@@ -1,4 +1,4 @@
-"""Views from beside the line for training: which there are, and what is seen from them.
+"""Views from beside the line for training: their places, and their pictures.
 
 A network that has only seen the middle of the road does not know what to do beside it. Side cameras show that from
 two places; of the centre camera's pictures, any other place can be warped (`dataset/viewpoint.py`).
@@ -19,13 +19,13 @@ from dataset.viewpoint import Viewpoint
 from recorder.log.session_car import OUTLINE_PX, UDACITY
 
 VIEWPOINT: Final = "viewpoint"
-"""What a sample that shows such a view has among its alterations."""
+"""The alteration of a sample that shows such a view."""
 MOST_LEFT_M: Final = 0.8  # to either side, about as far as the side cameras
 MOST_TURN_RAD: Final = math.radians(6.0)
 
 LAST_VIEW: Final = 0xFFFF_FFFF
-"""The largest number of a view. In a sample's seed the bits above are what else is done to it, 0 where it is shown
-for the first time."""
+"""The largest number of a view. In a sample's seed the bits above are those of its other alterations, 0 where it
+is shown for the first time."""
 
 _MOST: Final = 0xFFFF  # a view's number: 16 bits for where it is, 16 for how it is turned
 

@@ -35,7 +35,7 @@ _STYLE: Final[Any] = {
 
 
 def require_matplotlib(error: type[UserError]) -> None:
-    """Raise `error`, which says how to install it, if matplotlib is missing."""
+    """Raise `error`, which names the command that installs it, if matplotlib is missing."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:

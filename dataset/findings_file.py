@@ -24,7 +24,7 @@ def write_findings(path: Path, findings: msgspec.Struct) -> None:
 
 
 def read_findings(path: Path, kind: type[Findings], most_bytes: int) -> Findings | None:
-    """What the file holds; None if there is none, or it is a link, larger than `most_bytes`, or damaged."""
+    """The findings in the file; None if there is none, or it is a link, larger than `most_bytes`, or damaged."""
     try:
         if path.is_symlink() or path.stat().st_size > most_bytes:
             return None

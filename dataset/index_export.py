@@ -1,4 +1,4 @@
-"""What an index uses of its logs, as a LeRobot dataset."""
+"""Export of the frames that an index uses, as a LeRobot dataset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`bc-index export`: what an index uses of its logs, in the format of another toolkit."""
+"""`bc-index export`: the frames that an index uses, in the format of another toolkit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Four figures of an index for a paper: preprocessing, augmentation, balance, and how the sessions were steered.
+"""Four figures of an index for a paper: preprocessing, augmentation, balance, and the sessions' steering.
 
     write_figures(Path("index"), Path("figures"))
 
@@ -149,7 +149,7 @@ def draw_augmentation(moment: Moment, config: IndexConfig, seed: int) -> Figure:
 
 
 def draw_balance(distribution: Distribution, config: IndexConfig) -> Figure:
-    """Training samples by steering: before, and after with the copies told apart."""
+    """Training samples by steering: before, and after with the copies in another colour."""
     bins = len(distribution.before)
     edges = np.linspace(-1, 1, bins + 1)
     centers, width = (edges[:-1] + edges[1:]) / 2, 2 / bins * 0.9

@@ -1,4 +1,4 @@
-"""What to say where an index was expected and none is: a name that was misspelt, or a file."""
+"""The error for a place without an index: a name that was misspelt, or a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parquet files that say what they were made from."""
+"""Parquet files with metadata on what they were made from."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ import pyarrow.parquet as pq
 from common import atomic_file
 
 METADATA_KEY: Final = b"bc.index"
-"""Under it, each parquet file of an index says what it was made from."""
+"""The key of that metadata in each parquet file of an index."""
 
 
 METADATA_MOST_BYTES: Final = 1 << 30
-"""Of 100,000 sessions it has 130 MB; Parquet's readers stop at 100 unless they are told otherwise."""
+"""Of 100,000 sessions it has 130 MB; Parquet's readers stop at 100 by default."""
 
 
 def read_schema(source: Path | pa.BufferReader) -> pa.Schema:
-    """The columns of a parquet file, with its metadata, however many sessions that tells of."""
+    """The columns of a parquet file, with its metadata, however many sessions that lists."""
     with pq.ParquetFile(source, thrift_string_size_limit=METADATA_MOST_BYTES) as file:
         return file.schema_arrow
 

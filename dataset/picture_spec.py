@@ -1,4 +1,4 @@
-"""What a network sees of a camera's picture: which rows, in which size and colour order. It belongs to the run."""
+"""The specification of a network's input: the rows of a camera's picture, their size and colour order, by run."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Final, Literal, cast, get_args
 Channels = Literal["BGR", "RGB", "YUV"]
 
 ROWS: Final = 160
-"""The height of the simulator's pictures, whose rows a crop is told in; of others the same share is cut off."""
+"""The height of the simulator's pictures; crops are given in their rows, of others the same share is cut off."""
 LEAST_PX, MOST_PX = 8, 1024
 
 _ROWS_CUT: Final = re.compile(rf"(\d{{1,3}})/{ROWS}", re.ASCII)
@@ -45,7 +45,7 @@ class PictureSpec:
     def from_description(cls, stored: object) -> PictureSpec:
         """That of a run, by its `description`. Raises ValueError for what no version of this toolkit writes."""
         if not isinstance(stored, dict):
-            raise ValueError("not told")
+            raise ValueError("missing")
         if stored.get("resize") != _RESIZE:
             raise ValueError(f"resize {stored.get('resize')!r:.40}")
         channels = stored.get("channels")
@@ -84,7 +84,7 @@ class PictureSpec:
         return self.height_px * self.width_px * 3
 
     def crop_slice(self, height: int) -> slice:
-        """The rows of a picture so high that the network sees."""
+        """The rows that the crop leaves of a picture of this height."""
         return slice(round(height * (self.crop_top / ROWS)), height - round(height * (self.crop_bottom / ROWS)))
 
     def __str__(self) -> str:
@@ -93,7 +93,7 @@ class PictureSpec:
 
 
 def metadata_of(picture: PictureSpec) -> dict[str, str]:
-    """The lines in the metadata of a log or an ONNX file that tell what its network saw."""
+    """The entries of a network's input in the metadata of a log or an ONNX file."""
     return {f"preprocessing.{name}": value for name, value in picture.description.items()}
 
 
@@ -106,4 +106,4 @@ def _number(stored: Mapping[str, Any], name: str, form: re.Pattern[str]) -> int:
 
 
 ORIGINAL: Final = PictureSpec()
-"""What the original project's network sees, and that of every run of earlier versions."""
+"""The input of the original project's network, and of every run of earlier versions."""

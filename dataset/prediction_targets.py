@@ -1,4 +1,4 @@
-"""Targets: what a network learns to answer to a picture. The first is always steering; a run may have more.
+"""Targets: the numbers that a network learns to predict. The first is always steering; a run may have more.
 
 With one target, labels and answers are arrays (N,); with several (N, K), in the order in which the run names them,
 steering first. All are numbers of the order of 1, so that their errors can be added.
@@ -56,8 +56,8 @@ def steering_in(values: Values) -> Values:
 
 
 def speed_ahead_s_in(settings: object) -> float:
-    """How much later the speed is driven that is learnt, by the settings of an index (`IndexConfig`) as a file has
-    them; 0 where they do not say."""
+    """The time from a picture to the speed that is its label, from the settings of an index (`IndexConfig`) as a
+    file has them; 0 if they do not have it."""
     seconds = settings.get("speed_ahead_s") if isinstance(settings, dict) else None
     return float(seconds) if isinstance(seconds, int | float) and 0 <= seconds <= MOST_AHEAD_S else 0.0
 

@@ -1,4 +1,4 @@
-"""From the simulator's picture to what the network sees: one function for training, driving and viewing."""
+"""Preprocessing of a camera's picture to the network's input: one function for training, driving and viewing."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def preprocess(picture: Image, spec: PictureSpec = ORIGINAL) -> Image:
 
 
 def crop_of(picture: Image, spec: PictureSpec = ORIGINAL) -> Image:
-    """What a network sees of a camera picture (height, width, 3), still in BGR.
+    """The crop of a camera picture (height, width, 3) that a network sees, still in BGR.
 
     The crop is a share of the height, so that pictures of another size show the same part of the world.
     """
@@ -66,7 +66,7 @@ def in_channels(crop: Image, spec: PictureSpec) -> Image:
 
 
 def as_bgr(crop: Image, spec: PictureSpec) -> Image:
-    """A network's input as BGR, to be looked at; itself, where it is BGR."""
+    """A network's input as BGR, to be shown; itself, where it is BGR."""
     if spec.channels == "BGR":
         return crop
     return cv2.cvtColor(crop, _TO_BGR[spec.channels]).astype(np.uint8, copy=False)

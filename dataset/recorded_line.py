@@ -89,7 +89,7 @@ class CarBesideLine:
         """Hold `steering` for `seconds`, while the recorded car drives on with its steering `recorded`, from one
         speed to another.
 
-        Both are held alike: whoever steers as it was driven stays on the line, however far rows are apart. The car
+        Both are held alike: with the recorded steering the car stays on the line, however far rows are apart. It
         is as fast as it must be to stay abreast, and is turned by 45 degrees at most.
         """
         steps = max(1, math.ceil(seconds / _STEP_S))

@@ -1,4 +1,4 @@
-"""A figure of an index's sessions: how each was steered, and what is learnt of it."""
+"""A figure of an index's sessions: the steering of each, and its labels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The picture from beside where a recorded one was taken: warped to a car that is moved and turned.
+"""The view from beside the place of a recorded picture: warped to a car that is moved and turned.
 
 Below the horizon every pixel is taken for a point of a level road, above it for one infinitely far away: the first
 move as the plane of the road does, the second only turn with the car. What stands up from the road near by (curbs,
@@ -31,7 +31,7 @@ _KNOWN: Final = 255
 
 @dataclass(frozen=True)
 class WarpedView:
-    """A picture from a place where nobody took one."""
+    """A picture from a place where none was taken."""
 
     picture: Image  # (height, width, 3) BGR
     is_known: Mask  # (height, width); where nothing is known, the picture goes on as at the edge of what is
@@ -74,7 +74,7 @@ class Viewpoint:
         }
 
     def nearest(self, left_m: float, turn_rad: float, cameras: Collection[Camera]) -> Camera:
-        """Which of `cameras` stands nearest to the centre camera of a car that is moved and turned."""
+        """The one of `cameras` that stands nearest to the centre camera of a car that is moved and turned."""
         aside_m = left_m + self.geometry.forward_m * math.sin(turn_rad)
         return min(cameras, key=lambda camera: abs(self.geometry.left_m[camera] - aside_m))
 

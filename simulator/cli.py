@@ -24,7 +24,7 @@ from simulator.protocol.client import NoHostError, SimulatorClient, WaitTimeoutE
 class Sim:
     """Connect to bc-drive as the Udacity simulator does.
 
-    Drives the built-in track --track; or, with --replay, tells recorded pictures as telemetry.
+    Drives the built-in track --track; or, with --replay, sends recorded pictures as telemetry.
     """
 
     track: str = "lake"
@@ -36,15 +36,15 @@ class Sim:
     real_time: bool = False
     """Let simulated time pass no faster than the clock. Otherwise it waits for each answer, and hurries."""
     tell_world: bool = False
-    """Tell with each telemetry what the real simulator does not: time, place, laps, what the expert would do."""
+    """Send with each telemetry what the real simulator does not: time, place, laps, the expert's command."""
     expert_speed: float = 10.0
-    """Set speed in mph of the expert whose commands --tell-world tells."""
+    """Set speed in mph of the expert whose commands --tell-world sends."""
     leave_off_road: bool = False
-    """Leave a car that is off the road to whoever drives; put it back only after 15 s without progress."""
+    """Leave a car that is off the road to its driver; put it back only after 15 s without progress."""
     replay: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """A recording of the Udacity simulator: the pictures of its centre camera are told in their order."""
+    """A recording of the Udacity simulator: the pictures of its centre camera are sent in their order."""
     count: int | None = None
-    """How many pictures of --replay to tell; all of them by default."""
+    """How many pictures of --replay to send; all of them by default."""
     host: str = "127.0.0.1"
     """Where bc-drive listens."""
     port: int = 4567
@@ -60,7 +60,7 @@ def sim(config: Sim) -> int:
     if not 0 <= config.wait < math.inf:
         raise UsageError(f"--wait {config.wait:g}: how long to wait is a number of seconds")
     if config.count is not None and (config.count < 1 or config.replay is None):
-        raise UsageError(f"--count {config.count}: how many pictures of --replay to tell is a number above 0")
+        raise UsageError(f"--count {config.count}: how many pictures of --replay to send is a number above 0")
     client = SimulatorClient(config.host, config.port, wait_s=config.wait)
     try:
         return _run_replay(config, client) if config.replay is not None else _run_drive(config, client)
@@ -133,7 +133,7 @@ def _run_replay(config: Sim, client: SimulatorClient) -> int:
         raise UsageError("--tell-world: nobody knows the world of --replay's pictures; leave one of them out")
     driven = ("track", "laps", "rate", "real_time", "leave_off_road", "expert_speed")
     if flags := flags_given(config, *driven):
-        raise UsageError(f"{flags}: of driving, and --replay only tells pictures; leave them out")
+        raise UsageError(f"{flags}: of driving, and --replay only sends pictures; leave them out")
     pictures = pictures_of(config.replay)[: config.count]
     print_message(f"bc-sim: connecting to {client.url}")
     start_s = 0.0
@@ -141,12 +141,12 @@ def _run_replay(config: Sim, client: SimulatorClient) -> int:
     def jpegs() -> Iterator[bytes]:
         nonlocal start_s
         start_s = time.perf_counter()  # now that somebody listens
-        for path in track(pictures, "telling", len(pictures)):
+        for path in track(pictures, "sending", len(pictures)):
             yield path.read_bytes()
 
     replay(client, jpegs())
     seconds = time.perf_counter() - start_s
-    answers = client.steers + client.manuals  # whoever only listens answers each by `manual`
+    answers = client.steers + client.manuals  # a server that only listens answers each by `manual`
     result = {
         "telemetries": client.telemetries,
         "answers": answers,

@@ -1,6 +1,6 @@
 """The built-in simulator as a Gymnasium environment: `gymnasium.make("simulator:bc/Lake-v0")`.
 
-Gymnasium is an extra: `pip install "behavioural-cloning-toolkit[gym]"`. docs/gymnasium.md tells what the
+Gymnasium is an extra: `pip install "behavioural-cloning-toolkit[gym]"`. docs/gymnasium.md describes what the
 environments give and take.
 """
 
@@ -75,7 +75,7 @@ class DrivingEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._simulation = Simulation(track)
         self.course = self._simulation.course
-        """Where the car is, and how far it has come."""
+        """The car's place, and its progress."""
         self._cameras = tuple(cameras)
         self._end_m = laps * self._simulation.track.line.length_m
         self._expert = Expert(self._simulation.track.line, EXPERT_MPH)

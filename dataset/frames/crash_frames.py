@@ -1,4 +1,4 @@
-"""The frames of a log that are from crashes: what is steered there says nothing about the road."""
+"""The frames of a log that are from crashes: their steering has nothing to do with the road."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from recorder import Log
 
 Driver = Literal["", "pilot", "human", "expert"]
 DRIVERS: Final[tuple[Driver, ...]] = get_args(Driver)
-"""In the order of PilotCommand.Driver; empty where nobody says, as in a session that is no drive."""
+"""In the order of PilotCommand.Driver; empty where it is unknown, as in a session that is no drive."""
 
 EXPERT: Final = DRIVERS.index("expert")
 _TAKEOVERS: Final = (EXPERT, DRIVERS.index("human"))

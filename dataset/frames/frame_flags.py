@@ -27,7 +27,7 @@ Stretches = tuple[tuple[Position, Position], ...]
 
 @dataclass(frozen=True)
 class ImageFindings:
-    """What decoding all pictures of a log has found."""
+    """The findings of decoding all pictures of a log."""
 
     pictures: int  # that were checked
     broken: Mapping[Camera, Stretches]  # positions among a camera's pictures (`Log.pictures`)

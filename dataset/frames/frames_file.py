@@ -1,4 +1,4 @@
-"""`index/frames/SESSION.parquet`: one row a camera picture, with where in the log its bytes lie."""
+"""`index/frames/SESSION.parquet`: one row a camera picture, with the place of its bytes in the log."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ FRAMES_SCHEMA: Final = pa.schema(
         pa.field("chunk", pa.int64()),  # where in the log the compressed chunk begins that holds it; -1: in none
         # steering: where an expert drove, what he commanded
         *(pa.field(name, pa.float64()) for name in (*VEHICLE_COLUMNS, *TOPIC_COLUMNS)),
-        pa.field("driver", pa.string()),  # "pilot", "expert", "human"; "" where nobody says
+        pa.field("driver", pa.string()),  # "pilot", "expert", "human"; "" if it is unknown
         pa.field("drive", pa.int64()),
         pa.field("block", pa.int64()),
         pa.field("split", pa.string()),  # "train", "validation", or "gap": left out between the two
@@ -81,18 +81,18 @@ def frames_metadata(log: Log, index: Path, config: IndexConfig, tags: Sequence[T
 
 
 def file_if_rewritten(fingerprint: str, file: str) -> dict[str, str]:
-    """What is kept of a log besides its fingerprint, where that is of another file with the same content."""
+    """The file's own fingerprint, kept beside the log's if that is of another file with the same content."""
     return {} if file == fingerprint else {"file": file}
 
 
 def relative_log_path(log: Location, index: Location) -> str:
-    """How an index names a log: by its path from the index, so that both can be moved together, also into a
-    bucket; where only one of them is in a bucket, by the log's URL."""
+    """The name of a log in an index: its path from the index, so that both can be moved together, also into a
+    bucket; where only one of them is in a bucket, the log's URL."""
     return relative_to(log, index)
 
 
 def log_place(named: str, index: Location) -> Location:
-    """Where a log is that an index names so. Raises DatasetError for what names no place."""
+    """The place of a log that an index names so. Raises DatasetError for a name that is no place."""
     try:
         if "://" in named:
             return location(named)
@@ -131,7 +131,7 @@ def _damaged(path: Path, error: Exception) -> FramesError:
 
 @dataclass(frozen=True)
 class Extent:
-    """How many frames a session has, and when the first and the last of them were."""
+    """Number of frames of a session, and the times of the first and the last."""
 
     frames: int
     first_ns: int
@@ -139,8 +139,8 @@ class Extent:
 
 
 def extent_of(path: Path) -> Extent:
-    """Of a frames file, as its end tells, without reading a frame. Raises FramesError if it is missing or
-    damaged."""
+    """The extent of a frames file, from its end alone, without reading a frame. Raises FramesError if it is
+    missing or damaged."""
     try:
         about = pq.read_metadata(path)
     except (OSError, pa.ArrowException) as error:

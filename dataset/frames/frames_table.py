@@ -1,4 +1,4 @@
-"""The frames of a log: its pictures, paired with the vehicle states and with who drove at each."""
+"""The frames of a log: its pictures, paired with the vehicle states and with the driver at each."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]
 
 
 def driven_states(log: Log) -> tuple[States, NDArray[np.int8]]:
-    """The vehicle states of a log (N,), and who drove at each, as a position in `DRIVERS`.
+    """The vehicle states of a log (N,), and the driver at each, as a position in `DRIVERS`.
 
-    Where an expert drove, the steering is what he commanded at that picture, for it is that which he would teach:
-    the wheels follow later. Raises LogError for a damaged log.
+    Where an expert drove, the steering is his command at that picture, which a network is to learn: the wheels
+    follow later. Raises LogError for a damaged log.
     """
     states = States.of(log.vehicle())
     commands = read_commands(log)
@@ -65,8 +65,8 @@ def frames_of(
     driver: NDArray[np.int8] | None = None,
     others: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> pa.Table:
-    """The frames of a session from its vehicle states, from where its pictures lie, from who drove at each state
-    (as `driven_states` gives it; without, nobody says), and from its `topic_columns` (without, NaN)."""
+    """The frames of a session from its vehicle states, the places of its pictures, the driver at each state (as
+    `driven_states` gives it; None: unknown), and its `topic_columns` (None: NaN)."""
     if driver is None:
         driver = np.zeros(len(states.row), np.int8)
     drive = drive_numbers(states.time_ns)

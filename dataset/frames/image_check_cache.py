@@ -42,7 +42,7 @@ def check_images(
     """Decode every camera picture of a log, on all cores or in so many `threads`, and with bounded memory; and
     compare those of the centre camera with the steering.
 
-    `on_decoded` is told how many more are decoded. Raises LogError if the log is damaged.
+    `on_decoded` is called with the number decoded since the last call. Raises LogError if the log is damaged.
     """
     from recorder.log.steering_against_pictures import against_pictures  # OpenCV
 

@@ -36,7 +36,7 @@ def paired_rows(
 
 
 def moments(frames: pa.Table) -> NDArray[np.void]:
-    """Row and log time of each frame (N,): what tells one moment of a log from another."""
+    """Row and log time of each frame (N,), which identify a moment of a log."""
     found = np.empty(len(frames), [("row", np.int64), ("log_time_ns", np.int64)])
     for name in ("row", "log_time_ns"):
         found[name] = frames[name].to_numpy()

@@ -92,12 +92,12 @@ from recorder.pictures.picture_size import width_and_height
 
 
 class _StaleStateError(Exception):
-    """A file is not what its size and time tell, or has changed at this very moment."""
+    """A file is not that of its size and time, or has changed at this very moment."""
 
 
 @dataclass(frozen=True)
 class Indexed:
-    """An index that was built: its sessions, and what there is to say of them."""
+    """An index that was built: its sessions, and their notices."""
 
     path: Path
     sessions: list[str]
@@ -136,7 +136,7 @@ def build_index(
     (`leave_out_unreadable`: it is left out, and the notices name it), DatasetError if nothing in them can be used,
     if two of them have the same name or a picture in common, if `config` names a session that is not among them,
     or if a file cannot be written; and what `check_settings` does. `passed_over` are the sessions that somebody
-    chose not to have in the index: `sessions_not_indexed` does not tell of them. `tasks` reads the logs: here, or
+    chose not to have in the index: `sessions_not_indexed` does not list them. `tasks` reads the logs: here, or
     on a cluster (`common.ray_cluster`), which comes to the same bytes. With `divide_from_frames` or more, the
     samples are a file a session (`dataset.samples.divided_writer`).
     """
@@ -186,8 +186,8 @@ def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -
 
 
 def _car_to_warp(path: Location, entry: BuiltLog) -> Car:
-    """The car of a session; its log is opened again only where nothing is known of it. Raises DatasetError for one
-    whose pictures cannot be warped: nothing tells where its cameras stand, or how much their crops show to either
+    """The car of a session; its log is opened again only if the car is unknown. Raises DatasetError for one whose
+    pictures cannot be warped: the places of its cameras are unknown, or how much their crops show to either
     side."""
     has_several_sizes = entry.has_several_sizes
     car = car_in({CAR_KEY: entry.car}, path) if entry.car else None
@@ -209,7 +209,7 @@ def _car_to_warp(path: Location, entry: BuiltLog) -> Car:
 
 
 def _implied_car(log: Log) -> str:
-    """The name of the car that a log which tells none is of; empty if nobody knows."""
+    """The name of the car of a log that stores none; empty if it is unknown."""
     try:
         return "udacity" if car_of(log) == UDACITY else "built-in"
     except RecordingError:
@@ -342,7 +342,7 @@ def _unchanged(
 ) -> BuiltLog | None:
     """The entry of a session whose frames are up to date, if its log need not be opened to know that.
 
-    One that was left out is always tried again: whether a file may be read, its size and time do not tell.
+    One that was left out is always tried again: its size and time do not show whether it may be read now.
     """
     entry = state.logs.get(name)
     file = index / FRAMES_FOLDER / f"{name}.parquet"
@@ -380,7 +380,7 @@ def _read_or_error(
 
 
 def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Path) -> BuiltLog:
-    """Read a log, all of it: its fingerprint does not tell of damage within a chunk. Its frames file is put into
+    """Read a log, all of it: its fingerprint does not show damage within a chunk. Its frames file is put into
     `stage`, unless the index has the very same.
 
     Raises LogError for a log that is damaged, or whose name no index can hold.
@@ -427,7 +427,7 @@ def _mixed(log: Location, entry: BuiltLog) -> str:
 
 
 def _about_car(entry: BuiltLog, views_car: Car | None) -> dict[str, Any]:
-    """What the samples' metadata tells of a session's car: what its log does, and what its views are taken by."""
+    """The entry of a session's car in the samples' metadata: that of its log, or the one of its views."""
     steering = {"max_steering_deg": entry.max_steering_deg}
     car = metadata_of(views_car).get(CAR_KEY, entry.car)
     return {

@@ -1,4 +1,4 @@
-"""`index/state.json`: what the files were from which an index was made, so that unchanged ones need not be opened.
+"""`index/state.json`: the state of the files that an index was made from, so that unchanged ones are not opened.
 
 Sizes and times of modification; it may be deleted at any time: then every log is read again.
 """
@@ -34,14 +34,14 @@ class BuiltLog(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     fingerprint: str = ""  # of its content; empty if it was left out
     file: str = ""  # the fingerprint of the file, in which pictures have their places
     frames: Stat = None  # of its frames file
-    notice: str = ""  # what to tell a person
+    notice: str = ""  # for a person
     has_crcs: bool = True
     driven_by: str = ""  # the machine that drove it
     set_speeds_mph: tuple[float, ...] | None = None  # of its driver; None in what earlier versions have written
     sizes_px: list[tuple[int, int]] = []  # width and height of the first picture of each camera
     max_steering_deg: float = MAX_STEERING_DEG  # of its wheels, at steering 1
-    car: str = ""  # as the log tells it, in JSON
-    implied_car: str = ""  # its name, where the log tells none and it is known from where the session comes
+    car: str = ""  # as the log stores it, in JSON
+    implied_car: str = ""  # its name, if the log stores none and it is known from the session's source
     has_several_sizes: bool | None = None  # of pictures, one camera; None in what earlier versions have written
     is_mixed: bool = False  # in a store, with its rows among its pictures: all of it was moved
 

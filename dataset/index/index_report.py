@@ -42,7 +42,7 @@ def sessions_table(indexed: Indexed) -> Table:
 
 
 def labels_table(labels: Mapping[str, SessionLabels]) -> Table:
-    """How each session was steered, and what is learnt of it."""
+    """The table of each session's steering habits, and of its labels."""
     table = Table(box=None, pad_edge=False, title="steering", title_justify="left")
     for heading in ("session", *STEERING_HEADINGS, "labels"):
         table.add_column(heading, no_wrap=heading in STEERING_HEADINGS, overflow="fold")
@@ -75,8 +75,8 @@ def balance_table(balance: Balance) -> Table:
 
 
 def print_log_notices(indexed: Indexed, folder: Location, sessions: Sequence[str] = ()) -> int:
-    """Print what a person should know of the logs of an index, and of recordings in `folder` that are not finished
-    (with `sessions`, of these only); the exit code that says so."""
+    """Print the notices of an index's logs, and of recordings in `folder` that are not finished (with `sessions`,
+    of these only). Returns 3 if there are any, else 0."""
     code = max([DONE, *map(warn, [*indexed.notices, *unfinished_recordings(folder, sessions)])])
     for remark in [*indexed.remarks, *mixed_sizes(indexed.sizes_px)]:
         print_message(remark)

@@ -1,7 +1,7 @@
-"""The check for leaks: what is held out for validation must not be, or nearly be, what training sees.
+"""The check for leaks: pictures held out for validation must not be among those of training, nor nearly so.
 
-Reads the parquet files as anybody could, and computes anew what was promised: of what wrote them, only the rows
-and times of the frames are believed. (That two sessions share a picture is refused when an index is built.)
+It reads the parquet files as anybody could, and computes the promise anew: only the rows and times of the frames
+are taken on trust. (That two sessions share a picture is refused when an index is built.)
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How each session of an index was steered, and so what is done to its labels.
+"""The steering habits of each session of an index, and the plan of its labels.
 
 A lag that was measured in pictures is kept in `index/lags/SESSION.json`, so that it is measured once.
 """
@@ -85,7 +85,7 @@ def _labels(config: IndexConfig, habits: SteeringHabits, known: _Stored | None, 
 
 
 def habits_of_frames(file: Path, max_steering_deg: float = MAX_STEERING_DEG) -> SteeringHabits:
-    """How the rows of a session that have pictures were steered; `max_steering_deg` is that of its car
+    """Steering habits of the rows of a session that have pictures; `max_steering_deg` is that of its car
     (steering 1). Raises FramesError for a damaged file."""
     names = ("row", "log_time_ns", *VEHICLE_COLUMNS)
     frames: pa.Table = read_frames(file, names)
@@ -112,7 +112,7 @@ def _measure(path: Location, index: Path, session: str, fingerprint: str) -> _St
 
 
 def _read_lag(index: Path, session: str, fingerprint: str) -> _Stored | None:
-    """What was measured in the log with this fingerprint; None if nothing was, or the file is damaged."""
+    """The lag measured in the log with this fingerprint; None if none was, or the file is damaged."""
     stored = read_findings(_path(index, session), _Stored, _MOST_BYTES)
     return stored if stored is not None and stored.fingerprint == fingerprint else None
 

@@ -1,4 +1,4 @@
-"""An index changes whole or not at all: what is new is written beside it first, and then all of it gets its name.
+"""An index changes whole or not at all: new files are written beside it first, and then all get their names.
 
 Several files cannot be renamed in one step. So the frames files that are replaced, or whose sessions the new index
 does not hold, are moved out first, and divided samples come beside the old ones; then the new samples.parquet
@@ -9,7 +9,7 @@ of sessions that samples.parquet holds, and were made from the same logs; and th
     index/new.XXXXXX.part/samples/DIGEST/SESSION.parquet                        where samples are divided
     index/new.XXXXXX.part/old/SESSION.parquet                                   what was moved out
 
-`old` tells that everything new was on the disk: what a killed build left is then carried through, or else removed.
+`old` shows that everything new was on the disk: a killed build is then carried through, and else removed.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""An index in a store: brought here, built here, and then put there, whole or not at all.
+"""An index in a store: fetched, built on this machine, and then sent, whole or not at all.
 
-What is read of it there is samples.parquet, and divided samples, if it has some. These go up first, beside the old
-ones, and then samples.parquet, on the condition that it is still the one which came down: of two machines that
-index at once one wins, and the other is told. The rest is what the next build, on any machine, need not do again;
-until it is up, that build reads some logs once more. Divided samples that samples.parquet names no more go last.
+Readers use samples.parquet, and divided samples, if it has some. These are sent first, beside the old ones, and
+then samples.parquet, on the condition that it is still the one that was fetched: of two machines that index at
+once one wins, and the other gets an error. The rest saves work to the next build, on any machine; until it is sent,
+that build reads some logs once more. Divided samples that samples.parquet names no more are removed last.
 """
 
 from __future__ import annotations

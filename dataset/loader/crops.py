@@ -108,7 +108,7 @@ class Crops:
         """A picture's name for people: session, row and camera."""
         rows = self._rows
         log, offset, chunk = self._logs[rows.session[number]], int(rows.offset[number]), rows.chunk[number]
-        with contextlib.suppress(LogError):  # of an earlier version, that is damaged: no row of it is told then
+        with contextlib.suppress(LogError):  # a damaged log of an earlier version, whose rows are not listed
             for camera in CAMERAS:
                 found = log.pictures(camera_topic(camera))
                 at = np.flatnonzero((found.offset == offset) & (found.chunk == chunk))

@@ -37,7 +37,7 @@ from dataset.samples.samples_reader import Samples, Split
 
 DEFAULT_BUDGET_BYTES: Final = 1 << 30
 
-_AHEAD: Final = 256  # pictures decoded before they are asked for, 13 MB: more fall out of the caches
+_AHEAD: Final = 256  # pictures decoded ahead, 13 MB: more fall out of the caches
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class Loader(Closeable):
 
     @property
     def decoded(self) -> NDArray[np.bool_]:
-        """Of which samples (N,) the picture decodes, as far as they were asked for by now."""
+        """True for samples (N,) whose picture decodes, or was not read yet."""
         return ~np.isin(self.rows.picture, list(self._undecoded))
 
     def pictures_of(self, samples: NDArray[np.int64]) -> Image:

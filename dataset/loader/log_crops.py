@@ -63,7 +63,7 @@ class LogCrops(Closeable):
 
     @property
     def about_car(self) -> dict[str, str]:
-        """What the log's metadata tells of its car."""
+        """The car's entry in the log's metadata."""
         return metadata_of(stored_car(self._log))
 
     @property
@@ -75,7 +75,7 @@ class LogCrops(Closeable):
         count = len(pictures.sequence)
         if not count:
             raise DatasetError(
-                f"{self._log.path}: no picture of the centre camera in it; `bc-log info` tells what is"
+                f"{self._log.path}: no picture of the centre camera in it; `bc-log info` lists what is"
             )
         self.row: NDArray[np.int64] = pictures.sequence
         self.log_time_ns: NDArray[np.int64] = pictures.log_time_ns

@@ -32,7 +32,7 @@ class LogViews(Closeable):
     call `close()`."""
 
     def __init__(self, path: Location | str, car: str = "auto", picture: PictureSpec = ORIGINAL) -> None:
-        """Raises LogError for a damaged log or tags, RecordingError where nothing tells of which car it is."""
+        """Raises LogError for a damaged log or tags, RecordingError if its car is unknown."""
         self.path = location(path)
         self.session = session_name(self.path)
         self.picture = picture

@@ -1,4 +1,4 @@
-"""Looking ahead in an epoch's order: what the next batches need of logs in stores is fetched before they ask.
+"""Look-ahead in an epoch's order: chunks of logs in stores are fetched before the next batches need them.
 
 The order is a function of (seed, epoch), so it is known; nothing of it changes. Chunks that lie side by side come
 in one request, and as many requests are on their way as a store answers at a time.
@@ -22,7 +22,7 @@ from recorder import Log
 
 _AT_ONCE: Final = 16  # requests: at 50 ms each and 4 MB, more than 1 GB/s
 _MOST_BYTES: Final = 1 << 28  # on their way
-_MOST_SAMPLES: Final = 1 << 15  # looked at ahead of the batch that is asked for
+_MOST_SAMPLES: Final = 1 << 15  # ahead of the batch that is wanted now
 
 _LOG: Final = logging.getLogger(__name__)
 
@@ -59,7 +59,7 @@ class LookAhead(Closeable):
 
     def parts(self, parts: Iterable[Numbers], wanted: Callable[[Numbers], Numbers]) -> Iterator[Numbers]:
         """The same parts, in their order. `wanted`: the pictures that have to be read for some samples."""
-        asked: dict[int, NDArray[np.bool_]] = {}  # of each log, its chunks that were asked for in this pass
+        requested: dict[int, NDArray[np.bool_]] = {}  # of each log, its chunks that were requested in this pass
         ahead, samples = deque[Numbers](), 0
         coming = iter(parts)
         is_over = False
@@ -75,7 +75,7 @@ class LookAhead(Closeable):
                     break
                 ahead.append(part)
                 samples += len(part)
-                pictures, part_bytes = self._not_asked(wanted(part), asked)
+                pictures, part_bytes = self._not_requested(wanted(part), requested)
                 new.append(pictures)
                 new_bytes += part_bytes
             self._fetch(new)
@@ -84,14 +84,14 @@ class LookAhead(Closeable):
             samples -= len(ahead[0])
             yield ahead.popleft()
 
-    def _not_asked(self, pictures: Numbers, asked: dict[int, NDArray[np.bool_]]) -> tuple[Numbers, int]:
-        """One picture of each chunk that nobody has asked for yet, and the bytes of these chunks."""
+    def _not_requested(self, pictures: Numbers, requested: dict[int, NDArray[np.bool_]]) -> tuple[Numbers, int]:
+        """One picture of each chunk that was not requested yet, and the bytes of these chunks."""
         pictures = pictures[self._chunk[pictures] >= 0]
         chosen, size = [], 0
         for session in np.unique(self._session[pictures]).tolist():
             log = self._logs[session]
             assert log.fetched is not None  # noqa: S101
-            known = asked.setdefault(session, np.zeros(len(log.chunks), np.bool_))
+            known = requested.setdefault(session, np.zeros(len(log.chunks), np.bool_))
             of_session = pictures[self._session[pictures] == session]
             chunks, first = np.unique(self._chunk[of_session], return_index=True)
             is_new = ~known[chunks]
@@ -121,12 +121,12 @@ class LookAhead(Closeable):
             with self._lock:
                 self._coming_bytes -= size
             if not future.cancelled():
-                future.exception()  # whoever needs one of these chunks asks again, and is told
+                future.exception()  # a batch that needs one of these chunks requests it again, and gets the error
 
         return done
 
     def _warn_if_too_small(self) -> None:
-        """Say so where a chunk will have gone from the disk before its next picture is asked for."""
+        """Log a warning if chunks will have gone from the disk before their next picture is read."""
         size, most = 0, 0
         for number, log in enumerate(self._logs):
             if log.fetched is not None:

@@ -1,4 +1,4 @@
-"""Prefetching: threads decode batches before they are asked for."""
+"""Prefetching: threads decode batches ahead."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _JOBS: Final = 4  # for each thread of a part: small enough that none waits long
 Numbers = NDArray[np.int64]
 Failed = dict[int, UnusablePictureError]
 Fill = Callable[[Image, Numbers], Failed]
-"""Writes the pictures of some numbers into an array; returns those that have none, and why."""
+"""Writes the pictures of some numbers into an array; returns the numbers without one, and the reasons."""
 
 
 def prefetched(

@@ -26,7 +26,7 @@ class Balanced:
 
 @dataclass(frozen=True)
 class Quota:
-    """How many samples of each bin are used: so many of its candidates once, and copies of these; (bins,)."""
+    """The number of samples that each bin gives: candidates used once, and copies of these; (bins,)."""
 
     originals: NDArray[np.int64]
     copies: NDArray[np.int64]
@@ -46,7 +46,7 @@ def balance(
 
 
 def quota_of(counts: NDArray[np.int64], max_uses: int, per_bin: PerBin) -> tuple[Quota, int, dict[int, int]]:
-    """What `balance` uses of bins with so many candidates; what it brings them to, and what they lack of it."""
+    """The quota of bins with `counts` candidates, the count that each is brought to, and what bins lack of it."""
     filled = np.flatnonzero(counts)
     target = _target(counts[filled], per_bin) if len(filled) else 0
     originals = np.minimum(counts, target)
@@ -62,7 +62,7 @@ def quota_of(counts: NDArray[np.int64], max_uses: int, per_bin: PerBin) -> tuple
 def draw(
     bin_index: NDArray[Any], quota: Quota, random: np.random.Generator
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Positions in `bin_index`, as many of each bin as the quota tells; and which of them are copies."""
+    """Positions in `bin_index`, as many of each bin as the quota has; and a mask of those that are copies."""
     counts = np.bincount(bin_index, minlength=len(quota.originals))
     chosen: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
     is_copy: list[NDArray[np.bool_]] = [np.zeros(0, np.bool_)]

@@ -52,7 +52,7 @@ from recorder.log.session_car import UDACITY, Car
 
 @dataclass(frozen=True)
 class _Session:
-    """What a task is told of a session."""
+    """The description of a session for the task that writes its samples."""
 
     name: str
     frames: Path
@@ -110,7 +110,7 @@ def write_divided_samples(
 
 
 def _divide(candidates: NDArray[np.int64], config: IndexConfig) -> tuple[Balance, list[Quota]]:
-    """How so many candidates (sessions, bins) are balanced, and the share of each session."""
+    """The balance of all candidates (sessions, bins), and the quota of each session."""
     before = candidates.sum(axis=0)
     quota, per_bin, short = Quota(before, np.zeros_like(before)), 0, dict[int, int]()
     if config.balance:

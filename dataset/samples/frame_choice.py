@@ -1,4 +1,4 @@
-"""Which frames of a session an index uses: those with a label, that nothing leaves out."""
+"""The choice of a session's frames for an index: those with a label, that nothing leaves out."""
 
 from __future__ import annotations
 

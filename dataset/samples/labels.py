@@ -25,7 +25,7 @@ _ONE: Final = 1 << 40
 """A steering of 1 as an integer: sums of integers are exact, no rounding carries over from stretch to stretch."""
 
 HELD_MPH: Final = 1.0
-"""A driver who is so near to his set speed keeps to it."""
+"""A driver this near to the set speed keeps to it."""
 
 Steering = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -48,9 +48,9 @@ def planned_speed_mph(
     """The speed to be learnt of each of a session's frames (N,), as `later_speed_mph` gives it; as for
     `planned_labels`, none depends on anything but its own stretch.
 
-    `slower_mph` are set speeds of this session's driver, where others were set a higher one: who keeps to such a
-    speed tells nothing of what the road allows but that it is more. There is no label then. (The mean of all that
-    was driven at a place would be too slow on straights.)
+    `slower_mph` are set speeds of this session's driver, if other drivers had a higher one: where he keeps to it,
+    the road may allow more, and there is no label. (The mean of all speeds driven at a place would be too slow on
+    straights.)
     """
     speed_mph = later_speed_mph(frames, _is_good(frames), _side(frames, _is_crashed(frames, plan)), ahead_s)
     for set_mph in slower_mph:
@@ -60,7 +60,7 @@ def planned_speed_mph(
 
 def recorded_throttle(frames: pa.Table) -> NDArray[np.float64]:
     """The throttle less the brake of each frame (N,), -1..1; NaN where they are no such numbers, and throughout a
-    session in which neither is ever touched: nothing drives so, nobody has told them."""
+    session in which neither is ever touched: no car drives so, they were not recorded."""
     pedals = [frames[name].to_numpy() for name in ("throttle", "brake")]
     throttle: NDArray[np.float64] = np.subtract(*pedals)
     has_pedals = any(pedal.any() for pedal in pedals)
@@ -76,7 +76,7 @@ def _is_crashed(frames: pa.Table, plan: LabelPlan) -> NDArray[np.bool_]:
 
 
 def _side(frames: pa.Table, is_crashed: NDArray[np.bool_]) -> NDArray[np.int8]:
-    """Of the split, of who drives, and of crashes: labels do not look from one to another."""
+    """A code (N,) of split, driver and crash: no label depends on frames of another code."""
     side: NDArray[np.int8] = codes(frames["split"], SPLITS) + 4 * codes(frames["driver"], DRIVERS)
     return side + 16 * is_crashed.astype(np.int8)
 
@@ -86,7 +86,7 @@ def labels_of(
 ) -> Steering:
     """The steering to be learnt of each of a session's frames (N,), -1..1; NaN where there is none.
 
-    `is_usable` (N,) tells which frames can be used, `split` (N,) on which side they are. A row of which no frame
+    `is_usable` (N,) marks the frames that can be used, `split` (N,) has their side. A row of which no frame
     can be used is a border. So is an edge of a drive, a gap in time, and where `split` changes: no label depends
     on what lies behind a border. Smoothing is the mean over the rows within half of `smooth_s` on either side, as
     far as the border. Then the label is the steering `shift_s` seconds later (earlier, if negative), between two

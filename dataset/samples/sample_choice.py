@@ -1,4 +1,4 @@
-"""The choice of samples: frames and their mirror images, balanced, and what their copies get."""
+"""The choice of samples: frames and their mirror images, balanced, and the alterations of their copies."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def choose_samples(
 def count_candidates(
     label: NDArray[np.float64], is_training: NDArray[np.bool_], config: IndexConfig
 ) -> NDArray[np.int64]:
-    """How many candidates for training each bin has (bins,)."""
+    """The number of candidates for training in each bin (bins,)."""
     bins, is_training = _candidates(label, is_training, config)
     return np.bincount(bins[is_training], minlength=config.bins)
 
@@ -89,7 +89,7 @@ def _candidates(
 def _with_validation(
     chosen: NDArray[np.int64], is_copy: NDArray[np.bool_], is_training: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """What was chosen for training, and behind it all that is for validation, once."""
+    """The samples chosen for training, and behind them all of validation, once."""
     validation = np.flatnonzero(~is_training)
     return np.concatenate([chosen, validation]), np.concatenate([is_copy, np.zeros(len(validation), np.bool_)])
 

@@ -25,7 +25,7 @@ READABLE_FORMATS: Final = (4, 5, 6)
 """4 has no labels of other targets than steering; 6 has its samples in files beside it, one a session."""
 
 SAMPLES_FOLDER: Final = "samples"
-"""Where they are then, in a folder for each digest; `samples.parquet` has no rows."""
+"""The folder of divided samples, with one for each digest; `samples.parquet` then has no rows."""
 
 DIVIDED_FROM_FRAMES: Final = 100_000_000
 """From so many frames on samples are divided: in one file, they would take the driver 12 GB and minutes."""
@@ -61,7 +61,7 @@ _FOLDER_OF_DIGEST: Final = re.compile("[0-9a-f]{16}")
 
 @dataclass(frozen=True)
 class Division:
-    """How samples are divided into files.
+    """The division of samples into files.
 
     Their folder is named by what they were made from: new ones are there, whole, beside the old ones, before
     `samples.parquet` names them.
@@ -142,7 +142,7 @@ class SessionCounts:
 
 @dataclass(frozen=True)
 class SessionLabels:
-    """How a session was steered, and what was done to its labels for it."""
+    """The steering habits of a session, and the plan of its labels."""
 
     habits: SteeringHabits
     lag: SteeringLag | None  # None: not measured, or nothing to measure it by

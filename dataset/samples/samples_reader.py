@@ -173,7 +173,7 @@ class Samples(Closeable):
 
     @cached_property
     def max_steering_deg(self) -> float:
-        """How far the front wheels turn at steering 1, in all sessions. Raises DatasetError for no angle."""
+        """The angle of the front wheels at steering 1, in all sessions. Raises DatasetError without one."""
         angles_deg = {log.get("max_steering_deg", MAX_STEERING_DEG) for log in self.metadata["logs"].values()}
         degrees = angles_deg.pop() if len(angles_deg) == 1 else None
         if not isinstance(degrees, int | float) or not 0 < degrees < 90:
@@ -214,7 +214,7 @@ class Samples(Closeable):
 
     @property
     def speed_ahead_s(self) -> float:
-        """How much later the speed was driven that is the label of a sample; 0 in an index that does not say."""
+        """The time from a sample's picture to the speed that is its label; 0 in an index that does not have it."""
         return speed_ahead_s_in(self.metadata.get("settings"))
 
     def missing(self, targets: Sequence[TargetName]) -> list[TargetName]:

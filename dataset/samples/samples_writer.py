@@ -144,7 +144,7 @@ def samples_metadata(
     balance: Balance,
     counts: Mapping[str, SessionCounts],
 ) -> dict[str, Any]:
-    """What samples were made from, and how they were balanced."""
+    """The metadata of samples: their sources, settings and balance."""
     return {
         "settings": asdict(config),
         "logs": {name: dict(source) for name, source in logs.items()},

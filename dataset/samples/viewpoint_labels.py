@@ -17,7 +17,7 @@ BACK_S: Final = 2.0
 
 
 def has_way_back(speed_mph: Values) -> NDArray[np.bool_]:
-    """At which speeds a label can be told: not at one that nobody knows, nor where a car only manoeuvres."""
+    """True where a view has a label: not at an unknown speed, nor at that of a car which only manoeuvres."""
     return np.asarray(speed_mph >= SLOW_MPH)
 
 

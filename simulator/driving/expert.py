@@ -39,7 +39,7 @@ class Expert:
     ``set_speed_mph`` is what it keeps where bends allow. ``noise`` is the standard deviation of the human-like
     wandering that is added to its steering (0: none; 0.03 is a calm person), drawn from ``seed``: the same seed
     and course give the same drive. The point that it pursues lies ``LOOK_AHEAD_M`` and the way of ``look_ahead_s``
-    ahead: who answers late has to look farther.
+    ahead: a driver that reacts late has to look farther.
     """
 
     def __init__(

@@ -55,7 +55,7 @@ class KeyboardDriver(Person):
 
 
 def _press_length_s(wanted: float) -> float:
-    """How long a key is held so that the steering, summed over the ramps, is ``wanted`` over the planned time."""
+    """The time to hold a key so that the steering, summed over the ramps, is ``wanted`` over the planned time."""
     area = wanted * _PLANNED_S * (1.0 + _PLANNED_MORE * wanted)
     # Up and down without full lock: two triangles of AXIS_PER_S * held² together. With full lock: held itself.
     return math.sqrt(area / AXIS_PER_S) if area < 1.0 / AXIS_PER_S else area

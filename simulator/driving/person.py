@@ -1,4 +1,4 @@
-"""What drivers like people have in common, whatever they steer by: they look now and then, and answer late."""
+"""The common base of drivers like people, with keys or a mouse: they look now and then, and react late."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _ATTENTION_S = 0.3  # mean time between two looks at where the car goes: exponen
 _LONGEST_INATTENTION_S = 0.75
 
 _DEAD_BAND_SPREAD = 0.4  # of its logarithm: people are not always as patient
-_HOLD_ON = 0.7  # of full lock: whoever still wants this much lets go later than planned
+_HOLD_ON = 0.7  # of full lock: hands that still want this much let go later than planned
 
-_NEW_DRIVE_S = 0.5  # a clock that jumps by more has left out moments: nobody knows what the hands did there
+_NEW_DRIVE_S = 0.5  # a clock that jumps by more has left out moments, in which the hands may have done anything
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Act(ABC):
 
     @abstractmethod
     def is_over(self, time_s: float) -> bool:
-        """Whether the next one can begin."""
+        """True if the next one can begin."""
 
 
 class Person(ABC):
@@ -57,7 +57,7 @@ class Person(ABC):
     """
 
     look_ahead_s: float
-    """As the expert's, and farther: who answers late has to."""
+    """As the expert's, and farther: people react late."""
     dead_band: float
     """Of full lock: the median of what has to be wanted before anything is done."""
 
@@ -83,10 +83,10 @@ class Person(ABC):
 
     @abstractmethod
     def _begin(self, down_s: float, wanted: float) -> Act:
-        """What is done from ``down_s`` on about what is wanted, -1 (left) .. 1 (right)."""
+        """The act that begins at ``down_s`` towards the steering ``wanted``, -1 (left) .. 1 (right)."""
 
     def _look(self, now_s: float, wanted: float) -> None:
-        """Look, if the hands are free or could let go: until then, this is asked again at each step."""
+        """Look, if the hands are free or could let go: until then, it is tried again at each step."""
         if self._act is None or self._act.is_over(now_s):
             self._look_again(now_s)
             if abs(wanted) > self._about(self.dead_band, _DEAD_BAND_SPREAD):

@@ -1,4 +1,4 @@
-"""Whoever drives the built-in simulator: what a driver does, and the drivers by name."""
+"""Drivers of the built-in simulator: their protocol, and the drivers by name."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ DriverName = Literal["expert", "keyboard", "mouse"]
 
 
 class SimulatedDriver(Protocol):
-    """Whoever drives a course. `control` is called at each of the simulator's steps."""
+    """A driver of a course. `control` is called at each of the simulator's steps."""
 
     def control(self, course: Course) -> tuple[float, float]:
         """The command for the course's present state: steering -1 (left) .. 1 (right), throttle -1 .. 1."""

@@ -24,13 +24,13 @@ class Simulation:
         self._renderer = Renderer(world)
 
     def picture(self, camera: Camera = "center", pose: Pose | None = None) -> Picture:
-        """What a camera sees, (160, 320, 3) uint8 BGR, at the car's pose or at another one."""
+        """A camera's picture, (160, 320, 3) uint8 BGR, at the car's pose or at another one."""
         return self._renderer.render(pose or self.course.pose, camera)
 
     def jpeg(self, camera: Camera = "center", pose: Pose | None = None) -> bytes:
         """The same as a JPEG."""
         picture = self.picture(camera, pose)
         ok, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-        if not ok:  # cannot happen with a picture of ours; said rather than lost in silence
+        if not ok:  # cannot happen with a picture of ours; an error rather than a silent loss
             raise RuntimeError("OpenCV could not write a JPEG")
         return encoded.tobytes()

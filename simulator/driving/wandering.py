@@ -14,7 +14,7 @@ class Wandering:
     """Smooth noise over time with a given standard deviation; the same seed gives the same."""
 
     def __init__(self, deviation: float, seed: int) -> None:
-        # The lag takes some of the process's variance away; this much is put in to leave the deviation asked for.
+        # The lag takes some of the process's variance away; this much is put in to leave ``deviation``.
         self._deviation = deviation * math.sqrt(1.0 + LAG_S / TIME_S)
         self._random = np.random.default_rng(seed)
         self._time_s = 0.0

@@ -67,7 +67,7 @@ def drive_autonomously(
     """Drive `laps` from the start, at `rate_hz` telemetries a second of simulated time (it must divide 50).
 
     A car that leaves the road or does not get on is put back on the centre line, and that is counted; with
-    `leave_off_road`, only one that has been stuck for `RECOVERY_LIMIT_S`, for whoever drives may bring it back. A
+    `leave_off_road`, only one that has been stuck for `RECOVERY_LIMIT_S`, for its driver may bring it back. A
     car that gets nowhere for `GIVE_UP_S` ends the drive. With `real_time`, simulated time passes no faster than
     the clock. With `expert`, each telemetry holds the world too, and what the expert would command where its
     picture was taken. `progress` is called with the laps driven so far, `lost` when the server has gone, which is

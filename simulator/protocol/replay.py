@@ -54,7 +54,7 @@ def replay(client: SimulatorClient, jpegs: Iterable[bytes], speed_mph: float = 9
         waiting, lost = waiting - (client.bad_steers - lost), client.bad_steers
         if isinstance(received, SteerCommand):
             commands.append(received)
-        if received is not None:  # also `manual`, which whoever only listens gives
+        if received is not None:  # also `manual`, from a server that only listens
             waiting -= 1
         jpeg = next(pictures, None)
         if jpeg is None:

@@ -47,7 +47,7 @@ class RayCaster:
     def inverse_distance(self, eye: Eye, side: tuple[float, float], up: tuple[float, float]) -> Field:
         """One over the forward distance (1/m) to the ground, (ROWS, COLUMNS) float32, 0 for the sky.
 
-        Column and row say where the line of sight pierces a vertical plane one metre ahead of the eye: columns run
+        Column and row give the point where the line of sight pierces a vertical plane one metre ahead: columns run
         from ``side[0]`` to ``side[1]`` metres to the left, rows from ``up[0]`` to ``up[1]`` metres up.
         """
         slopes = self._slopes(eye, np.linspace(*side, COLUMNS, dtype=np.float32)[None, :])

@@ -1,4 +1,4 @@
-"""The centre line of a closed road: where a place on the road is, and where on the road a place is."""
+"""The centre line of a closed road: positions from arc lengths, and arc lengths from positions."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Centreline:
         turn = np.roll(self.heading_rad, -1) - np.roll(self.heading_rad, 1)
         self.curvature_per_m: Floats = ((turn + np.pi) % (2 * np.pi) - np.pi) / (2 * self.step_m)
         self.slope: Floats = tangent[:, 2] / (2 * self.step_m)
-        # Lists, because `at` and `project` are asked many times a step, and an element of an array takes longer.
+        # Lists, because `at` and `project` are called many times a step, and an element of an array takes longer.
         columns = (*self.points_m.T, self.heading_rad, self.curvature_per_m, self.slope)
         self._points: list[tuple[float, ...]] = list(zip(*(column.tolist() for column in columns), strict=True))
         self._directions = [(float(np.cos(each)), float(np.sin(each))) for each in self.heading_rad]

@@ -1,4 +1,4 @@
-"""Closed roads with hairpins, made from a seed: who does not slow down for them leaves the road.
+"""Closed roads with hairpins, made from a seed: a car that does not slow down for them leaves the road.
 
 A road is a ring of four to six corners. Two or three of its sides have a pair of hairpins like the mountain's, one
 to either side: the road turns back beside itself, and on again.

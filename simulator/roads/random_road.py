@@ -1,4 +1,4 @@
-"""Closed roads made from a seed, for evaluation on roads that nobody trained on."""
+"""Closed roads made from a seed, for evaluation on roads that were not trained on."""
 
 from __future__ import annotations
 
