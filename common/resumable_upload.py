@@ -297,8 +297,8 @@ def _text(error: ClientError) -> str:
     status = _status_of(error)
     phrase = next((each.phrase for each in http.HTTPStatus if each == status), "Error")
     message = error.response["Error"].get("Message", "")
-    told = f"<Code>{_code_of(error)}</Code><Message>{message}</Message>"
-    return f"server returned non-2xx status code: {status} {phrase}: {told}"
+    elements = f"<Code>{_code_of(error)}</Code><Message>{message}</Message>"
+    return f"server returned non-2xx status code: {status} {phrase}: {elements}"
 
 
 def _code_of(error: ClientError) -> str:

@@ -154,6 +154,52 @@ def test_no_two_public_classes_have_the_same_name() -> None:
     assert {name: found for name, found in places.items() if len(found) > 1} == {}
 
 
+# A name says what a thing is: received, reported, stored, listed, a message; never who tells what to whom.
+RIDDLES = {"told", "tell", "tells", "said", "say", "says", "seen", "who", "whom", "whose", "whoever"}
+NO_RIDDLES = {
+    "seen",  # the documented keyword of `load` and `SamplesDataset`; and a set of what a loop has met
+    "tell",  # of a file object
+    "tell_world",  # the flag of bc-sim
+}
+
+
+def named(path: Path) -> Iterator[tuple[int, str]]:
+    """Line and name of a file itself, and of each function, class, parameter, variable and attribute in it."""
+    yield 1, path.stem
+    for node in ast.walk(parsed(path)):
+        match node:
+            case (
+                ast.FunctionDef(name=name)
+                | ast.AsyncFunctionDef(name=name)
+                | ast.ClassDef(name=name)
+                | ast.arg(arg=name)
+                | ast.Name(id=name, ctx=ast.Store())
+                | ast.Attribute(attr=name, ctx=ast.Store())
+            ):
+                yield node.lineno, name
+
+
+def is_riddle(name: str) -> bool:
+    words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)
+    return name not in NO_RIDDLES and not RIDDLES.isdisjoint(map(str.lower, words))
+
+
+@pytest.mark.parametrize("room", sorted(MAY_IMPORT.keys() - {"web"}))
+def test_names_are_the_words_of_the_field(room: str) -> None:
+    paths = (path for path in SOURCES if path.is_relative_to(ROOT / room))
+    assert [f"{path}:{line} {name}" for path in paths for line, name in named(path) if is_riddle(name)] == []
+
+
+def test_riddles_among_names_are_found(tmp_path: Path) -> None:
+    source = tmp_path / "told.py"
+    source.write_text(
+        "class Seen:\n    is_told = True\n\n\ndef tells(who_asks):\n    self._SAID = seen = stream.tell()\n"
+        "    told_by = foretold = stream\n"
+    )
+    found = [name for _, name in named(source) if is_riddle(name)]
+    assert sorted(found) == ["Seen", "_SAID", "is_told", "tells", "told", "told_by", "who_asks"]
+
+
 def test_no_room_imports_the_tests_or_the_benchmarks() -> None:
     helpers = {path.stem for path in (ROOT / "tests").rglob("*.py")} | {"tests", "benchmarks"}
     assert [path for path in SOURCES for _, name in imported(path) if name.split(".")[0] in helpers] == []

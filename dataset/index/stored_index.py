@@ -2,8 +2,8 @@
 
 Readers use samples.parquet, and divided samples, if it has some. These are sent first, beside the old ones, and
 then samples.parquet, on the condition that it is still the one that was fetched: of two machines that index at
-once one wins, and the other gets an error. The rest saves work to the next build, on any machine; until it is sent,
-that build reads some logs once more. Divided samples that samples.parquet names no more are removed last.
+once one wins, and the other gets an error. The rest saves work to the next build, on any machine; until it is
+sent, that build reads some logs once more. Divided samples that samples.parquet names no more are removed last.
 """
 
 from __future__ import annotations

@@ -43,14 +43,14 @@ class SamplesDataset(Closeable):
     ) -> None:
         """Raises DatasetError if there is no index, if it is damaged or does not fit its logs."""
         self._index = absolute(location(index))  # a worker may run elsewhere
-        self._seen = seen
+        self._spec = seen
         samples = Samples(self._index)
         self._logs = samples.logs
         try:
             self._sources = samples.sources
             samples.refuse_missing(targets)
             self._rows = samples.rows_of_split(split, targets)
-            self._crops = Crops(self._rows, self._logs, 0, self._seen)
+            self._crops = Crops(self._rows, self._logs, 0, self._spec)
         except BaseException:
             self.close()
             raise
@@ -67,7 +67,7 @@ class SamplesDataset(Closeable):
         if self._process != os.getpid():
             self._open()
         sample = at.__index__()
-        picture = np.empty((1, *self._seen.shape), np.uint8)
+        picture = np.empty((1, *self._spec.shape), np.uint8)
         for error in self._crops.fill(picture, np.array([sample])).values():
             raise error
         return picture[0], self._rows.label[sample]
@@ -79,5 +79,5 @@ class SamplesDataset(Closeable):
     def _open(self) -> None:
         self.close()  # those of the process that this one was forked from
         self._logs = open_logs(self._index, self._sources)
-        self._crops = Crops(self._rows, self._logs, 0, self._seen)
+        self._crops = Crops(self._rows, self._logs, 0, self._spec)
         self._process = os.getpid()
