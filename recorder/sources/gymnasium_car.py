@@ -122,8 +122,8 @@ class GymnasiumCar(Closeable):
         self._steps += 1
         sent = np.clip(action.reshape(self._space.shape), self._space.low, self._space.high)
         with _their_errors(f"--gym {self.name}", f"its step {self._steps}"):
-            observation, told, terminated, truncated, info = self.env.step(sent.astype(self._space.dtype))
-            reward = float(told)
+            observation, given, terminated, truncated, info = self.env.step(sent.astype(self._space.dtype))
+            reward = float(given)
         end = "terminated" if terminated else "truncated" if truncated else ""
         return self._moment(observation, info, reward, end)
 
