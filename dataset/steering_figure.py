@@ -45,9 +45,12 @@ class SteeredSession:
 
 
 def steered_sessions(samples: Samples) -> list[SteeredSession]:
-    """The first sessions of an index. Raises DatasetError if it is damaged, or of an earlier version."""
-    found = []
-    for name in list(samples.sources)[:MOST_SESSIONS]:
+    """The first sessions of an index that have frames. Raises DatasetError if it is damaged, or of an earlier
+    version."""
+    found: list[SteeredSession] = []
+    for name in samples.sources:
+        if len(found) == MOST_SESSIONS:
+            break
         try:
             labels = msgspec.convert(samples.metadata["labels"][name], SessionLabels)
         except (KeyError, TypeError, ValueError):
@@ -55,6 +58,8 @@ def steered_sessions(samples: Samples) -> list[SteeredSession]:
                 f"{samples.path}: does not say how {name} was steered; build it again with `bc-index`"
             ) from None
         frames = read_frames(local_path(samples.path).parent / "frames" / f"{name}.parquet")
+        if not len(frames):
+            continue
         label, is_crash = planned_labels(frames, labels.plan)
         time_ns, row = (frames[column].to_numpy() for column in ("log_time_ns", "row"))
         _, rows = number_distinct(time_ns, row)
@@ -103,7 +108,7 @@ def _draw_course(axes: Axes, session: SteeredSession) -> None:
     axes.plot(at_s, label, color=ORANGE, linewidth=1.4, label="as learnt")
     for begin, end in stretches(session.is_crash[part]):
         axes.axvspan(time_s[begin], time_s[end], color=GREY, alpha=0.25, linewidth=0, label="crash, not learnt")
-    axes.set_title(f"{printable(session.name)}: {words}", loc="left")
+    axes.set_title(f"{printable(session.name)}: {words}", loc="left", parse_math=False)  # a $ is part of a name
     axes.set_xlim(0, SHOWN_S)
     axes.set_ylim(-1.05, 1.05)
     axes.set_yticks([-1, 0, 1])

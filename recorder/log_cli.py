@@ -11,7 +11,7 @@ import tyro
 
 from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, run_command, warn
-from common.errors import counted, printable
+from common.errors import counted
 from common.location import Location
 from common.location_flag import LocationFlag
 from common.output import print_result
@@ -99,11 +99,9 @@ class Cameras:
         with Log(path) as log:
             found = side_cameras(log)
         print_result(
-            printable(
-                f"{path}: each side camera is {found.spacing:.2f} of its height above the road from the centre one"
-                f" (Udacity's: {UDACITY_SPACING:g}), in {counted(found.moments, 'moment')}:"
-                f" `bc-index --side-correction {found.side_correction:g}`"
-            )
+            f"{path}: each side camera is {found.spacing:.2f} of its height above the road from the centre one"
+            f" (Udacity's: {UDACITY_SPACING:g}), in {counted(found.moments, 'moment')}:"
+            f" `bc-index --side-correction {found.side_correction:g}`"
         )
         return code
 

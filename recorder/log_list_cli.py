@@ -8,17 +8,16 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import tyro
-from rich.markup import escape
 from rich.table import Table
 
 from common import UserError
 from common.command import DONE, print_error, warn
-from common.errors import printable
 from common.location import Location, Url, location
 from common.location_flag import LocationFlag
 from common.output import print_result, print_table
 from recorder.log.log_info import LogInfo, describe, logs_in
 from recorder.log.row_quality import ROW_FLAGS
+from recorder.log_report import plain
 
 FOLDERS: Final = (Path("sessions"), Path("drives"))
 
@@ -84,17 +83,13 @@ def _table(found: Sequence[LogInfo]) -> Table:
     for info in found:
         odd = sum((info.flags or {}).get(flag, 0) for flag in ROW_FLAGS if flag != "gap")
         table.add_row(
-            _plain(location(info.path).name.removesuffix(".mcap")),
-            _plain(info.start[:16].replace("T", " ")),
+            plain(location(info.path).name.removesuffix(".mcap")),
+            plain(info.start[:16].replace("T", " ")),
             f"{info.length_s / 60:,.1f}",
             f"{info.rows:,}",
             f"{info.size_bytes / 1e6:,.0f}",
-            _plain(info.driver or "-"),
+            plain(info.driver or "-"),
             f"{odd:,}" if info.flags is not None else "-",
-            _plain(", ".join(sorted({tag.name for tag in info.tags}))),
+            plain(", ".join(sorted({tag.name for tag in info.tags}))),
         )
     return table
-
-
-def _plain(text: str) -> str:
-    return escape(printable(text))

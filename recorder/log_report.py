@@ -28,20 +28,20 @@ _LONG_LIST: Final = 4
 def print_info(info: LogInfo) -> None:
     driven = f", {info.driven_s:,.1f} s driven" if info.driven_s is not None else ""
     size = f"{info.size_bytes / 1e6:,.1f} MB"
-    print_table(f"[bold]{_plain(info.path)}[/]: {info.duration_s:,.1f} s{driven}, {size}, {info.start}")
+    print_table(f"[bold]{plain(info.path)}[/]: {info.duration_s:,.1f} s{driven}, {size}, {info.start}")
     table = Table("topic", "schema", "messages", "a second")
     for topic in info.topics:
-        table.add_row(_plain(topic.topic), _plain(topic.schema), f"{topic.messages:,}", f"{topic.per_second:,.1f}")
+        table.add_row(plain(topic.topic), plain(topic.schema), f"{topic.messages:,}", f"{topic.per_second:,.1f}")
     print_table(table)
     for name, value in sorted(info.session.items()):
-        print_table(f"  {_plain(name)}: {_plain(_in_short(value))}")
+        print_table(f"  {plain(name)}: {plain(_in_short(value))}")
     _print_drives(info)
     if info.steering is not None and info.steering.rows:
         print_table(f"  {steering_line(info.steering, info.lag)}", f"  labels: {info.labels}")
     for topic_name, sizes in info.picture_sizes.items():
-        print_table(f"  pictures of several sizes on {_plain(topic_name)}: {_plain(sizes)}")
+        print_table(f"  pictures of several sizes on {plain(topic_name)}: {plain(sizes)}")
     for tag in info.tags:
-        print_table(f"  tag {_plain(tag.name)}: {rows_of(tag)}")
+        print_table(f"  tag {plain(tag.name)}: {rows_of(tag)}")
 
 
 def print_checked(checked: Checked) -> None:
@@ -90,7 +90,7 @@ def _print_drives(info: LogInfo) -> None:
     for stretch in stretches[:MOST_PLACES]:
         goes_back = " (time goes back)" if stretch.end_s < stretch.begin_s else ""
         print_table(
-            f"    {_plain(stretch.flag)}: rows {stretch.first_row} to {stretch.last_row},"
+            f"    {plain(stretch.flag)}: rows {stretch.first_row} to {stretch.last_row},"
             f" {stretch.begin_s:.1f} to {stretch.end_s:.1f} s{goes_back}"
         )
     if len(stretches) > MOST_PLACES:
@@ -119,5 +119,6 @@ def _without_long_lists(stored: Any) -> Any:
     return f"{len(stored):,} entries" if isinstance(stored, list) and len(stored) > _LONG_LIST else stored
 
 
-def _plain(text: str) -> str:
+def plain(text: str) -> str:
+    """Somebody else's text in a table: without markup, in one line."""
     return escape(printable(text))

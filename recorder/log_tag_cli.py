@@ -14,7 +14,16 @@ from common.location import Location
 from common.location_flag import LocationFlag
 from common.output import ask, print_message, print_result
 from recorder.log.reader import Log
-from recorder.log.tags import Tag, add_tag, check_name, names_used, read_tags, remove_tag, stale_tags, tags_path
+from recorder.log.tags import (
+    Tag,
+    add_tag,
+    check_name,
+    names_used,
+    read_tags,
+    remove_tag,
+    tags_by_content,
+    tags_path,
+)
 from recorder.log_report import rows_of
 from recorder.log_row_flags import rows_of_flags
 
@@ -46,8 +55,9 @@ class NameRows:
             fingerprint = log.fingerprint
         if self.tag is None and (self.remove or not self._is_everywhere()):
             raise UsageError("give the name: `bc-log tag LOG NAME --rows FIRST LAST`")
-        code = warn_stale(self.log, stale_tags(self.log, fingerprint))
-        tags = read_tags(self.log, fingerprint)
+        by_content = tags_by_content(self.log)
+        tags = sorted(by_content.pop(fingerprint, ()))
+        code = warn_stale(self.log, sum(map(len, by_content.values())))
         if self.tag is not None:
             tags = self._change(self.tag, tags, fingerprint)
         for tag in tags:

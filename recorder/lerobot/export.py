@@ -40,7 +40,8 @@ from recorder.log.reader import Log
 from recorder.log.row_quality import States
 from recorder.log.session_car import CAR_KEY, car_of, metadata_of
 from recorder.log.topics import EVENTS
-from recorder.pictures.picture_size import PNG_START, can_be_decoded
+from recorder.pictures.decoding import decode_picture
+from recorder.pictures.picture_size import PNG_START
 
 TASK: Final = "Drive along the road."
 ROBOT: Final = "car"
@@ -153,7 +154,7 @@ class _Export:
             kept, of_pictures = self._gather(rows, pictures, spool)
             if not kept:
                 return
-            states = States(*(getattr(taken.states, name)[kept] for name in vars(taken.states)))
+            states = taken.states.part(kept)
             numbers = self._numbers(states)
             statistics = _statistics(numbers, of_pictures)
             columns: dict[str, pa.Array | pa.ChunkedArray] = {
@@ -187,7 +188,9 @@ class _Export:
                 continue
             # an episode whose first pictures cannot be used needs a sample, too
             is_sampled = number in sampled_rows or not kept
-            decoded = [_decoded(picture) for picture in found] if is_video or is_sampled else []
+            decoded = (
+                [decode_picture(picture, cv2.IMREAD_COLOR) for picture in found] if is_video or is_sampled else []
+            )
             sound = [picture for picture in decoded if picture is not None]
             if len(sound) != len(decoded):
                 pictures.skip("rows with a picture that does not decode", number)
@@ -279,13 +282,6 @@ def _arrow(values: NDArray[Any]) -> pa.Array:
     if values.ndim == 1:
         return pa.array(values)
     return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
-
-
-def _decoded(picture: bytes) -> NDArray[np.uint8] | None:
-    if not can_be_decoded(picture):
-        return None
-    found = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
-    return None if found is None else found.astype(np.uint8, copy=False)
 
 
 def _car(log: Log) -> str:

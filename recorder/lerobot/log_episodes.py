@@ -69,7 +69,7 @@ def log_episodes(
         is_missing = (place < 0) & taken
         _skip(skipped, f"rows of {name} without a picture of the {camera} camera", states.row[is_missing])
         taken &= ~is_missing
-    kept = States(*(getattr(states, field)[taken] for field in vars(states)))
+    kept = states.part(taken)
     split = None if chosen is None else chosen.split[np.searchsorted(chosen.row, kept.row)]
     begins = np.diff(drive_numbers(kept.time_ns), prepend=-1) != 0
     if split is not None:

@@ -7,9 +7,8 @@ from common.car import Camera
 from recorder.errors import LogError, damaged_pictures
 from recorder.lerobot.log_episodes import LogEpisodes
 from recorder.log.reader import Log
-from recorder.pictures.image_check import decodes
-from recorder.pictures.jpeg import is_whole_jpeg
-from recorder.pictures.picture_size import PNG_START, SizeReader
+from recorder.pictures.decoding import is_whole_picture
+from recorder.pictures.picture_size import SizeReader
 
 Sizes = dict[Camera, tuple[int, int]]
 """Width and height of each camera's pictures."""
@@ -37,7 +36,7 @@ class RowPictures:
                 self.skip(damaged_pictures(self._log.path), number)
                 return None
             size = self._size_readers[camera].width_and_height(picture)
-            if size is None or not _is_whole(picture):
+            if size is None or not is_whole_picture(picture):
                 self.skip("rows with a picture that is no whole JPEG or PNG", number)
                 return None
             expected = self._sizes.get(camera, size)
@@ -51,7 +50,3 @@ class RowPictures:
 
     def skip(self, reason: str, number: int) -> None:
         self._skipped.add(reason, f"{self._log.path.name} row {self._rows[number]}")
-
-
-def _is_whole(picture: bytes) -> bool:
-    return decodes(picture) if picture.startswith(PNG_START) else is_whole_jpeg(picture)

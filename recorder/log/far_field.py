@@ -16,7 +16,7 @@ from recorder.errors import LogError
 from recorder.log.reader import Log
 from recorder.log.row_quality import States, Values
 from recorder.log.topics import camera_topic
-from recorder.pictures.picture_size import can_be_decoded
+from recorder.pictures.decoding import decode_picture
 
 WIDTH_PX: Final = 160
 _APART_S: Final = 0.095  # between two pictures: in less, what is far moves by a fraction of a pixel
@@ -86,11 +86,8 @@ class FarField:
         if place is None:
             return None
         try:
-            data = self._log.read(*place)
-            if not can_be_decoded(data):
-                return None
-            picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_2)
-        except (LogError, cv2.error):
+            picture = decode_picture(self._log.read(*place), cv2.IMREAD_REDUCED_GRAYSCALE_2)
+        except LogError:
             return None
         if picture is None:
             return None

@@ -19,6 +19,7 @@ from common import Skipped
 from common.stretches import consecutive
 from recorder.errors import LogError
 from recorder.log import topics
+from recorder.log.check_contents import rows_named
 from recorder.log.compressed_image import is_image_channel
 from recorder.log.mcap_file import Chunk
 from recorder.log.reader import Log
@@ -77,7 +78,7 @@ def in_order_of_rows(log: Log, skipped: Skipped) -> Order:
     if not driven:
         if not log.problem and log.counts.get(topics.VEHICLE):  # all vehicle states are lost
             for first, last in consecutive(sorted({row for part in parts for _, row in part.rows})):
-                skipped.add(MISSING, _rows(first, last))
+                skipped.add(MISSING, rows_named(first, last))
         return Order([part.chunk for part in parts] if log.is_ours else log.chunks)
     if any(part.has_pictures and part.has_others for part in parts):
         kind = _sorted(parts)
@@ -95,7 +96,7 @@ def in_order_of_rows(log: Log, skipped: Skipped) -> Order:
         its = _between(without, gap)
         torn.update(its)
         for first, last in _missing(gap, _between(rows, gap), its):
-            skipped.add(MISSING, _rows(first, last))
+            skipped.add(MISSING, rows_named(first, last))
     _name_missing_pictures(pictures, log.lost, driven, skipped)
     in_order = _merged(pictures, others) if pictures.has_moved or others.has_moved else parts
     return Order([part.chunk for part in in_order], last_row, frozenset(torn))
@@ -213,7 +214,7 @@ def _name_missing_pictures(
         without = sorted(driven - held[topic])
         its = {row for gap in gaps for row in _between(without, gap)}
         for first, last in consecutive(sorted(its)):
-            skipped.add("stretches of rows without a picture", f"{topic} {_rows(first, last)}")
+            skipped.add("stretches of rows without a picture", f"{topic} {rows_named(first, last)}")
 
 
 def _between(rows: list[int], gap: _Gap) -> list[int]:
@@ -235,7 +236,3 @@ def _torn_at_edges(kind: _Kind, lost: Sequence[tuple[int, int]]) -> frozenset[in
         held.setdefault(row, set()).add(topic)
     cameras = CAMERA_TOPICS.intersection(set().union(*held.values()))
     return frozenset(row for row in edges if not cameras | {topics.VEHICLE} <= held[row])
-
-
-def _rows(first: int, last: int) -> str:
-    return f"row {first}" if first == last else f"rows {first} to {last}"

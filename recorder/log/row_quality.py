@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import json
 from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,10 @@ class States:
     def of(cls, vehicle: pa.Table) -> States:
         """Those of a table of `Log.vehicle`."""
         return cls(*(vehicle[name].to_numpy() for name in vehicle.column_names))
+
+    def part(self, chosen: NDArray[Any] | Sequence[int]) -> States:
+        """Some of the rows, by a mask or by their positions."""
+        return States(*(column[chosen] for column in vars(self).values()))
 
 
 class StatesWritten:

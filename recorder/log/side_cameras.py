@@ -19,7 +19,7 @@ from common.car import Camera
 from recorder.errors import RecordingError
 from recorder.log.reader import Log
 from recorder.log.topics import camera_topic
-from recorder.pictures.picture_size import can_be_decoded
+from recorder.pictures.decoding import decode_picture
 
 UDACITY_SPACING: Final = 0.63
 """d / h of the real simulator, as measured here: 0.62 to 0.64 in published recordings of its three tracks."""
@@ -69,7 +69,9 @@ def side_cameras(log: Log) -> SideCameras:
     if not len(rows):
         raise RecordingError(f"{log.path}: no moment has pictures of all three cameras")
     chosen = rows[np.unique(np.linspace(0, len(rows) - 1, MOMENTS).round().astype(int))].tolist()
-    moments = ([_decoded(log.picture(row, camera)) for camera in _MEASURED] for row in chosen)
+    moments = (
+        [decode_picture(log.picture(row, camera), cv2.IMREAD_GRAYSCALE) for camera in _MEASURED] for row in chosen
+    )
     try:
         return measure(moments)
     except ValueError as error:
@@ -98,16 +100,6 @@ def measure(moments: Iterable[list[Gray | None]]) -> SideCameras:
             f" {found.right:.2f}: one correction does not fit both"
         )
     return found
-
-
-def _decoded(picture: bytes) -> Gray | None:
-    if not can_be_decoded(picture):
-        return None
-    try:
-        found = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_GRAYSCALE)
-    except cv2.error:
-        return None
-    return None if found is None else found.astype(np.uint8, copy=False)
 
 
 def _bands(picture: Gray) -> NDArray[np.float32]:

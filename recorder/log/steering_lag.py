@@ -34,7 +34,7 @@ def measure_lag(log: Log) -> SteeringLag | None:
     far apart, or nothing in them that moves with the steering. Raises LogError for a log whose rows cannot be
     read; a picture that cannot is passed over."""
     states = States.of(log.vehicle())
-    states = _part_of(states, np.abs(states.steering) <= 1)  # False for NaN too
+    states = states.part(np.abs(states.steering) <= 1)  # False for NaN too
     time_s = elapsed_s(states.time_ns)
     pairs = rows_apart(states, time_s, MOST_PICTURES)
     if len(pairs) < _LEAST_PAIRS:
@@ -74,7 +74,3 @@ def _correlations(steered: Values, yaw: Values) -> Values:
     size = np.sqrt((steered**2).sum(axis=1) * (yaw**2).sum())
     found: Values = np.divide(steered @ yaw, size, out=np.zeros(len(steered)), where=size > 1e-9)
     return found
-
-
-def _part_of(states: States, mask: NDArray[np.bool_]) -> States:
-    return States(*(column[mask] for column in vars(states).values()))

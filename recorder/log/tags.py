@@ -73,11 +73,6 @@ def read_tags(log: Location, fingerprint: str) -> list[Tag]:
     return sorted(tags_by_content(log)[fingerprint])
 
 
-def stale_tags(log: Location, fingerprint: str) -> int:
-    """Number of tags beside the log that are for another content of it. Raises what `read_tags` does."""
-    return sum(len(tags) for content, tags in tags_by_content(log).items() if content != fingerprint)
-
-
 def names_used(folder: Location) -> set[str]:
     """The names of the tags of all logs in a folder; EXCLUDE is always among them. Raises StoreError."""
     with ThreadPoolExecutor() as pool:  # each file of a store is a request

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from common.stretches import stretches
-from recorder.pictures.picture_size import can_be_decoded
+from recorder.pictures.decoding import decodes
 
 FROZEN_PICTURES: Final = 3
 """So many equal pictures in a row from a moving car are a frozen camera: a slow one may repeat a picture once."""
@@ -123,20 +123,6 @@ def _load_decoder() -> None:
     except OSError:
         raise MemoryError from None
     import cv2  # noqa: F401
-
-
-def decodes(picture: bytes) -> bool:
-    """Return True for a JPEG or PNG, not too large, that OpenCV decodes to its end. Wrong bytes within the coded
-    picture that end where they should decode to a wrong picture, which nothing distinguishes from a right one."""
-    if not can_be_decoded(picture):
-        return False
-    import cv2  # what looks at no picture needs none of its memory
-
-    try:
-        # at an eighth of the size: a fraction of the time, and the whole picture is still read through
-        return cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_8) is not None
-    except cv2.error:
-        return False
 
 
 def _decode_all(pictures: list[bytes]) -> list[bool]:

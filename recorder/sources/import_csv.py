@@ -17,12 +17,12 @@ from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.session_car import Car, metadata_of
 from recorder.log.writer import LogWriter
+from recorder.pictures.decoding import is_whole_picture
 from recorder.sources.csv_columns import CsvColumns, CsvRow
 from recorder.sources.frame_rate import check_rate, describe_clock
 from recorder.sources.import_mcap import check_scale
 from recorder.sources.import_result import Imported, SkippedEvents
 from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_rows
-from recorder.sources.mcap_messages import is_whole_picture
 from recorder.sources.picture_folder import PictureFolder
 from recorder.sources.udacity_recording import MOST_CSV_BYTES, MOST_PICTURE_BYTES
 

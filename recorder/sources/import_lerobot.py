@@ -25,13 +25,13 @@ from recorder.lerobot.dataset_format import LOG_CAR, LOG_NOT_RECORDED, LOG_TIME
 from recorder.log.meant_gaps import is_not_recorded, not_recorded
 from recorder.log.session_car import CAR_KEY, Car, car_in, metadata_of
 from recorder.log.writer import LogWriter
+from recorder.pictures.decoding import is_whole_picture
 from recorder.sources.import_mcap import check_scale
 from recorder.sources.import_result import Imported, SkippedEvents
 from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_rows
 from recorder.sources.lerobot_dataset import BATCH_ROWS, LeRobotFolder, open_dataset
 from recorder.sources.lerobot_features import LeRobotFeatures, choose_features
 from recorder.sources.lerobot_videos import CameraVideos
-from recorder.sources.mcap_messages import is_whole_picture
 from recorder.sources.udacity_recording import MOST_PICTURE_BYTES
 
 APART_NS: Final = 10_000_000_000

@@ -30,6 +30,7 @@ from recorder.log.reader import Log
 from recorder.log.session_car import Car, metadata_of
 from recorder.log.topics import PROFILE
 from recorder.log.writer import LogWriter
+from recorder.pictures.decoding import is_whole_picture
 from recorder.sources.import_result import Imported, SkippedEvents
 from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_rows
 from recorder.sources.mcap_messages import (
@@ -38,7 +39,6 @@ from recorder.sources.mcap_messages import (
     brief,
     decoder_for,
     is_picture_type,
-    is_whole_picture,
     number_in,
     picture_in,
 )

@@ -23,9 +23,6 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 
 from common.errors import printable
 from recorder.errors import RecordingError
-from recorder.pictures.image_check import decodes
-from recorder.pictures.jpeg import is_whole_jpeg
-from recorder.pictures.picture_size import PNG_START
 
 INSTALL_ROS: Final = 'ROS 2 messages need two packages more: `pip install "behavioural-cloning-toolkit[ros]"`'
 
@@ -122,11 +119,6 @@ def picture_in(message: object) -> bytes:
     except (binascii.Error, TypeError, ValueError):
         pass
     raise FieldError("data is no picture")
-
-
-def is_whole_picture(data: bytes) -> bool:
-    """True if `data` is one complete JPEG or PNG that OpenCV decodes."""
-    return decodes(data) if data.startswith(PNG_START) else is_whole_jpeg(data)
 
 
 def brief(text: str) -> str:

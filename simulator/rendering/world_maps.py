@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-import os
-import tempfile
 import zipfile
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from common import UserError, atomic_file
 from common.users_cache import users_cache
 from simulator.rendering.ground_texture import paint_ground
 from simulator.rendering.noise import Field
@@ -103,13 +103,10 @@ def _load(path: Path) -> WorldMaps | None:
 
 
 def _save(path: Path, world: WorldMaps) -> None:
-    temporary = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
-            temporary = Path(file.name)
-            np.savez(file, **{field.name: getattr(world, field.name) for field in fields(WorldMaps)})
-        os.replace(temporary, path)  # noqa: PTH105 - the whole file at once, or none of it
-    except OSError:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
+    arrays = {field.name: getattr(world, field.name) for field in fields(WorldMaps)}
+    with (
+        contextlib.suppress(OSError, UserError),
+        atomic_file(path, overwrite=True) as part,
+        part.open("wb") as file,
+    ):
+        np.savez(file, **arrays)

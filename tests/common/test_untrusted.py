@@ -23,7 +23,7 @@ from driving import Process, command, environment, run
 from logs import read_messages
 from other_logs import CAMERA, ROS_TOPICS, write_bag
 from recorder import Log, LogError, RecordingError, import_udacity
-from recorder.pictures.image_check import decodes
+from recorder.pictures.decoding import decodes
 from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.import_mcap import import_mcap
 from recorder.sources.udacity_follow import watch_udacity

@@ -378,6 +378,17 @@ def test_steering_is_drawn_as_recorded_and_as_learnt_and_crashes_are_shaded(tmp_
     assert "as learnt" in [text.get_text() for text in figure.legends[0].get_texts()]
 
 
+def test_a_session_without_frames_is_not_drawn_and_a_name_is_no_formula(tmp_path: Path) -> None:
+    logs = [
+        write_log(tmp_path / "a.mcap", STEERING, grey, cameras=[]),
+        write_log(tmp_path / "$_$.mcap", STEERING, grey, cameras=["center"]),
+    ]
+    built = build_index(logs, tmp_path / "index", CONFIG)
+    assert write_figures(built.path, tmp_path / "figures")
+    with Samples(built.path) as samples:
+        assert [session.name for session in steered_sessions(samples)] == ["$_$"]
+
+
 def test_an_index_that_does_not_say_how_it_was_steered_is_to_be_built_again(samples: Samples) -> None:
     del samples.metadata["labels"]
     with pytest.raises(DatasetError, match="build it again with `bc-index`"):
