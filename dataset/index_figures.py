@@ -87,6 +87,7 @@ def write_figures(index: Path | str, folder: Path | str, *, seed: int = 0, overw
                 path = paths[name, kind]
                 with index_write_errors(path), atomic_file(path, overwrite=overwrite) as part:
                     figure.savefig(part, format=kind, dpi=DPI, metadata=metadata)
+                figure.set_layout_engine("none")  # the PDF as the PNG: an eighth of all time here
     return list(paths.values())
 
 

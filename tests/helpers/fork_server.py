@@ -17,6 +17,7 @@ import socket
 import sys
 import threading
 import warnings
+import weakref
 from typing import Any, NoReturn
 
 LOADED = (
@@ -122,6 +123,8 @@ for name in LOADED_IF_INSTALLED:
     with contextlib.suppress(ImportError):
         importlib.import_module(name)
 gc.freeze()  # else each fork looks through all of it at each collection of garbage
+for finalizer in weakref.finalize._registry:  # type: ignore[attr-defined]
+    finalizer.atexit = False  # PyTorch's operators, forgotten one by one: half of what a short command costs
 request = serve()
 os.chdir(request["cwd"])
 os.environ.clear()
