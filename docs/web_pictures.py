@@ -105,7 +105,7 @@ def session(shown: Shown) -> None:
         page.keyboard.press("x")
         page.wait_for_selector("#session[data-tags='1']")
         page.keyboard.press("j")
-        page.wait_for_function("document.getElementById('said').textContent.includes('not excluded')")
+        page.wait_for_function("document.getElementById('status').textContent.includes('not excluded')")
         shown.keep(page, "session")
     with shown.page(at, 800, is_dark=True) as page:
         for key in "jj":
@@ -120,7 +120,7 @@ def prediction(shown: Shown) -> None:
         page.keyboard.press("w")
         page.keyboard.press("a")
         page.wait_for_selector("figure[data-attention]")
-        page.wait_for_selector("#said:empty", state="attached")
+        page.wait_for_selector("#status:empty", state="attached")
         shown.keep(page, "session-run")
 
 

@@ -49,7 +49,7 @@ def test_a_log_that_is_being_recorded_grows_in_its_page(browser: Browser, tmp_pa
             record_until(lambda: int(page.get_attribute("#curves", "aria-valuemax") or 0) > first)
             page.keyboard.press("[")
             page.keyboard.press("x")
-            wait_until(lambda: "unfinished" in page.inner_text("#said"))
+            wait_until(lambda: "unfinished" in page.inner_text("#status"))
     assert not list((tmp_path / "sessions").glob("*.jsonl"))
 
 
@@ -81,12 +81,12 @@ def test_a_log_that_is_awkward_in_every_way_is_shown_and_tagged(browser: Browser
         before = tags_path(log).read_bytes()
         with files_of_at_most(len(before) + 10):
             page.keyboard.press("x")
-            wait_until(lambda: "cannot be written" in page.inner_text("#said"))
+            wait_until(lambda: "cannot be written" in page.inner_text("#status"))
         assert tags_path(log).read_bytes() == before
 
         write_log(tmp_path / "other.mcap", [0.5, 0.6]).replace(log)
         wait_until(lambda: "replaced by another" in page.inner_text("#problem"))
         page.keyboard.press("x")
-        wait_until(lambda: "replaced since" in page.inner_text("#said"))
+        wait_until(lambda: "replaced since" in page.inner_text("#status"))
     with Log(log) as found:
         assert read_tags(log, found.fingerprint) == []  # rows of another log were not tagged

@@ -137,13 +137,13 @@ def test_planted_faults_are_found_and_removed(
         page.wait_for_selector("#look", state="hidden")
         for number in range(4):
             page.keyboard.press("j")
-            wait_until(lambda: f"; {4 - number} of 4 odd stretches" in page.inner_text("#said"))  # noqa: B023
+            wait_until(lambda: f"; {4 - number} of 4 odd stretches" in page.inner_text("#status"))  # noqa: B023
             selected.append(selected_rows(page))
             page.keyboard.press("x")
             page.wait_for_selector(f"#session[data-tags='{number + 1}']")
             actions += 2
         page.keyboard.press("j")
-        wait_until(lambda: "all odd stretches are excluded" in page.inner_text("#said"))
+        wait_until(lambda: "all odd stretches are excluded" in page.inner_text("#status"))
     assert actions < 10
     assert selected[1:3] == [planted.gap, planted.frozen]
     (before_it, after_it), (first, last) = selected[0], selected[3]

@@ -114,7 +114,7 @@ def test_the_page_shows_the_prediction_and_its_worst_moments_first(
         hold()
         page.select_option("#run", "another")
         page.click("#predict-stop")
-        wait_until(lambda: "stopped" in page.inner_text("#said"))
+        wait_until(lambda: "stopped" in page.inner_text("#status"))
         assert page.input_value("#run") == ""
         assert page.locator("#predict-stop").is_hidden()
     wait_until(lambda: predicting() == [])

@@ -138,11 +138,11 @@ def test_j_and_k_go_through_the_odd_stretches_and_x_excludes_each(browser: Brows
         assert selected == [STUCK, STANDING, (GAP_AT - 1, GAP_AT)]
         assert tags(bench) == [("exclude", *rows) for rows in selected]
         page.keyboard.press("j")
-        wait_until(lambda: "all odd stretches are excluded" in page.inner_text("#said"))
+        wait_until(lambda: "all odd stretches are excluded" in page.inner_text("#status"))
         press(page, "u", 2)
         page.keyboard.press("k")  # the only one that is left
-        wait_until(lambda: "gap; 1 of 3" in page.inner_text("#said"))
-        said, below = (page.locator(each).bounding_box() for each in ("#said", "main"))
+        wait_until(lambda: "gap; 1 of 3" in page.inner_text("#status"))
+        said, below = (page.locator(each).bounding_box() for each in ("#status", "main"))
         assert said is not None
         assert below is not None
         assert said["y"] + said["height"] <= below["y"]  # what is said covers nothing
@@ -150,7 +150,7 @@ def test_j_and_k_go_through_the_odd_stretches_and_x_excludes_each(browser: Brows
         page.click("#look")  # decodes all pictures
         page.wait_for_selector("#look", state="hidden")
         page.keyboard.press("j")
-        wait_until(lambda: "frozen picture; 1 of 4" in page.inner_text("#said"))
+        wait_until(lambda: "frozen picture; 1 of 4" in page.inner_text("#status"))
         press(page, "x", 4)
     line = command("bc-log", "tag", bench.folder / "sessions" / "faulty.mcap")
     done = subprocess.run(line, env=environment(), capture_output=True, text=True, check=True)

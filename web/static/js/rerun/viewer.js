@@ -1,4 +1,4 @@
-// Rerun's viewer in this frame. The page around it tells the moment that it shows, by messages {at_s}; it is told
+// Rerun's viewer in this frame. The page around it sends the moment to show, as a message {at_s}; this frame answers
 // {shown_s} when that is shown, and {problem} when something goes wrong.
 
 import { fetchHere } from "./fetch_here.js";
@@ -6,16 +6,16 @@ import { moment } from "./time_cursor.js";
 
 const TIMELINE = "since start"; // as bc-play names it
 const AGAIN_MS = 200; // the moment's data is still on its way
-const LOOK_EVERY_MS = 1000;
-const SOURCE = "rerun+http://localhost:80/proxy"; // any: what is asked of it is asked of the page's own server
+const POLL_MS = 1000;
+const SOURCE = "rerun+http://localhost:80/proxy"; // any: its requests go to the page's own server
 const { at, method, program } = document.body.dataset;
-const told = document.getElementById("told");
-console.debug = () => {}; // it tells tens of thousands of lines about its shaders
+const status = document.getElementById("status");
+console.debug = () => {}; // it prints tens of thousands of lines about its shaders
 globalThis.fetch = fetchHere({ [method]: `${at}/messages` });
 let wanted = null;
 let isBusy = false;
 
-function tell(message) {
+function send(message) {
   parent.postMessage(message, location.origin);
 }
 
@@ -27,7 +27,7 @@ async function follow(viewer) {
     const at = wanted;
     try {
       await viewer.viewer_control(moment(TIMELINE, at));
-      tell({ shown_s: at });
+      send({ shown_s: at });
       if (wanted === at) wanted = null;
     } catch {
       await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
@@ -38,8 +38,8 @@ async function follow(viewer) {
 
 function fail(why) {
   document.getElementById("viewer").remove();
-  told.textContent = `Rerun's viewer does not run in this browser: ${why}`;
-  tell({ problem: told.textContent });
+  status.textContent = `Rerun's viewer does not run in this browser: ${why}`;
+  send({ problem: status.textContent });
 }
 
 async function start() {
@@ -53,19 +53,19 @@ async function start() {
     theme: matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light",
   });
   await viewer.start(document.getElementById("viewer"));
-  told.hidden = true;
+  status.hidden = true;
   for (const field of document.querySelectorAll("input")) field.setAttribute("aria-label", "What is typed into Rerun");
   addEventListener("message", (event) => {
     if (event.origin !== location.origin || typeof event.data?.at_s !== "number") return;
     wanted = event.data.at_s;
     follow(viewer);
   });
-  const looking = setInterval(() => {
+  const polling = setInterval(() => {
     if (!viewer.has_panicked()) return;
-    clearInterval(looking);
+    clearInterval(polling);
     fail(viewer.panic_message());
-  }, LOOK_EVERY_MS);
-  tell({ is_ready: true });
+  }, POLL_MS);
+  send({ is_ready: true });
 }
 
 try {

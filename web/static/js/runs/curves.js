@@ -1,6 +1,6 @@
 // The curves of runs over each other, drawn again when another run is chosen or a training has gone on.
 
-import { say } from "../live.js";
+import { showStatus } from "../live.js";
 import uPlot from "../../vendor/uPlot.esm.js";
 
 const HEIGHT = 220;
@@ -22,10 +22,10 @@ function query() {
 }
 
 async function load() {
-  const asked = query();
-  const answer = await fetch(`/runs.curves?${asked}`);
+  const chosen = query();
+  const answer = await fetch(`/runs.curves?${chosen}`);
   if (!answer.ok) {
-    say(`the curves cannot be read: the server answers ${answer.status}`);
+    showStatus(`the curves cannot be read: the server answers ${answer.status}`);
     return;
   }
   const runs = await answer.json();
@@ -79,7 +79,7 @@ function draw(runs) {
       ),
     );
   }
-  section.dataset.shown = runs.map((run) => run.key).join(" "); // for whoever waits for it
+  section.dataset.shown = runs.map((run) => run.key).join(" "); // for scripts that wait for it
 }
 
 /** The colours of the style sheet as a canvas understands them: a property may hold `light-dark(...)`. */

@@ -1,10 +1,10 @@
-// Where the chosen run's network looks, over the centre camera's picture. As with pictures, one is asked for at a
-// time, and then the newest that is wanted.
+// The attention map of the chosen run's network, over the centre camera's picture. As with pictures, one is fetched at
+// a time, and then the newest that is wanted.
 
 import { ask } from "./log_data.js";
 
 export class Attention {
-  /** `onChange(why)`: it is shown or not any more; `why` tells what went wrong. */
+  /** `onChange(why)`: it is shown or not any more; `why` is the problem, if any. */
   constructor(figure, data, { onChange }) {
     Object.assign(this, { figure, data, onChange });
     this.image = null; // over the picture, while it is shown
@@ -51,7 +51,7 @@ export class Attention {
         await next.decode();
         this.hide();
         this.image = this.figure.appendChild(next);
-        this.figure.dataset.attention = address; // for whoever waits for it
+        this.figure.dataset.attention = address; // for scripts that wait for it
       }
     } catch (error) {
       this.isOn = false;

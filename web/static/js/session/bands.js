@@ -1,5 +1,5 @@
 // The coloured bands behind the curves: excluded rows over the full height, other tags at the top, odd stretches at
-// the bottom, the selection over all. Only what can be seen is drawn, and of many in one column of pixels, one.
+// the bottom, the selection over all. Only what is visible is drawn, and of many in one column of pixels, one.
 
 const LANE = 8;
 

@@ -1,5 +1,5 @@
 // The curves over the rows of a session, in two plots that zoom and point together. Across are rows, not seconds: of a
-// recording that was paused for a day, all is seen; the labels tell the time.
+// recording that was paused for a day, all is visible; the labels are times.
 
 import uPlot from "../../vendor/uPlot.esm.js";
 import { drawBands } from "./bands.js";
@@ -33,7 +33,7 @@ export class Curves {
     element.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
   }
 
-  /** Draw the data that there is now; what is seen of it stays. */
+  /** Draw the data that there is now; the visible part stays. */
   build() {
     for (const plot of this.plots) plot.destroy();
     this.plots = [];
@@ -179,8 +179,8 @@ export class Curves {
     const size = Math.min(max - min, end) || 1;
     const from = Math.max(0, Math.min(min, end - size));
     this.view = size < end ? { min: from, max: from + size } : null; // all of it, also when it grows
-    const seen = { min: from, max: from + size };
-    for (const plot of this.plots) plot.batch(() => plot.setScale("x", seen)); // at once: the markers go by it
+    const visible = { min: from, max: from + size };
+    for (const plot of this.plots) plot.batch(() => plot.setScale("x", visible)); // at once: the markers go by it
     this.placeMarkers();
   }
 

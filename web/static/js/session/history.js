@@ -1,5 +1,5 @@
-// What was done here, to be undone and done again. The server knows nothing of it: undoing is one more change of the
-// tags, as `bc-log tag --remove` would make it.
+// The changes made on this page, to be undone and redone. The server has no record of them: undoing is one more change
+// of the tags, as `bc-log tag --remove` would make it.
 
 const OPPOSITE = { add: "remove", remove: "add" };
 

@@ -8,7 +8,7 @@ const MOST = 200; // of each list; all of them are in the curves
 export function listOdd(element, groups, data, { isLeft, onPick }) {
   fill(element, groups, (group) => [
     button(`${words(group)}`, () => onPick(group), isLeft(group) ? "" : "done"),
-    told(data, group),
+    rowsText(data, group),
   ]);
 }
 
@@ -17,7 +17,7 @@ export function listTags(element, data, { canChange, onPick, onRemove }) {
     const remove = button("remove", () => onRemove(tag), "small");
     remove.setAttribute("aria-label", `remove ${tag.name}, rows ${tag.rows.join(" to ")}`);
     remove.disabled = !canChange;
-    return [button(tag.name, () => onPick(tag), tag.name === "exclude" ? "exclude" : "tag"), told(data, tag), remove];
+    return [button(tag.name, () => onPick(tag), tag.name === "exclude" ? "exclude" : "tag"), rowsText(data, tag), remove];
   });
 }
 
@@ -36,7 +36,7 @@ function fill(element, items, made) {
   element.replaceChildren(...lines);
 }
 
-function told(data, { first, last }) {
+function rowsText(data, { first, last }) {
   const rows = data.rowsOf({ first, last });
   return text("span", `rows ${rows[0]} to ${rows[1]}, at ${clock(data.columns.time_s[first])}`, "dim");
 }

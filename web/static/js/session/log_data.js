@@ -1,7 +1,7 @@
-// What the page knows of its log, asked of the server again when the files change.
+// The page's data of its log, fetched again when the files change.
 
 const COLUMNS = ["row", "time_s", "steering", "throttle", "brake", "speed_mph"];
-const LOOK_EVERY_MS = 2000;
+const POLL_MS = 2000;
 const LOAD_SHARE = 5; // a log that is being recorded is read in full each time: that may take a fifth of the time
 
 export class Refused extends Error {}
@@ -31,7 +31,7 @@ export class LogData extends EventTarget {
     this.tagsVersion = null; // of the file, as it was when it was read
     this.storeProblem = ""; // why the store that the log is in does not answer
     this.busyUntil = 0;
-    this.asked = 0; // how often the tags were
+    this.tagRequests = 0;
   }
 
   async load() {
@@ -53,10 +53,10 @@ export class LogData extends EventTarget {
   }
 
   async loadTags() {
-    const asked = (this.asked += 1);
+    const request = (this.tagRequests += 1);
     try {
       const found = await (await ask(`${this.address}/tags`)).json();
-      if (asked < this.asked) return; // a later question has, or will have, the newer answer
+      if (request < this.tagRequests) return; // a later request has, or will have, the newer answer
       this.tagsVersion = found.version;
       this.names = found.names;
       this.tags = found.tags.map(([first, last, name]) => ({
@@ -65,20 +65,20 @@ export class LogData extends EventTarget {
         rows: [first, last],
         name: found.names[name],
       }));
-      this.tell(found.stale ? `${found.stale} tags beside this log are of what had its name before, and do not count` : "");
+      this.report(found.stale ? `${found.stale} tags beside this log are of what had its name before, and do not count` : "");
     } catch (error) {
       if (!(error instanceof Refused)) throw error;
       this.tags = [];
-      this.tell(error.message);
+      this.report(error.message);
     }
     this.dispatchEvent(new Event("tags"));
   }
 
-  tell(problem) {
+  report(problem) {
     this.dispatchEvent(new CustomEvent("problem", { detail: problem || this.state?.problem || "" }));
   }
 
-  /** Where a row is among the rows: the first that is not before it or, `isLast`, the last that is not behind it. */
+  /** The position of a row: of the first that is not before it or, `isLast`, the last that is not behind it. */
   position(row, isLast) {
     const rows = this.columns.row;
     let low = 0;
@@ -98,24 +98,24 @@ export class LogData extends EventTarget {
   }
 
   follow() {
-    setInterval(() => this.look(), LOOK_EVERY_MS);
+    setInterval(() => this.poll(), POLL_MS);
   }
 
-  async look() {
-    if (document.hidden || performance.now() < this.busyUntil || this.isLooking) return;
-    this.isLooking = true;
+  async poll() {
+    if (document.hidden || performance.now() < this.busyUntil || this.isPolling) return;
+    this.isPolling = true;
     try {
       const found = await (await ask(`${this.address}/version`)).json();
-      if (found.problem !== this.storeProblem) this.tell((this.storeProblem = found.problem));
+      if (found.problem !== this.storeProblem) this.report((this.storeProblem = found.problem));
       if (found.log !== this.state.version) await this.changed(found);
       if (found.tags !== this.tagsVersion) {
-        this.tagsVersion = found.tags; // asked for once, also where they cannot be read
+        this.tagsVersion = found.tags; // fetched once, also where they cannot be read
         await this.loadTags();
       }
     } catch (error) {
-      this.tell(error instanceof Refused ? error.message : "bc-web does not answer: it was ended, or is restarted");
+      this.report(error instanceof Refused ? error.message : "bc-web does not answer: it was ended, or is restarted");
     } finally {
-      this.isLooking = false;
+      this.isPolling = false;
     }
   }
 
@@ -127,7 +127,7 @@ export class LogData extends EventTarget {
     }
     const state = await (await ask(`${this.address}/state`)).json();
     if (state.fingerprint === fingerprint) this.state.version = state.version; // touched, or copied
-    else this.tell("this log has been replaced by another one: reload the page to see it");
+    else this.report("this log has been replaced by another one: reload the page to see it");
   }
 
   async change(action, name, rows) {

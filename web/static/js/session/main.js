@@ -1,6 +1,6 @@
-// The page of a session: what the mouse and the keys do to its curves, pictures and tags.
+// The page of a session: the actions of mouse and keys on its curves, pictures and tags.
 
-import { say } from "../live.js";
+import { showStatus } from "../live.js";
 import { Attention } from "./attention.js";
 import { clock } from "./clock.js";
 import { Curves } from "./curves.js";
@@ -24,7 +24,7 @@ const curves = new Curves(by("curves"), data, { onMove: point, onSelect: select 
 const player = new Player(data, { onMove: move, onChange: showPlaying });
 const done = new History(data);
 const makers = new Makers(by("make"), data);
-const rerun = new RerunFrame(by("rerun"), data, { onChange: showRerun, onProblem: say });
+const rerun = new RerunFrame(by("rerun"), data, { onChange: showRerun, onProblem: showStatus });
 const predictions = new Predictions(data, { onChange: showPredicted });
 const attention = new Attention(document.querySelector("figure[data-camera=center]"), data, { onChange: showAttention });
 let groups = [];
@@ -45,11 +45,11 @@ function move(position) {
   rerun.moveTo(curves.position);
   const at = curves.position;
   const { row, time_s, steering, throttle, brake, speed_mph, predicted } = data.columns;
-  const told = (value) => (Number.isFinite(value) ? value.toFixed(2) : "-");
+  const fixed = (value) => (Number.isFinite(value) ? value.toFixed(2) : "-");
   const text =
-    `row ${row[at]} · ${clock(time_s[at])} · steering ${told(steering[at])} · throttle ${told(throttle[at])}` +
-    ` · brake ${told(brake[at])} · ${told(speed_mph[at])} mph` +
-    (predicted ? ` · predicted ${told(predicted[at])}` : "");
+    `row ${row[at]} · ${clock(time_s[at])} · steering ${fixed(steering[at])} · throttle ${fixed(throttle[at])}` +
+    ` · brake ${fixed(brake[at])} · ${fixed(speed_mph[at])} mph` +
+    (predicted ? ` · predicted ${fixed(predicted[at])}` : "");
   by("now").textContent = text;
   by("curves").setAttribute("aria-valuenow", at);
   by("curves").setAttribute("aria-valuetext", text);
@@ -65,13 +65,13 @@ function select(stretch) {
   by("selected").textContent = rows ? `rows ${rows[0]} to ${rows[1]} selected` : "";
 }
 
-/** One change after the other, so that they are written in the order in which they were asked for. */
+/** One change after the other, so that they are written in the order of the user's actions. */
 function change(make) {
   queue = queue.then(async () => {
     try {
       await make();
     } catch (error) {
-      say(error.message);
+      showStatus(error.message);
     }
     by("commands").textContent = done.commands.join("\n");
     by("copy").hidden = !done.commands.length;
@@ -82,32 +82,32 @@ function change(make) {
 
 function tag(name) {
   if (!selection) {
-    say("select a stretch first: drag over the curves, or press j");
+    showStatus("select a stretch first: drag over the curves, or press j");
     return;
   }
   if (data.state.problem) {
-    say(data.state.problem);
+    showStatus(data.state.problem);
     return;
   }
   const rows = data.rowsOf(selection);
   change(async () => {
     const answer = await done.make("add", name, rows);
     const what = `${name}: rows ${rows[0]} to ${rows[1]}`;
-    say(answer.notice || (answer.changed ? what : `${what}, as before`));
+    showStatus(answer.notice || (answer.changed ? what : `${what}, as before`));
   });
 }
 
 function undo() {
   change(async () => {
     const undone = await done.undo();
-    say(undone ? `undone: ${undone.action} ${undone.name}, rows ${undone.rows.join(" to ")}` : "nothing to undo");
+    showStatus(undone ? `undone: ${undone.action} ${undone.name}, rows ${undone.rows.join(" to ")}` : "nothing to undo");
   });
 }
 
 function redo() {
   change(async () => {
     const redone = await done.redo();
-    say(redone ? `again: ${redone.action} ${redone.name}, rows ${redone.rows.join(" to ")}` : "nothing to do again");
+    showStatus(redone ? `again: ${redone.action} ${redone.name}, rows ${redone.rows.join(" to ")}` : "nothing to do again");
   });
 }
 
@@ -118,17 +118,17 @@ function goTo(stretch) {
   move(stretch.first);
 }
 
-/** After what has been asked for is written: pressing x and j at once does both. */
+/** After earlier changes are written: pressing x and j at once does both. */
 function goToOdd(step) {
   queue = queue.then(() => {
     const from = selection ?? { first: curves.position - 1, last: curves.position };
     const found = following(toDo, step > 0 ? from.first : from.last, step);
     if (!found) {
-      say(groups.length ? "all odd stretches are excluded" : "nothing odd in this log");
+      showStatus(groups.length ? "all odd stretches are excluded" : "nothing odd in this log");
       return;
     }
     goTo(found);
-    say(`${words(found)}; ${toDo.length} of ${groups.length} odd stretches are not excluded`);
+    showStatus(`${words(found)}; ${toDo.length} of ${groups.length} odd stretches are not excluded`);
   });
 }
 
@@ -150,7 +150,7 @@ function setSpeed(speed) {
 
 /** The prediction of the chosen run, as far as it is there. */
 function showPredicted() {
-  by("predicted").textContent = predictions.told;
+  by("predicted").textContent = predictions.summary;
   by("predicted").className = predictions.problem ? "problem" : "dim";
   const run = predictions.problem ? "" : predictions.run; // then it can be chosen again
   by("run").value = run;
@@ -162,17 +162,17 @@ function showPredicted() {
   listWorst(by("worst"), predictions.worst, goToMoment);
   curves.build();
   move(curves.position);
-  page.dataset.run = predictions.about ? predictions.run : ""; // what is shown now, for whoever waits for it
+  page.dataset.run = predictions.about ? predictions.run : ""; // what is shown now, for scripts that wait for it
 }
 
 function showAttention(why) {
   by("attention").setAttribute("aria-pressed", attention.isOn);
-  if (why) say(why);
+  if (why) showStatus(why);
 }
 
 function toggleAttention() {
   if (predictions.run) attention.toggle();
-  else say("choose a run first, whose network looks at this picture");
+  else showStatus("choose a run first, whose network looks at this picture");
 }
 
 function goToMoment(moment) {
@@ -184,11 +184,11 @@ function goToMoment(moment) {
 function goToWorst(step) {
   const moment = predictions.next(step);
   if (!moment) {
-    say(predictions.about ? "nothing was recorded to compare with" : "choose a run first, whose network looks at this log");
+    showStatus(predictions.about ? "nothing was recorded to compare with" : "choose a run first, whose network looks at this log");
     return;
   }
   goToMoment(moment);
-  say(`${predictions.at + 1} of ${predictions.worst.length}: ${moment.words}`);
+  showStatus(`${predictions.at + 1} of ${predictions.worst.length}: ${moment.words}`);
 }
 
 function toggleRerun() {
@@ -214,7 +214,7 @@ function showTags() {
   });
   curves.mark({});
   by("look").hidden = data.state.pictures_checked || !data.state.cameras.length;
-  page.dataset.tags = data.tags.length; // what is shown now, for whoever waits for it
+  page.dataset.tags = data.tags.length; // what is shown now, for scripts that wait for it
 }
 
 data.addEventListener("rows", () => {
@@ -228,8 +228,8 @@ data.addEventListener("rows", () => {
   by("curves").setAttribute("aria-valuemax", Math.max(data.length - 1, 0));
   move(curves.position);
 });
-/** Frozen and broken pictures are found by decoding all of them, which is done when somebody asks for it. */
-async function look() {
+/** Frozen and broken pictures are found by decoding all of them, which is done on request. */
+async function checkPictures() {
   by("look").disabled = true;
   try {
     let found = await (await ask(`${data.address}/look`, { method: "POST" })).json();
@@ -238,10 +238,10 @@ async function look() {
       await new Promise((resolve) => setTimeout(resolve, 300));
       found = await (await ask(`${data.address}/look`)).json();
     }
-    if (found.problem) say(found.problem);
+    if (found.problem) showStatus(found.problem);
     else await data.load();
   } catch (error) {
-    say(error.message);
+    showStatus(error.message);
   }
   by("look").textContent = "Look at all pictures";
   by("look").disabled = false;
@@ -259,7 +259,7 @@ by("next").addEventListener("click", () => goToOdd(1));
 by("before").addEventListener("click", () => goToOdd(-1));
 by("exclude").addEventListener("click", () => tag(EXCLUDE));
 by("undo").addEventListener("click", undo);
-by("look").addEventListener("click", look);
+by("look").addEventListener("click", checkPictures);
 by("run").addEventListener("change", () => {
   predictions.choose(by("run").value);
   by("run").blur(); // its keys are the page's again
@@ -267,9 +267,9 @@ by("run").addEventListener("change", () => {
 by("predict-stop").addEventListener("click", async () => {
   try {
     await predictions.stop();
-    say("stopped: the network looks at no more pictures");
+    showStatus("stopped: the network looks at no more pictures");
   } catch (error) {
-    say(error.message);
+    showStatus(error.message);
   }
 });
 by("attention").addEventListener("click", toggleAttention);
@@ -292,10 +292,10 @@ by("name").addEventListener("focus", async () => {
 by("copy").addEventListener("click", async () => {
   try {
     await navigator.clipboard.writeText(`${done.commands.join("\n")}\n`);
-    say("copied");
+    showStatus("copied");
   } catch {
     getSelection().selectAllChildren(by("commands")); // no clipboard where the connection is not encrypted
-    say("selected: copy it with ctrl c");
+    showStatus("selected: copy it with ctrl c");
   }
 });
 function toggleHelp() {
@@ -343,9 +343,9 @@ listen({
 /** The address names a row, a run: when the page is opened, and when a link leads to another row of the same page. */
 function followAddress() {
   const named = new URLSearchParams(location.hash.slice(1));
-  const asked = named.get("row");
-  if (asked !== null && data.length) {
-    const at = data.position(Number(asked), false);
+  const row = named.get("row");
+  if (row !== null && data.length) {
+    const at = data.position(Number(row), false);
     player.pause();
     curves.reveal({ first: at, last: at }); // before the move: the mouse, if it is over the curves, points as well
     move(at);
@@ -362,6 +362,6 @@ try {
   data.follow();
   followAddress();
 } catch (error) {
-  data.tell(error.message);
+  data.report(error.message);
 }
 page.dataset.ready = "true";

@@ -1,5 +1,5 @@
-// The forms that make new logs of this one: their commands are shown once they are looked at, and what is selected
-// is what would be trimmed.
+// The forms that make new logs of this one: their commands are shown once they are opened, and trimming keeps the
+// selected rows.
 
 export class Makers {
   constructor(details, data) {

@@ -1,5 +1,5 @@
 // The cameras' pictures at a moment. While the mouse moves, each camera loads one picture at a time, and then the
-// newest that is wanted: what was wanted meanwhile is never asked for.
+// newest that is wanted: those in between are never fetched.
 
 export class Pictures {
   constructor(figures, data) {

@@ -1,10 +1,10 @@
-// What the network of a chosen run would have steered: asked for, waited for, and then a column beside the log's own
-// and a list of its worst moments.
+// The predictions of a chosen run's network: started, waited for, and then a column beside the log's own and a list of
+// its worst moments.
 
 import { clock } from "./clock.js";
 import { ask } from "./log_data.js";
 
-const LOOK_EVERY_MS = 400;
+const POLL_MS = 400;
 
 export class Predictions {
   /** `onChange()`: another run, further, or there. */
@@ -14,7 +14,7 @@ export class Predictions {
   }
 
   clear(run) {
-    Object.assign(this, { run, told: "", problem: "", about: null, worst: [], at: -1 });
+    Object.assign(this, { run, summary: "", problem: "", about: null, worst: [], at: -1 });
     delete this.data.columns.predicted;
   }
 
@@ -37,12 +37,12 @@ export class Predictions {
     this.onChange();
     if (!run) return;
     try {
-      let found = await this.asked(run, { method: "POST" });
+      let found = await this.request(run, { method: "POST" });
       while (this.run === run && !found.about && !found.problem) {
-        this.told = waiting(found);
+        this.summary = waiting(found);
         this.onChange();
-        await new Promise((resolve) => setTimeout(resolve, LOOK_EVERY_MS));
-        found = await this.asked(run);
+        await new Promise((resolve) => setTimeout(resolve, POLL_MS));
+        found = await this.request(run);
       }
       if (found.problem) throw new Error(found.problem);
       const column = await ask(`${this.data.address}/predictions/rows/${found.key}`);
@@ -53,12 +53,12 @@ export class Predictions {
       this.show(found);
     } catch (error) {
       if (this.run !== run) return;
-      this.told = this.problem = error.message;
+      this.summary = this.problem = error.message;
     }
     this.onChange();
   }
 
-  async asked(run, options) {
+  async request(run, options) {
     return (await ask(this.address(run), options)).json();
   }
 
@@ -72,7 +72,7 @@ export class Predictions {
       about.rmse_deg === null
         ? "nothing was recorded to compare with"
         : `RMSE ${about.rmse_deg.toFixed(2)}°; always predicting the mean: ${about.mean_rmse_deg.toFixed(2)}°`;
-    this.told = [`${name}: ${about.frames.toLocaleString("en")} frames`, compared, ...about.notes].join(", ");
+    this.summary = [`${name}: ${about.frames.toLocaleString("en")} frames`, compared, ...about.notes].join(", ");
     this.worst = about.worst.map((moment) => {
       const position = this.data.position(moment.row, false);
       const side = moment.error_deg > 0 ? "right" : "left";

@@ -5,12 +5,12 @@ export class RerunFrame {
   /** `onProblem(why)`: it could not be opened, or has ended. */
   constructor(section, data, { onChange, onProblem }) {
     Object.assign(this, { section, data, onChange, onProblem });
-    this.told = section.querySelector("[role=status]");
+    this.status = section.querySelector("[role=status]");
     this.asking = null;
     this.frame = null;
     this.isReady = false;
     this.position = 0;
-    addEventListener("message", (event) => this.heard(event));
+    addEventListener("message", (event) => this.onMessage(event));
   }
 
   get isOpen() {
@@ -21,17 +21,17 @@ export class RerunFrame {
     const asking = (this.asking = new AbortController());
     this.position = position;
     this.section.hidden = false;
-    this.told.textContent = "Rerun starts";
+    this.status.textContent = "Rerun starts";
     this.onChange();
     let why = "Rerun has ended; open it again";
     try {
       const answer = await fetch(`${this.data.address}/rerun`, { method: "POST", signal: asking.signal });
       if (!answer.ok) throw new Error((await answer.json()).error);
       for await (const line of lines(answer.body)) {
-        const said = JSON.parse(line);
-        if (said.problem) why = said.problem;
-        else if (said.note) this.told.textContent = said.note;
-        else this.show(said);
+        const message = JSON.parse(line);
+        if (message.problem) why = message.problem;
+        else if (message.note) this.status.textContent = message.note;
+        else this.show(message);
       }
     } catch (error) {
       why = error instanceof TypeError ? "bc-web does not answer: it was ended, or is restarted" : error.message;
@@ -55,7 +55,7 @@ export class RerunFrame {
   show({ frame, late_s: lateS, is_growing: isGrowing }) {
     this.lateS = lateS;
     this.isGrowing = isGrowing; // then Rerun follows the recording, not the page
-    this.told.textContent = "";
+    this.status.textContent = "";
     this.frame = document.createElement("iframe");
     this.frame.title = "Rerun";
     this.frame.src = frame;
@@ -69,15 +69,15 @@ export class RerunFrame {
     this.frame.contentWindow.postMessage({ at_s: at }, location.origin);
   }
 
-  heard({ source, origin, data }) {
+  onMessage({ source, origin, data }) {
     if (!this.frame || source !== this.frame.contentWindow || origin !== location.origin) return;
     if (data.is_ready) {
       this.isReady = true;
-      this.frame.blur(); // it takes the keys when it starts; they are the page's until somebody clicks into it
+      this.frame.blur(); // it takes the keys when it starts; they are the page's until the user clicks into it
       this.moveTo(this.position);
     }
     if (data.problem) this.onProblem(data.problem);
-    if (data.shown_s !== undefined) this.section.dataset.shown = data.shown_s; // for whoever waits for it
+    if (data.shown_s !== undefined) this.section.dataset.shown = data.shown_s; // for scripts that wait for it
   }
 }
 
