@@ -109,7 +109,7 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
     for file in sample_files(folder):
         split = pq.read_table(file, columns=["split"], read_dictionary=["split"])["split"]
         splits.update({row["values"]: row["counts"] for row in pc.value_counts(split).to_pylist()})
-    counts = ", ".join(f"{count:,} {split}" for split, count in splits.items())
+    counts = ", ".join(f"{count:,} {split}" for split, count in sorted(splits.items()))
     frames = sum(session.frames for session in indexed.counts.values())
     print_result(f"{config.index}: {counted(frames, 'frame')}, {counted(splits.total(), 'sample')} ({counts})")
     if config.figures is not None:

@@ -13,6 +13,7 @@ from dataset.samples.samples_format import SAMPLES_NAME
 
 DEFAULT_INDEX: Final = Path("index")
 _MOST_NAMED: Final = 5
+_RUN_CONFIG: Final = "config.json"
 
 
 def missing_index(index: Location) -> DatasetError:
@@ -24,6 +25,10 @@ def missing_index(index: Location) -> DatasetError:
         sessions = index.parent / "sessions"
         return DatasetError(f"{index}: no index; `bc-index --sessions {sessions} --index {index}` builds one")
     refuse_file(index)
+    if what := other_folder(index):
+        raise DatasetError(
+            f"{index}: {what}, no index; `bc-index --index FOLDER` builds one in a folder of its own"
+        )
     folder = index.parent if index.parent.is_dir() else Path()
     beside = [str(found.parent) for found in sorted(folder.glob(f"*/{SAMPLES_NAME}"))]
     hint = did_you_mean(str(index), beside)
@@ -32,6 +37,15 @@ def missing_index(index: Location) -> DatasetError:
         hint = f"these are: {', '.join(beside[:_MOST_NAMED])}{more};"
     flag = "" if index == DEFAULT_INDEX else f" --index {shlex.quote(str(index))}"
     return DatasetError(f"{index}: no index; {f'{hint} ' if hint else ''}build it with `bc-index{flag}`")
+
+
+def other_folder(index: Path) -> str:
+    """What a folder holds that is not an index, in whose place none is built; empty for all others."""
+    if (index / SAMPLES_NAME).exists():
+        return ""
+    if (index / _RUN_CONFIG).is_file():
+        return "a run"
+    return "a folder of logs" if next(index.glob("*.mcap"), None) else ""
 
 
 def refuse_file(index: Path) -> None:

@@ -54,7 +54,7 @@ from dataset.index.duplicates import UnreadablePictureError, refuse_shared_pictu
 from dataset.index.session_labels import LAGS_FOLDER, labels_of_sessions
 from dataset.index.sessions import by_session_name, name_problem
 from dataset.index.staging import finish_interrupted_build, staged, stale_frames_files
-from dataset.missing_index import refuse_file
+from dataset.missing_index import other_folder, refuse_file
 from dataset.parquet_file import read_metadata, write_table
 from dataset.samples.divided_writer import write_divided_samples
 from dataset.samples.filter import Condition
@@ -171,12 +171,14 @@ def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -
     """Raise what `build_index` could raise without having read anything.
 
     That is DatasetError for a session to hold out that is not among `logs`, for a condition that is none, and for
-    an index that is no plain folder; UserError if DuckDB is missing.
+    an index that is no plain folder, or whose folder is a run or holds logs; UserError if DuckDB is missing.
     """
     names = sorted(map(session_name, logs))
     if missing := set(config.validation) - set(names):
         raise DatasetError(f"--validation {' '.join(sorted(missing))}: no such session among {', '.join(names)}")
     refuse_file(index)
+    if what := other_folder(index):
+        raise DatasetError(f"{index}: {what}; an index needs a folder of its own: give --index another name")
     for folder in (index / name for name in (FRAMES_FOLDER, IMAGE_CHECKS_FOLDER, LAGS_FOLDER, SAMPLES_FOLDER)):
         # what is written and deleted in a link would be somebody else's
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):

@@ -13,7 +13,7 @@ from common.location import Location
 from common.output import print_message
 from dataset.index.build import Indexed
 from dataset.index.sessions import unfinished_recordings
-from dataset.samples.samples_format import Balance, SessionLabels
+from dataset.samples.samples_format import COUNT_HEADINGS, Balance, SessionLabels
 from recorder.log.steering_report import STEERING_HEADINGS, steering_cells
 
 BAR_CELLS = 13  # so that a line fits 80 columns
@@ -27,9 +27,14 @@ def sessions_table(indexed: Indexed) -> Table:
     some_unlabelled = any(counts.unlabelled for counts in indexed.counts.values())
     some_crashed = any(counts.crashed for counts in indexed.counts.values())
     columns = ["frames", "training", "validation", "gap", "left out"]
-    columns += ["not taken over"] * some_piloted + ["no label"] * some_unlabelled
-    columns += ["crash"] * some_crashed
-    table = Table("session", *columns, "", title="frames")
+    columns += [COUNT_HEADINGS["not_taken_over"]] * some_piloted + [COUNT_HEADINGS["unlabelled"]] * some_unlabelled
+    columns += [COUNT_HEADINGS["crashed"]] * some_crashed
+    # narrow, for names of sessions stand whole in 80 columns: longer ones are folded, and none is cut off
+    table = Table(box=None, pad_edge=False, collapse_padding=True, title="frames", title_justify="left")
+    table.add_column("session", overflow="fold")
+    for heading in columns:
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
     for session in indexed.sessions:
         counts = indexed.counts[session]
         left_out = counts.excluded + counts.unusable + counts.not_asked_for

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -39,10 +40,7 @@ def find_logs(sessions: Sequence[Location | str], folder: Location | str) -> lis
         else:
             is_there = log.is_file()
         if not is_there:
-            meant = did_you_mean(given, [session_name(other) for other in finished_logs(folder)])
-            raise DatasetError(
-                f"{log}: no such log; {meant or f'the sessions are named by the files in {folder}'}"
-            )
+            raise DatasetError(f"{_expected(given, log)}: no such log; {_hint(given, folder)}")
         if problem := name_problem(log):
             raise DatasetError(problem)
         found.append(log)
@@ -57,6 +55,20 @@ def by_session_name(logs: Iterable[Location]) -> dict[str, Location]:
         if absolute(other) != absolute(log):
             raise DatasetError(f"{log} and {other}: two sessions of one name; rename one of them")
     return found
+
+
+def _expected(given: str, log: Location) -> Location | str:
+    """Where a log was looked for: of a path without an ending, which is no session's name, what was given."""
+    return given if isinstance(log, Path) and len(Path(given).parts) > 1 else log
+
+
+def _hint(given: str, folder: Location) -> str:
+    """What somebody may have meant by a session that is not there."""
+    path = Path(given)
+    if (path / "driving_log.csv").is_file():
+        return f"a recording is there, of which `bc-record NAME --from {shlex.quote(given)}` makes a log"
+    meant = did_you_mean(path.name, [session_name(other) for other in finished_logs(folder)])
+    return meant or f"the sessions are named by the files in {folder}"
 
 
 def finished_logs(folder: Location) -> list[Location]:

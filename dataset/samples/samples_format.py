@@ -140,6 +140,15 @@ class SessionCounts:
     not_taken_over: int  # of a drive, and driven neither by an expert nor by a human, with --drives takeovers
 
 
+COUNT_HEADINGS: Final = {
+    "not_asked_for": "not asked for",
+    "unlabelled": "no label",
+    "crashed": "crash",
+    "not_taken_over": "not taken over",
+}
+"""What counts are called where they are read, if not by their names."""
+
+
 @dataclass(frozen=True)
 class SessionLabels:
     """The steering habits of a session, and the plan of its labels."""

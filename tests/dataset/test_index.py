@@ -395,7 +395,7 @@ def test_bc_index_prints_sessions_balance_and_totals(
     assert told[-1].startswith(f"{tmp_path / 'index'}: 900 frames, {len(samples):,} samples")
     assert f"{split['train']:,} train" in told[-1]
     assert f"{split['validation']:,} validation" in told[-1]
-    [session] = [text.strip("│ ").replace("│", " ").split() for text in told if "lake" in text and "│" in text]
+    (session,) = [text.split() for text in told if text.startswith("lake ") and "read" in text]
     frames = Counter(row["split"] for row in rows_of(tmp_path / "index" / "frames" / "lake.parquet"))
     counted = [frames["train"], frames["validation"], frames["gap"]]
     assert session == ["lake", "900", *map(str, counted), "0", "read"]

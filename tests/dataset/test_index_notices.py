@@ -74,6 +74,40 @@ def test_a_session_that_is_mistyped_is_asked_back(capsys: pytest.CaptureFixture[
     assert "no such log; the sessions are named by the files in sessions" in capsys.readouterr().err
 
 
+def test_a_path_that_is_no_log_is_told_by_what_may_be_meant(capsys: pytest.CaptureFixture[str]) -> None:
+    log_of("lake")
+    assert call(main, "sessions/lake") == 1
+    assert "bc-index: sessions/lake: no such log; did you mean lake?" in capsys.readouterr().err
+    recording = Path("my simulator/recording")
+    recording.mkdir(parents=True)
+    (recording / "driving_log.csv").touch()
+    assert call(main, recording) == 1
+    told = "a recording is there, of which `bc-record NAME --from 'my simulator/recording'` makes a log"
+    assert told in capsys.readouterr().err
+
+
+def test_names_of_sessions_stand_whole_in_80_columns(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    log_of("mountain-sunday")
+    assert call(main, "--label-shift", 0.5) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[1].split() == [
+        "session",
+        "frames",
+        "training",
+        "validation",
+        "gap",
+        "left",
+        "out",
+        "no",
+        "label",
+    ]
+    assert printed[2].split()[0] == "mountain-sunday"
+    assert printed[2].split()[-1] == "read"
+
+
 def test_pictures_of_different_sizes_are_told_each_time(capsys: pytest.CaptureFixture[str]) -> None:
     log_of("lake", 320, 160)
     assert call(main, "--validation-share", 0) == 0

@@ -47,6 +47,23 @@ def test_a_file_is_no_place_for_an_index(here: Path, capsys: pytest.CaptureFixtu
     assert Path("plain").read_text() == "no index"
 
 
+def test_a_run_or_a_folder_of_logs_is_no_place_for_an_index(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs, run = here / "logs", here / "run"
+    run.mkdir()
+    (run / "config.json").write_text("{}")
+    logs.mkdir()
+    next(here.rglob("*.mcap")).rename(logs / "a.mcap")
+    for folder, what in (("run", "a run"), ("logs", "a folder of logs")):
+        before = sorted((here / folder).iterdir())
+        assert call(bc_index, "--sessions", logs, "--index", folder) == 1
+        assert f"{folder}: {what}; an index needs a folder of its own" in capsys.readouterr().err
+        assert call(bc_train, "--index", folder, "--network", "small", "--epochs", 1, "--threads", 1) == 1
+        assert f"{folder}: {what}, no index; `bc-index --index FOLDER` builds one" in capsys.readouterr().err
+        assert sorted((here / folder).iterdir()) == before
+
+
 def test_a_file_is_no_folder_of_sessions(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(bc_index, "--sessions", "plain") == 1
     assert "plain: a file; the folder that logs are in was expected" in capsys.readouterr().err

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,7 +18,14 @@ from dataset.errors import DatasetError
 from dataset.frames.frames_file import read_frames
 from dataset.index.build_state import FRAMES_FOLDER
 from dataset.parquet_file import read_metadata
-from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, Balance, sample_files
+from dataset.samples.samples_format import (
+    READABLE_FORMATS,
+    SAMPLES_FORMAT,
+    SAMPLES_NAME,
+    Balance,
+    SessionCounts,
+    sample_files,
+)
 
 _WIDTH: Final = 300
 _COLORS: Final = {"train": "#4a90d9", "validation": "#c77d1e"}  # readable on a light and on a dark page
@@ -40,9 +47,11 @@ class IndexView:
 
     @property
     def ways(self) -> list[str]:
-        """The uses of frames (training, held out ...) that any frame has."""
-        ways = list(dict.fromkeys(way for counts in self.counts.values() for way in counts))
-        return [way for way in ways if any(counts.get(way) for counts in self.counts.values())]
+        """The uses of frames (training, held out ...) that any frame has, in the order in which `bc-index` prints them."""
+        known = [field.name for field in fields(SessionCounts)]
+        ways = dict.fromkeys(way for counts in self.counts.values() for way in counts)
+        some = [way for way in ways if any(counts.get(way) for counts in self.counts.values())]
+        return sorted(some, key=lambda way: known.index(way) if way in known else len(known))
 
 
 def view_index(index: Path) -> IndexView:

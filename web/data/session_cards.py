@@ -54,7 +54,7 @@ class Share(msgspec.Struct, frozen=True):
 class InIndex:
     """A session's state in the index."""
 
-    words: str  # "in the index", "not in the index", "changed since", "being read", "left out"
+    words: str  # "in the index", "not in the index", "changed since it was indexed", "being read", "left out"
     why: str = ""
     frames: dict[str, int] = field(default_factory=dict)  # by split
 
@@ -193,7 +193,7 @@ class SessionCards:
             if are_tags and share is None:
                 return InIndex("being read")  # what the index has of its tags
             if not (are_tags and self._has_tags_of(share, path, built.fingerprint)):
-                return InIndex("changed since", "`bc-index` brings it up to date")
+                return InIndex("changed since it was indexed", "`bc-index` brings it up to date")
         if not built.fingerprint:
             return InIndex("left out", printable(built.notice))
         if isinstance(share, UserError):

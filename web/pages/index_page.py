@@ -18,6 +18,7 @@ from common.errors import counted, printable
 from dataset.index.build_state import STATE_NAME
 from dataset.index.leaks import find_leaks
 from dataset.index.sessions import logs_not_indexed
+from dataset.samples.samples_format import COUNT_HEADINGS
 from web.data.file_versions import version_of
 from web.data.index_view import IndexView, bins_sketch, session_bins_sketch, split_sketch, view_index
 from web.data.job_forms import INDEX_FIELDS, form_of
@@ -54,6 +55,7 @@ def index_routes(bench: Workbench) -> list[Route]:
         context["problem"] = store_problem or problem.replace(printable(str(here)), context["folder"])
         context["stale"] = _stale()
         context["then"], context["trial_problem"] = _view(bench.trials.get(trial)) if trial else (None, "")
+        context["headings"] = COUNT_HEADINGS
         context["settings"] = _changed(context["now"], context["then"])
         context["sessions"] = _sessions(context["now"], context["then"])
         context["runs"] = _runs() if context["now"] else []
@@ -62,7 +64,7 @@ def index_routes(bench: Workbench) -> list[Route]:
     def _stale() -> list[str]:
         """The sessions that are newer than the index, and those whose log or tags have changed since."""
         cards = bench.cards.cards("sessions", _PATIENCE_S)
-        names = {card.name for card in cards if card.index.words == "changed since"}
+        names = {card.name for card in cards if card.index.words.startswith("changed since")}
         with contextlib.suppress(UserError):
             logs = [log for log in bench.folders.logs("sessions").values() if log.suffix == ".mcap"]
             found = logs_not_indexed(bench.folders.index_here, logs, bench.folders.stat)
