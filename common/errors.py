@@ -20,11 +20,13 @@ from __future__ import annotations
 
 import difflib
 import itertools
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from typing import Final
 
 MAX_KEPT_NAMES: Final = 1000
+_MOST_WRITTEN_OUT: Final = 1e6
 
 
 def printable(text: str) -> str:
@@ -36,6 +38,15 @@ def printable(text: str) -> str:
 def counted(number: int, noun: str, plural: str = "") -> str:
     """Format a number and its noun: "1 frame", "2,000 frames". `plural` is needed if it is not made by an s."""
     return f"{number:,} {noun if number == 1 else plural or f'{noun}s'}"
+
+
+def decimal(value: float, places: int, *, signed: bool = False) -> str:
+    """Format a number with so many places, "-" where there is none: "6.41", or "2.7e+17" of a training that ran
+    away, whose digits would fill the line."""
+    if math.isnan(value):
+        return "-"
+    sign = "+" if signed else ""
+    return f"{value:{sign}.1e}" if abs(value) >= _MOST_WRITTEN_OUT else f"{value:{sign}.{places}f}"
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from common.errors import counted
+from common.errors import counted, decimal
 from common.output import print_result
 
 if TYPE_CHECKING:
@@ -29,13 +29,13 @@ class EpochPrinter:
             )
         self._has_begun = True
         validation = (
-            f" RMSE {measures.network.rmse_deg:.2f}, balanced {measures.balanced_rmse_deg:.2f},"
+            f" RMSE {decimal(measures.network.rmse_deg, 2)}, balanced {decimal(measures.balanced_rmse_deg, 2)},"
             f" correlation {measures.network.correlation:.2f},"
             if measures.frames
             else " nothing held out,"
         )
         print_result(
-            f"epoch {epoch.epoch:>2}: loss {epoch.training_loss:.4f},{validation}"
+            f"epoch {epoch.epoch:>2}: loss {decimal(epoch.training_loss, 4)},{validation}"
             f" {epoch.samples_per_s:,.0f} samples/s{', best' if epoch.is_best else ''}"
         )
         for target in epoch.targets:

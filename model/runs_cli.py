@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -16,7 +16,7 @@ from rich.table import Table
 
 from common import UserError
 from common.command import DONE, run_command, warn
-from common.errors import printable
+from common.errors import decimal, printable
 from common.location import Url
 from common.location_flag import LocationFlag
 from common.output import print_result, print_table
@@ -24,6 +24,7 @@ from common.output import print_result, print_table
 if TYPE_CHECKING:
     from model.runs.run_summary import RunSummary
 
+_A_WHOLE_LAP: Final = 0.99  # a drive ends within a telemetry of the line
 SORTED_BY: Final[dict[str, Callable[[RunSummary], Any]]] = {
     "newest": lambda run: _descending(run.written_at),
     "name": lambda run: run.name,
@@ -93,22 +94,24 @@ def _print_json(runs: Sequence[RunSummary]) -> None:
 
 def _table(runs: Sequence[RunSummary]) -> Table:
     title = "held-out frames: errors as shares of those of always predicting the mean"
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False, collapse_padding=True)
     has_driven = any(run.drives for run in runs)
     headings = ("run", "network", "sessions", "recipe", "epoch", "RMSE", "balanced", "r")
     for heading in (*headings, *(("interventions",) if has_driven else ())):
         is_text = heading in ("run", "network", "recipe", "interventions")
-        table.add_column(heading, justify="left" if is_text else "right", overflow="fold")
+        is_name = heading == "run"  # of any length; no other heading is broken up for it
+        least = None if is_name else len(heading)
+        table.add_column(heading, justify="left" if is_text else "right", overflow="fold", min_width=least)
     for run in runs:
         table.add_row(
             escape(printable(run.name)),
             escape(printable(_network_words(run))),
             f"{len(run.sessions):,}",
             escape(printable(run.recipe)),
-            f"{run.kept_epoch}/{run.epochs}",
-            _number(run.rmse_share),
-            _number(run.balanced_rmse_share),
-            _number(run.correlation),
+            f"{run.kept_epoch or '-'}/{run.epochs}",
+            decimal(run.rmse_share, 2),
+            decimal(run.balanced_rmse_share, 2),
+            decimal(run.correlation, 2),
             *([escape(printable(driven_words(run.drives)))] if has_driven else []),
         )
     return table
@@ -119,18 +122,21 @@ def _network_words(run: RunSummary) -> str:
     return " ".join([run.network, *(f"+{target}" for target in run.targets[1:])])
 
 
-def _number(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.2f}"
-
-
 def driven_words(drives: Sequence[dict[str, Any]]) -> str:
-    """The interventions on each track, by speed: "10 mph: lake 0, mountain 1"."""
+    """The interventions on each track, by speed: "10 mph: lake 0, mountain 1"; and in how much of a lap, where it
+    was not a whole one."""
     by_speed = groupby(sorted(drives, key=_speed_mph), key=_speed_mph)
     tracks = {
-        speed: ", ".join(f"{drive['track']} {drive['interventions']}" for drive in part)
+        speed: ", ".join(f"{drive['track']} {drive['interventions']}{_part_of_lap(drive)}" for drive in part)
         for speed, part in by_speed
     }
     return "; ".join(f"{speed:g} mph: {driven}" for speed, driven in tracks.items())
+
+
+def _part_of_lap(drive: Mapping[str, Any]) -> str:
+    laps = drive.get("laps")
+    is_part = isinstance(laps, int | float) and 0 <= laps < _A_WHOLE_LAP
+    return f" in {laps:.2f} laps" if is_part else ""
 
 
 def _speed_mph(drive: dict[str, Any]) -> float:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from rich.markup import escape
 from rich.table import Table
 
-from common.errors import counted, printable
+from common.errors import counted, decimal, printable
 from common.output import print_message, print_result, print_table
 from model.evaluation.differences import CONFIDENCE, FEWEST_BLOCKS, Difference, Verdict, overall
 from model.evaluation.run_comparison import BLOCK_S, Comparison
@@ -24,7 +24,7 @@ def print_comparison(comparison: Comparison, names: Sequence[str]) -> None:
     units = f"{comparison.unit_count:,} {comparison.units}{length}"
     title = f"{counted(len(comparison.unit), 'frame')} in {units}; errors in degrees"
     print_table(_table(title, comparison.differences, names), "")
-    print_result(f"their answers are {comparison.answers_apart_deg:.2f} degrees apart (RMS)")
+    print_result(f"their answers are {decimal(comparison.answers_apart_deg, 2)} degrees apart (RMS)")
     _print_verdict(overall(comparison.differences), comparison.differences, comparison.tolerance, comparison.units)
     errors = comparison.a.measures
     if errors.network.rmse_deg >= errors.mean.rmse_deg:
@@ -86,8 +86,8 @@ def _table(title: str, differences: Sequence[Difference], names: Sequence[str]) 
         digits = 0 if is_count else 3 if each.measure.scale == 1.0 else 2
         table.add_row(
             each.measure.heading,
-            _number(each.a, digits),
-            _number(each.b, digits),
+            decimal(each.a, digits),
+            decimal(each.b, digits),
             _signed(each.b - each.a, digits),
             "-" if math.isnan(each.low) else f"{_signed(each.low, digits)} .. {_signed(each.high, digits)}",
             each.verdict,
@@ -95,9 +95,5 @@ def _table(title: str, differences: Sequence[Difference], names: Sequence[str]) 
     return table
 
 
-def _number(value: float, digits: int) -> str:
-    return "-" if math.isnan(value) else f"{value:.{digits}f}"
-
-
 def _signed(value: float, digits: int) -> str:
-    return "-" if math.isnan(value) else f"{value:+.{digits}f}"
+    return decimal(value, digits, signed=True)

@@ -138,7 +138,8 @@ def _draw_constants(loss: Axes, errors: Axes, epoch: Epoch) -> None:
         # the axis is logarithmic; of a sum over targets, steering is a part
         if squared > 0 and not epoch.targets:
             loss.axhline(squared, color=GREY, linestyle=style, linewidth=1, label=label)
-    for value, color in ((mean.rmse_deg, ORANGE), (mean.turning_mae_deg, BLUE)):
+    balanced = epoch.measures.mean_balanced_rmse_deg
+    for value, color in ((mean.rmse_deg, ORANGE), (balanced, GREEN), (mean.turning_mae_deg, BLUE)):
         if math.isfinite(value):
             errors.axhline(value, color=color, linestyle="--", linewidth=1)
     errors.plot([], [], color=GREY, linestyle="--", linewidth=1, label="always the mean")

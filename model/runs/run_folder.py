@@ -138,7 +138,9 @@ def find_run(name: str | None, runs: Location | str) -> Path:
     if (runs / name / CONFIG).is_file():
         resume = f"`bc-train --resume {run_argument(runs / name)}`"
         raise RunError(f"{runs / name}: its first epoch is not finished; {resume}")
-    raise RunError(f"{runs / name}: no trained run there ({WEIGHTS} is missing); {_known(name, runs, WEIGHTS)}")
+    raise RunError(
+        f"{_meant(name, runs)}: no trained run there ({WEIGHTS} is missing); {_known(name, runs, WEIGHTS)}"
+    )
 
 
 def has_nothing_saved(run: Path) -> bool:
@@ -155,7 +157,12 @@ def find_any_run(name: str, runs: Location) -> Path:
     for folder in (runs / name, Path(name)):
         if (folder / CONFIG).is_file():
             return folder
-    raise RunError(f"{runs / name}: no run there ({CONFIG} is missing); {_known(name, runs, CONFIG)}")
+    raise RunError(f"{_meant(name, runs)}: no run there ({CONFIG} is missing); {_known(name, runs, CONFIG)}")
+
+
+def _meant(name: str, runs: Path) -> Path:
+    """Where a run of that name was expected: a path is one already."""
+    return Path(name) if len(Path(name).parts) > 1 else runs / name
 
 
 def _brought(name: str | None, runs: Location) -> Path | None:
@@ -176,7 +183,7 @@ def _here(runs: Location) -> Path:
 
 
 def _known(name: str, runs: Path, file: str) -> str:
-    return suggest_runs(name, sorted(path.parent.name for path in runs.glob(f"*/{file}")), runs)
+    return suggest_runs(Path(name).name, sorted(path.parent.name for path in runs.glob(f"*/{file}")), runs)
 
 
 def load_config(folder: Path) -> dict[str, Any]:

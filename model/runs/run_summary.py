@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -142,7 +142,8 @@ def _errors(kept: Epoch | None) -> dict[str, Any]:
 
 
 def last_results(run: Path) -> list[KeptResult]:
-    """The last result of each track or recording at each speed and length, of the weights that the run has now."""
+    """The last result of each track at each speed, of each recording that was driven, and of each choice of
+    recorded frames, of the weights that the run has now."""
     results, _ = kept_results(run)
     left = read_record(run).left.get(WEIGHTS)
     checksum = left.sha256 if left is not None else weights_checksum(run) if results else ""
@@ -151,8 +152,15 @@ def last_results(run: Path) -> list[KeptResult]:
         found = kept.result
         if kept.weights_sha256 == checksum and _is_whole(kept):
             names = ("track", "set_speed_mph", "session", "departure_m", "index", "split")
-            last[kept.way, *(str(found.get(name)) for name in names)] = kept
+            # frames of whole sessions are of no index: what was measured is told by their names
+            last[kept.way, *(str(found.get(name)) for name in names), *measured_sessions(found)] = kept
     return list(last.values())
+
+
+def measured_sessions(result: Mapping[str, Any]) -> list[str]:
+    """The sessions whose frames were measured, where they were named (`bc-eval --session`)."""
+    sessions = result.get("sessions")
+    return sorted(sessions) if result.get("index") is None and isinstance(sessions, dict) else []
 
 
 def _is_whole(kept: KeptResult) -> bool:

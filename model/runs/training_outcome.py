@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
+from common.errors import decimal
 from model.config import Keep
 from model.metrics import Measures
 from model.runs.answer_scale import AnswerScale
@@ -35,7 +36,7 @@ def _beside_the_mean(best: Epoch) -> str:
     pairs = {"RMSE": (measures.network.rmse_deg, measures.mean.rmse_deg)}
     if math.isfinite(measures.mean_balanced_rmse_deg):  # earlier versions did not store it
         pairs["balanced RMSE"] = (measures.balanced_rmse_deg, measures.mean_balanced_rmse_deg)
-    texts = {name: f"{network:.2f} against {mean:.2f} degrees" for name, (network, mean) in pairs.items()}
+    texts = {name: f"{decimal(network, 2)} against {mean:.2f} degrees" for name, (network, mean) in pairs.items()}
     is_better = {name: network < mean for name, (network, mean) in pairs.items()}
     if len(set(is_better.values())) == 1:
         numbers = ", ".join(f"{name} {numbers}" for name, numbers in texts.items())
@@ -51,7 +52,7 @@ def _of_natural_answers(best: Epoch) -> list[str]:
         return []
     return [
         f"natural answers: {best.answers.in_degrees(best.measures.max_deg)}:"
-        f" RMSE {best.measures.network.rmse_deg:.2f} instead of {best.learnt.rmse_deg:.2f} degrees"
+        f" RMSE {decimal(best.measures.network.rmse_deg, 2)} instead of {decimal(best.learnt.rmse_deg, 2)} degrees"
     ]
 
 

@@ -88,6 +88,28 @@ def test_the_last_drive_of_each_track_and_speed_counts(tmp_path: Path, capsys: p
     assert [kept["result"]["interventions"] for kept in found["results"]] == [1, 3, 0]
 
 
+def test_part_of_a_lap_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No intervention in 30 m is no lap without one."""
+    monkeypatch.setenv("COLUMNS", "120")
+    run = a_run(tmp_path, "first")
+    keep_result(run, "simulator", drive("lake", 0) | {"laps": 0.0302})
+    keep_result(run, "simulator", drive("mountain", 0) | {"laps": 1.0004})
+    assert call(bc_runs, "--runs", tmp_path) == 0
+    assert "10 mph: lake 0 in 0.03 laps, mountain 0" in capsys.readouterr().out
+
+
+def test_errors_of_a_training_that_ran_away_fit_their_column(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    a_run(tmp_path, "wild", 4e17)
+    assert call(bc_runs, "--runs", tmp_path) == 0
+    row = capsys.readouterr().out.splitlines()[-1].split()
+    assert (row[0], row[5]) == ("wild", "1.0e+17")
+
+
 def test_results_of_other_weights_are_not_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = a_run(tmp_path, "first")
     keep_result(run, "simulator", drive("lake", 7))
@@ -107,6 +129,15 @@ def test_bc_eval_keeps_what_it_measures(tmp_path: Path, capsys: pytest.CaptureFi
     (kept,) = found["results"]
     assert (kept["way"], kept["result"]["network"]) == ("frames", measured["network"])
     assert run.joinpath("results.jsonl").read_text().count("\n") == 1
+
+
+def test_each_session_that_was_measured_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = a_run(tmp_path, "first")
+    for session, frames in (("monday", 1), ("sunday", 2), ("monday", 3)):
+        result = {"index": None, "split": None, "frames": frames, "sessions": {session: {"frames": frames}}}
+        keep_result(run, "frames", result)
+    (found,) = listed(capsys, tmp_path)
+    assert [kept["result"]["frames"] for kept in found["results"]] == [3, 2]  # the last one of each
 
 
 def test_a_damaged_run_is_named_behind_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

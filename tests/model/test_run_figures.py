@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dataset import decode
-from dataset.figure_style import BLUE, ORANGE
+from dataset.figure_style import BLUE, GREEN, ORANGE
 from histories import epoch_line, write_lines, write_run
 from model import RunError
 from model.runs.history import read_history
@@ -109,7 +109,8 @@ def test_the_curves_are_the_lines_of_metrics_jsonl(tmp_path: Path) -> None:
 
 def test_what_constant_predictors_reach_stands_beside_the_curves(tmp_path: Path) -> None:
     """The mean squared error of steering, where 1 is 25 degrees, of an error in degrees."""
-    loss, errors = curves_of(write_run(tmp_path / "first", 2))
+    of_the_mean = {**epoch_line(1)["mean"], "balanced_rmse_deg": 7.5}
+    loss, errors = curves_of(write_run(tmp_path / "first", 2, mean=of_the_mean))
     assert lines_of(loss)["always the mean"][1] == pytest.approx([(4.5 / 25) ** 2] * 2)
     assert lines_of(loss)["always zero"][1] == pytest.approx([(5.0 / 25) ** 2] * 2)
     constant = {
@@ -117,7 +118,7 @@ def test_what_constant_predictors_reach_stands_beside_the_curves(tmp_path: Path)
         for line in errors.get_lines()
         if line.get_linestyle() == "--" and len(np.asarray(line.get_ydata()))
     }
-    assert constant == {ORANGE: 4.5, BLUE: 9.0}  # each in the colour of its own curve
+    assert constant == {ORANGE: 4.5, GREEN: 7.5, BLUE: 9.0}  # each in the colour of its own curve
 
 
 def test_a_loss_of_several_targets_has_no_constant_steering_beside_it(tmp_path: Path) -> None:

@@ -102,6 +102,26 @@ def test_a_run_links_to_what_it_learnt_from_and_to_its_worst_frames(bench: Serve
     assert bench.get("/runs/..%2fruns%2fgood").status == 404
 
 
+def test_what_bc_eval_measured_is_told_by_session(tmp_path: Path) -> None:
+    run = a_run(tmp_path / "runs", "r", 2.0)
+    for session, rmse_deg in (("monday", 5.25), ("sunday", 3.5)):
+        errors = {"rmse_deg": rmse_deg, "correlation": None}
+        keep_result(run, "frames", {"index": None, "network": errors, "sessions": {session: {}}})
+    with served(tmp_path) as bench:
+        wait_until(lambda: "Measured by bc-eval" in bench.get("/runs/r/body").text)
+        text = page(bench, "r")
+    assert "of monday , rmse deg 5.25" in text
+    assert "of sunday , rmse deg 3.5" in text
+
+
+def test_a_run_without_an_epoch_tells_how_to_go_on(tmp_path: Path) -> None:
+    run = a_run(tmp_path / "runs", "killed", 2.0)
+    (run / "metrics.jsonl").unlink()
+    with served(tmp_path) as bench:
+        wait_until(lambda: "nothing learnt" in bench.get("/runs/killed/body").text)
+        assert "not measured before the first epoch is finished; bc-train --resume killed" in page(bench, "killed")
+
+
 def test_worst_frames_are_a_gallery(tmp_path: Path) -> None:
     run = a_run(tmp_path / "runs", "r", 2.0)
     write_log(tmp_path / "sessions" / "sunday.mcap", [0.1] * 10)

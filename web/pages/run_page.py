@@ -23,7 +23,7 @@ from web.pages.runs_page import PATIENCE_S
 from web.pages.workbench import Workbench
 from web.server.templates import render
 
-_MOST_NUMBERS: Final = 12  # of a result
+_MOST_NUMBERS: Final = 14  # of a result
 
 
 def run_routes(bench: Workbench) -> list[Route]:
@@ -110,6 +110,17 @@ def _results(folders: ProjectFolders, card: RunCard) -> list[dict[str, Any]]:
 
 def _numbers(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The plain values of a result, with units in their names as it has them."""
+    from model.runs.run_summary import measured_sessions  # loads PyTorch, as the summary did that the result is of
+
+    shown = []
+    if sessions := measured_sessions(result):
+        shown.append(("of", printable(", ".join(sessions))))
+    if isinstance(network := result.get("network"), dict):  # errors of frames; steering's, in degrees
+        shown += _numbers_of(network)
+    return [*shown, *_numbers_of(result)][:_MOST_NUMBERS]
+
+
+def _numbers_of(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     shown = []
     for name, value in result.items():
         if name == "log" or isinstance(value, bool) or value is None or isinstance(value, dict | list):
@@ -118,7 +129,7 @@ def _numbers(result: Mapping[str, Any]) -> list[tuple[str, str]]:
             continue
         text = f"{value:.4g}" if isinstance(value, float) and math.isfinite(value) else str(value)
         shown.append((printable(name.replace("_", " ")), printable(text)))
-    return shown[:_MOST_NUMBERS]
+    return shown
 
 
 def _drives(bench: Workbench, run: str) -> list[tuple[str, str, str]]:

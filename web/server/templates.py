@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from common.errors import counted
+from common.errors import counted, decimal
 from common.versions import version_of
 
 PAGES: Final = (
@@ -35,7 +35,9 @@ def _places(number: float | str | None, places: int) -> str:
         value = float(number)
     except ValueError:
         return str(number)
-    return f"{value:,.{places}f}" if math.isfinite(value) else "-"
+    if abs(value) < 1e6:
+        return f"{value:,.{places}f}"
+    return decimal(value, places) if math.isfinite(value) else "-"
 
 
 _environment = Environment(

@@ -51,8 +51,9 @@ function draw(runs) {
         tables.push([x, y]);
         series.push({
           label: [runs.length > 1 && run.name, names.length > 1 && name].filter(Boolean).join(": ") || name,
-          stroke: color(`--run-${number % COLORS}`),
-          dash: DASHES[at % DASHES.length],
+          // of one run a colour each, which also tells single points apart; of several, each run has its own
+          stroke: color(`--run-${(runs.length > 1 ? number : at) % COLORS}`),
+          dash: runs.length > 1 ? DASHES[at % DASHES.length] : [],
           width: 1.5,
           spanGaps: true,
           points: { show: x.length < 2 },
