@@ -47,12 +47,13 @@ def remove_empty(folders: Sequence[Path]) -> None:
             folder.rmdir()
 
 
-def refuse_existing(path: Path, overwrite: bool) -> None:
-    """Raise UserError if `path` exists (a dangling link counts) and may not be overwritten."""
+def refuse_existing(path: Path, overwrite: bool, instead: str = "choose another name") -> None:
+    """Raise UserError if `path` exists (a dangling link counts) and may not be overwritten. `instead` is what else
+    somebody can do."""
     if path.is_dir():
         raise UserError(f"{path} is a folder, a file name was expected: give another name")
     if not overwrite and (path.exists() or path.is_symlink()):
-        raise UserError(f"{path} exists already: choose another name, or give --force to replace it")
+        raise UserError(f"{path} exists already: {instead}, or give --force to replace it")
 
 
 def publish(part: Path, path: Path, overwrite: bool) -> None:

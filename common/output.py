@@ -30,7 +30,7 @@ from common.errors import UserError, printable
 from common.streams import unescaped
 
 _COMMAND: Final = re.compile(
-    r"(`|--no-python )(bc-(?:record|log|index|train|runs|drive|play|sim|eval|demo|web)|rerun|torchrun|pip)"
+    r"(`|--no-python )(bc-(?:record|log|index|train|runs|drive|play|sim|eval|demo|sweep|web)|rerun|torchrun|pip)"
     r"(?![\w-])"
 )
 _shown_as: Final[dict[str, str]] = {}

@@ -128,7 +128,9 @@ def _make_video(config: Play, video: Path) -> int:
         print_message(f"{gaps} shortened to {HELD_S:g} s: {clock(made.cut_s)} of the log in all")
     if made.left_out:
         pictures = counted(made.left_out, "picture")
-        print_message(f"{pictures} left out: a video shows at most 60 a second")
+        print_message(
+            f"{pictures} left out, in the same sixtieth of a second as another: a video shows at most 60 a second"
+        )
     return max(_warn_unfinished(made.notice), warn_skipped(made.skipped))
 
 

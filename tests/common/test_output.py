@@ -144,8 +144,9 @@ def test_a_command_is_spelled_with_its_path_where_the_shell_does_not_find_it(
 ) -> None:
     scripts = tmp_path / "a place" / "bin"
     scripts.mkdir(parents=True)
-    (scripts / "bc-play").write_text("#!/bin/sh\n")
-    (scripts / "bc-play").chmod(0o755)
+    for name in ("bc-play", "bc-sweep"):
+        (scripts / name).write_text("#!/bin/sh\n")
+        (scripts / name).chmod(0o755)
     monkeypatch.setattr("sysconfig.get_path", lambda name: str(scripts))
     monkeypatch.setenv("PATH", "/nowhere")
     far = tmp_path.joinpath(*"abcdefghijklmnopqrst")  # from here, no other path to it is shorter
@@ -157,6 +158,8 @@ def test_a_command_is_spelled_with_its_path_where_the_shell_does_not_find_it(
     assert capsys.readouterr().out == (
         "look at it with `'a place/bin/bc-play' run.mcap`; `bc-playful` is none, and bc-play is a name\n"
     )
+    print_result("`bc-sweep --help` shows one")
+    assert capsys.readouterr().out == "`'a place/bin/bc-sweep' --help` shows one\n"
     monkeypatch.setenv("PATH", str(scripts))
     assert shell_command("bc-play") == "bc-play"
     assert shell_command("rerun") == "rerun"  # of a toolkit that is not installed

@@ -137,7 +137,10 @@ def test_it_plays_faster_and_then_leaves_out_what_no_screen_could_show(
     assert made.left_out == 20 - made.pictures
     done = play(log, "--video", tmp_path / "again.mp4", "--speed", 12)
     assert done.code == 0
-    assert done.stderr == f"{made.left_out} pictures left out: a video shows at most 60 a second\n"
+    assert done.stderr == (
+        f"{made.left_out} pictures left out, in the same sixtieth of a second as another: a video shows at most"
+        " 60 a second\n"
+    )
 
 
 def test_a_gap_is_shortened_and_said(tmp_path: Path, play: Callable[..., Done]) -> None:

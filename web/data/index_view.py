@@ -47,7 +47,7 @@ class IndexView:
 
     @property
     def ways(self) -> list[str]:
-        """The uses of frames (training, held out ...) that any frame has, in the order in which `bc-index` prints them."""
+        """The uses of frames (training, held out ...) that any frame has, in the order of `bc-index`."""
         known = [field.name for field in fields(SessionCounts)]
         ways = dict.fromkeys(way for counts in self.counts.values() for way in counts)
         some = [way for way in ways if any(counts.get(way) for counts in self.counts.values())]
