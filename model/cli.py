@@ -88,7 +88,7 @@ def train(config: Train) -> int:
     from model.errors import RunWriteError
     from model.network.choice import choose_network, chosen_picture
     from model.network.own_code import load_code
-    from model.runs.history import read_history
+    from model.runs.history import read_epochs
     from model.runs.network_of_run import choice_of
     from model.runs.run_arguments import run_argument
     from model.runs.run_folder import WEIGHTS, find_any_run, find_run, load_config, picture_of_run
@@ -173,7 +173,7 @@ def train(config: Train) -> int:
     elif not trained.epochs:
         print_result(f"{run}: all its epochs are learnt; give more --epochs to go on")
     best = trained.best_epoch
-    for line in verdict(read_history(run)[0].epochs, best, settings.keep) if best else ():
+    for line in verdict(read_epochs(run), best, settings.keep) if best else ():
         print_result(line)
     drive = f"bc-drive {run_argument(run)}{_network_flag(run)}"
     print_result(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `{drive}`")

@@ -19,6 +19,7 @@ from common.errors import counted
 from dataset import Loader, Samples
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import steering_in
+from model.adam import Adam
 from model.config import TrainConfig
 from model.device import Machine
 from model.errors import RunError
@@ -36,11 +37,14 @@ from model.training.distributed import Group
 from model.training.listeners import Listeners
 from model.training.natural_frequency import NaturalFrames
 from model.training.run_writer import RunWriter
-from model.training.step import make_optimizer, training_step
+from model.training.step import training_step
 from model.training.validation import Validation
 
 STEP_BATCHES: Final = 10
 """Batches between two lines of steps.jsonl."""
+MAX_EPOCH_STEPS: Final = 10_000
+"""Lines of an epoch in steps.jsonl: in a larger epoch, more batches are between two. Readers refuse a file of more
+than 64 MiB, which would be two epochs of a billion samples."""
 CHECKPOINT_S: Final = 60.0
 """The most that a kill costs; each checkpoint is 60 MB and takes a fraction of a second."""
 
@@ -106,7 +110,7 @@ class TrainingLoop:
         torch.manual_seed(config.seed)
         self.network = network.build().to(machine.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.averaged = AveragedWeights(self.network, config.average_steps)
-        self.optimizer = make_optimizer(self.network, config.rate)
+        self.optimizer = Adam(self.network.parameters(), config.rate)
         self.target_weights = (
             torch.tensor(config.target_weights, device=machine.device) if config.target_weights else None
         )
@@ -176,6 +180,7 @@ class TrainingLoop:
         start, batches, group = self.position, self.batches, self.group
         network.train()
         sums = _EpochSums(start, self.machine.device)
+        interval = max(STEP_BATCHES, math.ceil(batches.batches / MAX_EPOCH_STEPS))
         begun_s = reported_s = time.perf_counter()
         name, note = f"epoch {start.epoch:,}/{self.config.epochs:,}", ""
         total = len(batches) * self.config.epochs
@@ -183,7 +188,7 @@ class TrainingLoop:
             for batch, (pictures, labels) in enumerate(batches.epoch(start.epoch, start.batch), start.batch + 1):
                 sums.add(self._train_batch(network, batch, pictures, labels), len(labels))
                 self.position = replace(start, batch=batch)
-                is_reported = batch % STEP_BATCHES == 0 or batch == batches.batches
+                is_reported = batch % interval == 0 or batch == batches.batches
                 if is_reported:
                     loss, count = group.sum(*sums.take_unreported())
                     now_s = time.perf_counter()  # after what has waited for the GPU
@@ -192,7 +197,7 @@ class TrainingLoop:
                     reported_s = now_s
                     self._busy_warning.check()
                 advance(len(labels) * group.ranks, note)
-                if group.ranks > 1 and not is_reported:
+                if group.ranks > 1 and not is_reported and batch % STEP_BATCHES:
                     continue  # asking the other ranks makes a GPU wait
                 is_stopped, is_due = group.any(stopped.is_set(), self._is_checkpoint_due())
                 if is_stopped or is_due:

@@ -112,6 +112,18 @@ def test_validation_is_of_the_pictures_that_were_held_out(trained: tuple[Path, l
     assert best.measures.zero.mae_deg == pytest.approx(25 * statistics.fmean(map(abs, recorded)))
 
 
+def test_an_epoch_of_many_batches_has_no_more_steps_than_readers_take(
+    index: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a billion samples an epoch, two would be more than `steps.jsonl` may hold."""
+    monkeypatch.setattr("model.training.loop.STEP_BATCHES", 1)
+    monkeypatch.setattr("model.training.loop.MAX_EPOCH_STEPS", 2)
+    train(index, tmp_path / "run", replace(SETTINGS, epochs=2, batch=6), figures=False)
+    steps = [json.loads(line) for line in (tmp_path / "run" / "steps.jsonl").read_text().splitlines()]
+    assert [(step["epoch"], step["batch"]) for step in steps] == [(1, 3), (1, 5), (2, 3), (2, 5)]
+    assert steps[0]["batches"] == 5
+
+
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(
     trained: tuple[Path, list[Epoch]], index: Path, tmp_path: Path
 ) -> None:
