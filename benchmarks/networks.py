@@ -30,12 +30,13 @@ from common.files import atomic_file
 from dataset import IndexConfig, build_index
 from dataset.picture_spec import PictureSpec
 from model import Pilot, TrainConfig, train
+from model.adam import Adam
 from model.config import Precision
 from model.device import choose_machine, training_dtype
 from model.network.choice import NetworkChoice, choose_network
 from model.network.names import BUILT_IN
 from model.runs.history import read_history
-from model.training.step import make_optimizer, training_step
+from model.training.step import training_step
 
 WHAT: Final = ("speed", "train", "drive")
 PICTURES: Final = 64  # in a step
@@ -96,7 +97,7 @@ class Contender:
         self.arithmetic = machine.arithmetic
         network = self.choice.build().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.parameters = sum(parameter.numel() for parameter in network.parameters())
-        optimizer = make_optimizer(network, config.rate)
+        optimizer = Adam(network.parameters(), config.rate)
         height, width, _ = self.picture.shape
         pictures = torch.randint(0, 256, (PICTURES, height, width, 3), dtype=torch.uint8).permute(0, 3, 1, 2)
         steering = torch.rand(PICTURES) * 2 - 1

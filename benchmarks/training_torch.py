@@ -23,11 +23,12 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.utils.data import DataLoader, Dataset
 
+from model.adam import Adam
 from model.config import TrainConfig
 from model.device import choose_machine
 from model.network.original import PARAMETERS, SteeringNetwork
 from model.runs.training_progress import Epoch, Step
-from model.training.step import make_optimizer, training_step
+from model.training.step import training_step
 from model.training.trainer import train
 
 
@@ -71,7 +72,7 @@ def step_alone(folder: Path, config: TrainConfig) -> None:
     count = len(_samples(folder))
     machine = choose_machine(config)
     network = SteeringNetwork(config.dropout).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    optimizer = make_optimizer(network, config.rate)
+    optimizer = Adam(network.parameters(), config.rate)
     pictures = torch.randint(0, 256, (count, 128, 128, 3), dtype=torch.uint8).permute(0, 3, 1, 2)
     steering = torch.rand(count) * 2 - 1
     batches = list(zip(torch.split(pictures, config.batch), torch.split(steering, config.batch), strict=True))

@@ -16,7 +16,7 @@ from dataset.picture_spec import PictureSpec
 from dataset.preprocess import Image, as_bgr
 from model.errors import RunError
 from model.network.picture_network import PictureNetwork
-from model.network.visual_backprop import predict_with_attention
+from model.network.visual_backprop import visual_backprop
 from model.progress_bar import open_bar, progress_task
 from model.runs.run_folder import load_network, picture_of_run
 
@@ -77,7 +77,7 @@ def predict_crops(
                         if on_attention is None:
                             answers = networks[at](as_input(crops))
                         else:
-                            answers, maps = predict_with_attention(networks[at], as_input(crops))
+                            answers, maps = visual_backprop(networks[at], as_input(crops))
                             shown = np.stack([as_bgr(crop, picture) for crop in crops]) if len(crops) else crops
                             on_attention(at, numbers, shown, maps.numpy())
                     except RunError as error:

@@ -23,25 +23,17 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from model.errors import RunError
-from model.network.picture_network import PictureNetwork
 
 Side = int | tuple[int, ...]
 
 
 @torch.inference_mode()
-def predict_with_attention(network: PictureNetwork, pictures: Tensor) -> tuple[Tensor, Tensor]:
-    """The network's answers for pictures (N, 3, height, width), the same as of calling it, and its attention maps
-    (N, height, width), float32, 0 .. 1, where 1 is the most of that picture. One pass gives both.
+def visual_backprop(network: nn.Module, inputs: Tensor) -> tuple[Tensor, Tensor]:
+    """The output of `network` for inputs (N, channels, height, width), and attention maps (N, height, width), each
+    from 0 to 1, or all 0 where nothing stands out. One pass gives both.
 
     Raises RunError for a network without an `nn.ReLU` after a convolution.
     """
-    return visual_backprop(network, pictures)
-
-
-@torch.inference_mode()
-def visual_backprop(network: nn.Module, inputs: Tensor) -> tuple[Tensor, Tensor]:
-    """The output of `network` for inputs (N, channels, height, width), and attention maps (N, height, width), each
-    from 0 to 1, or all 0 where nothing stands out."""
     with _Watched(network) as watched:
         outputs = network(inputs)
     if not any(step.average is not None for step in watched.steps):

@@ -12,11 +12,6 @@ from torch.nn.parallel import DistributedDataParallel
 from model.adam import Adam
 
 
-def make_optimizer(network: nn.Module, rate: float) -> Adam:
-    """Adam over all the network's parameters, on their device."""
-    return Adam(network.parameters(), rate)
-
-
 def training_step(
     network: nn.Module,
     optimizer: Adam,

@@ -15,7 +15,7 @@ from driving import road_jpeg, untrained_run
 from logs import START_NS, STEP_NS, write_log
 from model.evaluation.predict import as_input
 from model.network.original import SteeringNetwork
-from model.network.visual_backprop import predict_with_attention, visual_backprop
+from model.network.visual_backprop import visual_backprop
 from model.runs.run_folder import load_network
 from rrd import contents, view_names
 from udacity import call
@@ -86,14 +86,14 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_steering_is_what_the_network_says_and_each_picture_has_a_map_of_its_own(run: Path) -> None:
     network = load_network(run)
     pictures = as_input(crops([1, 5, 9]))
-    steering, maps = predict_with_attention(network, pictures)
+    steering, maps = visual_backprop(network, pictures)
     with torch.inference_mode():
         assert torch.equal(steering, network(pictures))
     assert maps.shape == (3, 128, 128)
     assert maps.amin((1, 2)).tolist() == [0.0] * 3
     assert maps.amax((1, 2)).tolist() == [1.0] * 3
     for number in range(3):
-        _, alone = predict_with_attention(network, pictures[number : number + 1])
+        _, alone = visual_backprop(network, pictures[number : number + 1])
         torch.testing.assert_close(alone[0], maps[number], atol=1e-4, rtol=0)
 
 
@@ -106,7 +106,7 @@ def test_it_looks_where_there_is_something_to_see() -> None:
                 layer.weight.fill_(1 / layer.weight[0].numel())
     picture = np.zeros((1, 128, 128, 3), np.uint8)
     picture[:, :, 80:90] = 255
-    _, maps = predict_with_attention(network, as_input(picture))
+    _, maps = visual_backprop(network, as_input(picture))
     columns = maps[0].sum(0)
     assert 80 <= int(columns.argmax()) < 90
     assert columns[:50].max() == columns[120:].max() == 0
@@ -119,7 +119,7 @@ def test_where_nothing_stands_out_the_map_is_zero_and_no_number_is_missing(bias:
         for layer in network.features:
             if isinstance(layer, nn.Conv2d):
                 layer.bias.fill_(bias)  # type: ignore[union-attr]
-    _, maps = predict_with_attention(network, as_input(crops([1])))
+    _, maps = visual_backprop(network, as_input(crops([1])))
     assert maps.abs().max() == 0
 
 
@@ -145,7 +145,7 @@ def test_the_viewer_gets_it_as_jpegs_at_the_times_of_the_frames(tmp_path: Path, 
     assert max(map(len, jpegs)) < 15_000
     for row in (0, 69):
         shown = decode(jpegs[row])
-        _, maps = predict_with_attention(load_network(run), as_input(crops([row])))
+        _, maps = visual_backprop(load_network(run), as_input(crops([row])))
         off = np.abs(shown.astype(np.float64) - overlay(crops([row]), maps.numpy())[0])
         assert shown.shape == (128, 128, 3)
         assert off.mean() < 4  # what a JPEG loses

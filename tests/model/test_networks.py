@@ -24,7 +24,7 @@ from model.evaluation.evaluate import evaluate_runs
 from model.evaluation.predict import as_input
 from model.network.choice import choose_network
 from model.network.original import SteeringNetwork
-from model.network.visual_backprop import predict_with_attention
+from model.network.visual_backprop import visual_backprop
 from model.runs.run_folder import load_answer_scale, load_network
 from toy import TINY, road, toy_index
 from udacity import call
@@ -138,7 +138,7 @@ def test_where_it_looks_can_be_seen(run: Path) -> None:
     height, width, _ = load_pilot(run).picture.shape
     picture = np.zeros((1, height, width, 3), np.uint8)
     picture[:, :, width // 2 : width // 2 + width // 10] = 255
-    steering, maps = predict_with_attention(network, as_input(picture))
+    steering, maps = visual_backprop(network, as_input(picture))
     with torch.inference_mode():
         assert torch.equal(steering, network(as_input(picture)))
     assert maps.shape == (1, height, width)

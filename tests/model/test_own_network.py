@@ -22,7 +22,7 @@ from model.cli import main
 from model.evaluation.predict import as_input
 from model.network.choice import choose_network
 from model.network.own_code import load_code
-from model.network.visual_backprop import predict_with_attention
+from model.network.visual_backprop import visual_backprop
 from model.runs.run_folder import load_answer_scale, load_network
 from toy import TINY, toy_index
 from udacity import call
@@ -191,7 +191,7 @@ def test_what_its_layers_cannot_do_is_said(index: Path, tmp_path: Path) -> None:
     said = [pilot.predict(pilot.crop(picture)) for pilot in pilots]
     assert said[0] == pytest.approx(said[1], abs=0.02)
     with pytest.raises(RunError, match=r"no nn\.ReLU after a convolution"):
-        predict_with_attention(load_network(done.run), as_input(pilots[0].crop(picture)[None]))
+        visual_backprop(load_network(done.run), as_input(pilots[0].crop(picture)[None]))
     with pytest.raises(RunError, match="cannot be written as ONNX: its way depends on what it sees"):
         export_onnx(done.run, tmp_path / "mine.onnx")
 

@@ -10,9 +10,10 @@ import torch
 from torch import nn
 from torch.nn import functional
 
+from model.adam import Adam
 from model.network.onednn_layers import OneDnnLayers
 from model.network.original import SteeringNetwork
-from model.training.step import make_optimizer, training_step
+from model.training.step import training_step
 
 
 def gradients(dtype: torch.dtype, micro_batch: int, **sharing: Any) -> tuple[float, torch.Tensor]:
@@ -21,7 +22,7 @@ def gradients(dtype: torch.dtype, micro_batch: int, **sharing: Any) -> tuple[flo
     network = SteeringNetwork(dropout=0.0).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     pictures = torch.randint(0, 256, (7, 3, 128, 128), dtype=torch.uint8)
     steering = torch.linspace(-1, 1, 7)
-    optimizer = make_optimizer(network, 1e-4)
+    optimizer = Adam(network.parameters(), 1e-4)
     error = training_step(network, optimizer, pictures, steering, dtype=dtype, micro_batch=micro_batch, **sharing)
     return float(error), torch.cat([p.grad.ravel() for p in network.parameters() if p.grad is not None])
 
@@ -69,7 +70,10 @@ def test_bfloat16_learns_what_pytorchs_own_layers_and_optimizer_do_to_the_last_b
     network = SteeringNetwork().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     plain = copy.deepcopy(network)
     plain.features = nn.Sequential(*plain.features)
-    optimizer, its_own = make_optimizer(network, 1e-3), torch.optim.Adam(plain.parameters(), lr=1e-3, foreach=True)
+    optimizer, its_own = (
+        Adam(network.parameters(), 1e-3),
+        torch.optim.Adam(plain.parameters(), lr=1e-3, foreach=True),
+    )
     pictures, steering = torch.randint(0, 256, (3, 3, 128, 128), dtype=torch.uint8), torch.linspace(-1, 1, 3)
     pictures[0] = 100
     for step in range(2):

@@ -23,13 +23,14 @@ from common.car import Camera
 from dataset import DatasetError, IndexConfig, SamplesDataset, build_index, decode, load
 from dataset.prediction_targets import TargetName
 from model import RunError, TrainConfig, export_onnx, load_pilot, predict_log, train
+from model.adam import Adam
 from model.evaluation.evaluate import evaluate_runs, evaluate_runs_on_sessions, evaluate_sessions
 from model.evaluation.run_comparison import Comparison
 from model.network.choice import choose_network
 from model.runs.history import read_history
 from model.runs.network_of_run import network_settings
 from model.runs.run_folder import load_config
-from model.training.step import make_optimizer, training_step
+from model.training.step import training_step
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from toy import TINY
@@ -164,7 +165,7 @@ def test_a_label_that_nobody_knows_changes_nothing_and_each_target_has_its_weigh
     ).square().sum()
     (expected / 4).backward()  # type: ignore[no-untyped-call]
 
-    optimizer = make_optimizer(network, 0.0)
+    optimizer = Adam(network.parameters(), 0.0)
     found = training_step(
         network, optimizer, pictures, labels, dtype=torch.float32, micro_batch=3, weights=torch.tensor([1.0, 0.25])
     )

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.location import Location
+from model.runs.run_files import CONFIG, WEIGHTS
 from web.data.file_versions import version_of
-from web.data.project_folders import RUN_CONFIG
-from web.data.run_networks import WEIGHTS, check_network
+from web.data.run_networks import check_network
 from web.errors import WebError
 
 if TYPE_CHECKING:  # these load PyTorch, which only requests need
@@ -44,7 +44,7 @@ class Attention:
         from dataset.preprocess import decode, preprocess
         from model.errors import RunError
         from model.evaluation.predict import as_input
-        from model.network.visual_backprop import predict_with_attention
+        from model.network.visual_backprop import visual_backprop
 
         try:
             picture = decode(encoded)
@@ -53,7 +53,7 @@ class Attention:
         with self._lock:
             network, spec = self._network(run, log, place)
             try:
-                _, maps = predict_with_attention(network, as_input(preprocess(picture, spec)[None]))
+                _, maps = visual_backprop(network, as_input(preprocess(picture, spec)[None]))
             except RunError as error:
                 raise RunError(f"{run}: {error}") from None
         return _drawn(maps[0].numpy(), picture.shape[0], picture.shape[1], spec)
@@ -65,7 +65,7 @@ class Attention:
 
         # one picture is too little for two: they wait for each other, where the machine is busy 20 times as long
         torch.set_num_threads(1)
-        version = version_of(run / WEIGHTS, run / RUN_CONFIG)
+        version = version_of(run / WEIGHTS, run / CONFIG)
         known = self._networks.pop(run, None)
         if known is None or known[0] != version:
             check_network(run, log, place)
