@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib.util import find_spec
@@ -57,7 +58,7 @@ def _show_or_save(config: Play, content: Content) -> int:
     if config.save is None:
         return content.show(_destination(config))
     code = content.save(config.save, overwrite=config.force)
-    print_result(f"{config.save}: written; open it with `rerun {config.save}`")
+    print_result(f"{config.save}: written; open it with `rerun {shlex.quote(str(config.save))}`")
     return code
 
 
@@ -83,7 +84,8 @@ def _content(config: Play) -> Content:
             else FinishedContent(lambda: prepare_training(config.log))
         )
     if not config.log.exists() and (Path("runs") / config.log).is_dir():
-        raise UserError(f"{config.log}: no log; to see how a run was trained, `bc-play runs/{config.log}`")
+        run = shlex.quote(str(Path("runs") / config.log))
+        raise UserError(f"{config.log}: no log; to see how a run was trained, `bc-play {run}`")
     path = find_log(config.log) if config.follow else config.log
     if config.follow and not is_finished(path):
         return GrowingLogContent(path)
@@ -179,7 +181,7 @@ def _report_predictions(config: Play, found: LogPredictions) -> int:
 
     if config.write is not None:
         write_predictions(found, config.write, overwrite=config.force)
-        print_result(f"{config.write}: written; look at it with `bc-play {config.write}`")
+        print_result(f"{config.write}: written; look at it with `bc-play {shlex.quote(str(config.write))}`")
     for run in found.predicted:
         print_result(found.summary(run))
     return warn_skipped(found.skipped)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -112,7 +113,7 @@ class GrowingLog(Closeable):
         if self._file is None:
             raise LogError(f"{path}: its recording was killed before anything of it was written")
         state = "its recording was killed; all that is whole is shown"
-        self.notice = f"{path}: {state}; `bc-log recover {path}` makes a log of it"
+        self.notice = f"{path}: {state}; `bc-log recover {shlex.quote(str(path))}` makes a log of it"
         if self._position < self._file.size:
             self._found.lost.append((self._position, self._file.size))
 
