@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from common.errors import printable
 from common.interrupts import leave_signals_to_main_thread
 from common.location import Location
+from model.runs.run_files import CONFIG, WEIGHTS
 from web.data.file_versions import version_of
 from web.data.own_process import own_process
-from web.data.project_folders import RUN_CONFIG, as_word
-from web.data.run_networks import WEIGHTS
+from web.data.project_folders import as_word
 from web.errors import WebError
 
 STOPPED: Final = "it was stopped; choose the run again to begin anew"
@@ -109,7 +109,7 @@ class Predictions:
 
     def key(self, log_fingerprint: str, run: Path) -> str:
         """The name that this prediction has here. Raises WebError for a run without weights."""
-        files = [run / WEIGHTS, run / RUN_CONFIG]
+        files = [run / WEIGHTS, run / CONFIG]
         version = version_of(*files)
         known = self._fingerprints.get(run)
         if known is None or known[0] != version:
@@ -175,37 +175,37 @@ class Predictions:
 
     def _run(self, predicting: Predicting, words: list[str]) -> None:
         leave_signals_to_main_thread()
-        # of its own: a process that is killed leaves its copy of a log in a store behind
-        with tempfile.TemporaryDirectory(prefix="bc-web-", ignore_cleanup_errors=True) as temporary:
-            self._run_in(temporary, predicting, words)
-
-    def _run_in(self, temporary: str, predicting: Predicting, words: list[str]) -> None:
         try:
-            with self._lock:
-                if self._is_closed or predicting.is_stopped:
-                    return
-                predicting.is_begun = True
-                self._at_work = predicting
-                self._process = process = subprocess.Popen(
-                    own_process("web.data.prediction_process", *words),
-                    stdin=subprocess.PIPE,  # it ends with this process
-                    stdout=subprocess.PIPE,
-                    stderr=subprocess.DEVNULL,
-                    env={**os.environ, "PYTHONUNBUFFERED": "1", "TMPDIR": temporary},
-                    start_new_session=True,
-                )
-            with process:
-                assert process.stdout is not None  # noqa: S101
-                for line in process.stdout:
-                    _update(predicting, line)
-            if process.returncode and not predicting.problem:
-                predicting.problem = f"the process that predicts ended with {process.returncode}; try it again"
+            # of its own: a process that is killed leaves its copy of a log in a store behind
+            with tempfile.TemporaryDirectory(prefix="bc-web-", ignore_cleanup_errors=True) as temporary:
+                self._run_in(temporary, predicting, words)
         except OSError as error:
             predicting.problem = f"it cannot be started: {error.strerror}"
         finally:
             with self._lock:
                 self._process = self._at_work = None
             predicting.is_done = True
+
+    def _run_in(self, temporary: str, predicting: Predicting, words: list[str]) -> None:
+        with self._lock:
+            if self._is_closed or predicting.is_stopped:
+                return
+            predicting.is_begun = True
+            self._at_work = predicting
+            self._process = process = subprocess.Popen(
+                own_process("web.data.prediction_process", *words),
+                stdin=subprocess.PIPE,  # it ends with this process
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                env={**os.environ, "PYTHONUNBUFFERED": "1", "TMPDIR": temporary},
+                start_new_session=True,
+            )
+        with process:
+            assert process.stdout is not None  # noqa: S101
+            for line in process.stdout:
+                _update(predicting, line)
+        if process.returncode and not predicting.problem:
+            predicting.problem = f"the process that predicts ended with {process.returncode}; try it again"
 
 
 def _update(predicting: Predicting, line: bytes) -> None:

@@ -49,7 +49,12 @@ class RerunViewer:
     def __init__(self, log: Location, *, is_growing: bool) -> None:
         """Raises WebError if it cannot be started."""
         self.key = secrets.token_hex(8)
-        self.web_port, self.data_port = _free_ports(2)
+        try:
+            self.web_port, self.data_port = _free_ports(2)
+            # of its own: a process that is killed leaves its copy of a log in a store behind
+            self._temporary = tempfile.mkdtemp(prefix="bc-web-")
+        except OSError as error:
+            raise WebError(f"Rerun cannot be started: {error.strerror}", 500) from None
         self._why_ended = ""
         self._is_ended = False
         self.notes: list[str] = []
@@ -58,8 +63,6 @@ class RerunViewer:
             self.notes.append("a copy of the log comes from its store first")
         words = [as_word(log), "--web", f"--web-port={self.web_port}", f"--port={self.data_port}"]
         line = own_process("web.data.rerun_process", *words, *(["--follow"] if is_growing else []))
-        # of its own: a process that is killed leaves its copy of a log in a store behind
-        self._temporary = tempfile.mkdtemp(prefix="bc-web-")
         environment = {**os.environ, "COLUMNS": "400", "NO_COLOR": "1", "TMPDIR": self._temporary}
         try:
             # its stdin ends with this process, and then it does; a group of its own, so that nothing of it stays
