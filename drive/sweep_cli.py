@@ -22,6 +22,7 @@ from common.output import print_message, print_result, print_table
 from common.progress import track
 from common.random_access import is_there
 from common.tasks import RayAddress, tasks_of
+from model.runs.run_files import without_nan
 
 if TYPE_CHECKING:
     from drive.evaluation.sweep import Swept
@@ -111,20 +112,12 @@ def _print_one(swept: Swept, *, as_json: bool) -> None:
     if as_json:
         summary = None if swept.summary is None else {**asdict(swept.summary), "results": swept.summary.drives}
         settings = asdict(swept.training.config)
-        print_result(
-            json.dumps({"run": run, "settings": settings, "failure": swept.failure, "summary": _finite(summary)})
-        )
+        found = {"run": run, "settings": settings, "failure": swept.failure, "summary": summary}
+        print_result(json.dumps(without_nan(found)))
     elif not swept.failure and swept.summary is not None:
         drives = swept.summary.drives
         driven = f", autonomy {_mean(swept.summary):.1f} % in {counted(len(drives), 'drive')}" if drives else ""
         print_message(f"bc-sweep: {run}: RMSE {swept.summary.rmse_deg:.2f} degrees{driven}")
-
-
-def _finite(value: object) -> object:
-    """JSON has no NaN."""
-    if isinstance(value, dict):
-        return {name: _finite(each) for name, each in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _table(name: str, done: Sequence[Swept]) -> Table:

@@ -15,10 +15,10 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from common import UserError
-from common.locks import is_being_written
 from dataset.prediction_targets import TARGETS, TargetName
 from model.metrics import Errors, Measures
 from model.runs.history import History, HistoryReader, read_history
+from model.runs.run_lock import is_being_trained
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Epoch, Step
 from model.target_metrics import TargetErrors
 from viz.console import print_error, print_notice, print_skipped
@@ -138,7 +138,7 @@ def _send_whole(history: History, recording: rr.RecordingStream, flush: Callable
 
 def wait_until_trained(run: Path) -> None:
     """Return when no process of this machine trains `run` (any more)."""
-    while is_being_written(run / "last" / ".lock"):
+    while is_being_trained(run):
         time.sleep(POLL_S)
 
 

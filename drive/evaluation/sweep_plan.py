@@ -21,6 +21,7 @@ import hashlib
 import itertools
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -90,8 +91,8 @@ def read_sweep(path: Path) -> SweepPlan:
         for varied in stored.trainings or _combinations(path, stored)
         for seed in stored.seeds
     )
-    names = [training.run for training in trainings]
-    if twice := next((run for run in names if names.count(run) > 1), None):
+    names = Counter(training.run for training in trainings)
+    if twice := next((run for run, count in names.items() if count > 1), None):
         raise UserError(f"{path}: two trainings are the same ({twice}): give each once")
     drives: list[tuple[BuiltInSimulator, DriveConfig]] = []
     if stored.drive is not None:

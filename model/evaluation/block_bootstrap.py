@@ -36,23 +36,15 @@ def intervals(sums: Floats, statistic: Statistic, confidence: float, draws: int 
     generator = np.random.default_rng(0)
     blocks = len(sums)
     at_once = max(1, _CHUNK // blocks)
-    found = np.concatenate(
-        [
-            statistic(generator.multinomial(count, np.full(blocks, 1 / blocks), size=size) @ sums)
-            for count, size in _parts(blocks, draws, at_once)
-        ]
-    )
+    sizes = [min(at_once, draws - first) for first in range(0, draws, at_once)]
+    shares = np.full(blocks, 1 / blocks)
+    found = np.concatenate([statistic(generator.multinomial(blocks, shares, size=size) @ sums) for size in sizes])
     tail = _tail(blocks, confidence)
     low, high = np.full(found.shape[1], np.nan), np.full(found.shape[1], np.nan)
     for measure, values in enumerate(found.T):
         if len(known := values[np.isfinite(values)]):
             low[measure], high[measure] = np.quantile(known, [tail, 1 - tail])
     return low, high
-
-
-def _parts(blocks: int, draws: int, at_once: int) -> list[tuple[int, int]]:
-    sizes = [min(at_once, draws - first) for first in range(0, draws, at_once)]
-    return [(blocks, size) for size in sizes]
 
 
 def _tail(blocks: int, confidence: float) -> float:

@@ -16,6 +16,8 @@ from model.errors import RunWriteError
 WEIGHTS: Final = "model.safetensors"
 CONFIG: Final = "config.json"
 """A folder with this file is a run."""
+TRAINING_LOCK: Final = "last/.lock"
+"""A file that is locked while a process trains the run."""
 RESULTS_FILE: Final = "results.jsonl"
 """The results of its evaluations, a line each: see kept_results.py."""
 

@@ -7,17 +7,17 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from common.locks import try_lock
+from common.locks import is_being_written, try_lock
 from model.errors import RunError
-from model.runs.checkpoint import LAST
+from model.runs.run_files import TRAINING_LOCK
 
 
 @contextlib.contextmanager
 def locked_for_training(run: Path) -> Iterator[None]:
     """Hold the lock of a run's folder. Raises RunError if another process is training the run."""
-    folder = run / LAST
-    folder.mkdir(exist_ok=True)
-    with (folder / ".lock").open("ab") as stream:
+    path = run / TRAINING_LOCK
+    path.parent.mkdir(exist_ok=True)
+    with path.open("ab") as stream:
         for _ in range(50):  # a process that only tests the lock holds it for a moment
             if try_lock(stream):
                 break
@@ -25,3 +25,8 @@ def locked_for_training(run: Path) -> Iterator[None]:
         else:
             raise RunError(f"{run}: is being trained by another process; wait for it, or give another --name")
         yield
+
+
+def is_being_trained(run: Path) -> bool:
+    """Whether a process of this machine trains the run."""
+    return is_being_written(run / TRAINING_LOCK)

@@ -69,8 +69,8 @@ def _strokes(drive: DriveView, number: int, by: By, fastest: float) -> list[Stro
     found = []
     for name, part in groupby(pairwise(drive.path), key=lambda pair: style(pair[0])):
         pairs = list(part)
-        first, *rest = [pairs[0][0], *(pair[1] for pair in pairs)]
-        points = " ".join(f"{place.x_m:.2f},{-place.y_m:.2f}" for place in (first, *rest))
+        places = [pairs[0][0], *(pair[1] for pair in pairs)]
+        points = " ".join(f"{place.x_m:.2f},{-place.y_m:.2f}" for place in places)
         found.append(Stroke(name, points))
     return found
 

@@ -17,7 +17,7 @@ from dataset.frames.image_check_cache import check_images, read_image_check, wri
 from recorder import Log
 from recorder.log.chunk_cache import default_cache
 from web.data.cache_folder import CacheFolder
-from web.errors import tell_bug
+from web.errors import report_bug
 
 
 class _StoppedError(Exception):
@@ -84,6 +84,6 @@ class PictureChecks:
         except (UserError, OSError, MemoryError) as error:
             checking.problem = printable(str(error)) or "not enough memory"
         except Exception as error:
-            checking.problem = tell_bug(error)
+            checking.problem = report_bug(error)
         finally:
             checking.is_done = True

@@ -20,6 +20,7 @@ from common.errors import StoreError
 from common.files import PART_SUFFIX
 from common.location import Location, Url
 from dataset.index.build_state import Stat, stat_of
+from model.runs.run_files import CONFIG
 from recorder.log.log_info import logs_in
 from recorder.log.tags import tags_path
 from web.data.file_versions import version_of, version_of_folder, version_of_growing, version_of_stats
@@ -30,8 +31,6 @@ from web.errors import WebError
 Place = Literal["sessions", "drives"]
 """A folder of logs, as addresses name it."""
 PLACES: Final[tuple[Place, ...]] = get_args(Place)
-
-RUN_CONFIG: Final = "config.json"  # what makes a folder a run: `model.runs.run_folder.CONFIG`, without PyTorch
 
 _PLAIN: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _LOG: Final = ".mcap"
@@ -180,7 +179,7 @@ class ProjectFolders:
             self._stored_runs.refresh()
             return {key_of(path): path for path in self._stored_runs.runs()}
         assert isinstance(self.runs, Path)  # noqa: S101
-        return {key_of(path.parent): path.parent for path in sorted(self.runs.glob(f"*/{RUN_CONFIG}"))}
+        return {key_of(path.parent): path.parent for path in sorted(self.runs.glob(f"*/{CONFIG}"))}
 
     def run(self, key: str) -> Path:
         """The run of that key. Raises WebError if it is not there (any more)."""

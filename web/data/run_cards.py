@@ -12,19 +12,21 @@ from typing import TYPE_CHECKING, Final
 from common import UserError
 from common.errors import printable
 from common.location import Location
-from common.locks import is_being_written
+from model.runs.run_files import CONFIG, RESULTS_FILE, WEIGHTS
+from model.runs.run_lock import is_being_trained
+from model.runs.training_progress import METRICS_FILE, STEPS_FILE
+from model.runs.worst_pictures import WORST_FILE
 from web.data.background import Background
-from web.data.project_folders import RUN_CONFIG, ProjectFolders, key_of
+from web.data.project_folders import ProjectFolders, key_of
 from web.errors import WebError
 
 if TYPE_CHECKING:  # these load PyTorch, which only pages of runs need
     from model.runs.history import History
     from model.runs.run_summary import RunSummary
 
-_SUMMED_UP: Final = RUN_CONFIG, "metrics.jsonl", "results.jsonl", "model.safetensors"
-_GROWING: Final = "steps.jsonl", "worst.jsonl"
-_HISTORY: Final = "metrics.jsonl", *_GROWING
-_LOCK: Final = Path("last") / ".lock"  # held while a run is trained
+_SUMMED_UP: Final = CONFIG, METRICS_FILE, RESULTS_FILE, WEIGHTS
+_GROWING: Final = STEPS_FILE, WORST_FILE
+_HISTORY: Final = METRICS_FILE, *_GROWING
 _HISTORIES: Final = 16  # kept in memory, of the runs shown last
 
 
@@ -74,7 +76,7 @@ class RunCards:
         digest = hashlib.sha256()
         for path in self._folders.run_folders().values():
             version = self._folders.version_of_run(path, (*_SUMMED_UP, *_GROWING))
-            digest.update(version.encode() + bytes([_is_training(path)]))
+            digest.update(version.encode() + bytes([is_being_trained(path)]))
         return digest.hexdigest()[:16] + self._folders.runs_problem
 
     def cards(self, patience_s: float) -> list[RunCard]:
@@ -110,11 +112,7 @@ def _card(path: Path, found: RunSummary | UserError | None, place: Location) -> 
     elif found is not None and found.problem:
         problem, found = found.problem, None
     problem = problem.replace(str(path), str(place))  # what is here is a copy of it
-    return RunCard(key_of(path), path, found, printable(problem), _is_training(path))
-
-
-def _is_training(run: Path) -> bool:
-    return is_being_written(run / _LOCK)
+    return RunCard(key_of(path), path, found, printable(problem), is_being_trained(path))
 
 
 def _summary(run: Path, version: str) -> RunSummary:

@@ -38,11 +38,7 @@ def run_curves(history: History) -> dict[str, Line]:
     for target in dict.fromkeys(target.target for epoch in history.epochs for target in epoch.targets):
         lines[f"RMSE of {target}"] = line(
             next(
-                (
-                    found.rmse / found.mean_rmse
-                    for found in epoch.targets
-                    if found.target == target and found.mean_rmse
-                ),
+                (_share(found.rmse, found.mean_rmse) for found in epoch.targets if found.target == target),
                 math.nan,
             )
             for epoch in history.epochs

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Final
 
 from common.location import Location
-from web.data.project_folders import RUN_CONFIG
+from model.runs.run_files import CONFIG, WEIGHTS
 from web.errors import WebError
 
-WEIGHTS: Final = "model.safetensors"  # `model.runs.run_folder.WEIGHTS`, without PyTorch
-NETWORK_FILES: Final = WEIGHTS, RUN_CONFIG
+NETWORK_FILES: Final = WEIGHTS, CONFIG
 """The files that a run's network is loaded from."""
 
 

@@ -12,8 +12,8 @@ from typing import Any, Final
 
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
+from model.runs.run_files import CONFIG
 from web.data.file_versions import version_of
-from web.data.project_folders import RUN_CONFIG
 
 _OF_THE_RUN: Final = ("fingerprint", "content_fingerprint", "targets_fingerprint")
 """Fields of a run's config for its data that the index itself lacks."""
@@ -30,7 +30,7 @@ class RunOrigin:
 
 def origin_of(run: Path) -> RunOrigin:
     """The origin of a run; empty where its config.json cannot be read, which the list of runs shows."""
-    config = run / RUN_CONFIG
+    config = run / CONFIG
     return _origin(config, version_of(config))
 
 

@@ -49,16 +49,17 @@ def run_routes(bench: Workbench) -> list[Route]:
         card = next((found for found in bench.runs.cards(PATIENCE_S) if found.key == key), None)
         if card is None:
             raise WebError(f"{path}: deleted, or renamed", 404)
+        pages = _log_pages(bench.folders)
         return {
             "card": card,
             "path": printable(str(bench.folders.run_place(path))),
             "summary": card.summary,
             "settings": _settings(path) if not card.problem else {},
-            "sessions": _sessions(bench.folders, card),
+            "sessions": _sessions(pages, card),
             "is_of_index": _is_of_index(path, bench.folders.index_here),
-            "results": _results(bench.folders, card),
+            "results": _results(pages, card),
             "drives": _drives(bench, path.name),
-            **_worst(bench, path, card, request.query_params.get("epoch", "")),
+            **_worst(bench, pages, path, card, request.query_params.get("epoch", "")),
         }
 
     return [
@@ -80,20 +81,22 @@ def _settings(path: Path) -> dict[str, str]:
         return {}
 
 
-def _sessions(folders: ProjectFolders, card: RunCard) -> list[tuple[str, str]]:
+def _sessions(pages: Mapping[str, str], card: RunCard) -> list[tuple[str, str]]:
     """The sessions that it learnt from, and the addresses of their pages; "" for those that are not here."""
-    return [
-        (printable(name), log_address(folders, name)) for name in (card.summary.sessions if card.summary else ())
-    ]
+    return [(printable(name), _page_of(pages, name)) for name in (card.summary.sessions if card.summary else ())]
 
 
-def log_address(folders: ProjectFolders, session: str) -> str:
-    """The page of the log of that session, wherever it lies; "" if it is in none of the folders."""
-    key = key_of(Path(f"{session.replace('/', ' ')}.mcap"))
-    return next((f"/{place}/{key}" for place in PLACES if key in folders.logs(place)), "")
+def _log_pages(folders: ProjectFolders) -> dict[str, str]:
+    """The pages of all logs by key; of two logs with the same key, the session's."""
+    return {key: f"/{place}/{key}" for place in reversed(PLACES) for key in folders.logs(place)}
 
 
-def _results(folders: ProjectFolders, card: RunCard) -> list[dict[str, Any]]:
+def _page_of(pages: Mapping[str, str], session: str) -> str:
+    """The page of the log of that session; "" if it is in none of the folders."""
+    return pages.get(key_of(Path(f"{session.replace('/', ' ')}.mcap")), "")
+
+
+def _results(pages: Mapping[str, str], card: RunCard) -> list[dict[str, Any]]:
     """The results of `bc-eval` for its present weights: the last of each kind."""
     found = []
     for kept in card.summary.results if card.summary else ():
@@ -102,7 +105,7 @@ def _results(folders: ProjectFolders, card: RunCard) -> list[dict[str, Any]]:
             "way": kept.way,
             "when": printable(kept.measured_at[:16].replace("T", " ")),
             "numbers": _numbers(kept.result),
-            "log": log_address(folders, Path(log).name.removesuffix(".mcap")) if isinstance(log, str) else "",
+            "log": _page_of(pages, Path(log).name.removesuffix(".mcap")) if isinstance(log, str) else "",
         }
         found.append(shown)
     return found
@@ -141,7 +144,9 @@ def _drives(bench: Workbench, run: str) -> list[tuple[str, str, str]]:
     ]
 
 
-def _worst(bench: Workbench, path: Path, card: RunCard, requested: str) -> dict[str, Any]:
+def _worst(
+    bench: Workbench, pages: Mapping[str, str], path: Path, card: RunCard, requested: str
+) -> dict[str, Any]:
     """The worst frames after the epoch that was kept, or the requested one."""
     try:
         history = bench.runs.history(path)
@@ -154,7 +159,7 @@ def _worst(bench: Workbench, path: Path, card: RunCard, requested: str) -> dict[
         epoch = max(by_epoch)
     frames = []
     for number, frame in enumerate(by_epoch[epoch].frames) if epoch in by_epoch else ():
-        address = log_address(bench.folders, frame.session)
+        address = _page_of(pages, frame.session)
         frames.append(
             {
                 "picture": f"/runs/{card.key}/worst/{epoch}/{number}.jpg",
