@@ -10,5 +10,5 @@ _MARKUP: Final = "\\|<>[]`*_!&#~"
 
 
 def as_markdown(text: str) -> str:
-    """Somebody else's text, as one that neither ends a table's cell nor becomes a link, a heading or a tag."""
+    """Escape somebody else's text: it neither ends a table's cell nor becomes a link, a heading or a tag."""
     return "".join(f"\\{character}" if character in _MARKUP else character for character in printable(text))

@@ -44,7 +44,7 @@ class ObjectVersion:
 
     @property
     def name(self) -> str:
-        """As in `StoredObject.version`."""
+        """The ETag without its quotation marks, as in `StoredObject.version`."""
         return self.e_tag.strip('"')
 
 

@@ -162,7 +162,7 @@ def _lower_priority(process: int, idle_priority: bool) -> None:
 
 
 def _restore_priority(process: int) -> None:
-    """As far as the system permits: beside programs that compute, the viewer would hardly run at all."""
+    """Restore normal priority, as far as the system permits: beside busy programs the viewer would hardly run."""
     _set_group_niceness(process, 0)
     if sys.platform == "linux":
         with contextlib.suppress(OSError):

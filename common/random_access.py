@@ -34,7 +34,7 @@ class RandomAccess(Protocol):
         """`length` bytes from `offset`; fewer where the file ends before. Raises OSError or StoreError."""
 
     def read_alone(self, offset: int, length: int) -> bytes:
-        """As `read`, but nothing beside is read, and nothing is kept for the next one."""
+        """The same as `read`, but nothing beside is read, and nothing is kept for the next call."""
 
     def read_many(self, ranges: Iterable[Range]) -> Iterator[bytes]:
         """The bytes of each range, in their order; later ones are requested meanwhile. Raises what `read`

@@ -288,7 +288,7 @@ def _is_it_or_in_it(name: str, file_or_folder: str) -> bool:
 
 
 def _is_hidden(name: str) -> bool:
-    """Of locks and the like, which other programs may have copied there."""
+    """True for names of locks and the like, which other programs may have copied there."""
     return any(part.startswith(".") for part in name.split("/"))
 
 

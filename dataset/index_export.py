@@ -44,7 +44,7 @@ def export_index(index: Location, folder: Path, *, where: str | None = None, **o
 
 
 def _chosen_rows(index: Location, samples: Samples, where: str | None) -> Mapping[str, ChosenRows]:
-    """By session."""
+    """The rows that the index uses, and that fulfil `where`, by session."""
     config = samples.settings
     condition = None if config.where is None else Condition(config.where)
     further = None if where is None else Condition(where)

@@ -43,7 +43,7 @@ class PictureSpec:
 
     @classmethod
     def from_description(cls, stored: object) -> PictureSpec:
-        """That of a run, by its `description`. Raises ValueError for what no version of this toolkit writes."""
+        """The input of a run, from its `description`. Raises ValueError for one that no version has written."""
         if not isinstance(stored, dict):
             raise ValueError("missing")
         if stored.get("resize") != _RESIZE:
@@ -64,7 +64,7 @@ class PictureSpec:
 
     @property
     def description(self) -> dict[str, str]:
-        """In words, as every run and every drive keeps it."""
+        """The input in words, as every run and every drive keeps it."""
         return {
             "channels": self.channels,
             "crop_top": f"{self.crop_top}/{ROWS}",

@@ -65,8 +65,8 @@ def stretches_to_drive(states: States, is_usable: NDArray[np.bool_]) -> list[Dri
 
 
 def curvature(steering: float, car: Car) -> float:
-    """Of the way of the rear axle at a steering -1 (left) .. 1 (right), a metre, positive to the left: that of the
-    kinematic bicycle (Rajamani, Vehicle Dynamics and Control, section 2.2)."""
+    """The curvature of the rear axle's way at a steering of -1 (left) .. 1 (right), in 1/m, positive to the left:
+    that of the kinematic bicycle (Rajamani, Vehicle Dynamics and Control, section 2.2)."""
     return -math.tan(car.max_wheel_rad * steering) / car.wheelbase_m
 
 
@@ -81,7 +81,7 @@ class CarBesideLine:
     _own: float = 0.0
 
     def put_on_line(self, steering: float) -> None:
-        """As the recorded car, which has been steered like this."""
+        """Put the car where the recorded one is, which has been steered by `steering`."""
         self.left_m = self.turn_rad = 0.0
         self._recorded = self._own = curvature(steering, self.geometry)
 

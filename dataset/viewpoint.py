@@ -99,7 +99,7 @@ class Viewpoint:
         return WarpedView(picture, is_known, camera)
 
     def picture(self, picture: Image, left_m: float, turn_rad: float) -> Image:
-        """As `view`, of a picture of the centre camera, without saying what of it is known."""
+        """The picture of `view`, from one of the centre camera, without the mask of its known pixels."""
         return self._picture({"center": picture}, left_m, turn_rad, "center")
 
     def _picture(self, pictures: Mapping[Camera, Image], left_m: float, turn_rad: float, camera: Camera) -> Image:
@@ -135,18 +135,18 @@ class Viewpoint:
         return found
 
     def _far(self, turn_rad: float) -> Matrix:
-        """From pixels of the turned camera to those of the recorded one, of what is infinitely far away."""
+        """The map from pixels of the turned camera to those of the recorded one, for points at infinity."""
         return np.asarray(self._from_level @ _turn(turn_rad) @ self._to_level)
 
     def _road(self, ahead_m: float, aside_m: float, turn_rad: float) -> Matrix:
-        """As `_far`, of points of the road: the homography of a plane (Hartley and Zisserman, section 13.1)."""
+        """The same for points of the road: the homography of a plane (Hartley and Zisserman, section 13.1)."""
         move = np.zeros((3, 3))
         move[:, 1] = np.array([-aside_m, 0.0, ahead_m]) / self.geometry.height_m
         return np.asarray(self._from_level @ (_turn(turn_rad) + move) @ self._to_level)
 
 
 def _turn(left_rad: float) -> Matrix:
-    """From (right, down, ahead) of a car that is turned to the left to those of one that is not."""
+    """The rotation from (right, down, ahead) of a car that is turned to the left to those of one that is not."""
     cos, sin = math.cos(left_rad), math.sin(left_rad)
     return np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
 

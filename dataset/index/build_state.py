@@ -53,7 +53,7 @@ class BuildState(msgspec.Struct, frozen=True):
 
     @classmethod
     def nothing(cls) -> BuildState:
-        """That of an index which is built anew."""
+        """The state of an index that is built anew."""
         return cls(None, {}, [])
 
 

@@ -46,7 +46,7 @@ def find_leaks(index: Path | str) -> list[str]:
 
 
 def _leaks_in(file: Path, index: Path, gap_s: float) -> list[str]:
-    """Of the sessions whose samples are in a file."""
+    """The leaks among the sessions whose samples are in a file."""
     columns = ["session", "row", "log_time_ns", "split", "copy", "alteration"]
     samples = pq.read_table(file, columns=columns, read_dictionary=["session"]).unify_dictionaries()
     session = samples["session"].combine_chunks()

@@ -43,8 +43,8 @@ def labels_of_sessions(
     config: IndexConfig,
     tasks: Tasks = one_by_one,
 ) -> dict[str, SessionLabels]:
-    """By session, from its frames file, its log, and what is known of that. Pictures are decoded of sessions only
-    whose labels may depend on them. Raises LogError or FramesError for a damaged file."""
+    """The habits and label plan of each session, from its frames file, its log, and the log's entry. Pictures are
+    decoded only of sessions whose labels may depend on them. Raises LogError or FramesError for a damaged file."""
     names = list(frames)
     steered = tasks(habits_of_frames, [(frames[name], built[name].max_steering_deg) for name in names])
     habits = {names[number]: found for number, found in track(steered, "looking at the steering", len(names))}

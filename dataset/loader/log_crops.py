@@ -53,7 +53,7 @@ class LogCrops(Closeable):
 
     @property
     def fingerprint(self) -> str:
-        """Of the log: see `Log`."""
+        """The log's fingerprint: see `Log`."""
         return self._log.fingerprint
 
     @property

@@ -90,7 +90,7 @@ def shares(quota: Quota, counts: NDArray[np.int64]) -> list[Quota]:
 
 
 def _shared(wanted: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Of each bin so many in all, (sessions, bins) in proportion to `counts`."""
+    """The `wanted` number of each bin, divided among sessions (sessions, bins) in proportion to `counts`."""
     total = np.maximum(counts.sum(axis=0), 1)
     # 64 bits hold the square of three billion, and more are in no bin
     up_to: NDArray[np.int64] = np.cumsum(counts, axis=0) * wanted // total

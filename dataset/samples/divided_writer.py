@@ -62,7 +62,7 @@ class _Session:
     config: IndexConfig
 
     def random(self, purpose: int) -> np.random.Generator:
-        """Of this session alone, whatever other sessions there are."""
+        """A generator for this session, which does not depend on the other sessions."""
         number = int.from_bytes(hashlib.sha256(self.name.encode()).digest()[:8], "big")
         return np.random.default_rng((self.config.seed, purpose, number))
 
@@ -119,8 +119,8 @@ def _divide(candidates: NDArray[np.int64], config: IndexConfig) -> tuple[Balance
 
 
 def _count(session: _Session) -> tuple[NDArray[np.int64], int, SessionCounts, str]:
-    """Of each bin how many candidates for training a session has; how many of its frames can be used, and why
-    others cannot; the SHA-256 of its frames file."""
+    """The number of a session's candidates for training in each bin, that of its usable frames, its counts, and
+    the SHA-256 of its frames file."""
     usable, counts = session.usable()
     with session.frames.open("rb") as stream:
         made_from = hashlib.file_digest(stream, "sha256").hexdigest()

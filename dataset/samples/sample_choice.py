@@ -65,7 +65,7 @@ def choose_share(
     share: Quota,
     random: np.random.Generator,
 ) -> ChosenSamples:
-    """As `choose_samples`, of one session, which has this share of what is balanced."""
+    """The same as `choose_samples`, for one session, whose share of the balanced samples is given."""
     bins, is_training = _candidates(label, is_training, config)
     training = np.flatnonzero(is_training)
     chosen, is_copy = draw(bins[training], share, random)
@@ -101,7 +101,7 @@ def _in_order(
     config: IndexConfig,
     random: np.random.Generator,
 ) -> ChosenSamples:
-    """By frame, then original before mirror image, then copies; and what these get."""
+    """Sort samples by frame, original before mirror image, copies last; and draw the copies' alterations."""
     key = (candidate % frames) * 4 + (candidate // frames) * 2 + is_copy  # all of a sample
     key.sort()
     is_copy = (key & 1) > 0

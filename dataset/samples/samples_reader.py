@@ -165,7 +165,7 @@ class Samples(Closeable):
 
     @cached_property
     def settings(self) -> IndexConfig:
-        """Those that the index was built with. Raises DatasetError for what are none."""
+        """The settings that the index was built with. Raises DatasetError if they are damaged."""
         try:
             return settings_from(IndexConfig, self.metadata["settings"])
         except (KeyError, ValueError) as error:
@@ -189,7 +189,7 @@ class Samples(Closeable):
 
     @property
     def content_fingerprint(self) -> str:
-        """As `fingerprint`, but by rows and cameras instead of bytes: the same for a log that was rewritten."""
+        """A `fingerprint` by rows and cameras instead of bytes: the same for a log that was rewritten."""
         return self._fingerprint_of(_CONTENT)
 
     def _fingerprint_of(self, columns: Sequence[str]) -> str:
@@ -218,7 +218,7 @@ class Samples(Closeable):
         return speed_ahead_s_in(self.metadata.get("settings"))
 
     def missing(self, targets: Sequence[TargetName]) -> list[TargetName]:
-        """Those of these targets that have no labels here, as in indexes of earlier versions."""
+        """The targets among these that have no labels here, as in indexes of earlier versions."""
         return [name for name in targets if TARGETS[name].label_column not in self._columns]
 
     def refuse_missing(self, targets: Sequence[TargetName]) -> None:

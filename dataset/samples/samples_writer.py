@@ -117,7 +117,7 @@ def write_samples(
 
 
 def slower_set_speeds_mph(labels: Mapping[str, SessionLabels]) -> dict[str, list[float]]:
-    """Of each session the set speeds of its driver below the highest of all (`planned_speed_mph`)."""
+    """The set speeds of each session's driver that are below the highest of all (`planned_speed_mph`)."""
     fastest_mph = max((mph for of_session in labels.values() for mph in of_session.set_speeds_mph), default=0.0)
     return {
         name: [mph for mph in of_session.set_speeds_mph if mph < fastest_mph]

@@ -22,7 +22,7 @@ _EPISODES_AT_ONCE: Final = 64  # are kept until they are written to meta/episode
 
 
 class DatasetFiles:
-    """As a context manager it ends its files."""
+    """Writes the files of a dataset. As a context manager it ends them."""
 
     def __init__(self, root: Path, fps: int, *, has_speed: bool, is_video: bool, has_split: bool = False) -> None:
         self.root = root
@@ -102,7 +102,7 @@ def write_json(path: Path, content: object) -> None:
 
 
 def write_tasks(root: Path, task: str) -> None:
-    """As pandas writes a table with an index, which is how LeRobot finds a task by its words."""
+    """Write the tasks as pandas writes a table with an index, in which LeRobot finds a task by its words."""
     kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
     columns = [
         {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy_kind, "metadata": None}

@@ -80,7 +80,7 @@ def plan_export(
 
 
 def _cameras(paths: Sequence[Location], wanted: Sequence[Camera]) -> tuple[tuple[Camera, ...], list[str]]:
-    """Those of the wanted cameras whose pictures each of the logs has, and lines about the others."""
+    """The wanted cameras whose pictures each of the logs has, and lines about the others."""
     having: dict[Camera, list[str]] = {camera: [] for camera in CAMERAS if camera in wanted}
     for path in paths:
         with Log(path) as log:

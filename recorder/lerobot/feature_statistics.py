@@ -33,7 +33,7 @@ def sampled(count: int) -> NDArray[np.int64]:
 
 
 def number_statistics(values: NDArray[np.number]) -> Statistics:
-    """Of numbers (N, width), or (N,) for one a frame; N > 0."""
+    """Statistics of numbers (N, width), or (N,) for one a frame; N > 0."""
     columns = values.reshape(len(values), -1).astype(np.float64)
     return {
         "min": columns.min(axis=0),
@@ -60,7 +60,7 @@ class PictureStatistics:
             self._counts[2 - channel] += found.ravel().astype(np.int64)
 
     def statistics(self) -> Statistics:
-        """Of the pictures until now, of which there must be one; each of shape (3, 1, 1)."""
+        """Statistics of the pictures added until now, of which there must be one; each of shape (3, 1, 1)."""
         level = np.arange(256) / 255
         share = self._counts / self._counts.sum(axis=1, keepdims=True)
         below = np.cumsum(share, axis=1)

@@ -19,7 +19,7 @@ from recorder.log.topics import camera_topic
 
 @dataclass(frozen=True)
 class ChosenRows:
-    """Those rows of a log that are wanted, and the side of a split that each is on: `train`, `validation`."""
+    """The wanted rows of a log, and the side of a split that each is on: `train`, `validation`."""
 
     row: NDArray[np.int64]  # (N,), ascending
     split: NDArray[np.str_]  # (N,)

@@ -50,7 +50,7 @@ class PictureSpool:
 
     @property
     def size_bytes(self) -> int:
-        """Of all pictures."""
+        """The size of all pictures."""
         return sum(map(sum, self._lengths))
 
     def columns(self) -> list[pa.ChunkedArray]:

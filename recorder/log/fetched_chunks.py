@@ -69,7 +69,7 @@ class FetchedChunks(Closeable):
 
     @property
     def most_bytes(self) -> int:
-        """That are kept on the disk, of all logs."""
+        """The most bytes of all logs that are kept on the disk."""
         return self._most_bytes
 
     def sizes(self, numbers: Sequence[int]) -> int:
@@ -77,7 +77,7 @@ class FetchedChunks(Closeable):
         return sum(self._chunks[number].end - self._chunks[number].start for number in numbers)
 
     def missing(self, numbers: Sequence[int]) -> list[int]:
-        """Those of these chunks that are neither here nor on their way."""
+        """The numbers of these chunks that are neither here nor on their way."""
         with self._lock:
             here = self._coming.keys() | self._kept.keys() | self._damaged.keys()
             unknown = [each for each in numbers if each not in here]

@@ -105,7 +105,7 @@ def logs_in(folder: Location) -> list[Path] | list[Url]:
 
 
 def describe(place: Location | Log, *, look: bool = False, with_tags: bool = True) -> LogInfo:
-    """Of a log by its place, or one that is open. `look`: also at some pictures, for the lag of the steering.
+    """Describe a log by its place, or one that is open; `look` measures the steering's lag in some pictures, too.
     Raises LogError if the log cannot be read or, `with_tags`, its tags."""
     with contextlib.nullcontext(place) if isinstance(place, Log) else Log(place, brief=True) as log:
         first_ns, last_ns = log.time_range_ns
@@ -179,7 +179,7 @@ def first_picture_sizes(log: Log) -> dict[str, tuple[int, int]] | None:
 
 
 def _quality(log: Log) -> dict[str, str]:
-    """As the log's writer has summed it up; for one that was never finished, from its rows."""
+    """The summary of its rows by the log's writer; for a log that was never finished, made from its rows."""
     stored = log.read_metadata(topics.QUALITY_METADATA)
     if stored or not log.problem:
         return stored
@@ -192,7 +192,7 @@ def _quality(log: Log) -> dict[str, str]:
 
 
 def _steering(log: Log, quality: dict[str, str]) -> SteeringHabits | None:
-    """As the log's writer has noted it; of a log without, from its rows."""
+    """The habits that the log's writer has noted; for a log without, measured from its rows."""
     if noted := habits_from(quality.get("steering", "")):
         return noted
     states = _states(log) if log.is_ours and log.counts.get(topics.VEHICLE) else None
@@ -217,7 +217,7 @@ def _seconds(text: str | None) -> float | None:
 
 
 def _texts(text: str) -> dict[str, str]:
-    """Somebody else may have written the log: what are no texts by name is left out."""
+    """The texts by name in JSON, empty for anything else: somebody else may have written the log."""
     try:
         return {str(name): str(value) for name, value in json.loads(text or "{}").items()}
     except (ValueError, AttributeError, RecursionError):
@@ -225,7 +225,7 @@ def _texts(text: str) -> dict[str, str]:
 
 
 def _stretches(text: str) -> list[FlaggedRows]:
-    """Somebody else may have written the log: what is no stretch is left out."""
+    """The stretches in JSON, none for anything else: somebody else may have written the log."""
     try:
         entries: list[list[Any]] = json.loads(text or "[]")
         return [

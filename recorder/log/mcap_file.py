@@ -149,7 +149,7 @@ class McapFile(Closeable):
             yield chunk, self._records(chunk, data)
 
     def read_alone(self, offset: int, length: int) -> bytes:
-        """As `read`, but of a file in a store nothing beside is read, and nothing is kept."""
+        """The same as `read`, but of a file in a store nothing beside is read, and nothing is kept."""
         self._check_range(offset, length)
         return self._bytes.read_alone(offset, length)
 

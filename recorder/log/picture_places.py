@@ -152,7 +152,7 @@ def stored_places(file: McapFile, structure: Structure) -> NDArray[np.void] | No
 
 
 def _picture_counts(structure: Structure) -> dict[int, int]:
-    """By the summary: messages on each channel of pictures that has any."""
+    """The number of messages on each channel of pictures that has any, by the summary."""
     counts = {} if structure.statistics is None else structure.statistics.channel_message_counts
     return {number: counts[number] for number in structure.image_channels if counts.get(number)}
 

@@ -60,7 +60,7 @@ class States:
 
     @classmethod
     def of(cls, vehicle: pa.Table) -> States:
-        """Those of a table of `Log.vehicle`."""
+        """The states in a table of `Log.vehicle`."""
         return cls(*(vehicle[name].to_numpy() for name in vehicle.column_names))
 
     def part(self, chosen: NDArray[Any] | Sequence[int]) -> States:

@@ -113,7 +113,7 @@ class Car:
 
     @property
     def mph(self) -> float:
-        """Of one of its simulator's units of speed."""
+        """The mph of one of its simulator's units of speed."""
         return MPH_OF[self.speed_unit]
 
 
@@ -122,7 +122,7 @@ UDACITY: Final = Car()
 
 @cache
 def built_in() -> Car:
-    """Of the built-in simulator, as it renders them."""
+    """The built-in simulator's car, with cameras as it renders them."""
     from simulator.driving import vehicle
     from simulator.rendering import bonnet, camera  # loads the renderer
 
@@ -245,7 +245,7 @@ def car_in(session: Mapping[str, str], where: Location) -> Car | None:
 
 
 def _implied(session: Mapping[str, str], has_poses: bool) -> Car | None:
-    """By where a session comes from, as in logs of earlier versions."""
+    """The car by a session's source, for logs of earlier versions."""
     if session.get("simulator") == "built-in":
         return built_in()
     source = session.get("source")

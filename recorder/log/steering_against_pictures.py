@@ -85,7 +85,7 @@ class _Windows:
         return found
 
     def correlations(self, steered: Values) -> Values:
-        """Of each window (W,), about 0 and not about the mean: a long bend is one, too."""
+        """The correlation in each window (W,), about 0 and not about the mean: a long bend is one, too."""
         size = np.sqrt(self.sums(steered**2) * self.sums(self.yaw**2))
         found: Values = np.divide(self.sums(steered * self.yaw), size, out=np.zeros(len(size)), where=size > 1e-9)
         return found

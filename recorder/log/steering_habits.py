@@ -88,8 +88,8 @@ def habits_from(text: str) -> SteeringHabits | None:
 
 
 def steering_habits(states: States, max_steering_deg: float = MAX_STEERING_DEG) -> SteeringHabits:
-    """Of the rows of a log, whose wheels turn by `max_steering_deg` at steering 1. Whatever these hold, nothing is
-    raised."""
+    """Measure the habits in the rows of a log, whose wheels turn by `max_steering_deg` at steering 1. No content
+    of the rows raises anything."""
     in_range = np.abs(states.steering) <= 1  # False for NaN too
     flags = row_flags(states)
     steering, time_ns = states.steering[in_range], states.time_ns[in_range]
@@ -154,7 +154,7 @@ def _ceilings(steering: Values, time_s: Values) -> tuple[float | None, float | N
 
 
 def _correlation(a: Values, b: Values) -> float | None:
-    """Of those that both are known of; None where one of them does not vary."""
+    """The correlation where both are finite; None where one of them does not vary."""
     known = np.isfinite(a) & np.isfinite(b)
     a, b = a[known], b[known]
     if len(a) < 3 or a.std() < _NO_SPREAD or b.std() < _NO_SPREAD:

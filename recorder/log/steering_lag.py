@@ -69,7 +69,7 @@ def _best_lag(
 
 
 def _correlations(steered: Values, yaw: Values) -> Values:
-    """Of each row of `steered` (lags, N) with `yaw` (N,); 0 where one of them does not vary."""
+    """The correlation of each row of `steered` (lags, N) with `yaw` (N,); 0 where one of them does not vary."""
     steered, yaw = steered - steered.mean(axis=1, keepdims=True), yaw - yaw.mean()
     size = np.sqrt((steered**2).sum(axis=1) * (yaw**2).sum())
     found: Values = np.divide(steered @ yaw, size, out=np.zeros(len(steered)), where=size > 1e-9)

@@ -54,7 +54,7 @@ class GymnasiumMoment:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Of the picture: width, height."""
+        """Width and height of the picture."""
         return self.picture.shape[1], self.picture.shape[0]
 
     def jpeg(self) -> bytes:
@@ -103,7 +103,7 @@ class GymnasiumCar(Closeable):
 
     @property
     def max_steps(self) -> int | None:
-        """Of an episode, where that is limited."""
+        """The length of an episode, if it is limited."""
         return None if self.env.spec is None else self.env.spec.max_episode_steps
 
     @property

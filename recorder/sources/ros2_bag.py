@@ -146,7 +146,7 @@ class SqliteFile:
             raise RecordingError(f"{self.path}: cannot be read as a ROS 2 bag ({brief(str(error))})") from None
 
     def _refuse_views(self, database: sqlite3.Connection) -> None:
-        """Of what is read here, a bag has tables."""
+        """Raise DatabaseError unless all that is read here are plain tables."""
         for name in ("topics", "messages", "message_definitions"):
             # The text, because SQLite goes by it: a view may be entered as a table, and a virtual table is code.
             made_by = database.execute("SELECT sql FROM sqlite_master WHERE lower(name) = ?", (name,))

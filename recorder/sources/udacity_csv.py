@@ -137,7 +137,7 @@ class _ValueReader:
         return values
 
     def _read(self, text: str) -> _Values:
-        """With decimal points, or with decimal commas: then four values are 4 to 8 cells."""
+        """Read values with decimal points, or with decimal commas: then four values are 4 to 8 cells."""
         cells = [cell.strip() for cell in next(csv.reader([text], skipinitialspace=True), [])]
         if len(cells) < 4:
             raise ValueError("fewer than four values, or cut off")

@@ -121,7 +121,7 @@ class Course:
 
     @property
     def half_width_m(self) -> float:
-        """Of the road, where the car is."""
+        """Half the width of the road, where the car is."""
         point: int = round(self.arc_m / self.line.step_m)
         return self._half_width_m[point % len(self._half_width_m)]
 
@@ -152,7 +152,7 @@ class Course:
 
     @property
     def stuck(self) -> bool:
-        """No progress for ``STUCK_S``: standing, turning in circles or driving the wrong way."""
+        """True without progress for ``STUCK_S``: standing, turning in circles or driving the wrong way."""
         return (self._steps - self._progress_step) * STEP_S >= STUCK_S
 
     @property

@@ -29,7 +29,7 @@ class Drag(Act):
     """A mouse that is moved with its button held; its target may lie beyond full lock: so does the table."""
 
     def steering(self, time_s: float) -> float:
-        """In whole pixels, ever more slowly towards the target, at most to full lock; without the button 0."""
+        """Steering in whole pixels, ever more slowly towards the target, up to full lock; 0 without the button."""
         if not self.is_held(time_s):
             return 0.0
         moved = self.target * (1.0 - math.exp((self.down_s - time_s) / _HAND_S))

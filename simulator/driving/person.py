@@ -103,8 +103,8 @@ class Person(ABC):
         return REACTION_S * self._random.uniform(1.0 - _REACTION_SPREAD, 1.0 + _REACTION_SPREAD)
 
     def _let_go_s(self, planned_s: float, now_s: float, still_wanted: float) -> float:
-        """When to let go, as it looks now: sooner where the car has turned too far already (what is wanted is
-        below 0: the other side), later where it has not turned enough."""
+        """The time to let go, by the present view: sooner where the car has turned too far already (what is wanted
+        is below 0: the other side), later where it has not turned enough."""
         soon_s = now_s + REACTION_S
         if still_wanted < 0.0:
             return min(planned_s, soon_s)

@@ -56,7 +56,7 @@ None to quit."""
 
 
 class WaitTimeoutError(Exception):
-    """No server within the time that was given."""
+    """No server was there within the given time."""
 
 
 class NoHostError(Exception):
@@ -194,7 +194,7 @@ class SimulatorClient:
         return [steer]
 
     def _number(self, text: object) -> float:
-        """As .NET's float.Parse in the machine's culture: strings only; thousands separators are dropped."""
+        """Parse as .NET's float.Parse in the machine's culture: strings only; thousands separators are dropped."""
         if not isinstance(text, str):
             raise TypeError("the real client wants strings")
         decimal, thousands = (",", ".") if self.decimal_comma else (".", ",")
@@ -223,7 +223,7 @@ class SimulatorClient:
 
     @staticmethod
     def _close(connection: websocket.WebSocket) -> None:
-        """As the library's own `close`, which swallows a Ctrl-C."""
+        """Close as the library's own `close` does, which swallows a Ctrl-C."""
         try:
             connection.settimeout(CLOSE_S)
             connection.send_close()
