@@ -6,6 +6,7 @@ import base64
 import contextlib
 import functools
 import json
+import logging
 import random
 import socket
 import threading
@@ -161,7 +162,9 @@ class ModernClient:
     def __init__(self, port: int) -> None:
         self.answers: list[tuple[str, Any]] = []
         self._came = threading.Condition()
-        self.client = socketio.Client(reconnection=False)
+        quiet = logging.getLogger("modern clients")
+        quiet.disabled = True  # a thread that is left complains later, into another test's stderr
+        self.client = socketio.Client(reconnection=False, engineio_logger=quiet, request_timeout=PATIENCE_S)
         self.client.on("manual", lambda data: self._note("manual", data))
         self.client.on("steer", lambda data: self._note("steer", data))
         self.client.connect(f"http://127.0.0.1:{port}", transports=["websocket"], wait_timeout=PATIENCE_S)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 import re
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlencode
@@ -37,6 +38,17 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     assert call(dataset.cli.main, *arguments) == 0
     with served(folder) as found:
         yield found
+
+
+@pytest.fixture
+def changed_bench(bench: Served, tmp_path: Path) -> Iterator[Served]:
+    """The same, which is afterwards as it was."""
+    index, tags = bench.folder / "index", bench.folder / "sessions" / "left.tags.jsonl"
+    shutil.copytree(index, tmp_path / "index")
+    yield bench
+    shutil.rmtree(index)
+    shutil.copytree(tmp_path / "index", index)
+    tags.unlink()
 
 
 def plain(page: str) -> str:
@@ -94,7 +106,8 @@ def test_nothing_else_is_shown(bench: Served, path: str) -> None:
     assert bench.get(path).status == 404
 
 
-def test_other_settings_are_tried_before_they_are_written(bench: Served) -> None:
+def test_other_settings_are_tried_before_they_are_written(changed_bench: Served) -> None:
+    bench = changed_bench
     samples = bench.folder / "index" / "samples.parquet"
     before = samples.read_bytes()
     assert (
