@@ -17,7 +17,17 @@ from typing import BinaryIO
 import pytest
 
 from common.streams import MAX_QUEUED, BackgroundWriter
-from driving import PATIENCE_S, command, environment, road_jpeg, run, started_to, untrained_run
+from driving import (
+    PATIENCE_S,
+    PATIENT,
+    command,
+    command_after,
+    environment,
+    road_jpeg,
+    run,
+    started_to,
+    untrained_run,
+)
 from forked import Forked
 from model.runs.run_folder import find_run
 from ports import free_ports
@@ -116,7 +126,8 @@ def read_by(
 ) -> Iterator[Forked | subprocess.Popen[bytes]]:
     """A command that has begun, with what it says going to such a reader; its results, to a file that is given."""
     reader = kind()
-    process = started_to(results.fileno() if results else reader.write, reader.write, line, cwd)
+    out = results.fileno() if results else reader.write
+    process = started_to(out, reader.write, line, cwd, loads_pytorch=True)
     try:
         reader.begin()
         yield process
@@ -154,7 +165,7 @@ TERMINALS = [pytest.param(kind, marks=pytest.mark.long) for kind in (StoppedTerm
 @pytest.mark.parametrize("reader", [Head, Stuck, *TERMINALS])
 def test_a_drive_answers_whoever_reads_what_it_says(reader: type[Reader], pilot: Path, tmp_path: Path) -> None:
     log, [port] = tmp_path / "run.mcap", free_ports(1)
-    with read_by(reader, command("bc-drive", pilot, "--log", log, "--port", port)) as process:
+    with read_by(reader, command_after(PATIENT, "bc-drive", pilot, "--log", log, "--port", port)) as process:
         assert answers_to(port) == [PICTURES] * CLIENTS
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE_S) == 0
@@ -165,7 +176,8 @@ def test_a_drive_answers_whoever_reads_what_it_says(reader: type[Reader], pilot:
 @pytest.mark.parametrize("reader", READERS)
 def test_listening_answers_whoever_reads_what_it_says(reader: type[Reader], tmp_path: Path) -> None:
     [port] = free_ports(1)
-    with read_by(reader, command("bc-record", "live", "--listen", "--port", port), cwd=tmp_path) as process:
+    line = command_after(PATIENT, "bc-record", "live", "--listen", "--port", port)
+    with read_by(reader, line, cwd=tmp_path) as process:
         assert answers_to(port) == [PICTURES] * CLIENTS
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE_S) == 0

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from driving import Process, command, command_with_viewer, environment, road_jpeg, untrained_run
+from driving import PATIENT, Process, command, command_after, environment, road_jpeg, untrained_run, with_viewer
 from logs import read_messages
 from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
 from waiting import wait_until
@@ -58,7 +58,8 @@ def drive(process: Process) -> None:
 @pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="there is always a display there")
 def test_without_a_display_the_command_that_shows_the_drive_is_said(pilot_run: Path, tmp_path: Path) -> None:
     log = tmp_path / "a drive.mcap"
-    with Process(command("bc-drive", pilot_run, "--log", log, "--port", 0)) as process:
+    line = command_after(PATIENT, "bc-drive", pilot_run, "--log", log, "--port", 0)
+    with Process(line, loads_pytorch=True) as process:
         said = process.wait_for(r"^bc-drive: watch it with `(.*)`$")[1]
         drive(process)
         program, *arguments = shlex.split(said)
@@ -78,7 +79,9 @@ def test_with_a_display_the_drive_is_shown_unless_that_is_turned_off(
     viewer: tuple[str, ...], pilot_run: Path, tmp_path: Path
 ) -> None:
     log = tmp_path / "run.mcap"
-    line = command_with_viewer(STAND_IN, "bc-drive", pilot_run, "--log", log, "--port", 0, *viewer)
+    line = command_after(
+        [*PATIENT, with_viewer(STAND_IN)], "bc-drive", pilot_run, "--log", log, "--port", 0, *viewer
+    )
     with Process(line, loads_pytorch=True) as process:
         if not viewer:
             assert process.wait_for(r"^stand-in (\S+) --follow$")[1].startswith(f"{log}.")
@@ -93,7 +96,7 @@ def test_with_a_display_the_drive_is_shown_unless_that_is_turned_off(
 @pytest.mark.skipif(sys.platform == "win32", reason="no log is shown there while it grows")
 def test_a_viewer_that_cannot_be_shown_costs_a_line_and_no_answer(pilot_run: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
-    line = command_with_viewer(FAILING, "bc-drive", pilot_run, "--log", log, "--port", 0)
+    line = command_after([*PATIENT, with_viewer(FAILING)], "bc-drive", pilot_run, "--log", log, "--port", 0)
     with Process(line, loads_pytorch=True) as process:
         process.wait_for("^viewer: no graphics$")
         drive(process)

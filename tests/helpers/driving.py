@@ -51,6 +51,15 @@ def command(name: str, *arguments: object) -> list[str]:
     return [sys.executable, "-c", code, *map(str, arguments)]
 
 
+PATIENT: Final = (
+    f"import drive.drive_session as it; it.WATCHDOG_S = it.SILENT_S = {PATIENCE_S}",
+    f"import drive.control.braking as it; it.stopping_s = lambda speed_mph: {PATIENCE_S}",
+    f"import recorder.server.telemetry_server as it; it.FIRST_COMMAND_S = {PATIENCE_S}",
+)
+"""Python for `command_after`: what serves a simulator sends it nothing unasked, though others keep it from telling
+for a second, as happens where many tests run."""
+
+
 def command_after(code: Sequence[str], name: str, *arguments: object) -> list[str]:
     """The same, when these lines of Python have run."""
     python, flag, line, *rest = command(name, *arguments)
@@ -59,10 +68,11 @@ def command_after(code: Sequence[str], name: str, *arguments: object) -> list[st
 
 def command_with_viewer(viewer: str, name: str, *arguments: object) -> list[str]:
     """The same, with this Python code in the place of the viewer that the command starts."""
-    return command_after([_viewer(viewer)], name, *arguments)
+    return command_after([with_viewer(viewer)], name, *arguments)
 
 
-def _viewer(code: str) -> str:
+def with_viewer(code: str) -> str:
+    """Python for `command_after` by which this code takes the place of the viewer."""
     return f"import common.preview; common.preview.VIEWER = ('-c', {code!r})"
 
 
@@ -93,10 +103,12 @@ def started_to(
     line: Sequence[str],
     cwd: Path | None = None,
     variables: Mapping[str, str] | None = None,
+    *,
+    loads_pytorch: bool = False,
 ) -> Forked | subprocess.Popen[bytes]:
     """The same of one of our commands, with these open files for its output; its environment, if it is another."""
     found = environment() if variables is None else variables
-    if any(line[:3] == known for known in _FORKED) and SERVER.can_start(found):
+    if (loads_pytorch or any(line[:3] == known for known in _FORKED)) and SERVER.can_start(found):
         return SERVER.start_to(stdout, stderr, line[2], line[3:], cwd, found)
     return subprocess.Popen(line, cwd=cwd, env=found, stdout=stdout, stderr=stderr)
 
@@ -249,18 +261,11 @@ class Process:
         self.stdout = self.popen.stdout.read()
 
 
-_PATIENT: Final = (
-    f"import drive.drive_session as it; it.WATCHDOG_S = it.SILENT_S = {PATIENCE_S}; "
-    f"import drive.control.braking as it; it.stopping_s = lambda speed_mph: {PATIENCE_S}"
-)
-
-
 class DriveProcess(Process):
     """`bc-drive` on a free port, with the run and the log given, and no window.
 
-    It has patience with its simulator, which others may keep from telling for a moment. Where `minds_silence`, it
-    is as ever: a second's silence is answered unasked, and a brake lasts as long as the car would need. `viewer`:
-    Python code in the place of its viewer."""
+    It is `PATIENT`, unless it shall be seen how it `minds_silence`. `viewer`: Python code in the place of its
+    viewer."""
 
     def __init__(
         self, run_folder: Path, log: Path, *flags: object, minds_silence: bool = False, viewer: str = ""
@@ -268,7 +273,7 @@ class DriveProcess(Process):
         self.log = log
         hidden = () if "--viewer" in flags else ("--viewer", "off")
         arguments = (run_folder, "--log", log, "--port", 0, *hidden, *flags)
-        before = [*([] if minds_silence else [_PATIENT]), *([_viewer(viewer)] if viewer else [])]
+        before = [*(() if minds_silence else PATIENT), *([with_viewer(viewer)] if viewer else [])]
         super().__init__(command_after(before, "bc-drive", *arguments), loads_pytorch=True)
 
     def wait_until_it_listens(self) -> int:

@@ -54,12 +54,14 @@ def view_names(rrd: Path) -> set[str]:
 
 
 def listening(process: psutil.Process) -> dict[int, str]:
-    """Address by port of what a process listens on."""
-    return {
-        connection.laddr.port: connection.laddr.ip
-        for connection in process.net_connections("tcp")
-        if connection.status == psutil.CONN_LISTEN
-    }
+    """Address by port of what a process listens on; of one that has ended, nothing."""
+    with contextlib.suppress(psutil.NoSuchProcess):
+        return {
+            connection.laddr.port: connection.laddr.ip
+            for connection in process.net_connections("tcp")
+            if connection.status == psutil.CONN_LISTEN
+        }
+    return {}
 
 
 def lives(process: psutil.Process) -> bool:

@@ -78,7 +78,8 @@ def test_runs_are_listed_without_their_weights_and_nothing_comes_twice(
     keep_result(runs[1], "simulator", LAKE)
     sent(bucket, runs[1])
     moved(bucket)
-    assert [len(run["results"]) for run in listed(RUNS, capsys)] == [1, 1, 0]
+    results = {run["name"]: len(run["results"]) for run in listed(RUNS, capsys)}
+    assert results == {"first": 1, "second": 1, "third": 0}
     assert moved(bucket)[0] == 3  # the listing, the record and the new results
 
 

@@ -44,7 +44,10 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 from common.command import run_command, warn_skipped
+from recorder.server import telemetry_server
 from recorder.sources.live_telemetry import listen_for_telemetry
+
+telemetry_server.FIRST_COMMAND_S = 300  # a client that is kept waiting by others is sent nothing unasked
 
 @dataclass
 class Listen:

@@ -23,6 +23,7 @@ import websocket
 from websocket import ABNF
 
 from driving import PATIENCE_S, environment
+from ports import free_ports
 from recorder.errors import ListenError
 from recorder.server import connection_guard, eventlet_host, telemetry_server, threaded_host
 from recorder.server.engineio_connection import Connection
@@ -136,12 +137,13 @@ def test_a_simulator_drives_on_with_a_server_that_comes_back(mode: ServerMode) -
         answers.append(answer)
         return None if len(second.answered_ms) >= 5 else SimulatorTelemetry(0.5, 0.0, 9.0, PICTURES[0])
 
-    with Serving(mode, first) as serving:
-        client = SimulatorClient(port=serving.port, wait_s=PATIENCE_S)
+    (port,) = free_ports(1)
+    with Serving(mode, first, port):
+        client = SimulatorClient(port=port, wait_s=PATIENCE_S)
         simulator = threading.Thread(target=client.run, args=(next_telemetry,))
         simulator.start()
         wait_until(lambda: len(first.answered_ms) >= 5)
-    with Serving(mode, second, serving.port):
+    with Serving(mode, second, port):
         simulator.join(PATIENCE_S)
     assert client.connections == 2
     assert client.bad_steers == 0
@@ -246,7 +248,7 @@ def test_no_answer_comes_after_the_last_command(monkeypatch: pytest.MonkeyPatch)
 
 def test_nothing_of_it_is_left_when_it_has_ended_whoever_was_connected(mode: ServerMode) -> None:
     before = set(threading.enumerate())
-    with Serving(mode, Book()) as serving:
+    with Serving(mode, Book(), *free_ports(1)) as serving:
         simulator = RawClient(serving.port, '42["telemetry",1]')
         polling = PollingClient(serving.port)
         polled: list[str] = []
@@ -287,7 +289,7 @@ def test_clients_that_come_and_go_leave_nothing_behind(mode: ServerMode) -> None
             else:
                 client.close()
         wait_until(lambda: book.calls.count("disconnected") == 20)
-        wait_until(lambda: threading.active_count() == threads)
+        wait_until(lambda: threading.active_count() <= threads)  # fewer, if one of earlier clients has ended
         wait_until(lambda: connections() == 0)
 
 
@@ -443,7 +445,7 @@ def test_who_says_nothing_at_all_costs_a_line(mode: ServerMode, monkeypatch: pyt
             with socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S) as stream:
                 assert stream.recv(1) == b""
         wait_until(lambda: len(serving.said) == 1)
-        assert "said nothing" in serving.said[0]
+        assert "sent nothing" in serving.said[0]
         monkeypatch.setattr(connection_guard, "REQUEST_S", PATIENCE_S)
         silent = RawClient(serving.port)
         wait_until(lambda: len(serving.said) == 2)

@@ -51,10 +51,9 @@ def served(log: Path) -> Iterator[str]:
             assert play.stdout is not None
             address = play.stdout.readline().strip()
             assert address.startswith("http://127.0.0.1:")
-            children = psutil.Process(play.pid).children(recursive=True)
-            wait_until(
-                lambda: any(web_port in listening(child) for child in children)
-            )  # it says so a moment before
+            found = psutil.Process(play.pid)
+            # it says so a moment before
+            wait_until(lambda: any(web_port in listening(child) for child in found.children(recursive=True)))
             yield address
         finally:
             play.send_signal(signal.SIGINT)
