@@ -3,7 +3,7 @@
 Nothing is kept here for that: the store lists the unfinished uploads to a name, and the parts of each that have
 arrived. An upload whose parts are the file's bytes, by their SHA-256, is resumed; others are somebody else's. The
 object appears when it is whole, on condition that its name is still free. botocore does this, because obstore does
-not give the id of its uploads; uploads to Google's and Azure's stores are obstore's alone.
+not give the id of its uploads. Uploads to Azure are in `common.resumable_blob`; those to Google are obstore's alone.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import hashlib
 import http
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Final, TypeAlias, TypeVar
+from typing import Any, Final, TypeVar
 
 from common.errors import ObjectExistsError, StoreError, UserError
 from common.interrupts import uninterrupted
 from common.location import Url
+from common.parted_file import AT_ONCE, OnBytes, PartedFile
 from common.s3_settings import S3Settings, s3_settings
 from common.store_errors import store_error
 
@@ -37,15 +37,8 @@ except ImportError:
     ) from None
 
 T = TypeVar("T")
-OnBytes: TypeAlias = Callable[[int], object]
-"""Called with the bytes that were added to the upload; negative if those counted before are another file's."""
 
-_MOST_PARTS: Final = 9000  # a store takes 10,000
-_AT_ONCE: Final = 4
-_CHECKSUMS: Final = (
-    "ETag",
-    "ChecksumSHA256",
-)  # of a part, as stores name them
+_CHECKSUMS: Final = ("ETag", "ChecksumSHA256")  # of a part, as stores name them
 _TRIES: Final = 10  # of each request, later and later: a minute without the network is waited for
 _ALGORITHM: Final = "SHA256"
 _LISTING_REFUSED: Final = (403, 405, 501)  # uploads may not be listed, or the store cannot
@@ -61,10 +54,7 @@ class ResumableUpload:
     def __init__(self, url: Url, file: Path, part_bytes: int) -> None:
         """`part_bytes`: of each part but the last; more where there would be too many. Raises StoreError."""
         self.url = url
-        self._file = file
-        self._status = file.stat()
-        self._part_bytes = max(part_bytes, -(-self._status.st_size // _MOST_PARTS))
-        self._count = -(-self._status.st_size // self._part_bytes)
+        self._file = PartedFile(file, part_bytes)
         self._sent: dict[int, dict[str, Any]] = {}  # by number, as complete_multipart_upload lists them
         self._id = ""
         self._stays = False
@@ -75,7 +65,7 @@ class ResumableUpload:
     @property
     def left(self) -> int:
         """Bytes that are in the store, from which a later `send` goes on, now that this one has ended early."""
-        return sum(map(self._length, self._sent)) if self._stays else 0
+        return sum(map(self._file.length, self._sent)) if self._stays else 0
 
     def send(self, *, overwrite: bool = False, on_bytes: OnBytes = lambda more: None) -> None:
         """Send what is not there yet, and give it its name. Raises ObjectExistsError where there is something of
@@ -86,7 +76,7 @@ class ResumableUpload:
                 if not self._id:
                     begin = partial(self._client.create_multipart_upload, **self._names, **_encryption())
                     self._id = _answer_of(begin, ChecksumAlgorithm=_ALGORITHM)["UploadId"]
-                self._send_parts(on_bytes)
+                self._file.send_missing(self._sent, partial(self._send_part, on_bytes=on_bytes))
                 self._complete(overwrite)
         except BaseException as error:
             if isinstance(error, ObjectExistsError | _UploadGoneError) or not self._sent:
@@ -124,34 +114,24 @@ class ResumableUpload:
             raise
         for part in listed:
             number = part["PartNumber"]
-            if part["Size"] != self._length(number) or not _is_of(part, self._read(number)):
-                on_bytes(-sum(map(self._length, self._sent)))
+            if part["Size"] != self._file.length(number) or not _is_of(part, self._file.read(number)):
+                on_bytes(-sum(map(self._file.length, self._sent)))
                 self._sent = {}
                 return False
             self._note(number, part)
             on_bytes(part["Size"])
         return bool(self._sent)
 
-    def _send_parts(self, on_bytes: OnBytes) -> None:
-        pool = ThreadPoolExecutor(_AT_ONCE, "upload")
-        try:
-            missing = (number for number in range(1, self._count + 1) if number not in self._sent)
-            for sent in as_completed([pool.submit(self._send_part, number, on_bytes) for number in missing]):
-                sent.result()
-        finally:
-            pool.shutdown(cancel_futures=True)  # those on their way arrive
-
     def _send_part(self, number: int, on_bytes: OnBytes) -> None:
-        data = self._read(number)
+        data = self._file.read(number)
         send = partial(self._client.upload_part, **self._names, UploadId=self._id, PartNumber=number, Body=data)
         self._note(number, _answer_of(send, ChecksumSHA256=_sha256(data)))
         on_bytes(len(data))
 
     def _complete(self, overwrite: bool) -> None:
-        status = self._file.stat()
-        if (status.st_size, status.st_mtime_ns) != (self._status.st_size, self._status.st_mtime_ns):
+        if self._file.is_changed():
             self._stays = False
-            raise StoreError(f"{self._file}: was changed while it was copied; give the command again")
+            raise self._file.changed_error()
         condition = {} if overwrite else {"IfNoneMatch": "*"}
         complete = partial(self._client.complete_multipart_upload, **self._names, **condition, UploadId=self._id)
         for tries_left in reversed(range(_TRIES)):
@@ -165,7 +145,7 @@ class ResumableUpload:
                 if _code_of(error) != "InvalidPart" or not tries_left:
                     raise
                 # perhaps a part has come once more, from another process, and has another ETag now
-                if not self._is_ours(self._id, lambda more: None) or len(self._sent) < self._count:
+                if not self._is_ours(self._id, lambda more: None) or len(self._sent) < self._file.count:
                     raise
 
     def _add_checksums(self) -> bool:
@@ -173,21 +153,12 @@ class ResumableUpload:
         if none is missing."""
         missing = [number for number, part in self._sent.items() if "ChecksumSHA256" not in part]
         for number in missing:
-            self._sent[number]["ChecksumSHA256"] = _sha256(self._read(number))
+            self._sent[number]["ChecksumSHA256"] = _sha256(self._file.read(number))
         return bool(missing)
 
     def _note(self, number: int, answer: dict[str, Any]) -> None:
         checksums: dict[str, Any] = {name: answer[name] for name in _CHECKSUMS if name in answer}
         self._sent[number] = {"PartNumber": number, **checksums}
-
-    def _length(self, number: int) -> int:
-        """Bytes of a part; none of one that is not of this file."""
-        return max(0, min(self._part_bytes, self._status.st_size - (number - 1) * self._part_bytes))
-
-    def _read(self, number: int) -> bytes:
-        with self._file.open("rb") as stream:
-            stream.seek((number - 1) * self._part_bytes)
-            return stream.read(self._length(number))
 
 
 def remove_unfinished(url: Url) -> int:
@@ -267,7 +238,7 @@ def _client(settings: S3Settings, bucket: str) -> Any:
             retries={"mode": "standard", "total_max_attempts": _TRIES},
             connect_timeout=10,
             read_timeout=90,
-            max_pool_connections=_AT_ONCE,
+            max_pool_connections=AT_ONCE,
             request_checksum_calculation="when_required",  # parts have their SHA-256
             response_checksum_validation="when_required",
         ),

@@ -35,6 +35,11 @@ _CREDENTIALS: Final = {
     "az": "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY (AZURE_SKIP_SIGNATURE=true for a public one)",
 }
 _NO_RIGHT: Final = ("", " (AccessDenied)", " (AuthorizationPermissionMismatch)")
+_ENDPOINTS: Final = {
+    "s3": ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL"),
+    "gs": ("GOOGLE_BASE_URL",),
+    "az": ("AZURE_STORAGE_ENDPOINT",),
+}
 _NOT_VALID: Final = ("InvalidAccessKeyId", "SignatureDoesNotMatch", "ExpiredToken", "InvalidToken")
 _RIGHTS: Final = {
     "s3": "the rights s3:GetObject and s3:ListBucket (without which S3 refuses what is not there), to write"
@@ -75,9 +80,9 @@ def store_error(url: Url, error: Exception, text: str) -> StoreError:
     if isinstance(error, exceptions.AlreadyExistsError):
         return ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
     if is_no_bucket(text):
-        return NoSuchObjectError(f"{bucket}: no such bucket{_endpoint()}; give the name of one that is there")
+        return NoSuchObjectError(f"{bucket}: no such bucket{_endpoint(url)}; give the name of one that is there")
     if "NoSuchUpload" in text:
-        return StoreError(f"{url}: the store has given the upload up{_endpoint()}; give the command again")
+        return StoreError(f"{url}: the store has given the upload up{_endpoint(url)}; give the command again")
     if isinstance(error, FileNotFoundError):
         return NoSuchObjectError(f"{url}: no such object; `bc-log ls {url.parent}` lists what is there")
     if _NO_CREDENTIALS.search(text):
@@ -94,7 +99,7 @@ def store_error(url: Url, error: Exception, text: str) -> StoreError:
         return StoreError(f"{url}: the store refuses that to these credentials{_code(text)}{rights}")
     if isinstance(error, exceptions.NotSupportedError) or "NotImplemented" in text:
         return StoreError(f"{url}: the store does not know what was asked of it{_code(text)}")
-    return StoreError(f"{url}: {_reason(text)}{_endpoint()}")
+    return StoreError(f"{url}: {_reason(text)}{_endpoint(url)}")
 
 
 def _code(text: str) -> str:
@@ -102,8 +107,8 @@ def _code(text: str) -> str:
     return f" ({found[1]})" if found else ""
 
 
-def _endpoint() -> str:
-    endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL")
+def _endpoint(url: Url) -> str:
+    endpoint = next(filter(None, map(os.environ.get, _ENDPOINTS[url.scheme])), None)
     return f" (endpoint {endpoint})" if endpoint else ""
 
 

@@ -77,9 +77,10 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
 
 def _print_left(log: Location, target: Location, size: int) -> None:
     """Print how an unfinished upload is resumed, and how it is removed."""
+    is_in_s3 = isinstance(target, Url) and target.scheme == "s3"
     print_message(
         f"{size / 1e6:,.1f} MB of {log} stay in the store: `bc-log copy {log} {target}` goes on with them,"
-        " --abort removes them"
+        f" {'--abort removes them' if is_in_s3 else 'after a week they are dropped'}"
     )
 
 
@@ -87,7 +88,7 @@ def _abort(places: Sequence[Location], to: Location) -> int:
     """Remove what uploads that were stopped have left."""
     if not isinstance(to, Url) or to.scheme != "s3":
         raise UsageError(
-            f"{to}: only uploads to s3:// are gone on with, and so only those leave anything to remove"
+            f"{to}: only what uploads to s3:// leave can be removed; Azure drops what they leave after a week"
         )
     from common.resumable_upload import remove_unfinished  # botocore, an extra
 

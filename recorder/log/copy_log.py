@@ -1,6 +1,7 @@
 """Copying logs between this machine and a store: whole or not at all, compared by fingerprint, over nothing.
 
-To S3: the parts become an object of that name when all are there (`common.resumable_upload`); an upload that was
+To S3 and Azure: the parts become an object of that name when all are there (`common.resumable_upload`,
+`common.resumable_blob`); an upload that was
 stopped stays, and is gone on with. To other stores, and of a log of one part: they make an object
 NAME.mcap.XXXXXX.part, which gets its name in the store itself. Either only if nobody has taken the name
 meanwhile. From a store: NAME.mcap.XXXXXX.part grows on the disk, named after the object's
@@ -15,7 +16,7 @@ import secrets
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from common import UserError
 from common.errors import ObjectExistsError, StoreError
@@ -38,6 +39,10 @@ from recorder.errors import LogError
 from recorder.log.check import is_whole
 from recorder.log.reader import Log
 from recorder.log.tags import MOST_BYTES, tags_path
+
+if TYPE_CHECKING:
+    from common.resumable_blob import ResumableBlob
+    from common.resumable_upload import ResumableUpload
 
 PART_BYTES: Final = 1 << 23
 """Bytes of a part that is sent, or requested, at once."""
@@ -90,19 +95,37 @@ def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes, on_left: On
             raise ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
     if not is_whole(log):
         raise LogError(f"{log}: not finished, or damaged; `bc-log recover {log}` makes a whole one of it")
-    if url.scheme == "s3" and size > PART_BYTES:
-        _put_resumably(log, url, fingerprint, overwrite, on_bytes, on_left)
+    if size > PART_BYTES and (upload := _resumable(log, url)) is not None:
+        _put_resumably(upload, log, fingerprint, overwrite, on_bytes, on_left)
     else:
         _put_and_name(log, url, size, fingerprint, overwrite, on_bytes)
     return Copied(url, size, True, _upload_tags(log, url, overwrite))
 
 
-def _put_resumably(
-    log: Path, url: Url, fingerprint: str, overwrite: bool, on_bytes: OnBytes, on_left: OnBytes
-) -> None:
-    from common.resumable_upload import ResumableUpload  # botocore
+def _resumable(log: Path, url: Url) -> ResumableUpload | ResumableBlob | None:
+    """An upload that goes on where one was that was stopped; None where that store, or these credentials, know
+    no such thing."""
+    if url.scheme == "s3":
+        from common.resumable_upload import ResumableUpload  # botocore
 
-    upload = ResumableUpload(url, log, PART_BYTES)
+        return ResumableUpload(url, log, PART_BYTES)
+    if url.scheme == "az":
+        from common.resumable_blob import ResumableBlob  # urllib3
+
+        upload = ResumableBlob(url, log, PART_BYTES)
+        return upload if upload.can_send() else None
+    return None
+
+
+def _put_resumably(
+    upload: ResumableUpload | ResumableBlob,
+    log: Path,
+    fingerprint: str,
+    overwrite: bool,
+    on_bytes: OnBytes,
+    on_left: OnBytes,
+) -> None:
+    url = upload.url
     try:
         upload.send(overwrite=overwrite, on_bytes=on_bytes)
     except BaseException as error:
