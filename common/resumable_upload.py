@@ -3,7 +3,7 @@
 Nothing is kept here for that: the store lists the unfinished uploads to a name, and the parts of each that have
 arrived. An upload whose parts are the file's bytes, by their SHA-256, is resumed; others are somebody else's. The
 object appears when it is whole, on condition that its name is still free. botocore does this, because obstore does
-not give the id of its uploads. Uploads to Azure are in `common.resumable_blob`; those to Google are obstore's alone.
+not give the id of its uploads. Azure's are in `common.resumable_blob`; uploads to Google are obstore's alone.
 """
 
 from __future__ import annotations
