@@ -2,146 +2,66 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import os
 import shlex
 import sys
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import datetime
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
-
-import tyro
+from typing import TYPE_CHECKING
 
 from common import UserError
 from common.command import DONE, FAILED, run_command, warn, warn_skipped
-from common.errors import UsageError, counted, printable
+from common.errors import counted, printable
 from common.location import Location, Url, absolute, is_in_store, local_path, location
-from common.location_flag import LocationFlag
 from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
 from common.random_access import is_there
-from common.recipe import recipe_given
 from common.streams import end_process
 from model.config import TrainConfig
 from model.epoch_printer import EpochPrinter
 from model.network.names import is_own
 from model.runs.run_arguments import RUNS
+from model.train_flags import Train, defaults, refuse_contradictions, workers_of
 
 if TYPE_CHECKING:
     from model.runs.training_progress import Listener
-
-
-_MOST_WORKERS: Final = 10_000
-
-
-@dataclass(frozen=True)
-class Train:
-    """Train the network on the index; the run is kept in runs/NAME/.
-
-    The index is built from all sessions if there is none yet, and --index names no other folder. Ctrl-C stops
-    after the current batch, and --resume goes on from there. `bc-train export RUN --onnx` gives a trained network
-    to other programs, --hub FOLDER to the Hugging Face hub.
-    """
-
-    name: str = ""
-    """Name of the run; by default the date and time."""
-    resume: str | None = None
-    """Go on with this run where it was stopped or killed; more --epochs make it longer. One in a store (s3://...)
-    is brought to runs/, and copied there as it goes on."""
-    init: str | None = None
-    """Start from the weights of this run, instead of random ones."""
-    like: str | None = None
-    """Repeat this run: its settings, and the index that it was trained on. Other flags change what they name."""
-    tensorboard: bool = False
-    """Write the curves for TensorBoard, too."""
-    listener: str | None = None
-    """Code of your own that receives the progress, for MLflow and the like: FILE.py:CLASS or
-    package.module:CLASS."""
-    viewer: bool = False
-    """Show the curves in the Rerun viewer while they grow."""
-    ray: Annotated[
-        tuple[str, ...] | None, tyro.conf.arg(metavar="N [ADDRESS]", help_behavior_hint="(default: none)")
-    ] = None
-    """Train on N workers of a Ray cluster, which go on from the checkpoint where one dies; all of its nodes see
-    these folders by the same paths."""
-    index: LocationFlag = Path("index")
-    """The index to train on: a folder, or the URL of a copy of one in a store."""
-    sessions: LocationFlag = Path("sessions")
-    """Where logs are kept, for an index that has to be built."""
-    runs: LocationFlag = RUNS
-    """Where runs are kept. With a URL (s3://BUCKET/runs) the run is made in runs/, and copied there while it is
-    trained, and when that ends."""
-    copy_to: Annotated[LocationFlag | None, tyro.conf.arg(metavar="URL")] = None
-    """Copy the run to this folder in a store as well, if runs are kept here."""
-    config: tyro.conf.OmitArgPrefixes[TrainConfig] = field(default_factory=TrainConfig)
+    from model.training.trainer import Trained
 
 
 def train(config: Train) -> int:
-    _refuse_contradictions(config)
+    refuse_contradictions(config)
     if isinstance(config.runs, Url):
         config = _copied_to(config.runs, config)
 
-    from model.device import choose_machine
     from model.errors import RunWriteError
-    from model.network.choice import choose_network, chosen_picture
-    from model.network.own_code import load_code
-    from model.runs.history import read_epochs
-    from model.runs.network_of_run import choice_of
-    from model.runs.run_arguments import run_argument
-    from model.runs.run_folder import WEIGHTS, find_any_run, find_run, load_config, picture_of_run
+    from model.runs.run_folder import find_any_run, find_run
     from model.runs.stored_run import RunCopy, place_of_copies
-    from model.runs.training_outcome import verdict
-    from model.training.distributed import FirstRankError, local_rank_of_process, rank_of_process
-    from model.training.other_network import refuse_other_network
+    from model.training.distributed import FirstRankError, rank_of_process
     from model.training.trainer import train as train_network
 
-    workers = _workers(config.ray)
-    is_first = rank_of_process() == 0
-    settings = config.config
+    workers = workers_of(config.ray)
+    is_first, is_resumed, settings = rank_of_process() == 0, config.resume is not None, config.config
     # all that can fail at once, before the minutes that an index may take
     run = _run_of(config)
-    copies = config.copy_to
-    if copies is None and config.resume is not None and is_in_store(config.resume):
-        copies = location(config.resume.rstrip("/").rpartition("/")[0])
-    copied_to = None if copies is None else place_of_copies(copies, run, is_new=config.resume is None)
+    copies = _folder_of_copies(config)
+    copied_to = None if copies is None else place_of_copies(copies, run, is_new=not is_resumed)
     init = find_run(config.init, config.runs) if config.init is not None else None
-    like = run if config.resume is not None else None
+    like = run if is_resumed else None
     if config.like is not None:
         like = find_any_run(config.like, config.runs)
-    begun = load_config(like).get("machine") if like is not None else None
-    here = settings if config.ray is None else replace(settings, device="cpu")  # workers choose for themselves
-    machine = choose_machine(here, local_rank_of_process(), begun)
-    if config.resume is None:
-        network = choose_network(settings)
-        picture = chosen_picture(settings, network)
-        if init is not None:
-            refuse_other_network(init, network, picture, settings.targets)
-    else:
-        if is_own(settings.network):
-            load_code(settings.network)
-        network, picture = choice_of(load_config(run), run), picture_of_run(run)
-    parameters = network.try_out(picture, machine.device)
+    summary = _tried_out(config, run, init, like, workers)
     listeners = _listeners(config, run) if is_first else []
     copy = RunCopy(run, copied_to) if copied_to is not None and is_first else None
     if copy is not None:
         listeners.append(copy)
     index, code = _index_of(config, is_first=is_first)
     if is_first:
-        where = f"{machine.arithmetic} on the {'GPU' if machine.device.type == 'cuda' else 'processor'}"
-        if workers is not None:
-            where = f"on {counted(workers[0], 'worker')} of a cluster"
-        epochs = counted(settings.epochs, "epoch")
-        print_result(
-            f"{run}: {_named(network.name)}{parameters:,} parameters, {epochs},"
-            f" {where}"
-            f"{_going_on(run) if config.resume is not None else ''}"
-        )
+        print_result(f"{run}: {summary}{_going_on(run) if is_resumed else ''}")
     try:
         with _viewer(config, run) if is_first else contextlib.nullcontext():
-            is_resumed = config.resume is not None
             if workers is None:
                 trained = train_network(index, run, settings, listeners, init=init, like=like, resume=is_resumed)
             else:
@@ -161,9 +81,59 @@ def train(config: Train) -> int:
         if copy is not None and (problem := copy.finish()):
             code = warn(f"{problem}; `{_resume(run, index)} --copy-to {copies}` copies the rest")
     code = max([code, *map(warn_skipped, trained.skipped)])
-    if not is_first:
-        return code
-    code = max([code, *map(warn, trained.notices)])
+    return max(code, _print_outcome(trained, settings)) if is_first else code
+
+
+def _folder_of_copies(config: Train) -> Location | None:
+    """Where runs are copied to; a resumed run in a store goes back to where it came from."""
+    if config.copy_to is None and config.resume is not None and is_in_store(config.resume):
+        return location(config.resume.rstrip("/").rpartition("/")[0])
+    return config.copy_to
+
+
+def _tried_out(
+    config: Train, run: Path, init: Path | None, like: Path | None, workers: tuple[int, str] | None
+) -> str:
+    """Try the network of a training on the machine that it will have; both for the line that is printed first.
+
+    Raises RunError where there is no such network or machine, or its first weights are those of another one.
+    """
+    from model.device import choose_machine
+    from model.network.choice import choose_network, chosen_picture
+    from model.network.own_code import load_code
+    from model.runs.network_of_run import choice_of
+    from model.runs.run_folder import load_config, picture_of_run
+    from model.training.distributed import local_rank_of_process
+    from model.training.other_network import refuse_other_network
+
+    settings = config.config
+    begun = load_config(like).get("machine") if like is not None else None
+    here = settings if config.ray is None else replace(settings, device="cpu")  # workers choose for themselves
+    machine = choose_machine(here, local_rank_of_process(), begun)
+    if config.resume is None:
+        network = choose_network(settings)
+        picture = chosen_picture(settings, network)
+        if init is not None:
+            refuse_other_network(init, network, picture, settings.targets)
+    else:
+        if is_own(settings.network):
+            load_code(settings.network)
+        network, picture = choice_of(load_config(run), run), picture_of_run(run)
+    parameters = network.try_out(picture, machine.device)
+    where = f"{machine.arithmetic} on the {'GPU' if machine.device.type == 'cuda' else 'processor'}"
+    if workers is not None:
+        where = f"on {counted(workers[0], 'worker')} of a cluster"
+    return f"{_named(network.name)}{parameters:,} parameters, {counted(settings.epochs, 'epoch')}, {where}"
+
+
+def _print_outcome(trained: Trained, settings: TrainConfig) -> int:
+    """Print how a training went, and how to drive with its run; the exit code."""
+    from model.runs.history import read_epochs
+    from model.runs.run_arguments import run_argument
+    from model.runs.run_folder import WEIGHTS
+    from model.runs.training_outcome import verdict
+
+    run, code = trained.run, max([DONE, *map(warn, trained.notices)])
     for remark in trained.remarks:
         print_message(remark)
     if trained.is_stopped_early:
@@ -188,20 +158,6 @@ def _copied_to(runs: Url, config: Train) -> Train:
     is_brought = resume is not None and is_in_store(resume)  # and goes back to where it came from
     copy_to = None if is_brought else runs
     return replace(config, runs=RUNS, copy_to=copy_to, init=init, like=like, resume=resume)
-
-
-def _workers(ray: tuple[str, ...] | None) -> tuple[int, str] | None:
-    """Number and address that --ray gives. Raises UsageError for what are none."""
-    if ray is None:
-        return None
-    from common.ray_cluster import address_of
-
-    number, *address = ray or ("",)
-    if not number.isascii() or not number.isdigit() or not 0 < int(number) <= _MOST_WORKERS:
-        raise UsageError(f"--ray {' '.join(ray)}: a number of workers was expected, and perhaps an address")
-    if "WORLD_SIZE" in os.environ:
-        raise UsageError("--ray and torchrun each start the workers: give one of them")
-    return int(number), address_of(address)
 
 
 def _named(network: str) -> str:
@@ -279,17 +235,6 @@ def _viewer(config: Train, run: Path) -> contextlib.AbstractContextManager[None]
     return preview(run)
 
 
-def _refuse_contradictions(config: Train) -> None:
-    """Raise UsageError for flags that do not go together."""
-    others = {"--name": config.name, "--init": config.init, "--like": config.like}
-    if config.resume is not None and (unfit := [flag for flag, value in others.items() if value]):
-        raise UsageError(f"{' and '.join(unfit)} make another run, --resume goes on with one: give one of them")
-    if isinstance(config.runs, Url) and config.copy_to is not None:
-        raise UsageError(f"--runs {config.runs}: is where the run is copied to: leave out --copy-to")
-    if Path(config.name).name != config.name or config.name.startswith("."):
-        raise UsageError(f"--name {config.name!r}: a plain name was expected; give the folder with --runs")
-
-
 def _run_of(config: Train) -> Path:
     from model.runs.run_folder import find_any_run, refuse_existing_run
 
@@ -357,57 +302,13 @@ def _build_index(config: Train) -> int:
     return print_log_notices(indexed, config.sessions)
 
 
-def _defaults() -> Train:
-    """The defaults of the flags: the settings and places of the run that is named with --resume or --like.
-
-    Raises UsageError for the recipe of another run than the one to be repeated: no setting would follow from it.
-    """
-    given = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    given.add_argument("--resume")
-    given.add_argument("--like")
-    given.add_argument("--runs", type=location, default=RUNS)
-    given.add_argument("--network")
-    with contextlib.suppress(argparse.ArgumentError):  # tyro prints what is wrong
-        flags, _ = given.parse_known_args()
-        name, runs = flags.resume if flags.resume is not None else flags.like, flags.runs
-        if name:
-            from model.runs.network_of_run import choice_of, is_own_network
-            from model.runs.provenance import training_of
-            from model.runs.run_folder import CONFIG, find_any_run, load_config
-            from model.runs.run_inputs import index_of, init_of, sessions_of
-            from model.runs.runs_in_store import url_of
-
-            if isinstance(runs, Url):
-                name = url_of(name, runs)
-            if flags.resume is not None and is_in_store(name):
-                from model.runs.stored_run import bring_run_to
-
-                run = bring_run_to(RUNS if isinstance(runs, Url) else runs, name)
-            else:
-                run = find_any_run(name, runs)
-            stored = load_config(run)
-            if is_own_network(stored) and flags.network is None:
-                choice_of(stored, run)  # raises: code is never run because a run names it
-            settings = training_of(stored, str(run / CONFIG))
-            if flags.resume is None and recipe_given(settings.recipe) != settings.recipe:
-                raise UsageError("--recipe with --like: that run's settings are repeated; leave out one of them")
-            init = init_of(run, runs) if flags.resume is None else None
-            return Train(
-                init=str(init) if init is not None else None,
-                index=index_of(run) or Train.index,
-                sessions=sessions_of(run) or Train.sessions,
-                config=settings,
-            )
-    return Train(config=TrainConfig.of(recipe_given()))
-
-
 def main() -> None:
     if sys.argv[1:2] == ["export"]:
         from model.export_cli import main as export
 
         export()
     try:
-        run_command("bc-train", Train, train, default=_defaults)
+        run_command("bc-train", Train, train, default=defaults)
     except SystemExit as ended:
         if "WORLD_SIZE" not in os.environ:
             raise

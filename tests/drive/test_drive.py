@@ -27,10 +27,10 @@ from mcap.reader import NonSeekingReader, make_reader
 
 import driving
 from dataset import decode
-from drive.cli import Drive as DriveCommand
 from drive.cli import drive as drive_command
 from drive.cli import main as drive_main
 from drive.config import DriveConfig
+from drive.drive_flags import Drive as DriveCommand
 from drive.drive_server import MAX_SIMULATORS, DriveServer
 from driving import (
     PATIENCE_S,

@@ -19,9 +19,9 @@ from common import UserError
 from dataset import IndexConfig, build_index
 from driving import Process
 from model import train
-from model.cli import Train
 from model.cli import train as bc_train
 from model.config import TrainConfig
+from model.train_flags import Train
 from ports import free_ports
 from repository import ROOT
 from toy import toy_index

@@ -1,0 +1,138 @@
+"""The flags of `bc-eval`, and which of them go together."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+import tyro
+
+from common.command import flags_given
+from common.errors import UsageError
+from common.location_flag import LocationFlag
+from common.tasks import RayAddress
+
+
+def _default(metavar: str, value: str) -> Any:
+    """A flag that is None unless it is given, because it belongs to one way of measuring only."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {value})")
+
+
+@dataclass(frozen=True)
+class Eval:
+    """Measure a trained network: on recorded frames that were held out, or driving: a recording, or the simulator.
+
+    bc-eval first
+    bc-eval first --session sunday
+    bc-eval first --on sunday
+    bc-eval first --simulator lake mountain
+    bc-eval --compare first second
+    """
+
+    run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
+    """The run, by name or folder; the newest one by default."""
+    network: tuple[str, ...] = ()
+    """Code that a run's network is of, for a run of your own network: FILE.py:CLASS or package.module:CLASS."""
+    compare: Annotated[tuple[str, str] | None, _default("A B", "none")] = None
+    """Compare run B with run A instead, on the same frames, or by driving with --simulator. Exit code 1 if B is
+    worse: more than chance and --tolerance explain."""
+    tolerance: Annotated[float | None, _default("SHARE", "0, and 0.02 with --simulator")] = None
+    """How much worse B may be, for --compare: a share of A's error; of 1 for the correlation and the offset, of
+    100 for autonomy."""
+    index: Annotated[LocationFlag | None, _default("PATH|URL", "the one that the run was trained on")] = None
+    """The index whose frames are measured."""
+    split: Annotated[Literal["validation", "train"] | None, _default("{validation,train}", "validation")] = None
+    """Which of its frames: those that were held out, or those for training."""
+    session: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
+    """Measure all of these sessions instead, by name, or logs by path; no index is needed."""
+    sessions: Annotated[LocationFlag | None, _default("PATH|URL", "sessions")] = None
+    """Where logs are kept, for --session and --on."""
+    worst: Annotated[int | None, _default("INT", "10")] = None
+    """How many of the worst frames to list, at most one for each second of a session."""
+    on: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
+    """Let it drive these recordings instead, as fast as they were driven: it sees their pictures, warped to where
+    it has steered the car."""
+    departure: Annotated[float | None, _default("METRES", "1")] = None
+    """Distance from the recorded line from which on the car is put back, which is an intervention."""
+    car: Annotated[str | None, _default("udacity|built-in|FILE.toml", "the one in the log")] = None
+    """The car that a recording is of: where its cameras stand, and how it turns."""
+    simulator: Annotated[tuple[str, ...] | None, _default("TRACK [TRACK ...]", "none")] = None
+    """Let it drive these tracks instead: lake, mountain, random:SEED, hairpins:SEED; the same run gives the same
+    numbers."""
+    laps: Annotated[float | None, _default("FLOAT", "1")] = None
+    """How far to drive on each."""
+    speed: Annotated[tuple[float, ...] | None, _default("MPH [MPH ...]", "10")] = None
+    """Set speeds in mph; every track is driven at each."""
+    precision: Annotated[
+        Literal["auto", "float32", "bfloat16"] | None, _default("{auto,float32,bfloat16}", "auto")
+    ] = None
+    """The arithmetic of a network that drives; auto takes what is fastest on this processor, as bc-drive does."""
+    logs: Annotated[LocationFlag | None, _default("PATH|URL", "drives")] = None
+    """Folder for the drives' logs. With a URL (s3://BUCKET/drives) they are made in drives/, and copied there."""
+    force: bool = False
+    """Replace logs of the same names."""
+    ray: RayAddress = None
+    """Make the drives on a Ray cluster, each as a task; all of its nodes see these folders by the same paths."""
+    runs: LocationFlag = Path("runs")
+    """Where runs are kept; what was measured of one in a store (s3://BUCKET/runs) is kept there, too."""
+    json: bool = False
+    """Print JSON and no table: one object, or with --simulator alone one a drive."""
+
+
+RECORDED: Final = "recorded frames"
+WAYS: Final = {
+    RECORDED: ("index", "split", "session", "sessions", "worst"),
+    "--simulator TRACK": ("laps", "speed", "precision", "logs", "force", "ray"),
+    "--on SESSION": ("sessions", "departure", "car", "precision"),
+}
+"""The flags that belong to each way of measuring."""
+
+
+def refuse_contradictions(config: Eval) -> None:
+    """Raise UsageError for flags that do not go together, and for values that make no sense."""
+    if config.on is not None and config.simulator is not None:
+        raise UsageError("--on drives recordings and --simulator tracks: give one or the other")
+    way = "--on SESSION" if config.on is not None else RECORDED
+    way = "--simulator TRACK" if config.simulator is not None else way
+    for other, names in WAYS.items():
+        if flags := flags_given(config, *(name for name in names if name not in WAYS[way])):
+            raise UsageError(_misplaced(flags, other, way))
+    if config.simulator == () or config.speed == ():
+        raise UsageError("nothing to drive: give --simulator at least one track, and --speed at least one speed")
+    if config.on == ():
+        raise UsageError("nothing to drive: give --on at least one session")
+    given_once = (("--on", config.on), ("--simulator", config.simulator), ("--speed", config.speed))
+    for flag, given in given_once:
+        if given is not None and len(set(given)) < len(given):
+            raise UsageError(f"{flag} {' '.join(map(str, given))}: give each once")
+    if config.session == ():
+        raise UsageError("nothing to measure: give --session at least one session")
+    if way == RECORDED and config.session is None and config.sessions is not None:
+        raise UsageError("--sessions is where the logs of --session and --on are: give one of these too")
+    if config.session is not None and (config.index is not None or config.split is not None):
+        raise UsageError("--session measures whole sessions, of no index: leave out --index and --split")
+    if config.compare is None:
+        if config.tolerance is not None:
+            raise UsageError("--tolerance is how much worse B may be, of --compare A B: give it too")
+    elif config.run is not None:
+        raise UsageError(f"{config.run}: --compare names its two runs itself: leave it out")
+    elif config.worst is not None:
+        raise UsageError("--worst is of one run, and --compare of two: give one or the other")
+    elif config.on is not None:
+        raise UsageError("--on drives with one run, and --compare takes two: give one or the other")
+    if config.tolerance is not None and not 0 <= config.tolerance < 1:
+        raise UsageError(f"--tolerance {config.tolerance:g}: a share from 0 to 1 was expected")
+    if config.worst is not None and config.worst < 0:
+        raise UsageError(f"--worst {config.worst:,}: a number of frames was expected, 0 for none")
+    if config.departure is not None and not 0 < config.departure < math.inf:
+        raise UsageError(f"--departure {config.departure:g}: a distance above 0 metres was expected")
+
+
+def _misplaced(flags: str, other: str, way: str) -> str:
+    if way == RECORDED:
+        return f"{flags}: only with {other}: without it, recorded frames are measured"
+    if other == RECORDED:
+        return f"{flags}: of recorded frames, and {way.split()[0]} drives: give one or the other"
+    return f"{flags}: only with {other}"

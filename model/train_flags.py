@@ -1,0 +1,132 @@
+"""The flags of `bc-train`, their defaults, and which of them go together."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Final
+
+import tyro
+
+from common.errors import UsageError
+from common.location import Url, is_in_store, location
+from common.location_flag import LocationFlag
+from common.recipe import recipe_given
+from model.config import TrainConfig
+from model.runs.run_arguments import RUNS
+
+_MOST_WORKERS: Final = 10_000
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train the network on the index; the run is kept in runs/NAME/.
+
+    The index is built from all sessions if there is none yet, and --index names no other folder. Ctrl-C stops
+    after the current batch, and --resume goes on from there. `bc-train export RUN --onnx` gives a trained network
+    to other programs, --hub FOLDER to the Hugging Face hub.
+    """
+
+    name: str = ""
+    """Name of the run; by default the date and time."""
+    resume: str | None = None
+    """Go on with this run where it was stopped or killed; more --epochs make it longer. One in a store (s3://...)
+    is brought to runs/, and copied there as it goes on."""
+    init: str | None = None
+    """Start from the weights of this run, instead of random ones."""
+    like: str | None = None
+    """Repeat this run: its settings, and the index that it was trained on. Other flags change what they name."""
+    tensorboard: bool = False
+    """Write the curves for TensorBoard, too."""
+    listener: str | None = None
+    """Code of your own that receives the progress, for MLflow and the like: FILE.py:CLASS or
+    package.module:CLASS."""
+    viewer: bool = False
+    """Show the curves in the Rerun viewer while they grow."""
+    ray: Annotated[
+        tuple[str, ...] | None, tyro.conf.arg(metavar="N [ADDRESS]", help_behavior_hint="(default: none)")
+    ] = None
+    """Train on N workers of a Ray cluster, which go on from the checkpoint where one dies; all of its nodes see
+    these folders by the same paths."""
+    index: LocationFlag = Path("index")
+    """The index to train on: a folder, or the URL of a copy of one in a store."""
+    sessions: LocationFlag = Path("sessions")
+    """Where logs are kept, for an index that has to be built."""
+    runs: LocationFlag = RUNS
+    """Where runs are kept. With a URL (s3://BUCKET/runs) the run is made in runs/, and copied there while it is
+    trained, and when that ends."""
+    copy_to: Annotated[LocationFlag | None, tyro.conf.arg(metavar="URL")] = None
+    """Copy the run to this folder in a store as well, if runs are kept here."""
+    config: tyro.conf.OmitArgPrefixes[TrainConfig] = field(default_factory=TrainConfig)
+
+
+def refuse_contradictions(config: Train) -> None:
+    """Raise UsageError for flags that do not go together."""
+    others = {"--name": config.name, "--init": config.init, "--like": config.like}
+    if config.resume is not None and (unfit := [flag for flag, value in others.items() if value]):
+        raise UsageError(f"{' and '.join(unfit)} make another run, --resume goes on with one: give one of them")
+    if isinstance(config.runs, Url) and config.copy_to is not None:
+        raise UsageError(f"--runs {config.runs}: is where the run is copied to: leave out --copy-to")
+    if Path(config.name).name != config.name or config.name.startswith("."):
+        raise UsageError(f"--name {config.name!r}: a plain name was expected; give the folder with --runs")
+
+
+def workers_of(ray: tuple[str, ...] | None) -> tuple[int, str] | None:
+    """Number and address that --ray gives. Raises UsageError for what are none."""
+    if ray is None:
+        return None
+    from common.ray_cluster import address_of
+
+    number, *address = ray or ("",)
+    if not number.isascii() or not number.isdigit() or not 0 < int(number) <= _MOST_WORKERS:
+        raise UsageError(f"--ray {' '.join(ray)}: a number of workers was expected, and perhaps an address")
+    if "WORLD_SIZE" in os.environ:
+        raise UsageError("--ray and torchrun each start the workers: give one of them")
+    return int(number), address_of(address)
+
+
+def defaults() -> Train:
+    """The defaults of the flags: the settings and places of the run that is named with --resume or --like.
+
+    Raises UsageError for the recipe of another run than the one to be repeated: no setting would follow from it.
+    """
+    given = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    given.add_argument("--resume")
+    given.add_argument("--like")
+    given.add_argument("--runs", type=location, default=RUNS)
+    given.add_argument("--network")
+    with contextlib.suppress(argparse.ArgumentError):  # tyro prints what is wrong
+        flags, _ = given.parse_known_args()
+        name, runs = flags.resume if flags.resume is not None else flags.like, flags.runs
+        if name:
+            from model.runs.network_of_run import choice_of, is_own_network
+            from model.runs.provenance import training_of
+            from model.runs.run_folder import CONFIG, find_any_run, load_config
+            from model.runs.run_inputs import index_of, init_of, sessions_of
+            from model.runs.runs_in_store import url_of
+
+            if isinstance(runs, Url):
+                name = url_of(name, runs)
+            if flags.resume is not None and is_in_store(name):
+                from model.runs.stored_run import bring_run_to
+
+                run = bring_run_to(RUNS if isinstance(runs, Url) else runs, name)
+            else:
+                run = find_any_run(name, runs)
+            stored = load_config(run)
+            if is_own_network(stored) and flags.network is None:
+                choice_of(stored, run)  # raises: code is never run because a run names it
+            settings = training_of(stored, str(run / CONFIG))
+            if flags.resume is None and recipe_given(settings.recipe) != settings.recipe:
+                raise UsageError("--recipe with --like: that run's settings are repeated; leave out one of them")
+            init = init_of(run, runs) if flags.resume is None else None
+            return Train(
+                init=str(init) if init is not None else None,
+                index=index_of(run) or Train.index,
+                sessions=sessions_of(run) or Train.sessions,
+                config=settings,
+            )
+    return Train(config=TrainConfig.of(recipe_given()))
