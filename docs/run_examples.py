@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -24,7 +25,9 @@ SHORTER: Final = {
     '"runs/first"), TrainConfig': '"runs/again"), TrainConfig',  # the loop has made runs/first
     "--simulator lake": "--laps 0.1 --simulator lake",
 }
-FRAME: Final = 'from recorder import Log; open("frame.jpg", "wb").write(Log("run.mcap").picture(0, "center"))'
+FRAME: Final = (
+    'from recorder import Log; open("frame.jpg", "wb").write(Log("drives/run.mcap").picture(0, "center"))'
+)
 
 
 def main() -> None:
@@ -35,6 +38,7 @@ def main() -> None:
             words += ["--save", f"{number}.rrd"]
         _run([str(Path(sys.executable).parent / words[0]), *words[1:]], folder)
     _run([sys.executable, "-c", FRAME], folder)
+    shutil.copy(folder / "drives" / "run.mcap", folder)  # the drive that the pages read
     for page in PAGES:
         for code in _blocks((ROOT / page).read_text(encoding="utf-8"), "python"):
             _run([sys.executable, "-I", "-c", code], folder)

@@ -3,8 +3,7 @@
     python examples/foxglove_and_rerun.py run.mcap [run.rrd]
 
 Rerun's own reader takes the file (into run.rrd, where that is given, and not into a window). Foxglove opens it
-(Open local file), too; here it is played, again and again, to each viewer that connects (Open connection,
-ws://localhost:8765).
+(Open local file), too; here it is played, again and again, to each viewer (Open connection, ws://localhost:8765).
 """
 
 import sys
