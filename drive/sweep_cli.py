@@ -46,7 +46,7 @@ class Sweep:
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE.toml")]
-    """What is varied, seeds, and what is driven."""
+    """The plan of the sweep: varied settings, seeds, drives."""
     index: LocationFlag = Path("index")
     """The index to train on: a folder, or the URL of one in a store."""
     runs: LocationFlag = Path("runs")

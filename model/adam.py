@@ -1,6 +1,6 @@
 """The optimizer Adam of Kingma and Ba 2015 (arXiv 1412.6980), with its usual moments.
 
-The arithmetic is PyTorch's, and so is what is kept of each parameter, under the same names. `torch.optim.Adam`
+The arithmetic is PyTorch's, and so is the state of each parameter, under the same names. `torch.optim.Adam`
 around it loads PyTorch's compiler with the first step, which nothing here uses: over a second in every training.
 """
 

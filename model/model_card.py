@@ -1,5 +1,5 @@
-"""The card of a run on the Hugging Face hub, its README.md: what it is, what it learnt from, how well, where it
-drives and where not, and how it is loaded."""
+"""The card of a run on the Hugging Face hub, its README.md: description, training data, errors, drives, and code
+to load it."""
 
 from __future__ import annotations
 

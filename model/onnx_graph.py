@@ -1,4 +1,4 @@
-"""A network as the graph of an ONNX file, node by node: what its layers do is asked of PyTorch (torch.fx).
+"""A network as the graph of an ONNX file, node by node, from PyTorch's trace of its layers (torch.fx).
 
 Only a network whose layers are known here, and whose way through them does not depend on what it sees, has one.
 ONNX is imported only here and in onnx_export.py.

@@ -139,7 +139,7 @@ class Pilot:
 def load_pilot(run: Path | str, precision: Precision = "auto") -> Pilot:
     """The pilot of a run folder.
 
-    `precision` is what it calculates in; "auto" takes bfloat16 where the processor has it, as training does. One
+    `precision` is that of its arithmetic; "auto" takes bfloat16 where the processor has it, as training does. One
     picture then takes five eighths of the time. Over 5,000 pictures, real and drawn, a trained network's steering
     differed by 0.02 degrees on average and by 0.2 at most from that of float32, in which evaluations measure.
 

@@ -184,9 +184,12 @@ def is_riddle(name: str) -> bool:
     return name not in NO_RIDDLES and not RIDDLES.isdisjoint(map(str.lower, words))
 
 
-@pytest.mark.parametrize("room", MAY_IMPORT)
+@pytest.mark.parametrize("room", [*MAY_IMPORT, "behavioural_cloning_toolkit.py", "examples"])
 def test_names_are_the_words_of_the_field(room: str) -> None:
-    paths = (path for path in SOURCES if path.is_relative_to(ROOT / room))
+    examples = sorted((ROOT / "examples").glob("*.py"))
+    code = [*SOURCES, ROOT / "behavioural_cloning_toolkit.py", *examples]
+    paths = [path for path in code if path.is_relative_to(ROOT / room)]
+    assert paths
     assert [f"{path}:{line} {name}" for path in paths for line, name in named(path) if is_riddle(name)] == []
 
 

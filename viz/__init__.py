@@ -1,4 +1,4 @@
-"""Seeing it: logs in the Rerun viewer, with a layout that fits what they hold."""
+"""Visualization: logs in the Rerun viewer, with a layout that fits their topics."""
 
 from behavioural_cloning_toolkit import refuse_hidden
 

@@ -31,5 +31,5 @@ def print_error(error: UserError) -> int:
 
 
 def print_skipped(skipped: Skipped) -> int:
-    """Print what was left out of what is shown, if anything; return the exit code."""
+    """Print the items that are not shown, if any; return the exit code."""
     return command.warn_skipped(skipped, f"{_Program.name}: skipped")

@@ -92,9 +92,9 @@ def write_video(
 ) -> Video:
     """Write the log at `path` as `video`, an .mp4 that plays `speed` times as fast as was driven.
 
-    `overlay` puts the instruments below the pictures. Of a log that was never finished, what is whole is taken.
-    Raises LogError if the log cannot be read, UserError if PyAV is not installed, for a log without a picture of
-    the centre camera, if `video` exists and may not be overwritten, or where the disk is full.
+    `overlay` puts the instruments below the pictures. Of a log that was never finished, the whole chunks are
+    taken. Raises LogError if the log cannot be read, UserError if PyAV is not installed, for a log without a
+    picture of the centre camera, if `video` exists and may not be overwritten, or where the disk is full.
     """
     _require_av()
     check_speed(speed)

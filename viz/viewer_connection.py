@@ -31,7 +31,7 @@ _SETTINGS: Final = 4
 def viewer_url(address: str) -> str:
     """Rerun's URL of a viewer at "PORT", "HOST:PORT" or a URL of Rerun's own; empty: on its own port, here.
 
-    Raises UsageError for what is no such address.
+    Raises UsageError for anything else.
     """
     if not address or _PORT.fullmatch(address):
         return f"rerun+http://{LOCAL}:{address or DEFAULT_PORT}/proxy"
@@ -69,7 +69,7 @@ def check_viewer(url: str) -> str:
 
 
 def set_time(url: str, recording: rr.RecordingStream, at_s: float, stop: threading.Event) -> None:
-    """Put the time cursor of the viewer at `url` to `at_s` seconds after the start of what was sent and hold it
+    """Put the time cursor of the viewer at `url` to `at_s` seconds after the start of the data and hold it
     there, as soon as the viewer has got that; not if `stop` is set before. A server for browsers has
     no cursor to set: it plays as the layout is set."""
     from rerun.experimental import ViewerClient

@@ -21,7 +21,7 @@ POLL_S: Final = 0.1
 LAST_DATA_S: Final = 1.5  # for a viewer that ran before to take what is on its way
 
 _GRACE_S: Final = 0.5
-_FLUSH_S: Final = 0.5  # how long a viewer may take until it is checked whether anybody still waits for it
+_FLUSH_S: Final = 0.5  # for a viewer to take data; then `stop` is checked, and it is tried again
 
 
 class ViewerFeed(threading.Thread):

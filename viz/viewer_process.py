@@ -100,8 +100,8 @@ def open_viewer(
 ) -> Iterator[Viewer]:
     """Open an empty viewer in a window, or serve it to browsers on this machine.
 
-    The viewer ends with the context. `memory` limits what it holds ("1GB"), `server_memory` what it holds for
-    pages that are opened later. Raises UserError if a port is taken.
+    The viewer ends with the context. `memory` limits its data ("1GB"), `server_memory` the data for pages that are
+    opened later. Raises UserError if a port is taken.
     """
     for port in (ports.web, ports.data) if web else (ports.data,):
         _refuse_taken(port)

@@ -1,4 +1,4 @@
-"""The frames held out at which a network was off the most after each epoch: what it saw, how it steered."""
+"""The frames held out at which a network was off the most after each epoch, with its picture and steering."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _ARCS: Final = (("recorded", BLUE, 2.5), ("predicted", ORANGE, 2.0))  # name, co
 
 
 def worst_views() -> rrb.Container:
-    """A view for each of the worst frames, and what they are in words."""
+    """A view for each of the worst frames, and their description."""
     views = [
         rrb.Spatial2DView(origin=f"{WORST}/{number}", name=f"worst {number}")
         for number in range(1, WORST_COUNT + 1)

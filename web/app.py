@@ -80,7 +80,7 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
     kept = CacheFolder(cache)
     pool.submit(kept.tidy)
     cards = SessionCards(folders, kept, pools)
-    cards.cards("sessions", 0)  # before anybody asks: reading begins
+    cards.cards("sessions", 0)  # begins to read them before the first request
     checks = PictureChecks(folders.index_here, kept)
     runs = RunCards(folders)
     viewers = RerunViewers()

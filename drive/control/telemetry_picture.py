@@ -16,7 +16,7 @@ alone."""
 
 
 def camera_picture(jpeg: bytes) -> tuple[Image, tuple[int, int]]:
-    """(height, width, 3) BGR, and the width and height of the JPEG's header: EXIF may turn what is decoded.
+    """The picture (height, width, 3) BGR, and the size in the JPEG's header: by EXIF, decoding may turn it.
 
     Raises TelemetryError for a JPEG that is not complete, and for more than `MAX_PIXELS`.
     """

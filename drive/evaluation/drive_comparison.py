@@ -97,7 +97,7 @@ class DriveComparison:
 
 def _sums_of_tracks(drives: Sequence[DriveResult]) -> Floats:
     """The sums of every stretch of every track, (stretches, 3). The drives of a track at several speeds are added
-    up, as its laps are: what is hard at one speed is at another, too, and no other observation."""
+    up, as its laps are: a stretch that is hard at one speed is hard at others, and so no further observation."""
     tracks: dict[str, Floats] = {}
     for drive in drives:
         sums = _sums_of_stretches(drive)

@@ -1,8 +1,8 @@
-"""A sweep: many trainings, each driven when it is trained; what is done already is not done again.
+"""A sweep: many trainings, each driven when it is trained; finished ones are not repeated.
 
-A training that was stopped or killed goes on from its checkpoint. What is done is known from the runs themselves:
-their checkpoints and kept results. Where runs are kept in a store, each is made here and copied there; so what any
-machine has done, no other one does again.
+A training that was stopped or killed goes on from its checkpoint. Finished ones are known from the runs
+themselves: their checkpoints and kept results. Where runs are kept in a store, each is made here and copied there,
+so that no machine repeats the work of another.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ class Swept:
 
 
 def run_sweep(sweep: SweepPlan, index: Location, runs: Location, logs: Location, tasks: Tasks) -> Iterator[Swept]:
-    """Train and drive what is not yet; the results as they come. `logs` is the folder of the drives' logs.
+    """Run the trainings and drives that are not finished; yields results as they come. `logs` is the folder of the
+    drives' logs.
 
     A training or drive that fails is a result, too, and the others go on.
     """

@@ -1,4 +1,4 @@
-"""The summary of a drive: what is counted while it goes on, in the same memory for hours."""
+"""The summary of a drive: its counters while it goes on, in the same memory for hours."""
 
 from __future__ import annotations
 

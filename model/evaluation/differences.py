@@ -46,7 +46,7 @@ class Difference:
 
     @property
     def verdict(self) -> Verdict:
-        """Worse or better only if the whole interval is; worse only beyond what is allowed."""
+        """Worse or better only if the whole interval is; worse only beyond the tolerance."""
         best, worst = (self.low, self.high) if self.measure.is_error else (-self.high, -self.low)
         if math.isnan(best) or math.isnan(worst):
             return "unknown"

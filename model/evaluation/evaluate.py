@@ -99,7 +99,7 @@ class Evaluation:
 
     @cached_property
     def as_learnt(self) -> Errors:
-        """The errors of what the network has learnt, without the scale of its answers."""
+        """The errors of the network's answers as learnt, without their scale."""
         learnt = self.answers.learnt(self.frames["predicted"].to_numpy())
         return errors(learnt, self.frames["recorded"].to_numpy(), self.max_deg)
 
@@ -144,8 +144,8 @@ class Evaluation:
 
 
 def target_columns(target: TargetName) -> tuple[str, str]:
-    """The columns of an evaluation's frames that hold what was predicted of a target besides steering, and what
-    was recorded."""
+    """The names of the columns of an evaluation's frames with the predicted and the recorded values of a target
+    besides steering."""
     name = TARGETS[target].answer_name
     return f"predicted_{name}", f"recorded_{name}"
 
@@ -273,8 +273,8 @@ def _with_answers(
     answers: NDArray[np.float64],
     targets: Sequence[TargetName],
 ) -> pa.Table:
-    """The frames, with what a network answers to each of `targets`, (N,) or (N, K), and what was `recorded` of
-    those besides steering that are to be measured, (N,) each."""
+    """The frames, with a network's answers for `targets`, (N,) or (N, K), and the `recorded` values of the
+    measured targets besides steering, (N,) each."""
     frames = frames.append_column("predicted", pa.array(steering_in(answers)))
     for name, labels in recorded.items():
         of_answers, of_labels = target_columns(name)

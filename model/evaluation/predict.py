@@ -34,9 +34,9 @@ BatchesOf = Callable[[PictureSpec], Iterable[tuple[NDArray[np.int64], Image]]]
 def predict(
     network: PictureNetwork, loader: Loader, advance: Callable[[int], object] = lambda samples: None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The network's answers and what was recorded, steering (N,) or targets (N, K), for a loader's samples in
-    their order; float32 arithmetic on the network's device. `advance` gets the number of samples done since the
-    last call."""
+    """The network's answers and the recorded values, steering (N,) or targets (N, K), for a loader's samples in
+    their order; float32 arithmetic on the network's device. `advance` is called with the number of samples done
+    since the last call."""
     network.eval()
     device = next(network.parameters()).device
     predicted, recorded = [np.zeros((0, *answer_shape(network)))], [np.zeros((0, *loader.rows.label.shape[1:]))]

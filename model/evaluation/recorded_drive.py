@@ -32,8 +32,8 @@ from model.errors import RunError
 DEPARTURE_M: Final = 1.0
 
 Predict = Callable[[Image], float]
-"""From the crop (height, width, 3) BGR that a network sees to steering, -1 (left) .. 1 (right); what is beyond is
-clamped."""
+"""A function from the crop (height, width, 3) BGR that a network sees to steering, -1 (left) .. 1 (right), clamped
+to that range."""
 
 
 @dataclass(frozen=True)

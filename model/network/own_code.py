@@ -1,6 +1,6 @@
 """Somebody's own network: code that runs because its user has named it, and never because a run names it.
 
-`FILE.py:CLASS` is read once: what is run, what is hashed and what a run keeps are the same bytes.
+`FILE.py:CLASS` is read once: the same bytes are run, hashed and kept in the run.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ class SlicedMaxPool(nn.Module):
 
 
 def sliced_max_pool(layer: nn.Module) -> nn.Module | None:
-    """A `SlicedMaxPool` that does what a layer does; None for what is no plain 2x2 pooling."""
+    """A `SlicedMaxPool` equal to a layer; None if the layer is not a plain 2x2 pooling."""
     if type(layer) is not nn.MaxPool2d or layer.ceil_mode or layer.return_indices:
         return None
     settings = [_sides(side) for side in (layer.kernel_size, layer.stride, layer.padding, layer.dilation)]

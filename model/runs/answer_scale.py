@@ -29,7 +29,7 @@ LEAST_SCALE, MOST_SCALE = 0.1, 2.0
 nothing of the road."""
 
 MOST_CURVE: Final = 4.0
-"""From 0, so that more of what was learnt is never less of an answer."""
+"""From 0, so that the answer never falls while the steering learnt grows."""
 
 MOST_OFFSET: Final = 0.2
 
@@ -38,7 +38,7 @@ _PREFIX: Final = "natural_"
 
 @dataclass(frozen=True)
 class AnswerScale:
-    """Natural steering, -1..1, not clamped, by what was learnt."""
+    """Natural steering, -1..1, not clamped, from the steering learnt."""
 
     scale: float = 1.0
     offset: float = 0.0

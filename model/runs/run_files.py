@@ -25,7 +25,7 @@ RESULTS_FILE: Final = "results.jsonl"
 @contextlib.contextmanager
 def replaced_file(path: Path) -> Iterator[Path]:
     """Yield a temporary path to write to; it takes the place of `path` at the end. Raises RunWriteError, and
-    leaves what was there, where the disk is full or does not let it."""
+    leaves the old file, where the disk is full or cannot be written to."""
     with run_write_errors(path), atomic_file(path, overwrite=True) as part:
         yield part
 

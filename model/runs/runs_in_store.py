@@ -1,4 +1,4 @@
-"""Runs in a store: which there are, and copies of them in the user's cache, for which only what is new is fetched.
+"""Runs in a store: their listing, and copies in the user's cache, for which only new files are fetched.
 
 No PyTorch is needed for it. A folder of runs there is listed in one request (for a thousand objects). Results that
 are added to a copy go up: see `send_results`.

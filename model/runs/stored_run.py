@@ -81,7 +81,7 @@ class RunCopy:
     def close(self) -> None: ...
 
     def finish(self) -> str:
-        """Copy what is new since; why it is not copied, or empty."""
+        """Copy the files that are new since; returns the reason if that fails, else an empty string."""
         self._pool.shutdown()
         try:
             self._copy()
@@ -90,7 +90,7 @@ class RunCopy:
         return ""
 
     def _copy_if_due(self) -> None:
-        is_over = self._copying is None or self._copying.done()  # what has failed is tried again
+        is_over = self._copying is None or self._copying.done()  # a failed copy is tried again
         if is_over and time.monotonic() - self._copied_s > _EVERY_S:
             self._copied_s = time.monotonic()
             self._copying = self._pool.submit(self._copy)

@@ -1,4 +1,4 @@
-"""The frames held out at which a network is off the most after an epoch, with what it saw.
+"""The frames held out at which a network is off the most after an epoch, with their pictures.
 
 runs/NAME/worst.jsonl   one line of JSON an epoch (of very long trainings, the last ones), with pictures in base64:
                         to be looked at without the index

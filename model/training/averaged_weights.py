@@ -1,4 +1,4 @@
-"""The running mean of a network's weights over its last steps: what is measured, kept, and drives.
+"""The running mean of a network's weights over its last steps, which is measured, kept, and drives.
 
 Each step of Adam goes where the labels of its batch pull; the mean of many steps is what they agree on. Polyak and
 Juditsky 1992, "Acceleration of stochastic approximation by averaging"; as an exponential mean in Tarvainen and

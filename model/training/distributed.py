@@ -69,8 +69,8 @@ class Group:
         return result
 
     def distributed(self, network: nn.Module) -> nn.Module:
-        """The network with its gradients averaged over all ranks. What it keeps beside its weights, such as the
-        means of a batch normalisation, is each rank's own; rank 0's is kept."""
+        """The network with its gradients averaged over all ranks. Its buffers, such as the means of a batch
+        normalisation, are each rank's own; those of rank 0 are kept."""
         return network if self.ranks == 1 else DistributedDataParallel(network, broadcast_buffers=False)
 
     def _reduce(self, values: tuple[float, ...], operation: ReduceOp.RedOpType) -> list[float]:

@@ -70,7 +70,7 @@ def arithmetic_remarks(run: Path, stored: dict[str, Any], now: dict[str, Any]) -
 
 
 def resumed_config(stored: dict[str, Any], now: dict[str, Any]) -> dict[str, Any]:
-    """The config.json of a resumed run: what it was begun with, and what it goes on with."""
+    """The config.json of a resumed run: the settings of its start, and those of its continuation."""
     before = stored.get("resumed")
     return {
         **stored,

@@ -52,14 +52,14 @@ class Validation:
         return len(self.loader)
 
     def predict(self, network: PictureNetwork, advance: Callable[[int], object]) -> tuple[Floats, Floats]:
-        """The answers and what was recorded, steering (N,) or targets (N, K), of the frames that decode."""
+        """The answers and the recorded values, steering (N,) or targets (N, K), of the frames that decode."""
         return predict(network, self.loader, advance)
 
     def epoch(
         self, position: Position, learnt: Floats, predicted: Floats, recorded: Floats, answers: AnswerScale
     ) -> Epoch:
-        """The measures of an epoch that has been learnt up to its end, `position`: those of what the network has
-        `learnt`, and of what it answers in the scale of `answers`, `predicted`."""
+        """The measures of an epoch that has been learnt up to its end, `position`: those of the steering `learnt`,
+        and of `predicted`, the same in the scale of `answers`."""
         config = self._config
         measures = measure(steering_in(predicted), steering_in(recorded), max_deg=self._max_deg)
         return Epoch(

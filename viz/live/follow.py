@@ -30,7 +30,7 @@ HISTORY_S: Final = 60.0
 """Pictures from before the viewer was opened are skipped if they are older than that."""
 VIEWER_MEMORY: Final = "1GB"  # beyond that, it drops the oldest
 WHOLE_S: Final = 2.0
-"""Between two times that a viewer gets what is drawn of the whole log: histogram and path."""
+"""Time between two updates of the drawings of the whole log: histogram and path."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The layout of a log in the viewer. It is code, because it is a function of what the log holds."""
+"""The layout of a log in the viewer. It is code, because it is a function of the log's topics."""
 
 from __future__ import annotations
 

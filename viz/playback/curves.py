@@ -56,9 +56,9 @@ _LEVELS: Final = {
 
 
 class Drawing:
-    """Sends to a recording what is drawn of messages, a row a message: of all of a log at once, or as they come.
+    """Draws messages in a recording, a row a message: all of a log at once, or as they come.
 
-    Call `finish` at the end, or from time to time, for what is drawn of all messages until then.
+    Call `finish` at the end, or from time to time, for the drawings of all messages until then.
     """
 
     def __init__(

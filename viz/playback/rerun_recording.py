@@ -1,4 +1,4 @@
-"""A log as a Rerun recording: what is drawn of it first, then its pictures and all else."""
+"""A log as a Rerun recording: first its drawings, then its pictures and all else."""
 
 from __future__ import annotations
 
@@ -78,8 +78,8 @@ class DrawnMessages:
 
 @dataclass(frozen=True)
 class PreparedRecording:
-    """A recording that is ready to be sent: what is drawn was read, and is sound; pictures are checked as they are
-    sent."""
+    """A recording that is ready to be sent: its drawings were read, and are sound; pictures are checked as they
+    are sent."""
 
     name: str
     layout: rrb.Blueprint | None  # None: `send` sends one
@@ -94,9 +94,9 @@ class PreparedRecording:
 def save_rrd(path: Path, rrd: Path, *, overwrite: bool = False) -> str:
     """Write the log at `path`, its curves and its layout to the file `rrd`, without a window.
 
-    Of a log that was never finished, what is whole is taken. The log's notice, empty for a finished one.
-    Raises LogError if the log cannot be read, UserError if `rrd` exists and may not be overwritten, or where the
-    disk is full.
+    Of a log that was never finished, the whole chunks are taken. Returns the log's notice, empty for a finished
+    one. Raises LogError if the log cannot be read, UserError if `rrd` exists and may not be overwritten, or where
+    the disk is full.
     """
     refuse_existing(rrd, overwrite)
     with prepare_log(path) as prepared:
@@ -150,7 +150,7 @@ def prepare_log(
 
 @contextlib.contextmanager
 def open_whole_log(path: Path) -> Iterator[tuple[Log, str]]:
-    """Open the log at `path`, or what is whole in it where it was never finished: the log and its notice.
+    """Open the log at `path`, or the whole chunks of one that was never finished: the log and its notice.
 
     Rerun's reader refuses a log without a sound end. Raises LogError if it cannot be read, UserError for a name
     that Rerun cannot take.

@@ -1,4 +1,4 @@
-"""Results of files that take a while, made one after the other on a thread while pages show what is there."""
+"""Results of files that take a while, made one by one on a thread while pages show those that are there."""
 
 from __future__ import annotations
 

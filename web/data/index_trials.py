@@ -22,7 +22,7 @@ class IndexTrials:
         self._folder = cache / "trials"
 
     def new(self, index: Path) -> tuple[str, Path]:
-        """A name and a folder for a trial. It begins with what is known of pictures, which takes long to find."""
+        """A name and a folder for a trial. It starts with the known findings of pictures, which take long."""
         found = sorted(self._found().values(), key=lambda path: path.stat().st_mtime_ns)
         for path in found[: max(0, len(found) + 1 - _KEPT)]:
             shutil.rmtree(path, ignore_errors=True)

@@ -49,7 +49,7 @@ class Field:
 
 @dataclass(frozen=True)
 class JobForm:
-    """A kind of job: the command, its fields, and the page of what it makes."""
+    """A kind of job: the command, its fields, and the page of its output."""
 
     name: str
     title: str
@@ -89,7 +89,7 @@ class JobForm:
         return self.fills_project and folders.are_new and folders.parent is not None
 
     def page_of(self, values: Mapping[str, str], folders: ProjectFolders) -> str:
-        """The page of what it makes; "" where that is not of this project."""
+        """The page of its output; "" where that is not of this project."""
         return "" if self.fills_project and not self.fills(folders) else self.made(values)
 
 

@@ -201,7 +201,7 @@ class SessionCards:
         return InIndex("in the index", "", share.frames if share else {})
 
     def _has_tags_of(self, share: Share | UserError | None, path: Location, fingerprint: str) -> bool:
-        """Whether the tags beside a log are those that the index has: what was tagged since was undone."""
+        """Whether the tags beside a log are those of the index: later changes may have been undone."""
         if not isinstance(share, Share):
             return False
         try:

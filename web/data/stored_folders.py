@@ -1,4 +1,4 @@
-"""Folders in stores, as far as pages need them: what is in them, and copies of the small ones."""
+"""Folders in stores, as far as pages need them: their listings, and copies of the small ones."""
 
 from __future__ import annotations
 

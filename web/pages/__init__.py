@@ -1,1 +1,1 @@
-"""The pages: each module has the addresses of one page, and what they answer."""
+"""The pages: each module has the addresses of one page, and their responses."""

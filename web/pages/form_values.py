@@ -13,7 +13,7 @@ _MOST = 2000  # a thousand logs may be merged
 
 
 async def form_values(request: Request) -> dict[str, str]:
-    """Raises WebError for what is no form."""
+    """The fields of a form. Raises WebError for a request without one."""
     return dict(await form_pairs(request))
 
 

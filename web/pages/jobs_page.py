@@ -1,4 +1,4 @@
-"""Jobs: what can be started, what was, its progress, and stopping it."""
+"""Jobs: forms that start them, their list, progress, and stop."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of one run: what it learnt from, how well, the frames at which it is off the most, how it drove."""
+"""The page of one run: its data, its errors, the frames at which it is off the most, and its drives."""
 
 from __future__ import annotations
 
