@@ -56,7 +56,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_collection_finish() -> None:
     gc.enable()
     gc.freeze()  # what is loaded by now stays: else each collection of garbage looks through PyTorch again
-    gc.set_threshold(10_000)  # by default every 700 objects, and Hypothesis notes each: a twentieth of the time
 
 
 def pytest_sessionfinish() -> None:
