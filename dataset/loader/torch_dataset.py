@@ -73,7 +73,7 @@ class SamplesDataset(Closeable):
         return picture[0], self._rows.label[sample]
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = {name: getattr(self, name) for name in ("_index", "_seen", "_sources", "_rows")}
+        kept = {name: getattr(self, name) for name in ("_index", "_spec", "_sources", "_rows")}
         return {**kept, "_logs": {}, "_process": 0}
 
     def _open(self) -> None:

@@ -315,6 +315,7 @@ def test_a_start_beyond_the_epoch_is_refused(index: Path, start: int) -> None:
 # PyTorch's own DataLoader
 
 
+@pytest.mark.filterwarnings("ignore:This DataLoader will create 2 worker processes")  # on one processor
 @pytest.mark.parametrize("workers", [None, "fork", "spawn"])
 def test_pytorchs_data_loader_gets_the_same_samples(index: Path, workers: str | None) -> None:
     expected = rows_of(index)
