@@ -7,9 +7,8 @@ which can be read give.
 
 from __future__ import annotations
 
-import filecmp
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,24 +18,20 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from common.car import CAMERAS, MAX_STEERING_DEG
-from common.location import Location, Url, location
+from common.car import MAX_STEERING_DEG
+from common.location import Location, location
 from common.progress import track
-from common.tasks import Tasks, in_threads, one_by_one
+from common.tasks import Tasks, one_by_one
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, index_write_errors
 from dataset.frames.frames_file import (
-    FRAMES_FORMAT,
     FRAMES_SCHEMA,
     FramesError,
     extent_of,
     file_if_rewritten,
-    frames_metadata,
-    frames_settings,
     relative_log_path,
     session_name,
 )
-from dataset.frames.frames_table import frames_table
 from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
 from dataset.index.build_lock import build_lock
 from dataset.index.build_state import (
@@ -44,18 +39,18 @@ from dataset.index.build_state import (
     STATE_NAME,
     BuildState,
     BuiltLog,
-    Stats,
     read_state,
     sources_of,
     stat_of,
     write_state,
 )
 from dataset.index.duplicates import UnreadablePictureError, refuse_shared_pictures
+from dataset.index.log_entries import car_to_warp, log_entries
 from dataset.index.session_labels import LAGS_FOLDER, labels_of_sessions
-from dataset.index.sessions import by_session_name, name_problem
+from dataset.index.sessions import by_session_name
 from dataset.index.staging import finish_interrupted_build, staged, stale_frames_files
 from dataset.missing_index import other_folder, refuse_file
-from dataset.parquet_file import read_metadata, write_table
+from dataset.parquet_file import read_metadata
 from dataset.samples.divided_writer import write_divided_samples
 from dataset.samples.filter import Condition
 from dataset.samples.samples_format import (
@@ -71,24 +66,16 @@ from dataset.samples.samples_format import (
     sample_files,
 )
 from dataset.samples.samples_writer import write_samples
-from recorder import Log, LogError
-from recorder.errors import RecordingError
-from recorder.log.log_info import driven_by, first_picture_sizes, set_speeds_mph
+from recorder import LogError
 from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.session_car import (
     CAR_KEY,
-    UDACITY,
     Car,
-    car_in,
-    car_of,
-    max_steering_deg_of,
     metadata_of,
-    named_car,
-    stored_car,
 )
-from recorder.log.tags import read_tags
-from recorder.log.topics import QUALITY_METADATA, camera_topic
-from recorder.pictures.picture_size import width_and_height
+
+_Made = tuple[Balance, dict[str, SessionCounts], dict[str, SessionLabels]]
+"""How samples are balanced; and of each session what becomes of its frames, and how it is learnt."""
 
 
 class _StaleStateError(Exception):
@@ -143,22 +130,13 @@ def build_index(
     index, config = Path(index), config or IndexConfig()
     by_name = dict(sorted(by_session_name(map(location, logs)).items()))
     check_settings(list(by_name.values()), index, config)
+    build = _Build(by_name, index, config, leave_out_unreadable, sorted(passed_over), tasks, divide_from_frames)
     with build_lock(index):
         finish_interrupted_build(index)
         state, damaged = read_state(index), dict[str, str]()
         while True:
             try:
-                return _build(
-                    by_name,
-                    index,
-                    config,
-                    state,
-                    leave_out_unreadable,
-                    passed_over,
-                    damaged,
-                    tasks,
-                    divide_from_frames,
-                )
+                return build.run(state, damaged)
             except _StaleStateError:
                 state = BuildState.nothing()
             except UnreadablePictureError as error:  # nobody else looks at pictures here
@@ -187,41 +165,6 @@ def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -
         Condition(config.where).check(FRAMES_SCHEMA.empty_table())
 
 
-def _car_to_warp(path: Location, entry: BuiltLog) -> Car:
-    """The car of a session; its log is opened again only if the car is unknown. Raises DatasetError for one whose
-    pictures cannot be warped: the places of its cameras are unknown, or how much their crops show to either
-    side."""
-    has_several_sizes = entry.has_several_sizes
-    car = car_in({CAR_KEY: entry.car}, path) if entry.car else None
-    if car is None and entry.implied_car:
-        car = named_car(entry.implied_car)
-    if car is None or has_several_sizes is None:
-        with Log(path) as log:
-            has_several_sizes = _has_several_sizes(log)
-            try:
-                car = car or car_of(log)
-            except RecordingError as error:
-                raise DatasetError(f"--viewpoints: {error}") from None
-    if has_several_sizes:
-        raise DatasetError(
-            f"--viewpoints: {path}: a camera's pictures are of several sizes; views are warped only from pictures"
-            " of one (`bc-log trim`, `bc-log split`)"
-        )
-    return car
-
-
-def _implied_car(log: Log) -> str:
-    """The name of the car of a log that stores none; empty if it is unknown."""
-    try:
-        return "udacity" if car_of(log) == UDACITY else "built-in"
-    except RecordingError:
-        return ""
-
-
-def _has_several_sizes(log: Log) -> bool:
-    return "picture_sizes" in log.read_metadata(QUALITY_METADATA)
-
-
 def _refuse_different_steering(held: Mapping[str, BuiltLog]) -> None:
     """Raise DatasetError where the same number would be another angle of the wheels."""
     (first, one), *others = held.items()
@@ -234,190 +177,84 @@ def _refuse_different_steering(held: Mapping[str, BuiltLog]) -> None:
             )
 
 
-def _build(
-    by_name: dict[str, Location],
-    index: Path,
-    config: IndexConfig,
-    state: BuildState,
-    leave_out_unreadable: bool,
-    passed_over: Sequence[str],
-    damaged: Mapping[str, str],
-    tasks: Tasks,
-    divide_from_frames: int,
-) -> Indexed:
-    """`damaged`: what was found of logs that look sound while their pictures are not read."""
-    entries: dict[str, BuiltLog] = {}
-    with staged(index) as stage:
-        found = _entries(by_name, index, config, state, damaged, stage, tasks)
-        for name, entry in track(found, "indexing", len(by_name)):
-            if isinstance(entry, LogError):
-                if not leave_out_unreadable or name in config.validation:
-                    raise entry
-                entry = BuiltLog(sources_of(name, by_name[name], index), notice=f"{entry}; left out")
-            entries[name] = entry
-        entries = dict(sorted(entries.items()))
-        read = sorted(file.stem for file in (stage / FRAMES_FOLDER).iterdir())
-        held = {name: entry for name, entry in entries.items() if entry.fingerprint}
-        notices = [entry.notice for entry in entries.values() if entry.notice]
-        if not held:
-            raise LogError("; ".join(notices))
-        _refuse_different_steering(held)
-        cars: dict[str, Car] = {}  # of the sessions that views are taken of
-        if config.viewpoints:
-            cars = {name: _car_to_warp(by_name[name], entry) for name, entry in held.items()}
-        remarks = [f"{by_name[name]}: {WITHOUT_CRCS}" for name, entry in held.items() if not entry.has_crcs]
-        places = {
-            name: {
-                "log": relative_log_path(by_name[name], index),
-                "fingerprint": entry.fingerprint,
-                **file_if_rewritten(entry.fingerprint, entry.file),
-                **_about_car(entry, cars.get(name)),
-            }
-            for name, entry in held.items()
-        }
-        remarks += [
-            _mixed(by_name[name], entry) for name, entry in held.items() if name in read and entry.is_mixed
-        ]
+@dataclass(frozen=True)
+class _Build:
+    """What an index is built of, and how."""
+
+    by_name: Mapping[str, Location]  # logs, by session
+    index: Path
+    config: IndexConfig
+    leave_out_unreadable: bool
+    passed_over: list[str]
+    tasks: Tasks
+    divide_from_frames: int
+
+    def run(self, state: BuildState, damaged: Mapping[str, str]) -> Indexed:
+        """`damaged`: what was found of logs that look sound while their pictures are not read."""
+        index, config, by_name = self.index, self.config, self.by_name
+        with staged(index) as stage:
+            entries = self._entries(state, damaged, stage)
+            read = sorted(file.stem for file in (stage / FRAMES_FOLDER).iterdir())
+            held = {name: entry for name, entry in entries.items() if entry.fingerprint}
+            notices = [entry.notice for entry in entries.values() if entry.notice]
+            if not held:
+                raise LogError("; ".join(notices))
+            _refuse_different_steering(held)
+            cars: dict[str, Car] = {}  # of the sessions that views are taken of
+            if config.viewpoints:
+                cars = {name: car_to_warp(by_name[name], entry) for name, entry in held.items()}
+            logs = {name: _about_log(by_name[name], index, entry, cars.get(name)) for name, entry in held.items()}
+            made = _up_to_date(index, held, logs, config, state, self.divide_from_frames)
+            samples = (index if made else stage) / SAMPLES_NAME
+            if made is None:
+                frames = {
+                    name: (stage if name in read else index) / FRAMES_FOLDER / f"{name}.parquet" for name in held
+                }
+                try:
+                    made = self._write(frames, samples, held, logs, cars)
+                except (LogError, FramesError):
+                    if state.logs:
+                        raise _StaleStateError from None
+                    raise
+            if samples.parent == stage or (entries, self.passed_over) != (state.logs, state.passed_over):
+                built = BuildState(stat_of(samples), entries, self.passed_over)
+                with index_write_errors(index / STATE_NAME):
+                    write_state(samples.with_name(STATE_NAME), built)
+        balance, counts, labels = made
         sizes_px = {name: sorted(set(entry.sizes_px)) for name, entry in held.items()}
-        made = _up_to_date(index, held, places, config, state, divide_from_frames)
-        samples = (index if made else stage) / SAMPLES_NAME
-        if made is None:
-            frames = {
-                name: (stage if name in read else index) / FRAMES_FOLDER / f"{name}.parquet" for name in held
-            }
-            try:
-                extents = {name: extent_of(file) for name, file in frames.items()}
-                refuse_shared_pictures(frames, by_name, extents, tasks)
-                labels = labels_of_sessions(frames, by_name, held, index, config, tasks)
-                with index_write_errors(index / SAMPLES_NAME):
-                    if sum(extent.frames for extent in extents.values()) < divide_from_frames:
-                        written = write_samples(frames, samples, config, places, labels, cars)
-                    else:
-                        written = write_divided_samples(frames, samples, config, places, labels, cars, tasks)
-                made = (*written, labels)
-            except (LogError, FramesError):
-                if state.logs:
-                    raise _StaleStateError from None
-                raise
-        if samples.parent == stage or (entries, sorted(passed_over)) != (state.logs, state.passed_over):
-            with index_write_errors(index / STATE_NAME):
-                write_state(
-                    samples.with_name(STATE_NAME), BuildState(stat_of(samples), entries, sorted(passed_over))
-                )
-    balance, counts, labels = made
-    return Indexed(index, list(held), read, balance, counts, notices, remarks, labels, sizes_px)
+        remarks = [f"{by_name[name]}: {WITHOUT_CRCS}" for name, entry in held.items() if not entry.has_crcs]
+        remarks += [_mixed(by_name[name], held[name]) for name in held if name in read and held[name].is_mixed]
+        return Indexed(index, list(held), read, balance, counts, notices, remarks, labels, sizes_px)
 
+    def _entries(self, state: BuildState, damaged: Mapping[str, str], stage: Path) -> dict[str, BuiltLog]:
+        """The entry of each session; without a fingerprint where its log cannot be read, and may be left out."""
+        entries: dict[str, BuiltLog] = {}
+        found = log_entries(self.by_name, self.index, self.config, state, damaged, stage, self.tasks)
+        for name, entry in track(found, "indexing", len(self.by_name)):
+            if isinstance(entry, LogError):
+                if not self.leave_out_unreadable or name in self.config.validation:
+                    raise entry
+                sources = sources_of(name, self.by_name[name], self.index)
+                entry = BuiltLog(sources, notice=f"{entry}; left out")
+            entries[name] = entry
+        return dict(sorted(entries.items()))
 
-def _entries(
-    by_name: Mapping[str, Location],
-    index: Path,
-    config: IndexConfig,
-    state: BuildState,
-    damaged: Mapping[str, str],
-    stage: Path,
-    tasks: Tasks,
-) -> Iterator[tuple[str, BuiltLog | LogError]]:
-    """The entry of each session, or why its log cannot be read, as they come."""
-    to_read: list[str] = []
-    stats = Stats()
-    for name, path in by_name.items():
-        try:
-            if name in damaged:
-                raise LogError(damaged[name])
-            entry = _unchanged(name, path, index, config, state, stats)
-        except LogError as error:
-            yield name, error
-        else:
-            if entry is None:
-                to_read.append(name)
-            else:
-                yield name, entry
-    calls = [(name, by_name[name], index, config, stage) for name in to_read]
-    if tasks is one_by_one and any(isinstance(by_name[name], Url) for name in to_read):
-        tasks = in_threads  # they wait for answers
-    for number, read in tasks(_read_or_error, calls):
-        yield to_read[number], read
-
-
-def _unchanged(
-    name: str, log: Location, index: Path, config: IndexConfig, state: BuildState, stats: Stats
-) -> BuiltLog | None:
-    """The entry of a session whose frames are up to date, if its log need not be opened to know that.
-
-    One that was left out is always tried again: its size and time do not show whether it may be read now.
-    """
-    entry = state.logs.get(name)
-    file = index / FRAMES_FOLDER / f"{name}.parquet"
-    if entry is None or not entry.fingerprint:
-        return None
-    if (
-        entry.sources != sources_of(name, log, index, stats)
-        or entry.frames is None
-        or entry.frames != stat_of(file)
-    ):
-        return None
-    if not entry.file:  # as an earlier version left it, to which a rewritten log was another one, without its tags
-        with Log(log) as opened:
-            if opened.fingerprint != entry.fingerprint:
-                return None
-        entry = msgspec.structs.replace(entry, file=entry.fingerprint)
-    expected = {
-        "format": FRAMES_FORMAT,
-        "settings": frames_settings(config, name),
-        "log": relative_log_path(log, index),
-        "fingerprint": entry.fingerprint,
-        **file_if_rewritten(entry.fingerprint, entry.file),
-    }
-    stored = read_metadata(file) or {}
-    return entry if all(stored.get(key) == value for key, value in expected.items()) else None
-
-
-def _read_or_error(
-    name: str, path: Location, index: Path, config: IndexConfig, stage: Path
-) -> BuiltLog | LogError:
-    try:
-        return _read(name, path, index, config, stage)
-    except LogError as error:
-        return error
-
-
-def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Path) -> BuiltLog:
-    """Read a log, all of it: its fingerprint does not show damage within a chunk. Its frames file is put into
-    `stage`, unless the index has the very same.
-
-    Raises LogError for a log that is damaged, or whose name no index can hold.
-    """
-    sources = sources_of(name, path, index)  # before anything is read: what changes from now on will be noticed
-    if problem := name_problem(path):
-        raise LogError(problem)
-    with Log(path) as log:
-        tags = read_tags(path, log.fingerprint)
-        table = frames_table(log, index, config, tags)
-        metadata = frames_metadata(log, index, config, tags)
-        car = stored_car(log)
-        entry = BuiltLog(
-            sources,
-            log.fingerprint,
-            log.file_fingerprint,
-            notice=log.notice,
-            has_crcs=log.has_crcs,
-            driven_by=driven_by(log),
-            set_speeds_mph=set_speeds_mph(log),
-            sizes_px=_sizes_px(log),
-            max_steering_deg=max_steering_deg_of(log),
-            car=metadata_of(car).get(CAR_KEY, ""),
-            implied_car=_implied_car(log) if car is None else "",
-            has_several_sizes=_has_several_sizes(log),
-            is_mixed=isinstance(path, Url) and log.is_mixed,
-        )
-    file = index / FRAMES_FOLDER / f"{name}.parquet"
-    new = stage / FRAMES_FOLDER / file.name
-    with index_write_errors(file):
-        write_table(new, table, metadata)
-    if _are_equal(new, file):
-        new.unlink()
-        return msgspec.structs.replace(entry, frames=stat_of(file))
-    return msgspec.structs.replace(entry, frames=stat_of(new))
+    def _write(
+        self,
+        frames: Mapping[str, Path],
+        samples: Path,
+        held: Mapping[str, BuiltLog],
+        logs: Mapping[str, Mapping[str, Any]],
+        cars: Mapping[str, Car],
+    ) -> _Made:
+        """Write the samples of these sessions. Raises LogError or FramesError for a damaged file."""
+        extents = {name: extent_of(file) for name, file in frames.items()}
+        refuse_shared_pictures(frames, self.by_name, extents, self.tasks)
+        labels = labels_of_sessions(frames, self.by_name, held, self.index, self.config, self.tasks)
+        with index_write_errors(self.index / SAMPLES_NAME):
+            if sum(extent.frames for extent in extents.values()) < self.divide_from_frames:
+                return *write_samples(frames, samples, self.config, logs, labels, cars), labels
+            return *write_divided_samples(frames, samples, self.config, logs, labels, cars, self.tasks), labels
 
 
 def _mixed(log: Location, entry: BuiltLog) -> str:
@@ -428,37 +265,16 @@ def _mixed(log: Location, entry: BuiltLog) -> str:
     )
 
 
-def _about_car(entry: BuiltLog, views_car: Car | None) -> dict[str, Any]:
-    """The entry of a session's car in the samples' metadata: that of its log, or the one of its views."""
-    steering = {"max_steering_deg": entry.max_steering_deg}
+def _about_log(log: Location, index: Path, entry: BuiltLog, views_car: Car | None) -> dict[str, Any]:
+    """What the samples' metadata has of a log: its place, its fingerprint, and its car, or that of its views."""
     car = metadata_of(views_car).get(CAR_KEY, entry.car)
     return {
-        **(steering if entry.max_steering_deg != MAX_STEERING_DEG else {}),
+        "log": relative_log_path(log, index),
+        "fingerprint": entry.fingerprint,
+        **file_if_rewritten(entry.fingerprint, entry.file),
+        **({"max_steering_deg": entry.max_steering_deg} if entry.max_steering_deg != MAX_STEERING_DEG else {}),
         **({CAR_KEY: json.loads(car)} if car else {}),
     }
-
-
-def _sizes_px(log: Log) -> list[tuple[int, int]]:
-    """Width and height of the first picture of each camera, as its header has it.
-
-    A log's summary of its rows has them; those of earlier versions do not.
-    """
-    if (known := first_picture_sizes(log)) is not None:
-        return [known[topic] for topic in map(camera_topic, CAMERAS) if topic in known]
-    sizes = []
-    for camera in CAMERAS:
-        found = log.pictures(camera_topic(camera))
-        if len(found.sequence):
-            data = log.read(int(found.offset[0]), int(found.length[0]), int(found.chunk[0]))
-            sizes += [size for size in [width_and_height(data)] if size]
-    return sizes
-
-
-def _are_equal(new: Path, old: Path) -> bool:
-    try:
-        return not old.is_symlink() and filecmp.cmp(new, old, shallow=False)
-    except OSError:
-        return False
 
 
 def _up_to_date(
@@ -468,7 +284,7 @@ def _up_to_date(
     config: IndexConfig,
     state: BuildState,
     divide_from_frames: int,
-) -> tuple[Balance, dict[str, SessionCounts], dict[str, SessionLabels]] | None:
+) -> _Made | None:
     """Balance, counts and labels from samples.parquet, if building it anew would give the same file."""
     before = {name: entry.frames for name, entry in state.logs.items() if entry.fingerprint}
     if {name: entry.frames for name, entry in held.items()} != before or stale_frames_files(set(held), index):

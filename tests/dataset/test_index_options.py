@@ -247,7 +247,7 @@ def test_an_unchanged_index_is_not_even_opened(tmp_path: Path, monkeypatch: pyte
     def opened(path: Path) -> Log:
         raise AssertionError(f"{path} was opened")
 
-    monkeypatch.setattr("dataset.index.build.Log", opened)
+    monkeypatch.setattr("dataset.index.log_entries.Log", opened)
     again = build_index(logs, tmp_path / "index")
     assert again.read == []
     assert (again.counts, again.balance.as_dict()) == (first.counts, first.balance.as_dict())

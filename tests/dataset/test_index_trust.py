@@ -62,7 +62,7 @@ def test_a_tag_that_comes_while_an_index_is_built_is_not_lost(
         add_tag(path, log.fingerprint, Tag(0, 99, "exclude"))
         return frames_table(log, *rest)
 
-    monkeypatch.setattr("dataset.index.build.frames_table", tagging)
+    monkeypatch.setattr("dataset.index.log_entries.frames_table", tagging)
     build_index([path], tmp_path / "index")
     monkeypatch.undo()
     indexed = build_index([path], tmp_path / "index")
@@ -81,16 +81,16 @@ def test_a_moved_index_finds_its_logs_again_or_says_so(tmp_path: Path) -> None:
     Samples(tmp_path / "deep" / "index").close()
 
 
-@pytest.mark.parametrize("what", ["SAMPLES_FORMAT", "FRAMES_FORMAT"])
+@pytest.mark.parametrize("what", ["build.SAMPLES_FORMAT", "log_entries.FRAMES_FORMAT"])
 def test_an_index_of_an_older_toolkit_is_built_anew(
     tmp_path: Path, what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = log_of(tmp_path / "a.mcap")
     build_index([path], tmp_path / "index")
     before = (tmp_path / "index" / "samples.parquet").stat().st_ino
-    monkeypatch.setattr(f"dataset.index.build.{what}", 99)
+    monkeypatch.setattr(f"dataset.index.{what}", 99)
     monkeypatch.setattr("dataset.frames.frames_file.FRAMES_FORMAT", 99)
-    build_index([path], tmp_path / "index", IndexConfig(seed=1) if what == "FRAMES_FORMAT" else None)
+    build_index([path], tmp_path / "index", IndexConfig(seed=1) if what == "log_entries.FRAMES_FORMAT" else None)
     assert (tmp_path / "index" / "samples.parquet").stat().st_ino != before
 
 

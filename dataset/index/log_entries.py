@@ -1,0 +1,213 @@
+"""What an index keeps of each log, made anew only where it has changed: a frames file and an entry."""
+
+from __future__ import annotations
+
+import filecmp
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import msgspec
+
+from common.car import CAMERAS
+from common.location import Location, Url
+from common.tasks import Tasks, in_threads, one_by_one
+from dataset.config import IndexConfig
+from dataset.errors import DatasetError, index_write_errors
+from dataset.frames.frames_file import (
+    FRAMES_FORMAT,
+    file_if_rewritten,
+    frames_metadata,
+    frames_settings,
+    relative_log_path,
+)
+from dataset.frames.frames_table import frames_table
+from dataset.index.build_state import FRAMES_FOLDER, BuildState, BuiltLog, Stats, sources_of, stat_of
+from dataset.index.sessions import name_problem
+from dataset.parquet_file import read_metadata, write_table
+from recorder import Log, LogError
+from recorder.errors import RecordingError
+from recorder.log.log_info import driven_by, first_picture_sizes, set_speeds_mph
+from recorder.log.session_car import (
+    CAR_KEY,
+    UDACITY,
+    Car,
+    car_in,
+    car_of,
+    max_steering_deg_of,
+    metadata_of,
+    named_car,
+    stored_car,
+)
+from recorder.log.tags import read_tags
+from recorder.log.topics import QUALITY_METADATA, camera_topic
+from recorder.pictures.picture_size import width_and_height
+
+
+def log_entries(
+    by_name: Mapping[str, Location],
+    index: Path,
+    config: IndexConfig,
+    state: BuildState,
+    damaged: Mapping[str, str],
+    stage: Path,
+    tasks: Tasks,
+) -> Iterator[tuple[str, BuiltLog | LogError]]:
+    """The entry of each session, or why its log cannot be read, as they come."""
+    to_read: list[str] = []
+    stats = Stats()
+    for name, path in by_name.items():
+        try:
+            if name in damaged:
+                raise LogError(damaged[name])
+            entry = _unchanged(name, path, index, config, state, stats)
+        except LogError as error:
+            yield name, error
+        else:
+            if entry is None:
+                to_read.append(name)
+            else:
+                yield name, entry
+    calls = [(name, by_name[name], index, config, stage) for name in to_read]
+    if tasks is one_by_one and any(isinstance(by_name[name], Url) for name in to_read):
+        tasks = in_threads  # they wait for answers
+    for number, read in tasks(_read_or_error, calls):
+        yield to_read[number], read
+
+
+def _unchanged(
+    name: str, log: Location, index: Path, config: IndexConfig, state: BuildState, stats: Stats
+) -> BuiltLog | None:
+    """The entry of a session whose frames are up to date, if its log need not be opened to know that.
+
+    One that was left out is always tried again: its size and time do not show whether it may be read now.
+    """
+    entry = state.logs.get(name)
+    file = index / FRAMES_FOLDER / f"{name}.parquet"
+    if entry is None or not entry.fingerprint:
+        return None
+    if (
+        entry.sources != sources_of(name, log, index, stats)
+        or entry.frames is None
+        or entry.frames != stat_of(file)
+    ):
+        return None
+    if not entry.file:  # as an earlier version left it, to which a rewritten log was another one, without its tags
+        with Log(log) as opened:
+            if opened.fingerprint != entry.fingerprint:
+                return None
+        entry = msgspec.structs.replace(entry, file=entry.fingerprint)
+    expected = {
+        "format": FRAMES_FORMAT,
+        "settings": frames_settings(config, name),
+        "log": relative_log_path(log, index),
+        "fingerprint": entry.fingerprint,
+        **file_if_rewritten(entry.fingerprint, entry.file),
+    }
+    stored = read_metadata(file) or {}
+    return entry if all(stored.get(key) == value for key, value in expected.items()) else None
+
+
+def _read_or_error(
+    name: str, path: Location, index: Path, config: IndexConfig, stage: Path
+) -> BuiltLog | LogError:
+    try:
+        return _read(name, path, index, config, stage)
+    except LogError as error:
+        return error
+
+
+def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Path) -> BuiltLog:
+    """Read a log, all of it: its fingerprint does not show damage within a chunk. Its frames file is put into
+    `stage`, unless the index has the very same.
+
+    Raises LogError for a log that is damaged, or whose name no index can hold.
+    """
+    sources = sources_of(name, path, index)  # before anything is read: what changes from now on will be noticed
+    if problem := name_problem(path):
+        raise LogError(problem)
+    with Log(path) as log:
+        tags = read_tags(path, log.fingerprint)
+        table = frames_table(log, index, config, tags)
+        metadata = frames_metadata(log, index, config, tags)
+        car = stored_car(log)
+        entry = BuiltLog(
+            sources,
+            log.fingerprint,
+            log.file_fingerprint,
+            notice=log.notice,
+            has_crcs=log.has_crcs,
+            driven_by=driven_by(log),
+            set_speeds_mph=set_speeds_mph(log),
+            sizes_px=_sizes_px(log),
+            max_steering_deg=max_steering_deg_of(log),
+            car=metadata_of(car).get(CAR_KEY, ""),
+            implied_car=_implied_car(log) if car is None else "",
+            has_several_sizes=_has_several_sizes(log),
+            is_mixed=isinstance(path, Url) and log.is_mixed,
+        )
+    file = index / FRAMES_FOLDER / f"{name}.parquet"
+    new = stage / FRAMES_FOLDER / file.name
+    with index_write_errors(file):
+        write_table(new, table, metadata)
+    if _are_equal(new, file):
+        new.unlink()
+        return msgspec.structs.replace(entry, frames=stat_of(file))
+    return msgspec.structs.replace(entry, frames=stat_of(new))
+
+
+def car_to_warp(path: Location, entry: BuiltLog) -> Car:
+    """The car of a session; its log is opened again only if the car is unknown. Raises DatasetError for one whose
+    pictures cannot be warped: the places of its cameras are unknown, or how much their crops show to either
+    side."""
+    has_several_sizes = entry.has_several_sizes
+    car = car_in({CAR_KEY: entry.car}, path) if entry.car else None
+    if car is None and entry.implied_car:
+        car = named_car(entry.implied_car)
+    if car is None or has_several_sizes is None:
+        with Log(path) as log:
+            has_several_sizes = _has_several_sizes(log)
+            try:
+                car = car or car_of(log)
+            except RecordingError as error:
+                raise DatasetError(f"--viewpoints: {error}") from None
+    if has_several_sizes:
+        raise DatasetError(
+            f"--viewpoints: {path}: a camera's pictures are of several sizes; views are warped only from pictures"
+            " of one (`bc-log trim`, `bc-log split`)"
+        )
+    return car
+
+
+def _implied_car(log: Log) -> str:
+    """The name of the car of a log that stores none; empty if it is unknown."""
+    try:
+        return "udacity" if car_of(log) == UDACITY else "built-in"
+    except RecordingError:
+        return ""
+
+
+def _has_several_sizes(log: Log) -> bool:
+    return "picture_sizes" in log.read_metadata(QUALITY_METADATA)
+
+
+def _sizes_px(log: Log) -> list[tuple[int, int]]:
+    """Width and height of the first picture of each camera, as its header has it.
+
+    A log's summary of its rows has them; those of earlier versions do not.
+    """
+    if (known := first_picture_sizes(log)) is not None:
+        return [known[topic] for topic in map(camera_topic, CAMERAS) if topic in known]
+    sizes = []
+    for camera in CAMERAS:
+        found = log.pictures(camera_topic(camera))
+        if len(found.sequence):
+            data = log.read(int(found.offset[0]), int(found.length[0]), int(found.chunk[0]))
+            sizes += [size for size in [width_and_height(data)] if size]
+    return sizes
+
+
+def _are_equal(new: Path, old: Path) -> bool:
+    try:
+        return not old.is_symlink() and filecmp.cmp(new, old, shallow=False)
+    except OSError:
+        return False
