@@ -31,13 +31,13 @@ class IndexConfig:
     """Defaults: people: what learns best from people (--labels auto); original: as the original project did."""
     bins: int = 25
     """Equal steering bins over -1..1."""
-    balance: bool = True
+    balance: Annotated[bool, arg(help_behavior_hint="(default: balanced)")] = True
     """Bring all steering bins to the same count; --no-balance takes every sample once."""
     per_bin: Annotated[Literal["mean", "median"] | int, arg(metavar="mean|median|N")] = "mean"
     """What each bin is brought to: the mean or the median of the bins that are not empty, or a number."""
     max_uses: int = 10
     """Cap: how often one picture, and its mirror image, may be used to fill up a bin, itself included."""
-    flip: bool = True
+    flip: Annotated[bool, arg(help_behavior_hint="(default: with them)")] = True
     """Mirrored copies of every picture, their steering negated; --no-flip leaves them out."""
     cameras: tuple[Camera, ...] = tuple(CORRECTION_SIGNS)
     """The cameras to train on."""

@@ -62,6 +62,8 @@ class NameRows:
             tags = self._change(self.tag, tags, fingerprint)
         for tag in tags:
             print_result(f"{tag.name}: {rows_of(tag)}")
+        if not tags:
+            print_message(f"{self.log}: no tags")
         return code
 
     def _is_everywhere(self) -> bool:

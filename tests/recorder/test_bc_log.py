@@ -235,6 +235,8 @@ def test_tags_are_given_listed_and_removed(
     tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = place(write_log(tmp_path / "a.mcap", [0.1] * 50))
+    assert call(main, "tag", path) == 0
+    assert capsys.readouterr() == ("", f"{path}: no tags\n")
     assert call(main, "tag", path, "exclude", "--start", 1, "--end", 2) == 0
     assert call(main, "tag", path, "exclude", "--rows", 40, 45) == 0
     assert call(main, "tag", path, "whole drive", "--start", 0) == 0
