@@ -144,9 +144,8 @@ class ResumableBlob:
         """Raise StoreError for an answer that is an error."""
         if answer.status >= HTTPStatus.BAD_REQUEST:
             body = " ".join(answer.data.decode(errors="replace").split())
-            text = (
-                f"server returned non-2xx status code: {answer.status} {HTTPStatus(answer.status).phrase}: {body}"
-            )
+            reason = answer.reason or "Error"  # a proxy's own status has no phrase that is known
+            text = f"server returned non-2xx status code: {answer.status} {reason}: {body}"
             raise store_error(self.url, StoreError(text), text)
 
 
