@@ -21,6 +21,7 @@ from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 from model.errors import RunError
 from model.network.picture_network import PictureNetwork
+from model.network.pooling import sides
 from model.runs.answer_scale import AnswerScale
 
 if TYPE_CHECKING:
@@ -170,14 +171,14 @@ class _Graph:
                     dilations=list(layer.dilation),
                     group=layer.groups,
                 )
-            case nn.MaxPool2d() if not layer.return_indices and _sides(layer.dilation) == [1, 1]:
-                padding = _sides(layer.padding)
+            case nn.MaxPool2d() if not layer.return_indices and sides(layer.dilation) == (1, 1):
+                padding = sides(layer.padding)
                 return self.add(
                     "MaxPool",
                     name,
                     value,
-                    kernel_shape=_sides(layer.kernel_size),
-                    strides=_sides(layer.stride),
+                    kernel_shape=sides(layer.kernel_size),
+                    strides=sides(layer.stride),
                     pads=padding * 2,
                     ceil_mode=int(layer.ceil_mode),
                 )
@@ -240,7 +241,3 @@ def _answers_in_columns(network: PictureNetwork, picture: PictureSpec) -> bool:
 def _numbers(tensor: torch.Tensor) -> NDArray[np.float32]:
     found: NDArray[np.float32] = tensor.detach().numpy()
     return found
-
-
-def _sides(value: int | tuple[int, ...]) -> list[int]:
-    return [value, value] if isinstance(value, int) else list(value)

@@ -57,9 +57,11 @@ class NetworkChoice:
 
     @property
     def picture(self) -> PictureSpec:
-        """The network's default picture."""
+        """The network's default picture. Raises RunError where its `PICTURE` is none."""
         found = getattr(self.make, "PICTURE", ORIGINAL)
-        return found if isinstance(found, PictureSpec) else ORIGINAL
+        if not isinstance(found, PictureSpec):
+            raise RunError(f"{self._label}: its PICTURE is a {type(found).__name__}: a PictureSpec was expected")
+        return found
 
     def build(self) -> PictureNetwork:
         """A new network, with random weights. Raises RunError where that fails."""

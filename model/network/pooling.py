@@ -25,9 +25,10 @@ def sliced_max_pool(layer: nn.Module) -> nn.Module | None:
     """A `SlicedMaxPool` equal to a layer; None if the layer is not a plain 2x2 pooling."""
     if type(layer) is not nn.MaxPool2d or layer.ceil_mode or layer.return_indices:
         return None
-    settings = [_sides(side) for side in (layer.kernel_size, layer.stride, layer.padding, layer.dilation)]
+    settings = [sides(side) for side in (layer.kernel_size, layer.stride, layer.padding, layer.dilation)]
     return SlicedMaxPool() if settings == [(2, 2), (2, 2), (0, 0), (1, 1)] else None
 
 
-def _sides(value: int | tuple[int, ...]) -> tuple[int, ...]:
+def sides(value: int | tuple[int, ...]) -> tuple[int, ...]:
+    """Both sides of a layer's kernel, stride or the like, which may be given as one number."""
     return (value, value) if isinstance(value, int) else tuple(value)

@@ -20,7 +20,7 @@ from driving import road_jpeg, untrained_run
 from model import RunError, export_onnx, load_pilot, train
 from model.cli import main
 from model.evaluation.predict import as_input
-from model.network.choice import choose_network
+from model.network.choice import choose_network, chosen_picture
 from model.network.own_code import load_code
 from model.network.visual_backprop import visual_backprop
 from model.runs.run_folder import load_answer_scale, load_network
@@ -246,6 +246,13 @@ def test_what_cannot_be_trained_is_one_line(tmp_path: Path, source: str, said: s
     with pytest.raises(RunError, match=said) as caught:
         choose_network(replace(ONE, network=f"{path}:Net")).try_out(ORIGINAL, torch.device("cpu"))
     assert "\n" not in str(caught.value)
+
+
+def test_a_picture_that_is_none_is_one_line(tmp_path: Path) -> None:
+    """It was passed over, and the network was given the original's 128 x 128 pixels."""
+    path = written(tmp_path, body().replace("    def __init__", "    PICTURE = (96, 48)\n\n    def __init__", 1))
+    with pytest.raises(RunError, match=r"net\.py:Net: its PICTURE is a tuple: a PictureSpec was expected"):
+        chosen_picture(ONE, choose_network(replace(ONE, network=f"{path}:Net")))
 
 
 @pytest.mark.parametrize("name", ["nowhere.py:Net", "no.such.module:Net"])

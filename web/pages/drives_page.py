@@ -46,7 +46,13 @@ def drive_routes(bench: Workbench) -> list[Route]:
             run = card.info.session.get("run", "") if card.info else ""
             key = key_of(bench.folders.runs / run) if run else ""
             shown.append(
-                {"card": card, "view": view, "problem": problem, "run": run, "run_key": key if key in runs else ""}
+                {
+                    "card": card,
+                    "view": view,
+                    "problem": problem,
+                    "run": printable(run),
+                    "run_key": key if key in runs else "",
+                }
             )
         by_key = {drive["card"].key: drive for drive in shown}
         on_map = [by_key[key] for key in chosen if key in by_key and by_key[key]["view"]]
