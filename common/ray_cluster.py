@@ -121,6 +121,11 @@ def connection(address: str) -> Iterator[Any]:
     try:
         with warnings.catch_warnings(action="ignore"):
             ray.init(address or None, log_to_driver=False, logging_level="ERROR")
+    except ray.exceptions.AuthenticationError:  # before anybody is asked
+        raise ClusterError(
+            f"--ray {address or 'auto'}: RAY_AUTH_MODE is set, but there is no token here: put the one that"
+            " `ray get-auth-token` prints on its head into ~/.ray/auth_token"
+        ) from None
     except (ConnectionError, TimeoutError, RuntimeError, ValueError) as error:
         raise ClusterError(_why_not(address, str(error))) from None
     finally:

@@ -60,7 +60,7 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
                 on_bytes, on_left = partial(progress.advance, task), partial(_print_left, log, target)
                 done = copy_log(log, target, overwrite=overwrite, on_bytes=on_bytes, on_left=on_left)
             except (UserError, OSError) as error:
-                shown = error if isinstance(error, UserError) else UserError(f"{log}: {error.strerror}")
+                shown = error if isinstance(error, UserError) else _unreadable_or_full(log, target, error)
                 codes.append(print_error(prog, shown))
                 continue
             finally:
@@ -73,6 +73,13 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
         failed = codes.count(FAILED)
         print_message(f"{counted(failed, 'log')} of {len(pairs):,} not copied; the same command copies the rest")
     return FAILED if FAILED in codes else max(codes)
+
+
+def _unreadable_or_full(log: Location, target: Location, error: OSError) -> UserError:
+    """The error to raise where the system refuses to read a file of this machine, or to write any more to it."""
+    if error.filename is None and isinstance(target, Path):
+        return UserError(f"{target}: {error.strerror}; the same command goes on where this one has ended")
+    return UserError(f"{error.filename or log}: {error.strerror}")
 
 
 def _print_left(log: Location, target: Location, size: int) -> None:

@@ -15,6 +15,7 @@ import threading
 import time
 import venv
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -274,6 +275,24 @@ def test_an_address_that_does_not_answer_is_told_soon(tmp_path: Path, scheme: st
         " its state"
     )
     assert done.returncode == 1
+
+
+def test_a_cluster_with_a_token_that_is_not_here_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RAY_AUTH_MODE", "token")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    settings = b"\x00\x00\x00\x04" + bytes(5)  # with which every gRPC server answers
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def answer() -> None:
+            with server.accept()[0] as stream:
+                stream.sendall(settings)
+                stream.recv(100)
+
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        with ThreadPoolExecutor() as other:
+            other.submit(answer)
+            with pytest.raises(ClusterError, match="no token here: put the one that"), cluster_tasks(address):
+                pass
 
 
 def test_an_address_where_nothing_listens_or_something_else_does_is_told() -> None:

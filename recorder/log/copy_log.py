@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from common import UserError
-from common.errors import ObjectExistsError, StoreError
+from common.errors import ObjectChangedError, ObjectExistsError, StoreError
 from common.files import PART_SUFFIX, atomic_file, make_folder, publish, refuse_existing
 from common.interrupts import uninterrupted
 from common.location import Location, Url
@@ -205,9 +205,13 @@ def _download(url: Url, path: Path, overwrite: bool, on_bytes: OnBytes) -> Copie
             begun = min(stream.tell(), source.size)
             stream.truncate(begun)
             on_bytes(begun)
-            for data in source.read_from(begun, PART_BYTES):
-                stream.write(data)
-                on_bytes(len(data))
+            try:
+                for data in source.read_from(begun, PART_BYTES):
+                    stream.write(data)
+                    on_bytes(len(data))
+            except ObjectChangedError:  # there is nothing any more that could go on with it
+                part.unlink()
+                raise
             stream.flush()
         if not is_whole(part) or _fingerprint(part) != fingerprint:
             part.unlink()

@@ -20,6 +20,7 @@ import pytest
 from bucket import Answer, Bucket, serving_bucket
 from common.errors import ObjectChangedError, ObjectExistsError, StoreError, UsageError
 from common.location import Url, location, relative_to
+from disk import files_of_at_most
 from driving import one_line_in
 from faulty_proxy import Passing
 from layouts import mixed
@@ -460,6 +461,36 @@ def test_a_download_that_was_stopped_goes_on_where_it_was(
     assert {path.name: path.read_bytes() for path in (tmp_path / "here").iterdir()} == {
         "large.mcap": log.read_bytes()
     }
+
+
+def test_a_download_to_a_full_disk_names_it_and_goes_on(
+    bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = large_log(bucket.folder)
+    with files_of_at_most(16 << 20):
+        assert call(main, "copy", "s3://logs/large.mcap", tmp_path / "here") == 1
+    line = one_line_in(capsys)
+    assert f"{tmp_path}/here/large.mcap: " in line
+    assert "the same command goes on" in line
+    bucket.requests.clear()
+    assert call(main, "copy", "s3://logs/large.mcap", tmp_path / "here") == 0
+    assert bucket.bytes_sent < 14 << 20
+    assert (tmp_path / "here/large.mcap").read_bytes() == log.read_bytes()
+
+
+def test_nothing_is_kept_of_a_download_whose_object_is_replaced(bucket: Bucket, tmp_path: Path) -> None:
+    large_log(bucket.folder)
+
+    def replace(passing: Passing) -> bool:
+        first = (passing.headers["Range"] or "bytes=0-").removeprefix("bytes=").partition("-")[0]
+        if first == str(8 << 20):
+            write_log(tmp_path / "new.mcap", [0.2] * 3).replace(bucket.folder / "large.mcap")
+        return False
+
+    bucket.answer = replace
+    with pytest.raises(ObjectChangedError):
+        copy_log(bucket.url("large.mcap"), tmp_path / "here/large.mcap")
+    assert list((tmp_path / "here").iterdir()) == []
 
 
 def test_an_upload_that_fails_leaves_nothing_of_that_name(
