@@ -183,7 +183,9 @@ def _here(runs: Location) -> Path:
 
 
 def _known(name: str, runs: Path, file: str) -> str:
-    return suggest_runs(Path(name).name, sorted(path.parent.name for path in runs.glob(f"*/{file}")), runs)
+    given = Path(name)
+    name = given.name if given.parent == runs else name  # runs/frist is one of these, hub/frist is none
+    return suggest_runs(name, sorted(path.parent.name for path in runs.glob(f"*/{file}")), runs)
 
 
 def load_config(folder: Path) -> dict[str, Any]:

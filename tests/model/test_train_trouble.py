@@ -187,6 +187,11 @@ def test_a_log_that_changed_since_is_named(index: Path, tmp_path: Path) -> None:
     [
         (["--name", "good"], "good: exists already; give another --name, or go on with it: `bc-train --resume"),
         (["--init", "nobody"], "nobody: no trained run there"),
+        (
+            ["--init", "runs/goood"],
+            "bc-train: runs/goood: no trained run there (model.safetensors is missing); did you",
+        ),
+        (["--init", "hub/bad"], "bc-train: hub/bad: no trained run there (model.safetensors is missing); in "),
         (["--init", "damaged"], "config.json: cannot be read"),
         (["--tensorboard"], "--tensorboard needs TensorBoard: install it with"),
         (["--viewer"], "--viewer: the viewer is not installed here"),
