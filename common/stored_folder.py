@@ -234,26 +234,22 @@ class StoredFolder(Closeable):
         ours = path.read_bytes() if is_added_to else b""
         content = hashlib.sha256()
         try:
-            with (
-                ObjectFile(there.url) as source,
-                atomic_file(path, overwrite=True) as part,
-                part.open("wb") as stream,
-            ):
-                for data in source.read_from():
-                    content.update(data)
-                    stream.write(data)
-                    on_bytes(len(data))
+            with ObjectFile(there.url) as source, atomic_file(path, overwrite=True) as part:
+                with part.open("wb") as stream:
+                    for data in source.read_from():
+                        content.update(data)
+                        stream.write(data)
+                        on_bytes(len(data))
+                if recorded is not None and _version_of(recorded).name == source.object_version.name:
+                    os.utime(part, ns=(recorded.mtime_ns, recorded.mtime_ns))
+                elif there.written_ns:
+                    os.utime(part, ns=(there.written_ns, there.written_ns))
+                status = part.stat()
+                _add_lines(part, ours)  # before it has its name: a kill between the two would lose them
         except NoSuchObjectError:
             raise ObjectChangedError(
                 f"{there.url}: was removed while it was read; give the command again"
             ) from None
-        if recorded is not None and _version_of(recorded).name == source.object_version.name:
-            os.utime(path, ns=(recorded.mtime_ns, recorded.mtime_ns))
-        elif there.written_ns:
-            os.utime(path, ns=(there.written_ns, there.written_ns))
-        status = path.stat()
-        if ours:
-            _add_lines(path, ours)
         return Copy(
             status.st_size,
             status.st_mtime_ns,
@@ -324,10 +320,9 @@ def _sha256_of(path: Path) -> str:
 def _add_lines(path: Path, ours: bytes) -> None:
     """Put the lines of `ours` that a file has not at its end."""
     theirs = path.read_bytes()
-    if theirs and not theirs.endswith(b"\n"):
-        theirs += b"\n"
     known = set(theirs.splitlines())
     added = [line for line in ours.splitlines() if line not in known]
     if added:
-        with atomic_file(path, overwrite=True) as part:
-            part.write_bytes(theirs + b"".join(line + b"\n" for line in added))
+        end = b"" if not theirs or theirs.endswith(b"\n") else b"\n"
+        with path.open("ab") as stream:
+            stream.write(end + b"".join(line + b"\n" for line in added))

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated
 
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 import tyro
 
 from common.command import FAILED, run_command, usage_errors, warn
@@ -30,6 +29,7 @@ from dataset.index.leaks import find_leaks
 from dataset.index.quality_report import find_flagged_frames, print_quality_report
 from dataset.index.sessions import find_logs, sessions_beside
 from dataset.index.stored_index import index_here
+from dataset.parquet_file import read_columns
 from dataset.samples.filter import Condition
 from dataset.samples.samples_format import sample_files
 
@@ -107,7 +107,7 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
     print_table(balance_table(indexed.balance))
     splits = Counter[str]()
     for file in sample_files(folder):
-        split = pq.read_table(file, columns=["split"], read_dictionary=["split"])["split"]
+        split = read_columns(file, ["split"], read_dictionary=["split"])["split"]
         splits.update({row["values"]: row["counts"] for row in pc.value_counts(split).to_pylist()})
     counts = ", ".join(f"{count:,} {split}" for split, count in sorted(splits.items()))
     frames = sum(session.frames for session in indexed.counts.values())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,6 +24,12 @@ def read_schema(source: Path | pa.BufferReader) -> pa.Schema:
     """The columns of a parquet file, with its metadata, however many sessions that lists."""
     with pq.ParquetFile(source, thrift_string_size_limit=METADATA_MOST_BYTES) as file:
         return file.schema_arrow
+
+
+def read_columns(source: Path, columns: Sequence[str] | None = None, **options: Any) -> pa.Table:
+    """Some columns of a parquet file, or all, however many sessions its metadata lists. `options` are those of
+    `pyarrow.parquet.read_table`. Raises what that does."""
+    return pq.read_table(source, columns=columns, thrift_string_size_limit=METADATA_MOST_BYTES, **options)
 
 
 def read_metadata(path: Path) -> dict[str, Any] | None:

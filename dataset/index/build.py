@@ -50,7 +50,7 @@ from dataset.index.session_labels import LAGS_FOLDER, labels_of_sessions
 from dataset.index.sessions import by_session_name
 from dataset.index.staging import finish_interrupted_build, staged, stale_frames_files
 from dataset.missing_index import other_folder, refuse_file
-from dataset.parquet_file import read_metadata
+from dataset.parquet_file import read_columns, read_metadata
 from dataset.samples.divided_writer import write_divided_samples
 from dataset.samples.filter import Condition
 from dataset.samples.samples_format import (
@@ -104,7 +104,7 @@ class Indexed:
 
     @cached_property
     def samples(self) -> pa.Table:
-        return pa.concat_tables(map(pq.read_table, sample_files(self.path)))
+        return pa.concat_tables(map(read_columns, sample_files(self.path)))
 
 
 def build_index(

@@ -19,7 +19,7 @@ from dataset.errors import DatasetError
 from dataset.frames.frame_flags import is_excluded
 from dataset.frames.pairing import moments
 from dataset.index.build_state import FRAMES_FOLDER
-from dataset.parquet_file import read_metadata
+from dataset.parquet_file import read_columns, read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME, sample_files
 
 
@@ -48,7 +48,7 @@ def find_leaks(index: Path | str) -> list[str]:
 def _leaks_in(file: Path, index: Path, gap_s: float) -> list[str]:
     """The leaks among the sessions whose samples are in a file."""
     columns = ["session", "row", "log_time_ns", "split", "copy", "alteration"]
-    samples = pq.read_table(file, columns=columns, read_dictionary=["session"]).unify_dictionaries()
+    samples = read_columns(file, columns, read_dictionary=["session"]).unify_dictionaries()
     session = samples["session"].combine_chunks()
     order = np.argsort(session.indices.to_numpy(), kind="stable")
     names = session.dictionary.to_pylist()

@@ -138,6 +138,9 @@ def _failed(training: Training, run: Path, why: str) -> Swept:
 def _is_driven(summary: RunSummary, simulator: BuiltInSimulator, config: DriveConfig) -> bool:
     return any(
         (kept.get("track"), kept["set_speed_mph"]) == (simulator.track, config.set_speed_mph)
-        and (kept.get("gave_up") or simulator.laps <= kept.get("laps", 0) < simulator.laps + _MOST_OVERSHOOT_LAPS)
+        and (
+            kept.get("gave_up")
+            or simulator.laps <= (kept.get("laps") or 0.0) < simulator.laps + _MOST_OVERSHOOT_LAPS
+        )
         for kept in summary.drives
     )

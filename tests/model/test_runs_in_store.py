@@ -172,3 +172,29 @@ def test_results_of_two_machines_are_all_kept(
     assert [kept.result for kept in kept_results(again)[0]] == expected
     assert send_results(again)
     assert [kept.result for kept in kept_results(bucket.folder / "runs/night")[0]] == expected
+
+
+def test_a_kill_while_lines_of_another_machine_come_loses_none_of_ours(
+    bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ours, theirs = tmp_path / "ours" / "results", tmp_path / "theirs" / "results"
+    rename = os.replace
+
+    def killed(part: Path, path: Path) -> None:
+        rename(part, path)
+        if path == ours:
+            raise SystemExit
+
+    for number in range(2):
+        for path in (ours, theirs):
+            with StoredFolder(bucket.url("run"), path.parent, lines=["results"]) as folder:
+                folder.bring()
+                with path.open("a") as stream:
+                    stream.write(f"{number} of {path.parent.name}\n")
+                if (number, path) == (1, theirs) or number == 0:
+                    folder.send()
+    monkeypatch.setattr(os, "replace", killed)
+    with StoredFolder(bucket.url("run"), ours.parent, lines=["results"]) as folder, pytest.raises(SystemExit):
+        folder.bring()
+    monkeypatch.undo()
+    assert sorted(ours.read_text().splitlines()) == ["0 of ours", "0 of theirs", "1 of ours", "1 of theirs"]

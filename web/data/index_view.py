@@ -10,14 +10,13 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from common.errors import printable
 from common.stretches import stretches
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import read_frames
 from dataset.index.build_state import FRAMES_FOLDER
-from dataset.parquet_file import read_metadata
+from dataset.parquet_file import read_columns, read_metadata
 from dataset.samples.samples_format import (
     READABLE_FORMATS,
     SAMPLES_FORMAT,
@@ -101,7 +100,7 @@ def session_bins_sketch(index: Path, session: str) -> bytes:
     try:
         # where they are divided, a session has a file of its own, or none
         files = [file for file in sample_files(index) if file.name == SAMPLES_NAME or file.stem == session]
-        tables = [pq.read_table(file, columns=["label"], filters=filters) for file in files[:1]]
+        tables = [read_columns(file, ["label"], filters=filters) for file in files[:1]]
     except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
         raise DatasetError(f"{index / SAMPLES_NAME}: cannot be read ({error}); `bc-index` makes it anew") from None
     labels = tables[0]["label"].to_numpy() if tables else np.zeros(0)
