@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 from common.errors import ObjectChangedError, StoreError
 from common.location import Url
 from common.object_file import CUT_OFF, LARGEST_READ, ObjectFile, ObjectVersion, read_part
+from common.parted_file import AT_ONCE, MOST_PARTS
 from common.store_connection import store_of
 from common.store_errors import as_store_error, is_cut_off, is_no_bucket, is_refused, obstore
 from common.store_errors import exceptions as failures
@@ -145,7 +146,7 @@ def _version_if_same(url: Url, file: Path) -> ObjectVersion | None:
 def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
     """Write an object of `size` bytes in parts, several at once; it appears whole or not at all, over whatever had
     its name. Raises StoreError, also where it has appeared and the answer to that was lost."""
-    part_bytes = max(LARGEST_READ, -(-size // 9000))  # a store takes 10,000 parts
+    part_bytes = max(LARGEST_READ, -(-size // MOST_PARTS))
     has_begun = False
 
     def given() -> Iterator[bytes]:
@@ -155,7 +156,12 @@ def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
 
     def put() -> None:
         obstore.put(
-            store_of(url, True), url.key, given(), use_multipart=True, chunk_size=part_bytes, max_concurrency=4
+            store_of(url, True),
+            url.key,
+            given(),
+            use_multipart=True,
+            chunk_size=part_bytes,
+            max_concurrency=AT_ONCE,
         )
 
     with as_store_error(url):

@@ -1,4 +1,4 @@
-"""Drives, blocks of time, and their split into training and validation.
+"""Blocks of time within drives, and their split into training and validation.
 
 Neighbouring frames are nearly the same picture. Split at random, validation would ask what training has
 seen; split by blocks of time, it asks about stretches of road that training has not seen.

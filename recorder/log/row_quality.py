@@ -1,4 +1,4 @@
-"""Flags for odd rows of a log, from its vehicle states alone; `recorder.log.check` checks the pictures.
+"""Flags for odd rows of a log, and where a pause begins a new drive, from its vehicle states alone.
 
 Thresholds were set on published recordings: people with keyboards hold an exact 0 for up to 14 s of driving, and
 any other exact value for at most 2 s; the simulator writes at least five rows a second.

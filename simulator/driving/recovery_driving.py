@@ -18,7 +18,7 @@ from simulator.driving.simulated_driver import SimulatedDriver
 from simulator.driving.vehicle import STEP_S
 from simulator.pose import Pose
 
-PUSH_S = 1.0  # how long the clock runs on at each push: plainly a gap at any recording rate in use
+PUSH_S = 1.0  # how long the clock runs on at each push: with the time of a row, more than GAP_S of row_quality.py
 MIN_PUSH, MAX_PUSH = 0.3, 0.8  # to either side, of the half width
 MAX_TURN_RAD = math.radians(25.0)
 # A turned car moves on to the side while it steers back. It is turned no further than that within this time, at
