@@ -27,6 +27,7 @@ from driving import Process, command
 from logs import write_log
 from model import Epoch, RunError, TrainConfig, find_run, train
 from model.cli import main
+from model.network.choice import choose_network
 from model.runs.training_progress import Step
 from recorder.log.edit import rewrite
 from repository import HELPERS
@@ -112,6 +113,7 @@ def train_until_killed(
     if at is None:
         patch.setattr("model.training.run_writer.save_checkpoint", kill)
     killed = [At(*at, kill)] if at is not None else []
+    choose_network(CONFIG)  # loads its code, which a run that is gone on with does not
     train(index, run, CONFIG, killed, init=init, resume=Path(run).exists(), figures=False)
 
 
@@ -135,7 +137,7 @@ def train_killed(
     job = (str(index), str(run), None if init is None else str(init), at, checkpoint_s)
     line = [sys.executable, "-c", TRAINING, json.dumps(job)]
     with Process(line, loads_pytorch=True) as training:
-        assert training.join() == -signal.SIGKILL, training.stderr
+        assert training.join() == -signal.SIGKILL, "\n".join(training.stderr)
 
 
 @pytest.mark.long  # killed once: test_a_fine_tuned_run_that_is_killed_...
