@@ -10,7 +10,7 @@ from typing import Final, TypeAlias
 from common.errors import StoreError
 
 OnBytes: TypeAlias = Callable[[int], object]
-"""Is told how many bytes more are there; fewer than none where those that were counted are another file's."""
+"""Called with the number of bytes transferred since the last call; negative if earlier ones do not count."""
 
 AT_ONCE: Final = 4
 """Parts that are on their way at a time."""

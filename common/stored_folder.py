@@ -13,7 +13,7 @@ import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Final
 
 from common.closeable import Closeable
 from common.errors import NoSuchObjectError, ObjectChangedError, UserError
@@ -30,6 +30,7 @@ from common.object_store import (
     read_object,
     remove,
 )
+from common.parted_file import OnBytes
 from common.store_record import (
     RECORD_NAME,
     Copy,
@@ -44,9 +45,6 @@ from common.users_cache import users_cache
 
 if TYPE_CHECKING:
     from rich.progress import Progress
-
-OnBytes: TypeAlias = Callable[[int], object]
-"""Called with the number of bytes fetched since the last call."""
 
 _LOCK: Final = ".store.lock"
 _MOST_BYTES: Final = 1 << 28

@@ -13,10 +13,10 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import secrets
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Final
 
 from common import UserError
 from common.errors import ObjectChangedError, ObjectExistsError, StoreError
@@ -35,6 +35,7 @@ from common.object_store import (
     read_object,
     remove,
 )
+from common.parted_file import OnBytes
 from recorder.errors import LogError
 from recorder.log.check import is_whole
 from recorder.log.reader import Log
@@ -46,8 +47,6 @@ if TYPE_CHECKING:
 
 PART_BYTES: Final = 1 << 23
 """Bytes of a part that is sent, or requested, at once."""
-OnBytes: TypeAlias = Callable[[int], object]
-"""Called with the number of bytes copied since the last call."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,8 @@ from typing import Final
 
 import pytest
 
-from faulty_proxy import serving
+from common.store_connection import forget_stores
+from faulty_proxy import FaultyProxy, serving
 from places import Handler
 from ports import free_ports
 from repository import ROOT
@@ -50,6 +51,20 @@ def serving_azurite(container: str) -> Iterator[int]:
             yield int(told[1])
         finally:
             process.kill()  # it does not end before connections do
+
+
+@contextlib.contextmanager
+def way_to_azurite(container: str) -> Iterator[FaultyProxy]:
+    """The way to a container of Azurite; az:// leads there as long as it runs."""
+    with pytest.MonkeyPatch.context() as patch, serving_azurite(container) as port:
+        way = FaultyProxy()
+        with way.before(port):
+            patch.setenv("AZURE_STORAGE_ACCOUNT_NAME", ACCOUNT)
+            patch.setenv("AZURE_STORAGE_ACCOUNT_KEY", ACCOUNT_KEY)
+            patch.setenv("AZURE_STORAGE_ENDPOINT", f"{way.endpoint}/{ACCOUNT}")
+            forget_stores()
+            yield way
+            forget_stores()
 
 
 def _make_container(port: int, name: str) -> None:

@@ -16,7 +16,7 @@ from common.store_connection import forget_stores
 from common.stored_folder import StoredFolder
 from dataset import IndexConfig, build_index, load
 from driving import one_line_in
-from emulators import ACCOUNT, ACCOUNT_KEY, put_in_gcs, serving_azurite, serving_gcs, serving_googles_xml
+from emulators import ACCOUNT_KEY, put_in_gcs, serving_gcs, serving_googles_xml, way_to_azurite
 from faulty_proxy import FaultyProxy, Passing
 from logs import write_log
 from recorder import Log
@@ -43,15 +43,8 @@ class Store:
 
 @pytest.fixture(scope="module")
 def azure() -> Iterator[Store]:
-    with pytest.MonkeyPatch.context() as patch, serving_azurite("logs") as port:
-        way = FaultyProxy()
-        with way.before(port):
-            patch.setenv("AZURE_STORAGE_ACCOUNT_NAME", ACCOUNT)
-            patch.setenv("AZURE_STORAGE_ACCOUNT_KEY", ACCOUNT_KEY)
-            patch.setenv("AZURE_STORAGE_ENDPOINT", f"{way.endpoint}/{ACCOUNT}")
-            forget_stores()
-            yield Store("az", lambda path, name: copy_log(path, Url("az", "logs", name), overwrite=True), way)
-            forget_stores()
+    with way_to_azurite("logs") as way:
+        yield Store("az", lambda path, name: copy_log(path, Url("az", "logs", name), overwrite=True), way)
 
 
 @pytest.fixture(scope="module")

@@ -31,7 +31,7 @@ from common.location import Url
 from common.object_store import list_below, put_over, read_object
 from common.store_connection import forget_stores, store_of
 from driving import one_line_in
-from emulators import ACCOUNT, ACCOUNT_KEY, serving_azurite
+from emulators import way_to_azurite
 from faulty_proxy import Answer, FaultyProxy, Passing
 from logs import write_log
 from places import Handler
@@ -106,15 +106,8 @@ def bucket(served: Bucket) -> Iterator[Bucket]:
 @pytest.fixture(scope="module")
 def azure() -> Iterator[FaultyProxy]:
     """The way to a container `logs`."""
-    with pytest.MonkeyPatch.context() as patch, serving_azurite("logs") as port:
-        way = FaultyProxy()
-        with way.before(port):
-            patch.setenv("AZURE_STORAGE_ACCOUNT_NAME", ACCOUNT)
-            patch.setenv("AZURE_STORAGE_ACCOUNT_KEY", ACCOUNT_KEY)
-            patch.setenv("AZURE_STORAGE_ENDPOINT", f"{way.endpoint}/{ACCOUNT}")
-            forget_stores()
-            yield way
-            forget_stores()
+    with way_to_azurite("logs") as way:
+        yield way
 
 
 @pytest.fixture(params=["S3", AZURE])
