@@ -2,7 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-SOURCES := behavioural_cloning_toolkit.py common recorder dataset model drive viz simulator web tests benchmarks docs examples
+ROOMS := behavioural_cloning_toolkit.py common recorder dataset model drive viz simulator web
+SOURCES := $(ROOMS) tests benchmarks docs examples
 
 # several tests at once (tests/conftest.py says how many); those of one file share what they have made
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
@@ -46,6 +47,7 @@ check: install
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/mypy
+	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/win32 $(ROOMS)
 
 docs: install
 	$(BIN)/python docs/make_commands.py
@@ -76,13 +78,13 @@ foxglove-reader:
 azurite:
 	npm install --prefix build/azurite --no-audit --no-fund azurite@3.35.0
 
-# LeRobot in an environment of its own, by which tests/recorder/test_lerobot_itself.py reads and writes datasets;
+# LeRobot in an environment of its own, by which tests/recorder/test_lerobot_itself.py reads, writes and trains;
 # needs Python 3.12 or newer, and on Linux 3 GB more without the index of PyTorch's wheels for processors
 lerobot-reader: TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 lerobot-reader:
 	$(PYTHON) -m venv build/lerobot
 	build/lerobot/bin/pip install --quiet "torch<2.12" "torchvision<0.27" --index-url $(TORCH_INDEX)
-	build/lerobot/bin/pip install --quiet "lerobot[dataset]==0.6.*"
+	build/lerobot/bin/pip install --quiet "lerobot[training]==0.6.*"
 
 clean:
 	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache .hypothesis *.egg-info

@@ -54,6 +54,11 @@ def viewer() -> None:
     _import_main("viewer", "viz.preview_command")()
 
 
+def wheel_page() -> None:
+    """The page of a wheel beside another command, which starts it (`common.wheel_page`)."""
+    _import_main("bc-web", "web.wheel_command")()
+
+
 def _command(prog: str, module: str) -> Callable[[], None]:
     """A `bc-` command: `module`'s main, and one line in place of a traceback until it runs."""
 
@@ -179,9 +184,11 @@ def _end_tidily_on_signals(prog: str) -> None:
 
     def end(number: int, frame: FrameType | None) -> NoReturn:
         try:
-            os.set_blocking(2, False)  # a full pipe is not waited for
+            if sys.platform != "win32":  # Python 3.11 has no set_blocking there
+                os.set_blocking(2, False)  # a full pipe is not waited for
             os.write(2, f"{prog}: stopped\n".encode())
-            os.set_blocking(2, True)  # the terminal is the shell's as well
+            if sys.platform != "win32":
+                os.set_blocking(2, True)  # the terminal is the shell's as well
         finally:
             os._exit(_INTERRUPTED)
 

@@ -23,7 +23,7 @@ from dataset import IndexConfig, build_index
 from dataset.frames.frames_file import extent_of
 from dataset.frames.frames_table import frames_of, frames_table
 from dataset.index.build_state import BuiltLog
-from dataset.index.duplicates import refuse_shared_pictures
+from dataset.index.duplicates import shared_standing_rows
 from dataset.index.session_labels import labels_of_sessions
 from dataset.parquet_file import write_table
 from dataset.samples.samples_writer import write_samples
@@ -98,7 +98,7 @@ def scale(folder: Path, frames: int, sessions: int) -> None:
         files[f"s{number:04d}"] = folder / f"s{number:04d}.parquet"
         write_table(files[f"s{number:04d}"], table, {})
     start_s = time.perf_counter()
-    refuse_shared_pictures(files, files, {name: extent_of(file) for name, file in files.items()})
+    shared_standing_rows(files, files, {name: extent_of(file) for name, file in files.items()})
     shared_s = time.perf_counter() - start_s
     start_s = time.perf_counter()
     built = {name: BuiltLog(("", None, None, None), driven_by="nobody") for name in files}

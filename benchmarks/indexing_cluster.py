@@ -96,7 +96,7 @@ class Costs:
 def index(logs: Sequence[Path], folder: Path, ray: tuple[str, ...] | None, divide_from_frames: int) -> None:
     costs = Costs()
     for part, name in (
-        ("the same pictures twice", "refuse_shared_pictures"),
+        ("the same pictures twice", "shared_standing_rows"),
         ("how each session was steered", "labels_of_sessions"),
         ("balance and samples", "write_samples"),
         ("balance, and samples by tasks", "write_divided_samples"),

@@ -66,7 +66,7 @@ def main() -> None:
             log.later_s = 0.0
             correlations = ridge(log)
         best = int(np.argmax(correlations))
-        told = f"{lag.lag_s:+.2f} | {lag.correlation:.2f}" if lag else "- | -"
+        told = f"{lag.lag_s:+.2f} ±{lag.margin_s:.2f} | {lag.correlation:.2f}" if lag else "- | -"
         found = f"{TRIED_S[best]:+.2f} | {correlations[best]:.2f}, {correlations[TRIED_S.tolist().index(0.0)]:.2f}"
         print(f"| {path.stem} | {told} | {cpu_s:.2f} | {' | '.join(changes)} | {found} |")
 

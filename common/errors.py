@@ -27,6 +27,7 @@ from typing import Final
 
 MAX_KEPT_NAMES: Final = 1000
 _MOST_WRITTEN_OUT: Final = 1e6
+_MAX_ERROR_CHARACTERS: Final = 200  # characters
 
 
 def printable(text: str) -> str:
@@ -78,6 +79,17 @@ class ObjectExistsError(StoreError):
 
 class ObjectChangedError(StoreError):
     """An object was replaced while it was read."""
+
+
+def as_user_error(place: object, error: Exception) -> UserError:
+    """The error of one of many places that are looked at. Whatever is wrong with one is one line, and the others
+    are not lost with it. Raises it where the machine has no memory left, for whatever place."""
+    if isinstance(error, MemoryError):
+        raise error
+    if isinstance(error, UserError):
+        return error
+    why = f"{type(error).__name__} {' '.join(str(error).split())[:_MAX_ERROR_CHARACTERS]}".rstrip()
+    return UserError(f"{place}: cannot be looked at ({why})")
 
 
 class Skipped:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import re
 import secrets
@@ -10,13 +11,24 @@ import shutil
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import overload
+from typing import Final, overload
 
 from common.errors import UserError
 from common.interrupts import uninterrupted
 from common.location import Location, Url
+from common.untrusted import real_path
 
 PART_SUFFIX = ".part"
+
+_REMEDIES: Final = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "make room"),
+    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), "choose a folder that you may write to"),
+}
+
+
+def write_remedy(error: OSError) -> str:
+    """The next step of somebody whose file could not be written."""
+    return _REMEDIES.get(error.errno or 0, "look at what lies there")
 
 
 def part_path(path: Path) -> Path:
@@ -209,5 +221,5 @@ def short_path(path: Location) -> Location:
     """A place as a person would type it: from the current folder, if it is in it."""
     if isinstance(path, Url):
         return path
-    resolved = path.resolve()
+    resolved = real_path(path)
     return resolved.relative_to(Path.cwd()) if resolved.is_relative_to(Path.cwd()) else resolved

@@ -16,6 +16,7 @@ from typing import Final, TypeAlias
 from urllib.parse import unquote, urlsplit
 
 from common.errors import UsageError, UserError
+from common.untrusted import real_path
 
 SCHEMES: Final = ("s3", "gs", "az")
 """Of Amazon's S3 and all that speak its protocol, Google Cloud Storage, Azure Blob Storage."""
@@ -112,7 +113,7 @@ def is_in_store(text: str) -> bool:
 
 def absolute(place: Location) -> Location:
     """The same place, independent of the current folder."""
-    return place if isinstance(place, Url) else place.resolve()
+    return place if isinstance(place, Url) else real_path(place)
 
 
 def local_path(place: Location) -> Path:
@@ -151,5 +152,5 @@ def relative_to(place: Location, folder: Location) -> str:
             return str(place)
         return posixpath.relpath(f"/{place.key}", f"/{folder.key}")
     if isinstance(folder, Url):
-        return place.resolve().as_uri()
-    return Path(os.path.relpath(place.resolve(), folder.resolve())).as_posix()
+        return real_path(place).as_uri()
+    return Path(os.path.relpath(real_path(place), real_path(folder))).as_posix()

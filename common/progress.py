@@ -48,7 +48,10 @@ class _Bar(Progress):
             for task in self.tasks:
                 if task.total and not task.finished:
                     left = f", about {duration_text(task.time_remaining)} left" if task.time_remaining else ""
-                    print_message(f"{task.description}: {task.percentage:.0f} %{left}")
+                    try:
+                        print_message(f"{task.description}: {task.percentage:.0f} %{left}")
+                    except ValueError:  # who called us has closed stderr
+                        return
 
 
 def duration_text(seconds: float) -> str:

@@ -1,6 +1,6 @@
 """Calls made by a Ray cluster: each is a task there, and is made again where its node died.
 
-Work on one machine does not import it; `pip install "behavioural-cloning-toolkit[scale]"` brings Ray. Files are
+Work on one machine does not import it; `pip install ".[scale]"` brings Ray. Files are
 not sent: a task works in the folder that the command was started in, so that every path means the same.
 
 Ray unpickles what it is sent, and runs code for anybody who reaches its ports: see docs/scale.md.
@@ -21,8 +21,9 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from common.errors import UsageError, UserError, printable
+from common.output import print_message
 from common.tasks import Tasks
-from common.versions import TOOLKIT, version_of
+from common.versions import TOOLKIT, install_line, version_of
 
 Result = TypeVar("Result")
 
@@ -32,9 +33,13 @@ SAME_VERSIONS: Final = (TOOLKIT, "numpy", "pyarrow", "opencv-python-headless", "
 UNREACHABLE_S: Final = 8.0
 """Ray itself tries for more than a minute, and then ends the process."""
 
+NOTICE_AFTER_S: Final = 10.0
+"""A start that takes longer says what it waits for."""
+
 MAX_RETRIES: Final = 5
 """A call whose worker died for the sixth time is given up: it may be the call that kills it."""
 
+_MAX_MESSAGE_CHARACTERS: Final = 300  # of a node's message
 _MOST_TASKS: Final = 4_000
 """Each costs the driver a millisecond or two: of more calls, several are one task."""
 
@@ -105,9 +110,7 @@ def connection(address: str) -> Iterator[Any]:
     try:
         import ray
     except ImportError:
-        raise ClusterError(
-            f'--ray: Ray is not installed here; `pip install "{TOOLKIT}[scale]"` brings it'
-        ) from None
+        raise ClusterError(f"--ray: Ray is not installed here; `{install_line('scale')}` brings it") from None
     address = address or os.environ.get("RAY_ADDRESS", "")
     if address not in _LOCAL_ADDRESSES:
         _check_answers(address)
@@ -118,6 +121,12 @@ def connection(address: str) -> Iterator[Any]:
     if address == "local":  # nobody else's cluster: its tasks are what the command is there for, and as important
         os.environ.setdefault("RAY_worker_niceness", "0")
     before = signal.getsignal(signal.SIGTERM)  # Ray puts its own in its place
+    where = "of this machine" if address == "local" else address or "that is found by itself"
+    waiting = threading.Timer(
+        NOTICE_AFTER_S, print_message, [f"--ray: waiting for the cluster {where} to start and to answer"]
+    )
+    waiting.daemon = True
+    waiting.start()
     try:
         with warnings.catch_warnings(action="ignore"):
             ray.init(address or None, log_to_driver=False, logging_level="ERROR")
@@ -129,12 +138,34 @@ def connection(address: str) -> Iterator[Any]:
     except (ConnectionError, TimeoutError, RuntimeError, ValueError) as error:
         raise ClusterError(_why_not(address, str(error))) from None
     finally:
+        waiting.cancel()
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, before)
     try:
-        yield ray
+        with _messages_in_one_line(ray):
+            yield ray
     finally:
         ray.shutdown()
+
+
+@contextlib.contextmanager
+def _messages_in_one_line(ray: Any) -> Iterator[None]:
+    """Print the messages of Ray's nodes in a line each: that of a node which died has 36, on standard output."""
+    worker = ray._private.worker
+    before = getattr(worker, "print_to_stdstream", None)
+    worker.print_to_stdstream = print_node_message
+    try:
+        yield
+    finally:
+        worker.print_to_stdstream = before
+
+
+def print_node_message(data: Mapping[str, Any], ignore_prefix: bool = False) -> None:
+    """Print the first line of a message of a node; `data` is as Ray has it."""
+    lines = (line.strip() for text in data.get("lines", ()) for line in str(text).splitlines())
+    first = next((line for line in lines if line and not line.startswith("[state-dump]")), "")
+    if first:
+        print_message(f"--ray: {printable(first[:_MAX_MESSAGE_CHARACTERS])}")
 
 
 def _check_answers(address: str) -> None:

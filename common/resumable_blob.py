@@ -24,13 +24,12 @@ from common.location import Url
 from common.parted_file import AT_ONCE, OnBytes, PartedFile
 from common.store_connection import store_of
 from common.store_errors import exceptions, obstore, store_error
+from common.versions import install_line
 
 try:
     import urllib3
 except ImportError:
-    raise UserError(
-        "copying 8 MB or more to az:// needs urllib3: `pip install behavioural-cloning-toolkit[scale]` brings it"
-    ) from None
+    raise UserError(f"copying 8 MB or more to az:// needs urllib3: `{install_line('scale')}` brings it") from None
 
 _SIGNED_FOR: Final = timedelta(days=1)  # of all requests together; those of a longer upload are refused
 _TRIES: Final = 10  # of each request, later and later: a minute without the network is waited for

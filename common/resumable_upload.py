@@ -24,6 +24,7 @@ from common.location import Url
 from common.parted_file import AT_ONCE, OnBytes, PartedFile
 from common.s3_settings import S3Settings, s3_settings
 from common.store_errors import store_error
+from common.versions import install_line
 
 try:
     import botocore.session
@@ -32,9 +33,7 @@ try:
     from botocore.exceptions import BotoCoreError, ClientError
     from botocore.parsers import ResponseParserError
 except ImportError:
-    raise UserError(
-        "copying 8 MB or more to s3:// needs botocore: `pip install behavioural-cloning-toolkit[scale]` brings it"
-    ) from None
+    raise UserError(f"copying 8 MB or more to s3:// needs botocore: `{install_line('scale')}` brings it") from None
 
 T = TypeVar("T")
 

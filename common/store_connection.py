@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 from common.errors import StoreError
 from common.location import Url
 from common.s3_settings import obstore_s3_config
+from common.store_environment import check_environment
 from common.store_errors import from_url
 
 if TYPE_CHECKING:
@@ -64,6 +65,7 @@ def _note_process() -> None:
 @cache
 def _bucket(scheme: str, bucket: str, is_patient: bool, timeout: timedelta) -> ObjectStore:
     config: dict[str, Any] = obstore_s3_config() if scheme == "s3" else {}
+    check_environment(scheme, config)
     client: ClientConfig = {
         "timeout": timeout,
         "connect_timeout": timedelta(seconds=5),

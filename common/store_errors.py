@@ -13,15 +13,14 @@ from typing import Final
 
 from common.errors import NoSuchObjectError, ObjectExistsError, StoreError, UserError
 from common.location import Url
+from common.versions import install_line
 
 try:
     import obstore as obstore
     from obstore import exceptions as exceptions
     from obstore.store import from_url as from_url
 except ImportError:
-    raise UserError(
-        "reading from a store needs obstore: `pip install behavioural-cloning-toolkit[scale]` brings it"
-    ) from None
+    raise UserError(f"reading from a store needs obstore: `{install_line('scale')}` brings it") from None
 
 # In errors of requests for which no credentials were found: none were given, and the machine has no role.
 _NO_CREDENTIALS: Final = re.compile(

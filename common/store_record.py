@@ -12,6 +12,7 @@ from typing import Final
 import msgspec
 
 from common.files import atomic_file
+from common.untrusted_json import json_as
 from common.users_cache import users_cache
 
 RECORD_NAME: Final = ".store.json"
@@ -53,11 +54,8 @@ def cached_from(folder: Path) -> str:
 def record_of(stored: bytes) -> StoreRecord:
     """The record in these bytes; an empty one if they are none, or name a file elsewhere: then all is copied
     again."""
-    try:
-        record = msgspec.json.decode(stored, type=StoreRecord)
-    except (msgspec.MsgspecError, ValueError, RecursionError):
-        return StoreRecord()
-    return record if all(map(is_within, (*record.files, *record.left))) else StoreRecord()
+    record = json_as(stored, StoreRecord)
+    return record if record and all(map(is_within, (*record.files, *record.left))) else StoreRecord()
 
 
 def is_within(name: str) -> bool:

@@ -1,4 +1,4 @@
-"""Opening untrusted files: none may block the process, or take all of its memory."""
+"""Opening untrusted files and following links: none may block the process, take all of its memory, or end it."""
 
 from __future__ import annotations
 
@@ -39,6 +39,11 @@ def read_bounded(path: Path | str, max_bytes: int) -> bytes:
         return data
     finally:
         os.close(descriptor)
+
+
+def real_path(path: Path) -> Path:
+    """The path without links, absolute. A link that leads to itself stays as it is, where Path.resolve raises."""
+    return Path(os.path.realpath(path))
 
 
 def _opened(path: Path | str) -> tuple[int, int]:

@@ -67,5 +67,6 @@ class _MainThread:
         while _END not in (numbers := receiver.recv(64)):
             self._is_awake = not any(number in numbers for number in STOP_SIGNALS)
             while not self._is_awake:  # it may just have begun to wait
-                signal.pthread_kill(self._ident, signal.SIGURG)
+                if sys.platform != "win32":  # where no thread of this class is begun
+                    signal.pthread_kill(self._ident, signal.SIGURG)
                 time.sleep(_TICK_S)

@@ -8,10 +8,17 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from common import UserError
+from common.errors import as_user_error
+from common.location import Location
+from recorder.errors import LogError
 
 
 class DatasetError(UserError):
     """An index that is missing, empty, damaged, or older than its logs; a picture that cannot be decoded."""
+
+
+class PlaceNotAllowedError(DatasetError):
+    """An index that names a log where its user has not put any: it is not opened."""
 
 
 class UnusablePictureError(DatasetError):
@@ -20,6 +27,22 @@ class UnusablePictureError(DatasetError):
     def __init__(self, kind: str, why: str) -> None:
         super().__init__(why)
         self.kind = kind
+
+
+class SessionError(LogError):
+    """A session that cannot be indexed, found out only when its pictures were looked at."""
+
+    def __init__(self, session: str, error: LogError) -> None:
+        super().__init__(str(error))
+        self.session = session
+
+
+def log_problem(log: Location, error: Exception) -> LogError:
+    """Whatever went wrong while a log was looked at, as an error that leaves this log out and no other. Raises
+    those that are about something else: the index, a store."""
+    if isinstance(error, UserError) and not isinstance(error, LogError):
+        raise error
+    return error if isinstance(error, LogError) else LogError(str(as_user_error(log, error)))
 
 
 @contextlib.contextmanager

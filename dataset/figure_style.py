@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final
 
 from common import UserError
+from common.versions import install_line
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,9 +40,7 @@ def require_matplotlib(error: type[UserError]) -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        raise error(
-            'figures need matplotlib: install it with `pip install "behavioural-cloning-toolkit[figures]"`'
-        ) from None
+        raise error(f"figures need matplotlib: install it with `{install_line('figures')}`") from None
 
 
 @contextlib.contextmanager

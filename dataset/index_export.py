@@ -52,13 +52,13 @@ def _chosen_rows(index: Location, samples: Samples, where: str | None) -> Mappin
     chosen: dict[str, ChosenRows] = {}
     for session in samples.sources:
         try:
-            plan = msgspec.convert(samples.metadata["labels"][session], SessionLabels).plan
+            labels = msgspec.convert(samples.metadata["labels"][session], SessionLabels)
         except (KeyError, TypeError, msgspec.ValidationError):
             raise DatasetError(
                 f"{samples.path}: does not say how {session} was learnt; run `bc-index` again"
             ) from None
         frames = read_frames(frames_folder / f"{session}.parquet")
-        choice = choose_frames(frames, config, plan, condition)
+        choice = choose_frames(frames, config, labels, condition)
         is_used = choice.is_chosen if further is None else choice.is_chosen & further.holds(frames)
         row, first = np.unique(frames["row"].to_numpy()[is_used], return_index=True)
         chosen[session] = ChosenRows(row, np.where(choice.is_training[is_used][first], "train", "validation"))

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import tyro
 
+from common.allowed_places import allow_places
 from common.command import run_command, usage_errors
 from common.location_flag import LocationFlag
 from dataset.errors import DatasetError
@@ -24,6 +25,8 @@ class ExportIndex:
     """The new folder of the dataset."""
     index: LocationFlag = Path("index")
     """The index."""
+    sessions: LocationFlag = Path("sessions")
+    """Where logs are kept, for an index of logs elsewhere that was not built here."""
     where: str | None = None
     """Only rows that fulfil this condition, too: SQL on the index's columns."""
     task: str = "Drive along the road."
@@ -39,6 +42,7 @@ def export(config: ExportIndex) -> int:
     from dataset.index_export import export_index
     from dataset.samples.filter import Condition
 
+    allow_places(config.sessions)
     refuse_no_text(("--task", config.task), ("--license", config.license))
     if config.where is not None:
         condition = Condition(config.where)

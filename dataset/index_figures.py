@@ -2,7 +2,7 @@
 
     write_figures(Path("index"), Path("figures"))
 
-Matplotlib is an extra: `pip install "behavioural-cloning-toolkit[figures]"`.
+Matplotlib is an extra: `pip install ".[figures]"`.
 """
 
 from __future__ import annotations

@@ -84,8 +84,9 @@ class PictureSpec:
         return self.height_px * self.width_px * 3
 
     def crop_slice(self, height: int) -> slice:
-        """The rows that the crop leaves of a picture of this height."""
-        return slice(round(height * (self.crop_top / ROWS)), height - round(height * (self.crop_bottom / ROWS)))
+        """The rows that the crop leaves of a picture of this height: one, at least."""
+        top = min(round(height * (self.crop_top / ROWS)), height - 1)
+        return slice(top, max(height - round(height * (self.crop_bottom / ROWS)), top + 1))
 
     def __str__(self) -> str:
         rows = f"{self.crop_top} and {self.crop_bottom} of {ROWS} rows cut off"

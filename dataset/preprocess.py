@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from typing import Final
 
 import cv2
@@ -11,7 +10,8 @@ from numpy.typing import NDArray
 
 from common.errors import counted
 from dataset.picture_spec import MOST_PX, ORIGINAL, PictureSpec
-from recorder.pictures.picture_size import MOST_PIXELS, pixels
+from recorder.pictures.decoding import decode_picture
+from recorder.pictures.picture_size import decoding_problem, pixels
 
 Image = NDArray[np.uint8]
 
@@ -19,23 +19,14 @@ _FROM_BGR: Final = {"RGB": cv2.COLOR_BGR2RGB, "YUV": cv2.COLOR_BGR2YUV}
 _TO_BGR: Final = {"RGB": cv2.COLOR_RGB2BGR, "YUV": cv2.COLOR_YUV2BGR}
 
 
-def decode(encoded: bytes, size: int | None = None) -> Image:
-    """A JPEG or PNG as (height, width, 3) BGR uint8. Raises ValueError if it is none, or would fill the memory.
-
-    `size` is its number of pixels by its header, where that is known already.
-    """
-    if not encoded:
-        raise ValueError("empty picture")
-    size = (pixels(encoded) or 0) if size is None else size
-    if size > MOST_PIXELS:
-        raise ValueError(f"a picture of more than {MOST_PIXELS:,} pixels")
-    picture = None
-    with contextlib.suppress(cv2.error):  # a header that promises more columns than OpenCV allows
-        if size:
-            picture = cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), cv2.IMREAD_COLOR)
+def decode(encoded: bytes) -> Image:
+    """A JPEG or PNG as (height, width, 3) BGR uint8. Raises ValueError if it is none, or would take too much
+    memory or time."""
+    picture = decode_picture(encoded, cv2.IMREAD_COLOR)
     if picture is None:
-        raise ValueError(f"{counted(len(encoded), 'byte')} that are not a picture")
-    return picture.astype(np.uint8, copy=False)
+        why = decoding_problem(encoded) or f"{counted(len(encoded), 'byte')} that are not a picture"
+        raise ValueError(why)
+    return picture
 
 
 def may_be_crop(encoded: bytes) -> bool:

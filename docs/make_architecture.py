@@ -1,8 +1,7 @@
-"""Writes what ARCHITECTURE.md tells of each module, from its docstring, and its picture (`make docs`)."""
+"""Writes the picture of ARCHITECTURE.md (`make docs`)."""
 
 from __future__ import annotations
 
-import ast
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,45 +9,20 @@ from pathlib import Path
 from typing import Final
 
 from behavioural_cloning_toolkit import NEEDS
-from generated_blocks import ROOT, update, with_blocks
+from generated_blocks import ROOT, update
 
-PAGE: Final = ROOT / "ARCHITECTURE.md"
 PICTURE: Final = ROOT / "docs" / "pictures" / "architecture.svg"
 ROOMS: Final = tuple(reversed(NEEDS))
 
 
 def main() -> None:
-    update(PAGE, generated_page())
     update(PICTURE, picture())
-
-
-def generated_page() -> str:
-    """ARCHITECTURE.md as it should be."""
-    return with_blocks(PAGE.read_text(encoding="utf-8"), {room: _module_list(room) for room in ROOMS})
 
 
 def modules(room: str) -> Iterator[Path]:
     """The modules of a room, those of its folders last."""
     found = (path for path in (ROOT / room).rglob("*.py") if path.name != "__init__.py")
     yield from sorted(found, key=lambda path: (path.parent, path.name))
-
-
-def _module_list(room: str) -> str:
-    lines: list[str] = []
-    folder = None
-    for path in modules(room):
-        if path.parent != folder:
-            folder = path.parent
-            name = folder.relative_to(ROOT).as_posix()
-            lines += ["", f"**`{name}/`** {_summary(folder / '__init__.py')}", ""]
-        lines.append(f"- `{path.relative_to(ROOT).as_posix()}` - {_summary(path)}")
-    return "\n".join(lines[1:]) + "\n"
-
-
-def _summary(path: Path) -> str:
-    """The first paragraph of a module's docstring."""
-    docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-    return " ".join(docstring.partition("\n\n")[0].split())
 
 
 @dataclass(frozen=True)

@@ -96,6 +96,24 @@ def sessions(shown: Shown) -> None:
             shown.keep(page, name)
 
 
+def wheel(shown: Shown) -> None:
+    """A drive that is begun for the picture, ended, and deleted."""
+    with shown.page("/wheel", 800) as page:
+        page.fill("input[name=name]", "picture")
+        page.click("button.main")
+        page.wait_for_selector("#wheel[data-holder=true][data-frame]")
+        page.keyboard.press("r")
+        page.wait_for_timeout(8_000)
+        page.keyboard.down("ArrowLeft")
+        page.wait_for_timeout(150)
+        shown.keep(page, "wheel")
+        page.keyboard.up("ArrowLeft")
+        page.keyboard.press("Escape")
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#after form")
+    Path("sessions", "picture.mcap").unlink()
+
+
 def session(shown: Shown) -> None:
     """The second odd stretch is excluded, and the third one selected; then the same in the dark."""
     at = f"/sessions/{shown.config.cleaned}"
@@ -188,7 +206,7 @@ def jobs(shown: Shown) -> None:
         shown.keep(page, "jobs")
 
 
-PICTURES: Final = (sessions, jobs, index, session, prediction, in_rerun, makers, runs, drives)
+PICTURES: Final = (wheel, sessions, jobs, index, session, prediction, in_rerun, makers, runs, drives)
 
 
 def main(config: WebPictures) -> None:

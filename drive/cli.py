@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from rich.markup import escape
 from rich.table import Table
@@ -17,19 +17,24 @@ from rich.table import Table
 from common.command import DONE, DONE_BUT_SKIPPED, run_command, usage_errors, warn
 from common.errors import UsageError, counted, printable
 from common.files import refuse_existing
-from common.interrupts import stop_signals
+from common.interrupts import StopEvent, stop_signals
 from common.location import Url
 from common.output import print_message, print_result, print_table
 from common.preview import has_display, preview
 from common.progress import StatusLine
+from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
 from drive.config import DriveConfig
-from drive.drive_flags import Drive, refuse_contradictions
+from drive.drive_flags import Drive, refuse_contradictions, with_default_driver
 from drive.errors import DriveError
+
+_LOOKS_EVERY_S: Final = 0.1
+"""How often the drive looks whether the person's page is there."""
 
 if TYPE_CHECKING:
     from drive.drive_session import DriveSession
     from drive.evaluation.aggregation import AggregationRound
     from drive.evaluation.closed_loop import LogFolder
+    from recorder.teleop.wheel import Wheel
 
 
 def drive(config: Drive) -> int:
@@ -40,7 +45,7 @@ def drive(config: Drive) -> int:
             slow_in_curves=config.slow_in_curves,
             smooth_s=config.smooth,
             max_steering_per_s=config.steering_rate,
-            takeover=config.takeover,
+            takeover=config.takeover == "expert",
         )
     if config.aggregate is not None:
         return _aggregate(config, settings)
@@ -62,52 +67,98 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
     if config.environment.gym is not None:
         return _drive_environment(config, settings, path)
 
+    from common.low_latency import prepare_process
     from drive.drive_server import DriveServer
     from drive.evaluation.simulator_process import BuiltInSimulator, check_laps, drive_built_in
-    from drive.low_latency import prepare_process
     from model import find_run, load_pilot
 
     simulator = None
     if config.simulator is not None:
         with usage_errors(DriveError):
             check_laps(config.laps)
-        simulator = BuiltInSimulator(config.simulator, config.laps, config.real_time)
+        is_real_time = config.real_time or config.takeover == "me"
+        simulator = BuiltInSimulator(config.simulator, config.laps, is_real_time, config.takeover is not None)
     run = find_run(config.run, config.runs)
     _load_named(config, run)
     settings = _with_car(config, settings, run)
     pilot = load_pilot(run, config.precision)
     pilot.warm_up()
     prepare_process()
-    with StatusLine() as status, stop_signals(max_signals=2) as stopped:
-        server = DriveServer(
-            pilot,
-            settings,
-            path,
-            overwrite=config.force,
-            host=config.host,
-            port=config.port if simulator is None else 0,  # any free port: no other simulator connects
-            mode=config.server,
-            is_built_in=simulator is not None,
-            notify=_notify,
-            show_status=status.show,
-        )
+    with contextlib.ExitStack() as page:  # it outlives the drive: it has what comes next
+        with (
+            StatusLine() as status,
+            stop_signals(max_signals=2) as stopped,
+            _wheel(config, path, pilot.run, settings, page) as wheel,
+        ):
+            server = DriveServer(
+                pilot,
+                settings,
+                path,
+                overwrite=config.force,
+                host=config.host,
+                port=config.port if simulator is None else 0,  # any free port: no other simulator connects
+                mode=config.server,
+                is_built_in=simulator is not None,
+                track=config.simulator,
+                wheel=wheel,
+                notify=_notify,
+                show_status=status.show,
+            )
+            with contextlib.ExitStack() as after, server:  # a file of the viewer's is whole when the log is
+                if (viewer := _viewer_target(config, path)) is not None:
+                    # in a process of its own, which reads the log as it grows: nothing leads from it to the drive
+                    part, force = server.session.writer.part, config.force
+                    after.enter_context(
+                        preview(part, viewer, overwrite=force, idle_priority=True, notify=print_message)
+                    )
+                if simulator is None:
+                    waiting = f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}"
+                    _notify(waiting)
+                    server.run(stopped=stopped)
+                elif wheel is None or _is_attended(wheel, path, stopped):
+                    drive_built_in(server, simulator, stopped, shows_progress=False)
+                if server.session.is_empty:
+                    raise DriveError(f"{path}: nothing was driven: {server.no_drive_reason}")
+        code = _print_drives(server.sessions)
+        if wheel is not None:
+            from drive.kept_drive import keep_supervised
 
-        with contextlib.ExitStack() as after, server:  # a file of the viewer's is whole when the log is
-            if (viewer := _viewer_target(config, path)) is not None:
-                # in a process of its own, which reads the log as it grows: nothing leads from it to the drive
-                part, force = server.session.writer.part, config.force
-                after.enter_context(
-                    preview(part, viewer, overwrite=force, idle_priority=True, notify=print_message)
-                )
-            if simulator is None:
-                waiting = f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}"
-                _notify(waiting)
-                server.run(stopped=stopped)
-            else:
-                drive_built_in(server, simulator, stopped, shows_progress=False)
-            if server.session.is_empty:
-                raise DriveError(f"{path}: nothing was driven: {server.no_drive_reason}")
-    return _print_drives(server.sessions)
+            code = max(code, keep_supervised(run, settings, config.simulator, server.session))
+            if config.page:
+                wait_until_left(path)
+        return code
+
+
+def _is_attended(wheel: Wheel, log: Path, stopped: StopEvent) -> bool:
+    """Wait for the person's page; True once it is there. Raises DriveError if the wait is ended."""
+    if not wheel.pages:
+        _notify("the drive begins when you open the page; Ctrl-C ends it")
+    while not wheel.pages:
+        if stopped.wait(_LOOKS_EVERY_S):
+            raise DriveError(f"{log}: nothing was driven: nobody opened the page")
+    return True
+
+
+@contextlib.contextmanager
+def _wheel(
+    config: Drive, log: Path, run: str, settings: DriveConfig, page: contextlib.ExitStack
+) -> Iterator[Wheel | None]:
+    """The wheel of a person who supervises the network, None without one; its page lasts as long as `page`."""
+    if config.takeover != "me":
+        yield None
+        return
+    from recorder.teleop.hello import hello, track_of
+    from recorder.teleop.wheel import Wheel
+
+    if config.page:
+        check_wheel_page()
+    where = config.simulator or f"the simulator that connects to {config.host}:{config.port}"
+    about = hello("drive", log, track=track_of(config.simulator), run=run, hold_mph=settings.set_speed_mph)
+    with Wheel(f"{run} drives {where}", log, about) as wheel:
+        if config.page:
+            folders = {"sessions": config.sessions, "runs": config.runs, "drives": log.parent}
+            page.enter_context(wheel_page(wheel.key, folders, opens=config.open))
+        yield wheel
 
 
 def _with_car(config: Drive, settings: DriveConfig, run: Path) -> DriveConfig:
@@ -116,7 +167,7 @@ def _with_car(config: Drive, settings: DriveConfig, run: Path) -> DriveConfig:
     from recorder.log.session_car import built_in
 
     car = driven_car(run, config.car) if config.simulator is None else built_in()
-    if line := other_steering(run, car):
+    if config.aggregate is None and (line := other_steering(run, car)):  # an aggregation refuses it
         _notify(line)
     return replace(settings, car=car)
 
@@ -191,7 +242,7 @@ def _print_drives(sessions: Sequence[DriveSession]) -> int:
         print_result(f"{log}: {counted(session.log.frames, 'frame')}{hint}")
         for line in summary_lines(summary):
             print_result(f"  {line}")
-        if summary.bad or summary.without_number:
+        if summary.bad or summary.side_problems or summary.without_number:
             code = DONE_BUT_SKIPPED
         if session.log.dropped_pictures or session.log.dropped_rows:
             code = warn(
@@ -230,6 +281,7 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     folders = AggregationFolders(config.sessions, drives.here, runs)
     run = find_run(config.run, config.runs)
     _load_named(config, run)
+    settings = _with_car(config, settings, run)
     training = replace(training, **network_settings(load_config(run), run))
     aggregation = Aggregation(run, simulator, settings, config.aggregate, folders, training)
     try:
@@ -269,4 +321,5 @@ def _copy_round(config: Drive, done: AggregationRound, drives: LogFolder, traine
 
 
 def main() -> None:
+    sys.argv[1:] = with_default_driver(sys.argv[1:])
     run_command("bc-drive", Drive, drive)

@@ -93,6 +93,8 @@ def demo(config: Demo) -> int:
         "",
         f"Done in {duration_text(time.monotonic() - start_s)}. Watch the drive:",
         f"    {shell_command('bc-play')} {shlex.quote(str(log))}",
+        "Now drive yourself: this opens the browser; choose Drive there:",
+        f"    {shell_command('bc-web')} --open",
     )
     return code
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -21,7 +22,7 @@ class Drive:
     Start the simulator in autonomous mode before or after; Ctrl-C brakes the car and finishes the log.
 
     bc-drive first --log run.mcap
-    bc-drive first --simulator mountain
+    bc-drive first --simulator mountain --takeover me --open
     bc-drive racer --gym CarRacing-v3 --gym-action steering,throttle,brake --expert my_expert:drive
     """
 
@@ -42,16 +43,21 @@ class Drive:
     """Laps of the built-in simulator; with --aggregate, of each round of any simulator that reports its laps."""
     real_time: bool = False
     """The built-in simulator goes no faster than the clock; otherwise it hurries from answer to answer."""
-    takeover: bool = False
-    """The simulator's expert takes over where the network leaves the lane, if the simulator sends its commands, as
-    the built-in one does; `bc-index --sessions drives --drives takeovers` makes samples of that."""
+    takeover: Annotated[Literal["expert", "me"] | None, tyro.conf.arg(metavar="[expert|me]")] = None
+    """Who takes over from the network. me: you, on a page of bc-web, by the first touch of a key, stick or wheel.
+    expert: the simulator's, where the network leaves the lane, if the simulator sends its commands as the built-in
+    one does. `bc-train --init RUN --takeovers LOG` learns from both."""
+    open: bool = False
+    """With --takeover me: open the page in a browser."""
+    page: bool = True
+    """With --takeover me: serve the page. A drive that a bc-web has started needs none of its own."""
     aggregate: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: not)")] = None
     """So often, train on what the expert did where it took over, and drive again (dataset aggregation). Without
     --simulator, each round drives the simulator that connects."""
     epochs: int = 5
     """Epochs of each training of --aggregate."""
     sessions: LocationFlag = Path("sessions")
-    """Folder of the logs that the run was trained on, for --aggregate."""
+    """Folder of the logs that the run was trained on, for --aggregate, and for the page of --takeover me."""
     speed: float = 10.0
     """Set speed in mph."""
     slow_in_curves: bool = False
@@ -82,6 +88,15 @@ class Drive:
     """Replace a log of the same name, and the file of --viewer."""
 
 
+def with_default_driver(words: Sequence[str]) -> list[str]:
+    """The words of a command line, in which a bare `--takeover` is `--takeover expert`."""
+    completed = list(words)
+    for place in reversed([place for place, word in enumerate(words) if word == "--takeover"]):
+        if words[place + 1 : place + 2] not in (["expert"], ["me"]):
+            completed.insert(place + 1, "expert")
+    return completed
+
+
 def refuse_contradictions(config: Drive) -> None:
     """Raise UsageError for flags that would be passed over, and for what is no port."""
     if config.log is not None and (flags := flags_given(config, "drives")):
@@ -99,6 +114,13 @@ def refuse_contradictions(config: Drive) -> None:
         raise UsageError(f"{flags}: only with --gym ID")
     if config.port:  # 0: a free one
         check_port("--port", config.port)
+    if config.takeover != "me" and (flags := flags_given(config, "open", "page")):
+        raise UsageError(f"{flags}: only with --takeover me")
+    if config.takeover == "me" and config.aggregate is not None:
+        raise UsageError(
+            "--aggregate: drives by itself; with --takeover me, drive first, and then `bc-train --init RUN"
+            " --takeovers LOG`"
+        )
     if config.simulator is None and (flags := flags_given(config, "real_time")):
         raise UsageError(f"{flags}: only with the built-in simulator: give --simulator TRACK as well")
     if config.simulator is None and config.aggregate is None and (flags := flags_given(config, "laps")):
@@ -107,11 +129,12 @@ def refuse_contradictions(config: Drive) -> None:
         raise UsageError(f"{flags}: the built-in simulator's car is known; leave it out")
     if config.simulator is not None and (flags := flags_given(config, "host", "port")):
         raise UsageError(f"{flags}: the built-in simulator runs on this machine and a free port; leave it out")
-    if config.aggregate is None and (flags := flags_given(config, "epochs", "sessions")):
+    if config.aggregate is None and (flags := flags_given(config, "epochs")):
         raise UsageError(f"{flags}: only with --aggregate N")
-    if config.aggregate is not None and (
-        flags := flags_given(config, "log", "viewer", "precision", "force", "car")
-    ):
+    if config.aggregate is None and config.takeover != "me" and (flags := flags_given(config, "sessions")):
+        raise UsageError(f"{flags}: only with --aggregate N, or --takeover me")
+    others = ("log", *(() if config.viewer == "off" else ("viewer",)), "precision", "force")
+    if config.aggregate is not None and (flags := flags_given(config, *others)):
         raise UsageError(
             f"{flags}: not with --aggregate, which names its logs, replaces nothing, shows a table and takes the"
             " fastest arithmetic; leave it out"

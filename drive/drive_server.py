@@ -22,6 +22,7 @@ from recorder import LogWriter
 from recorder.log.session_car import built_in
 from recorder.log.session_car import metadata_of as car_metadata
 from recorder.server.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
+from recorder.teleop.wheel import Wheel
 
 NO_TELEMETRY_S: Final = 3.0
 """A client that has connected and sends no telemetry for so long is in its menu, or no simulator."""
@@ -53,20 +54,25 @@ class DriveServer:
         port: int = 4567,
         mode: ServerMode = "eventlet",
         is_built_in: bool = False,
+        track: str | None = None,
+        wheel: Wheel | None = None,
         notify: Callable[[str], None] = lambda text: None,
         show_status: Callable[[str], None] = lambda text: None,
     ) -> None:
         """Opens the log and starts to listen; port 0 takes a free one.
 
         `notify` gets a line for each thing that happens, `show_status` ten times a second the status of the drive.
-        `is_built_in`: the simulator is the built-in one. Its silence is no fault, for it loses no telemetry; it
-        does not come back.
+        `is_built_in`: the simulator is the built-in one, on `track`. Its silence is no fault, for it loses no
+        telemetry; it does not come back. A person at `wheel` takes over from the network, in the first simulator
+        that connects.
         Raises UserError if `log` exists and may not be overwritten, ListenError if the port is taken.
         """
         self._pilot = pilot
         self.config = replace(config, car=built_in()) if is_built_in else config
         self._log = log
         self._is_built_in = is_built_in
+        self._track = track
+        self._wheel = wheel
         self.notify = notify
         self._show_status = show_status
         self._notified: set[str] = set()
@@ -107,7 +113,8 @@ class DriveServer:
 
         def is_over() -> bool:
             is_stop_requested = stopped is not None and stopped.is_set()
-            if not (is_stop_requested or until() or self._failure is not None):
+            is_end_asked = self.session.is_end_asked
+            if not (is_stop_requested or is_end_asked or until() or self._failure is not None):
                 return False
             if self._stopping_since_s is None:
                 self.stop()
@@ -148,19 +155,22 @@ class DriveServer:
 
     def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
         self._silent_since_s.pop(sid, None)
-        session = self._driven.get(sid)
-        if session is None and len(self._driven) >= MAX_SIMULATORS:
-            self._notify_once(f"more than {MAX_SIMULATORS} simulators at once: the others are not driven")
+        session = self._session_of(sid)
+        if session is None:
             return Answer(None, lambda total_ms: None)
-        try:
-            session = session or self._session_for(sid)
-        except UserError as error:  # the others are driven on
-            self._notify_once(f"a second simulator is not driven: {error}")
-            return Answer(None, lambda total_ms: None)
-        return session.telemetry(data, received_s)
+        return session.telemetry(data, received_s, self._server.in_flight(sid))
+
+    def unanswered(self, sid: str, data: object, received_s: float) -> None:
+        if (session := self._session_of(sid)) is not None:
+            session.unanswered(self._server.in_flight(sid))
+
+    def first_command_sent(self, sid: str) -> None:
+        if (session := self._session_of(sid)) is not None:
+            session.first_command_sent()
 
     def tick(self) -> None:
         now_s = time.monotonic()
+        self.session.attend()
         self._push(DriveSession.watchdog_steer if self._stopping_since_s is None else DriveSession.brake_steer)
         shown = next((session for session in self.sessions if session.is_connected), self.session)
         if text := shown.status(now_s):
@@ -212,9 +222,21 @@ class DriveServer:
         if self._is_built_in:
             return
         for sid, session in list(self._driven.items()):  # a failed push disconnects a client meanwhile
-            steer = command_of(session)
+            steer = None if self._server.has_unread(sid) else command_of(session)
             if steer is not None:
                 self._server.push(sid, steer)
+
+    def _session_of(self, sid: str) -> DriveSession | None:
+        """A client's session; None if it is not driven."""
+        session = self._driven.get(sid)
+        if session is None and len(self._driven) >= MAX_SIMULATORS:
+            self._notify_once(f"more than {MAX_SIMULATORS} simulators at once: the others are not driven")
+            return None
+        try:
+            return session or self._session_for(sid)
+        except UserError as error:  # the others are driven on
+            self._notify_once(f"a second simulator is not driven: {error}")
+            return None
 
     def _session_for(self, sid: str) -> DriveSession:
         """The session for a client that sends its first telemetry since it connected."""
@@ -246,8 +268,11 @@ class DriveServer:
 
     def _open_session(self, path: Path, overwrite: bool) -> DriveSession:
         """A session with a log that is flushed twice a second, so that a killed drive loses no more than that."""
-        writer = LogWriter(path, drive_metadata(self._pilot, self.config), overwrite=overwrite, live=True)
-        session = self._stack.enter_context(DriveSession(self._pilot, self.config, writer, self.notify))
+        road = {} if self._track is None else {"track": self._track}
+        metadata = drive_metadata(self._pilot, self.config) | road
+        writer = LogWriter(path, metadata, overwrite=overwrite, live=True)
+        wheel = None if self.sessions else self._wheel
+        session = self._stack.enter_context(DriveSession(self._pilot, self.config, writer, self.notify, wheel))
         self.sessions.append(session)
         return session
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Final, Self
 
 from common.errors import counted
+from drive.at_wheel import AtWheel
 from drive.config import DriveConfig
 from drive.control.braking import WALKING_MPH
 from drive.control.driver import Decision, Driver
@@ -16,12 +17,19 @@ from drive.log.drive_summary import DriveSummary
 from drive.log.live_status import LiveStatus
 from model import Pilot
 from recorder import LogWriter
+from recorder.log.derived_log import close_with_tags
 from recorder.log.topics import DRIVE_METADATA
+from recorder.server.running_clock import RunningClock
 from recorder.server.telemetry_server import Answer, Steer
+from recorder.teleop.wheel import Wheel
 
 WATCHDOG_S: Final = 1.0
 """The silence after which a command is sent: the real simulator sends no more telemetry once all of it is lost,
-until a command comes."""
+until a command comes. It is longer by as much for each command of the last minute that nothing was left unanswered
+for: a simulator whose steps take longer would get one more in each."""
+
+FORGET_S: Final = 60.0
+"""The time after which such a command counts no more."""
 
 SILENT_S: Final = 0.2
 """The silence of a braking simulator after which it is sent the brake, and its release, without telemetry."""
@@ -44,7 +52,9 @@ class DriveSession:
         config: DriveConfig,
         writer: LogWriter,
         notify: Callable[[str], None] = lambda text: None,
+        wheel: Wheel | None = None,
     ) -> None:
+        """`wheel`: a person at it takes over from the network."""
         self._notify = notify
         self.writer = writer
         self.log = DriveLog(writer)
@@ -52,11 +62,15 @@ class DriveSession:
         self._status = LiveStatus(self.summary)
         self._pilot = pilot
         self._config = config
-        self._driver = Driver(pilot, config)
+        self._at_wheel = None if wheel is None else AtWheel(wheel, config)
+        self._driver = self._new_driver()
         self._metadata: dict[str, dict[str, str]] = {}
         self._last_steer = _NEUTRAL
-        self._last_telemetry_s = time.monotonic()
+        self._clock = RunningClock()
+        self._last_telemetry_s = 0.0  # by that clock, as the next one
+        self._last_push_s = 0.0
         self._was_pushed = False
+        self._unpaid = 0  # commands that answered no telemetry, without a telemetry left unanswered for them
         self._is_stopping = self._was_braking = False
         self.is_connected = False
         self._connected_s = 0.0
@@ -70,8 +84,9 @@ class DriveSession:
         """The notice of how the car is stopped, once that has been sent."""
 
     def connected(self) -> None:
-        self._driver = Driver(self._pilot, self._config, reported_size=self._driver.reported_size)
-        self._last_steer, self._last_telemetry_s, self._was_pushed = _NEUTRAL, time.monotonic(), False
+        self._driver = self._new_driver(self._driver.reported_size)
+        self._last_steer, self._unpaid = _NEUTRAL, 0
+        self._note_telemetry()
         self.is_connected, self._is_stopping = True, False
         self.connections += 1
         self._connected_s = time.monotonic()
@@ -82,27 +97,46 @@ class DriveSession:
         self.is_connected = False
         if time.monotonic() - self._connected_s >= STABLE_S:
             self.connections = 0
-        self.log.event(f"disconnected: {reason}")
+        self.log.disconnected(reason)
 
-    def telemetry(self, data: object, received_s: float) -> Answer:
-        self._last_telemetry_s, self._was_pushed = time.monotonic(), False
+    def telemetry(self, data: object, received_s: float, in_flight: int = 1) -> Answer:
+        """`in_flight`: the telemetries that are, this one included."""
+        self._note_telemetry()
         if data is None:  # a human holds a key
             self.rolling_reason = "a human drives it"
             if self._is_stopping:
                 self.stop_notice = "a human drives the car: it cannot be braked"
             return Answer(None, self._record_manual)
-        decision = self._driver.decide(data, received_s)
+        self.attend()
+        decision = replace(self._driver.decide(data, received_s), in_flight=in_flight)
         if self._is_stopping:
             self._update_standstill(decision)
         self._last_steer = Steer(decision.steering, decision.throttle, decision.decimal_separator)
         return Answer(self._last_steer, lambda total_ms: self._record(decision, total_ms))
 
+    def unanswered(self, in_flight: int) -> None:
+        """Note a telemetry that is left unanswered; `in_flight` are without it."""
+        self._note_telemetry()
+        self._unpaid = max(0, self._unpaid - 1)
+        self.summary.unanswered += 1
+        self.log.event(
+            f"{counted(in_flight + 1, 'telemetry', 'telemetries')} in flight, one of them for a command that"
+            " answered none: one is left unanswered"
+        )
+
+    def first_command_sent(self) -> None:
+        """Note a command that was sent before the first telemetry."""
+        self.summary.pushes += 1
+        self.log.event("no telemetry for a second after the connection: 0,0 was sent, to make the simulator begin")
+
     def watchdog_steer(self) -> Steer | None:
         """The command for a simulator that has fallen silent, once each time; None if none is due."""
-        is_due = self.is_connected and not self._was_pushed and self.silent_s >= WATCHDOG_S
+        is_due = self.is_connected and not self._was_pushed and self.silent_s >= WATCHDOG_S * (1 + self._unpaid)
         if not is_due:
             return None
-        self._was_pushed = True
+        self._was_pushed, self._last_push_s = True, self._clock.seconds
+        self._unpaid += 1
+        self.summary.pushes += 1
         self.log.event("no telemetry for a second: sent a steer, to make the simulator go on", is_problem=True)
         # A simulator that stays silent keeps it for ever, and a brake would reverse the car in the end.
         return replace(self._last_steer, throttle=max(0.0, self._last_steer.throttle))
@@ -119,10 +153,21 @@ class DriveSession:
         self._last_steer = replace(self._last_steer, steering=steering, throttle=throttle)
         return self._last_steer
 
+    def attend(self) -> None:
+        """Do what the page of the person at the wheel asks for."""
+        for text in self._at_wheel.attend() if self._at_wheel is not None else ():
+            self.log.event(text)
+            self._notify(text)
+
+    @property
+    def is_end_asked(self) -> bool:
+        """True once the person at the wheel has asked for the end of the drive."""
+        return self._at_wheel is not None and self._at_wheel.is_end_asked
+
     @property
     def silent_s(self) -> float:
-        """Seconds since the last telemetry."""
-        return time.monotonic() - self._last_telemetry_s
+        """Seconds since the last telemetry, while this process ran."""
+        return self._clock.tick() - self._last_telemetry_s
 
     def stop(self) -> None:
         """From now on the car is braked to a stand."""
@@ -171,7 +216,11 @@ class DriveSession:
             self.add_metadata(DRIVE_METADATA, self.summary.as_metadata())
             for record, values in self._metadata.items():
                 self.writer.add_metadata(record, values)
+        if kind is None and self._at_wheel is not None and self._at_wheel.tags:
+            close_with_tags(self.writer, self._at_wheel.tags)
         self.writer.__exit__(kind)
+        if self._at_wheel is not None:
+            self._at_wheel.end(self.writer.path, self.log.frames)
         if failure is not None:
             raise failure
 
@@ -179,6 +228,15 @@ class DriveSession:
     def is_empty(self) -> bool:
         """True if no telemetry came at all."""
         return self.summary.telemetries == 0
+
+    def _note_telemetry(self) -> None:
+        self._last_telemetry_s, self._was_pushed = self._clock.tick(), False
+        if self._last_telemetry_s - self._last_push_s >= FORGET_S:
+            self._unpaid = 0
+
+    def _new_driver(self, reported_size: bool = False) -> Driver:
+        person = None if self._at_wheel is None else self._at_wheel.person
+        return Driver(self._pilot, self._config, person=person, reported_size=reported_size)
 
     def _update_standstill(self, decision: Decision) -> None:
         speed_mph, is_braking = decision.speed_mph, decision.throttle < 0
@@ -204,6 +262,13 @@ class DriveSession:
         self.log.decision(decision, total_ms)
         if decision.telemetry is None and not self.summary.bad[decision.kind]:
             self._notify(f"telemetry that cannot be used: {decision.problem}")
+        for problem in () if decision.telemetry is None else decision.telemetry.side_problems:
+            if not self.summary.side_problems[problem]:
+                self._notify(f"a picture that cannot be used: {problem}")
         self.summary.decision(decision, total_ms)
         for text in decision.events:  # a car that brakes by itself, or is taken over, must not be a riddle
             self._notify(text)
+        if self._at_wheel is not None:
+            self._at_wheel.show(decision, self.log.frames - 1)
+            for text in decision.events:
+                self._at_wheel.event(text, is_problem=bool(decision.problem))

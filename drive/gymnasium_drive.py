@@ -62,7 +62,7 @@ def drive_gymnasium(
                 steering=command.steering,
                 throttle=command.throttle,
                 speed_mph=moment.speed_mph,
-                jpeg=moment.jpeg(),
+                picture=moment.jpeg(),
                 world=World(
                     time_s=steps / car.rate_hz,
                     expert_steering=None if expert is None else expert.steering,

@@ -57,4 +57,4 @@ class Car:
 
 
 if __name__ == "__main__":
-    SimulatorClient(max_steering_deg=MAX_DEG).run(Car(telemetries=1200).next_telemetry)
+    SimulatorClient(max_steering_deg=MAX_DEG, in_flight=1).run(Car(telemetries=1200).next_telemetry)

@@ -7,12 +7,12 @@ import os
 import shlex
 import sys
 from dataclasses import replace
-from datetime import datetime
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from common import UserError
+from common.allowed_places import allow_places
 from common.command import DONE, FAILED, run_command, warn, warn_skipped
 from common.errors import counted, printable
 from common.location import Location, Url, absolute, is_in_store, local_path, location
@@ -23,7 +23,7 @@ from common.streams import end_process
 from model.config import TrainConfig
 from model.epoch_printer import EpochPrinter
 from model.network.names import is_own
-from model.runs.run_arguments import RUNS
+from model.runs.run_arguments import RUNS, new_run_name
 from model.train_flags import Train, defaults, refuse_contradictions, workers_of
 
 if TYPE_CHECKING:
@@ -49,15 +49,23 @@ def train(config: Train) -> int:
     copies = _folder_of_copies(config)
     copied_to = None if copies is None else place_of_copies(copies, run, is_new=not is_resumed)
     init = find_run(config.init, config.runs) if config.init is not None else None
+    if init is not None and config.takeovers:
+        from model.runs.network_of_run import network_settings
+        from model.runs.run_folder import load_config
+
+        settings = replace(settings, **network_settings(load_config(init), init))
+        config = replace(config, config=settings)
     like = run if is_resumed else None
     if config.like is not None:
         like = find_any_run(config.like, config.runs)
+    allow_places(config.sessions, config.drives)
     summary = _tried_out(config, run, init, like, workers)
     listeners = _listeners(config, run) if is_first else []
     copy = RunCopy(run, copied_to) if copied_to is not None and is_first else None
     if copy is not None:
         listeners.append(copy)
-    index, code = _index_of(config, is_first=is_first)
+    is_own_index = bool(config.on or config.takeovers)
+    index, code = _own_index(config, run, init) if is_own_index else _index_of(config, is_first=is_first)
     if is_first:
         print_result(f"{run}: {summary}{_going_on(run) if is_resumed else ''}")
     try:
@@ -240,8 +248,7 @@ def _run_of(config: Train) -> Path:
 
     if config.resume is not None:
         return find_any_run(_here(config.resume), config.runs)
-    name = config.name or datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
-    run = local_path(config.runs) / name
+    run = local_path(config.runs) / (config.name or new_run_name())
     refuse_existing_run(run)
     return run
 
@@ -249,6 +256,22 @@ def _run_of(config: Train) -> Path:
 def _here(resumed: str) -> str:
     """The name of a run that --resume has brought here."""
     return resumed.rstrip("/").rpartition("/")[2] if is_in_store(resumed) else resumed
+
+
+def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, int]:
+    """The index of --on or --takeovers, built, and the exit code of what had to be printed about it."""
+    from dataset import IndexConfig, find_logs
+    from model.runs.own_index import build_own_index, logs_with_takeovers
+
+    codes = [DONE]
+    index = local_path(config.index).with_name(f"index-{run.name}")
+    if init is not None and config.takeovers:
+        logs, settings = logs_with_takeovers(init, config.takeovers, config.sessions, config.drives)
+    else:
+        logs, settings = find_logs(config.on, config.sessions), IndexConfig.of(config.config.recipe)
+    print_message(f"{index}: built of {counted(len(logs), 'session')}")
+    build_own_index(logs, index, settings, lambda notice: codes.append(warn(notice)))
+    return index, max(codes)
 
 
 def _index_of(config: Train, *, is_first: bool) -> tuple[Location, int]:

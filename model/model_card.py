@@ -123,7 +123,6 @@ def _metrics(epoch: Epoch) -> list[tuple[str, str, float]]:
     measures = epoch.measures
     found = [
         ("rmse", "RMSE of the steering in degrees", measures.network.rmse_deg),
-        ("rmse", "RMSE of always predicting the mean in degrees", measures.mean.rmse_deg),
         ("rmse", "balanced RMSE of the steering in degrees", measures.balanced_rmse_deg),
         ("mae", "MAE of the steering in degrees", measures.network.mae_deg),
     ]
@@ -216,7 +215,7 @@ def _drives(of: ModelCard) -> Iterator[str]:
         yield "**Nobody has let it drive**: small errors on recorded pictures do not say that it keeps to a road."
         yield ""
         return
-    for heading, is_clean in (("Without an intervention", True), ("Not without being put back", False)):
+    for heading, is_clean in (("Without an intervention", True), ("Not without an intervention", False)):
         names = [_place(of, kept) for kept in drives if (kept.result.get("interventions") == 0) is is_clean]
         if names:
             yield f"- {heading}: {'; '.join(names)}."
@@ -247,7 +246,8 @@ def _place(of: ModelCard, kept: KeptResult) -> str:
         learnt = ", which it has learnt from" if session in _data(of).logs else ""
         return f"the recording {as_markdown(session)}{learnt}"
     laps = f"{_number(found.get('laps'))} laps at {_number(found.get('set_speed_mph'), 0)} mph"
-    return f"{as_markdown(str(found.get('track', '?')))} ({laps})"
+    supervised = ", supervised by a person" if kept.way == "supervised" else ""
+    return f"{as_markdown(str(found.get('track', '?')))} ({laps}{supervised})"
 
 
 def _loading(of: ModelCard) -> Iterator[str]:

@@ -4,7 +4,7 @@ The graph is written node by node (onnx_graph.py). `torch.onnx.export` needs onn
 set 18 at least, and puts paths of the machine into the file. No file gets its name before ONNX Runtime has been
 compared with PyTorch.
 
-ONNX and ONNX Runtime are an extra (`pip install "behavioural-cloning-toolkit[onnx]"`) and are imported only here.
+ONNX and ONNX Runtime are an extra (`pip install ".[onnx]"`) and are imported only here.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from common import atomic_file
 from common.errors import printable
 from common.files import refuse_existing
-from common.versions import TOOLKIT, version_of
+from common.versions import TOOLKIT, install_line, version_of
 from dataset.picture_spec import PictureSpec, metadata_of
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 from model.errors import RunError
@@ -85,7 +85,7 @@ def require_onnx() -> None:
         import onnxruntime  # noqa: F401
     except ImportError as error:
         raise RunError(
-            f'exporting needs ONNX and ONNX Runtime ({error}): install them with `pip install "{TOOLKIT}[onnx]"`'
+            f"exporting needs ONNX and ONNX Runtime ({error}): install them with `{install_line('onnx')}`"
         ) from None
 
 

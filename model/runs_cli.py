@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -19,7 +20,7 @@ from common.command import DONE, run_command, warn
 from common.errors import decimal, printable
 from common.location import Url
 from common.location_flag import LocationFlag
-from common.output import print_result, print_table
+from common.output import print_message, print_result, print_table
 
 if TYPE_CHECKING:
     from model.runs.run_summary import RunSummary
@@ -33,13 +34,15 @@ SORTED_BY: Final[dict[str, Callable[[RunSummary], Any]]] = {
     "correlation": lambda run: -run.correlation,
     "interventions": lambda run: run.interventions_per_km,
 }
-"""The best comes first. Errors are shares of those of always predicting the mean: runs hold out other frames."""
+"""The best comes first. Errors are shares of those of always predicting the mean."""
+_OF_HELD_OUT: Final = ("rmse", "balanced-rmse", "correlation")
 
 
 @dataclass(frozen=True)
 class Runs:
     """List trained runs, the newest first: what they learnt from, their errors on the frames that they hold out,
-    and how they drove (what `bc-eval` has measured of them is kept in their folders).
+    and how they drove: in `bc-eval`, and supervised by a person (`bc-drive --takeover me`). Both are kept in their
+    folders.
 
     bc-runs
     bc-runs --sort interventions
@@ -49,7 +52,8 @@ class Runs:
     runs: LocationFlag = Path("runs")
     """Where runs are kept."""
     sort: Literal["newest", "name", "rmse", "balanced-rmse", "correlation", "interventions"] = "newest"
-    """By what to order them, the best first; errors as shares of those of always predicting the mean."""
+    """By what to order them, the best first; errors as shares of those of always predicting the mean, those on the
+    same held-out frames together."""
     json: bool = False
     """One JSON object a run, with every kept result, and no table."""
 
@@ -64,12 +68,51 @@ def list_runs(config: Runs) -> int:
     if not found:
         flag = f" --runs {config.runs}" if isinstance(config.runs, Url) else ""
         raise UserError(f"{config.runs}: no run in it; train one with `bc-train{flag}`")
-    runs = sorted((run for run in found if not run.problem), key=lambda run: order_of(config.sort, run))
+    runs = in_order([run for run in found if not run.problem], config.sort)
     if config.json:
         _print_json(runs)
     elif runs:
         print_table(_table(runs))
+        if notice := different_frames(runs):
+            print_message(notice)
     return max([DONE, *(warn(run.problem) for run in found if run.problem)])
+
+
+def in_order(runs: Sequence[RunSummary], by: str) -> list[RunSummary]:
+    """The runs, the best first. By errors on held-out frames, those that were measured on the same ones stand
+    together, with the newest run's first."""
+    runs = sorted(runs, key=lambda run: order_of(by, run))
+    if by in _OF_HELD_OUT:
+        marks = marks_of_splits(runs)
+        runs.sort(key=lambda run: (not run.split, marks.get(run.split, "")))
+    return runs
+
+
+def marks_of_splits(runs: Sequence[RunSummary]) -> dict[str, str]:
+    """A mark for each split that runs were measured on, "A" for the newest run's; none if there is only one."""
+    newest = sorted(runs, key=lambda run: order_of("newest", run))
+    splits = dict.fromkeys(run.split for run in newest if run.split)
+    return {split: _letters(number) for number, split in enumerate(splits)} if len(splits) > 1 else {}
+
+
+def _letters(number: int) -> str:
+    """A to Z, then AA, so that they sort as the numbers do."""
+    return "Z" * (number // 26) + chr(ord("A") + number % 26)
+
+
+def different_frames(runs: Sequence[RunSummary]) -> str:
+    """A line if runs were measured on different frames: how to measure them on the same ones."""
+    marks = marks_of_splits(runs)
+    if not marks:
+        return ""
+    first = {run.split: run.name for run in reversed(runs) if run.split}
+    lines = " and ".join(
+        f"`bc-eval {shlex.quote(printable(first[split]))} --session NAME`" for split in [*marks][:2]
+    )
+    return (
+        f"held-out frames {', '.join(marks.values())} are different ones: errors compare only within a letter."
+        f" {lines}, with a session that none of them has learnt, measure them on the same frames"
+    )
 
 
 def order_of(by: str, run: RunSummary) -> tuple[bool, Any, str]:
@@ -95,10 +138,11 @@ def _print_json(runs: Sequence[RunSummary]) -> None:
 def _table(runs: Sequence[RunSummary]) -> Table:
     title = "held-out frames: errors as shares of those of always predicting the mean"
     table = Table(title=title, title_justify="left", box=None, pad_edge=False, collapse_padding=True)
-    has_driven = any(run.drives for run in runs)
-    headings = ("run", "network", "sessions", "recipe", "epoch", "RMSE", "balanced", "r")
-    for heading in (*headings, *(("interventions",) if has_driven else ())):
-        is_text = heading in ("run", "network", "recipe", "interventions")
+    has_driven = any(run.drives or run.supervised for run in runs)
+    marks = marks_of_splits(runs)
+    headings = ("run", "network", "sessions", "recipe", "epoch", *(("frames",) if marks else ()))
+    for heading in (*headings, "RMSE", "balanced", "r", *(("interventions",) if has_driven else ())):
+        is_text = heading in ("run", "network", "recipe", "frames", "interventions")
         is_name = heading == "run"  # of any length; no other heading is broken up for it
         least = None if is_name else len(heading)
         table.add_column(heading, justify="left" if is_text else "right", overflow="fold", min_width=least)
@@ -109,10 +153,11 @@ def _table(runs: Sequence[RunSummary]) -> Table:
             f"{len(run.sessions):,}",
             escape(printable(run.recipe)),
             f"{run.kept_epoch or '-'}/{run.epochs}",
+            *([marks.get(run.split, "-")] if marks else []),
             decimal(run.rmse_share, 2),
             decimal(run.balanced_rmse_share, 2),
             decimal(run.correlation, 2),
-            *([escape(printable(driven_words(run.drives)))] if has_driven else []),
+            *([escape(printable(driven_words(run.drives, run.supervised)))] if has_driven else []),
         )
     return table
 
@@ -122,15 +167,20 @@ def _network_words(run: RunSummary) -> str:
     return " ".join([run.network, *(f"+{target}" for target in run.targets[1:])])
 
 
-def driven_words(drives: Sequence[dict[str, Any]]) -> str:
+def driven_words(drives: Sequence[dict[str, Any]], supervised: Sequence[dict[str, Any]] = ()) -> str:
     """The interventions on each track, by speed: "10 mph: lake 0, mountain 1"; and in how much of a lap, where it
-    was not a whole one."""
+    was not a whole one. Then those of drives that a person supervised, and how many are the person's."""
+    return "; ".join([*_by_speed(drives), *(f"supervised at {words}" for words in _by_speed(supervised))])
+
+
+def _by_speed(drives: Sequence[dict[str, Any]]) -> list[str]:
     by_speed = groupby(sorted(drives, key=_speed_mph), key=_speed_mph)
-    tracks = {
-        speed: ", ".join(f"{drive['track']} {drive['interventions']}{_part_of_lap(drive)}" for drive in part)
-        for speed, part in by_speed
-    }
-    return "; ".join(f"{speed:g} mph: {driven}" for speed, driven in tracks.items())
+    return [f"{speed:g} mph: {', '.join(_interventions(drive) for drive in part)}" for speed, part in by_speed]
+
+
+def _interventions(drive: Mapping[str, Any]) -> str:
+    persons = f" ({drive['by_person']} by a person)" if drive.get("by_person") else ""
+    return f"{drive['track']} {drive['interventions']}{persons}{_part_of_lap(drive)}"
 
 
 def _part_of_lap(drive: Mapping[str, Any]) -> str:

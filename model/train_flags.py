@@ -15,6 +15,7 @@ from common.errors import UsageError
 from common.location import Url, is_in_store, location
 from common.location_flag import LocationFlag
 from common.recipe import recipe_given
+from common.whole_number import whole_number
 from model.config import TrainConfig
 from model.runs.run_arguments import RUNS
 
@@ -31,12 +32,17 @@ class Train:
     """
 
     name: str = ""
-    """Name of the run; by default the date and time."""
+    """Name of the run; by default the date, the time and six random digits."""
     resume: str | None = None
     """Go on with this run where it was stopped or killed; more --epochs make it longer. One in a store (s3://...)
     is brought to runs/, and copied there as it goes on."""
     init: str | None = None
     """Start from the weights of this run, instead of random ones."""
+    on: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SESSION [SESSION ...]")] = ()
+    """Train on these sessions alone. Their index is built beside --index, as index-NAME."""
+    takeovers: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = ()
+    """Learn from the rows of these drives in which a person or an expert took over, and from what the run of
+    --init was trained on. Their index is built beside --index, as index-NAME."""
     like: str | None = None
     """Repeat this run: its settings, and the index that it was trained on. Other flags change what they name."""
     tensorboard: bool = False
@@ -55,6 +61,8 @@ class Train:
     """The index to train on: a folder, or the URL of a copy of one in a store."""
     sessions: LocationFlag = Path("sessions")
     """Where logs are kept, for an index that has to be built."""
+    drives: LocationFlag = Path("drives")
+    """Where drives are kept, for --takeovers of a run that has learnt from drives before."""
     runs: LocationFlag = RUNS
     """Where runs are kept. With a URL (s3://BUCKET/runs) the run is made in runs/, and copied there while it is
     trained, and when that ends."""
@@ -68,6 +76,14 @@ def refuse_contradictions(config: Train) -> None:
     others = {"--name": config.name, "--init": config.init, "--like": config.like}
     if config.resume is not None and (unfit := [flag for flag, value in others.items() if value]):
         raise UsageError(f"{' and '.join(unfit)} make another run, --resume goes on with one: give one of them")
+    if config.takeovers and config.init is None:
+        raise UsageError("--takeovers: is learnt on top of a run: give it with --init RUN")
+    if (config.on or config.takeovers) and (config.resume is not None or config.like is not None):
+        raise UsageError("--on and --takeovers choose what is learnt; --resume and --like have it already")
+    if config.on and config.takeovers:
+        raise UsageError("--on, --takeovers: give one of them")
+    if (config.on or config.takeovers) and "WORLD_SIZE" in os.environ:
+        raise UsageError("--on and --takeovers build an index: do that with `bc-index` before torchrun")
     if isinstance(config.runs, Url) and config.copy_to is not None:
         raise UsageError(f"--runs {config.runs}: is where the run is copied to: leave out --copy-to")
     if Path(config.name).name != config.name or config.name.startswith("."):
@@ -81,11 +97,12 @@ def workers_of(ray: tuple[str, ...] | None) -> tuple[int, str] | None:
     from common.ray_cluster import address_of
 
     number, *address = ray or ("",)
-    if not number.isascii() or not number.isdigit() or not 0 < int(number) <= _MOST_WORKERS:
+    workers = whole_number(number)
+    if workers is None or not 0 < workers <= _MOST_WORKERS:
         raise UsageError(f"--ray {' '.join(ray)}: a number of workers was expected, and perhaps an address")
     if "WORLD_SIZE" in os.environ:
         raise UsageError("--ray and torchrun each start the workers: give one of them")
-    return int(number), address_of(address)
+    return workers, address_of(address)
 
 
 def defaults() -> Train:
@@ -98,6 +115,8 @@ def defaults() -> Train:
     given.add_argument("--like")
     given.add_argument("--runs", type=location, default=RUNS)
     given.add_argument("--network")
+    given.add_argument("--index")
+    given.add_argument("--sessions", type=location)
     with contextlib.suppress(argparse.ArgumentError):  # tyro prints what is wrong
         flags, _ = given.parse_known_args()
         name, runs = flags.resume if flags.resume is not None else flags.like, flags.runs
@@ -105,7 +124,7 @@ def defaults() -> Train:
             from model.runs.network_of_run import choice_of, is_own_network
             from model.runs.provenance import training_of
             from model.runs.run_folder import CONFIG, find_any_run, load_config
-            from model.runs.run_inputs import index_of, init_of, sessions_of
+            from model.runs.run_inputs import allowed_index_of, init_of, sessions_of
             from model.runs.runs_in_store import url_of
 
             if isinstance(runs, Url):
@@ -125,8 +144,8 @@ def defaults() -> Train:
             init = init_of(run, runs) if flags.resume is None else None
             return Train(
                 init=str(init) if init is not None else None,
-                index=index_of(run) or Train.index,
-                sessions=sessions_of(run) or Train.sessions,
+                index=Train.index if flags.index else allowed_index_of(run) or Train.index,
+                sessions=flags.sessions or sessions_of(run) or Train.sessions,
                 config=settings,
             )
     return Train(config=TrainConfig.of(recipe_given()))

@@ -24,19 +24,21 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x11recorder/bc.proto\x12\x02\x62\x63\"T\n\x0cVehicleState\x12\x10\n\x08steering\x18\x01 \x01(\x01\x12\x10\n\x08throttle\x18\x02 \x01(\x01\x12\r\n\x05\x62rake\x18\x03 \x01(\x01\x12\x11\n\tspeed_mph\x18\x04 \x01(\x01\"\xc1\x03\n\x0cPilotCommand\x12\x1a\n\x12predicted_steering\x18\x01 \x01(\x01\x12\x10\n\x08steering\x18\x02 \x01(\x01\x12\x10\n\x08throttle\x18\x03 \x01(\x01\x12\'\n\x06\x64river\x18\x04 \x01(\x0e\x32\x17.bc.PilotCommand.Driver\x12\x15\n\rset_speed_mph\x18\x05 \x01(\x01\x12\x11\n\tdecode_ms\x18\x06 \x01(\x01\x12\x12\n\nnetwork_ms\x18\x07 \x01(\x01\x12\x10\n\x08total_ms\x18\x08 \x01(\x01\x12\x10\n\x08parse_ms\x18\t \x01(\x01\x12\x1c\n\x0f\x65xpert_steering\x18\n \x01(\x01H\x00\x88\x01\x01\x12 \n\x13predicted_speed_mph\x18\x0b \x01(\x01H\x01\x88\x01\x01\x12\x1f\n\x12predicted_throttle\x18\x0c \x01(\x01H\x02\x88\x01\x01\"B\n\x06\x44river\x12\x0b\n\x07UNKNOWN\x10\x00\x12\t\n\x05PILOT\x10\x01\x12\t\n\x05HUMAN\x10\x02\x12\n\n\x06\x45XPERT\x10\x03\x12\t\n\x05\x42RAKE\x10\x04\x42\x12\n\x10_expert_steeringB\x16\n\x14_predicted_speed_mphB\x15\n\x13_predicted_throttle\"T\n\nPrediction\x12\x10\n\x08steering\x18\x01 \x01(\x01\x12\x1e\n\x11recorded_steering\x18\x02 \x01(\x01H\x00\x88\x01\x01\x42\x14\n\x12_recorded_steeringb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x11recorder/bc.proto\x12\x02\x62\x63\"\xc5\x01\n\x0cVehicleState\x12\x10\n\x08steering\x18\x01 \x01(\x01\x12\x10\n\x08throttle\x18\x02 \x01(\x01\x12\r\n\x05\x62rake\x18\x03 \x01(\x01\x12\x11\n\tspeed_mph\x18\x04 \x01(\x01\x12\'\n\x06\x64\x65vice\x18\x05 \x01(\x0e\x32\x17.bc.VehicleState.Device\"F\n\x06\x44\x65vice\x12\x0b\n\x07UNKNOWN\x10\x00\x12\x0c\n\x08KEYBOARD\x10\x01\x12\t\n\x05MOUSE\x10\x02\x12\x0b\n\x07GAMEPAD\x10\x03\x12\t\n\x05TOUCH\x10\x04\"\xe7\x03\n\x0cPilotCommand\x12\x1a\n\x12predicted_steering\x18\x01 \x01(\x01\x12\x10\n\x08steering\x18\x02 \x01(\x01\x12\x10\n\x08throttle\x18\x03 \x01(\x01\x12\'\n\x06\x64river\x18\x04 \x01(\x0e\x32\x17.bc.PilotCommand.Driver\x12\x15\n\rset_speed_mph\x18\x05 \x01(\x01\x12\x11\n\tdecode_ms\x18\x06 \x01(\x01\x12\x12\n\nnetwork_ms\x18\x07 \x01(\x01\x12\x10\n\x08total_ms\x18\x08 \x01(\x01\x12\x10\n\x08parse_ms\x18\t \x01(\x01\x12\x1c\n\x0f\x65xpert_steering\x18\n \x01(\x01H\x00\x88\x01\x01\x12 \n\x13predicted_speed_mph\x18\x0b \x01(\x01H\x01\x88\x01\x01\x12\x1f\n\x12predicted_throttle\x18\x0c \x01(\x01H\x02\x88\x01\x01\x12\x16\n\tin_flight\x18\r \x01(\rH\x03\x88\x01\x01\"B\n\x06\x44river\x12\x0b\n\x07UNKNOWN\x10\x00\x12\t\n\x05PILOT\x10\x01\x12\t\n\x05HUMAN\x10\x02\x12\n\n\x06\x45XPERT\x10\x03\x12\t\n\x05\x42RAKE\x10\x04\x42\x12\n\x10_expert_steeringB\x16\n\x14_predicted_speed_mphB\x15\n\x13_predicted_throttleB\x0c\n\n_in_flight\"T\n\nPrediction\x12\x10\n\x08steering\x18\x01 \x01(\x01\x12\x1e\n\x11recorded_steering\x18\x02 \x01(\x01H\x00\x88\x01\x01\x42\x14\n\x12_recorded_steeringb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'recorder.bc_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_VEHICLESTATE']._serialized_start=25
-  _globals['_VEHICLESTATE']._serialized_end=109
-  _globals['_PILOTCOMMAND']._serialized_start=112
-  _globals['_PILOTCOMMAND']._serialized_end=561
-  _globals['_PILOTCOMMAND_DRIVER']._serialized_start=428
-  _globals['_PILOTCOMMAND_DRIVER']._serialized_end=494
-  _globals['_PREDICTION']._serialized_start=563
-  _globals['_PREDICTION']._serialized_end=647
+  _globals['_VEHICLESTATE']._serialized_start=26
+  _globals['_VEHICLESTATE']._serialized_end=223
+  _globals['_VEHICLESTATE_DEVICE']._serialized_start=153
+  _globals['_VEHICLESTATE_DEVICE']._serialized_end=223
+  _globals['_PILOTCOMMAND']._serialized_start=226
+  _globals['_PILOTCOMMAND']._serialized_end=713
+  _globals['_PILOTCOMMAND_DRIVER']._serialized_start=566
+  _globals['_PILOTCOMMAND_DRIVER']._serialized_end=632
+  _globals['_PREDICTION']._serialized_start=715
+  _globals['_PREDICTION']._serialized_end=799
 # @@protoc_insertion_point(module_scope)

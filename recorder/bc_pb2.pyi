@@ -6,19 +6,33 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class VehicleState(_message.Message):
-    __slots__ = ("steering", "throttle", "brake", "speed_mph")
+    __slots__ = ("steering", "throttle", "brake", "speed_mph", "device")
+    class Device(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        UNKNOWN: _ClassVar[VehicleState.Device]
+        KEYBOARD: _ClassVar[VehicleState.Device]
+        MOUSE: _ClassVar[VehicleState.Device]
+        GAMEPAD: _ClassVar[VehicleState.Device]
+        TOUCH: _ClassVar[VehicleState.Device]
+    UNKNOWN: VehicleState.Device
+    KEYBOARD: VehicleState.Device
+    MOUSE: VehicleState.Device
+    GAMEPAD: VehicleState.Device
+    TOUCH: VehicleState.Device
     STEERING_FIELD_NUMBER: _ClassVar[int]
     THROTTLE_FIELD_NUMBER: _ClassVar[int]
     BRAKE_FIELD_NUMBER: _ClassVar[int]
     SPEED_MPH_FIELD_NUMBER: _ClassVar[int]
+    DEVICE_FIELD_NUMBER: _ClassVar[int]
     steering: float
     throttle: float
     brake: float
     speed_mph: float
-    def __init__(self, steering: _Optional[float] = ..., throttle: _Optional[float] = ..., brake: _Optional[float] = ..., speed_mph: _Optional[float] = ...) -> None: ...
+    device: VehicleState.Device
+    def __init__(self, steering: _Optional[float] = ..., throttle: _Optional[float] = ..., brake: _Optional[float] = ..., speed_mph: _Optional[float] = ..., device: _Optional[_Union[VehicleState.Device, str]] = ...) -> None: ...
 
 class PilotCommand(_message.Message):
-    __slots__ = ("predicted_steering", "steering", "throttle", "driver", "set_speed_mph", "decode_ms", "network_ms", "total_ms", "parse_ms", "expert_steering", "predicted_speed_mph", "predicted_throttle")
+    __slots__ = ("predicted_steering", "steering", "throttle", "driver", "set_speed_mph", "decode_ms", "network_ms", "total_ms", "parse_ms", "expert_steering", "predicted_speed_mph", "predicted_throttle", "in_flight")
     class Driver(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         UNKNOWN: _ClassVar[PilotCommand.Driver]
@@ -43,6 +57,7 @@ class PilotCommand(_message.Message):
     EXPERT_STEERING_FIELD_NUMBER: _ClassVar[int]
     PREDICTED_SPEED_MPH_FIELD_NUMBER: _ClassVar[int]
     PREDICTED_THROTTLE_FIELD_NUMBER: _ClassVar[int]
+    IN_FLIGHT_FIELD_NUMBER: _ClassVar[int]
     predicted_steering: float
     steering: float
     throttle: float
@@ -55,7 +70,8 @@ class PilotCommand(_message.Message):
     expert_steering: float
     predicted_speed_mph: float
     predicted_throttle: float
-    def __init__(self, predicted_steering: _Optional[float] = ..., steering: _Optional[float] = ..., throttle: _Optional[float] = ..., driver: _Optional[_Union[PilotCommand.Driver, str]] = ..., set_speed_mph: _Optional[float] = ..., decode_ms: _Optional[float] = ..., network_ms: _Optional[float] = ..., total_ms: _Optional[float] = ..., parse_ms: _Optional[float] = ..., expert_steering: _Optional[float] = ..., predicted_speed_mph: _Optional[float] = ..., predicted_throttle: _Optional[float] = ...) -> None: ...
+    in_flight: int
+    def __init__(self, predicted_steering: _Optional[float] = ..., steering: _Optional[float] = ..., throttle: _Optional[float] = ..., driver: _Optional[_Union[PilotCommand.Driver, str]] = ..., set_speed_mph: _Optional[float] = ..., decode_ms: _Optional[float] = ..., network_ms: _Optional[float] = ..., total_ms: _Optional[float] = ..., parse_ms: _Optional[float] = ..., expert_steering: _Optional[float] = ..., predicted_speed_mph: _Optional[float] = ..., predicted_throttle: _Optional[float] = ..., in_flight: _Optional[int] = ...) -> None: ...
 
 class Prediction(_message.Message):
     __slots__ = ("steering", "recorded_steering")

@@ -21,11 +21,13 @@ from recorder.errors import RecordingError
 from recorder.log.session_car import named_car
 from recorder.log_copy_cli import copy_recording, refuse_copying, refuse_taken_name
 from recorder.log_made_cli import brought_as_they_are
+from recorder.person_cli import AtTheWheel, check_at_the_wheel, listen_at_the_wheel, record_at_the_wheel
 from recorder.sources.built_in_simulator import SimulatedDrive, check_drive, record_simulated
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.gymnasium_flags import GYM_FLAGS, GymFlags
 from recorder.sources.import_mcap import check_scale
 from recorder.sources.import_result import Imported
+from recorder.sources.listen_settings import ListenSettings
 from recorder.sources.recording_kinds import Topics, import_recording, refuse_to_watch
 
 if TYPE_CHECKING:
@@ -37,6 +39,7 @@ class Record:
     """Record a session to sessions/NAME.mcap: of the built-in simulator, of one that runs, or from a recording.
 
     bc-record lake --track lake --laps 0.5
+    bc-record mine --driver me --track lake --open
     bc-record mine --from ~/beta_simulator/recording --watch
     bc-record racing --gym CarRacing-v3 --gym-action steering,throttle,brake --expert my_expert:drive
     """
@@ -80,6 +83,10 @@ class Record:
     copy_to: Annotated[LocationFlag | None, tyro.conf.arg(metavar="URL")] = None
     """Copy the log there (s3://BUCKET/FOLDER) as well once it is finished, if logs are kept here, and list those
     that are not there yet."""
+    open: bool = False
+    """With --driver me: open the page in the browser."""
+    page: bool = True
+    """With --driver me: serve the page; --no-page where a bc-web that runs in this folder has it."""
     drive: tyro.conf.OmitArgPrefixes[SimulatedDrive] = field(default_factory=SimulatedDrive)
     environment: tyro.conf.OmitArgPrefixes[GymFlags] = field(default_factory=GymFlags)
     wander: float = 0.0
@@ -119,6 +126,13 @@ def _record_to(config: Record, log: Path) -> Imported:
             if config.viewer:
                 stack.enter_context(preview(growing, idle_priority=True))
 
+        if config.drive.driver == "me" and not config.listen:
+            wheel = AtTheWheel(log, config.open, config.page)
+            return record_at_the_wheel(config.drive, config.rate, wheel, config.force)
+        if config.listen and config.drive.driver == "me":
+            settings = ListenSettings(config.host, config.port, config.idle, car, show)
+            wheel = AtTheWheel(log, config.open, config.page)
+            return listen_at_the_wheel(settings, config.drive.speed[0], wheel, config.force)
         if config.listen:
             from recorder.sources.live_telemetry import listen_for_telemetry  # Socket.IO: a second to load
 
@@ -194,8 +208,10 @@ def _refuse_contradictions(config: Record) -> None:
         )
     if config.watch and config.source is None:
         raise UsageError("--watch follows a folder: give it with --from FOLDER")
-    if (config.source is not None or config.listen) and (
-        config.udacity is not None or config.drive != SimulatedDrive()
+    if (
+        (config.source is not None or config.listen)
+        and (config.udacity is not None or config.drive != SimulatedDrive())
+        and not (config.listen and config.drive.driver == "me")
     ):
         raise UsageError(
             "--from and --listen record what others drive; --udacity and --track and its like are the simulator's"
@@ -214,6 +230,10 @@ def _refuse_contradictions(config: Record) -> None:
         raise UsageError(f"--idle {config.idle:g}: a number of seconds, 0 or more, was expected")
     if config.port:  # 0: a free one
         check_port("--port", config.port)
+    if config.drive.driver != "me" and (flags := flags_given(config, "open", "page")):
+        raise UsageError(f"{flags}: only with --driver me")
+    if config.drive.driver == "me" and config.udacity is not None:
+        raise UsageError("--udacity: a simulated driver's, not with --driver me")
     if config.environment.gym is not None:
         _refuse_beside_gym(config)
         return
@@ -221,6 +241,9 @@ def _refuse_contradictions(config: Record) -> None:
         raise UsageError("--car goes with --from, --listen or --gym: the built-in simulator's is known")
     if (flags := flags_given(config.environment, *GYM_FLAGS)) or (flags := flags_given(config, "wander")):
         raise UsageError(f"{flags}: only with --gym ID")
+    if config.drive.driver == "me":
+        check_at_the_wheel(config.drive, config.rate, listens=config.listen)
+        return
     with usage_errors(RecordingError):
         if config.source is not None:
             check_rate(config.rate)

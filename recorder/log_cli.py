@@ -9,15 +9,16 @@ from typing import Annotated
 
 import tyro
 
-from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, run_command, warn
-from common.errors import counted
+from common.errors import as_user_error, counted
 from common.location import Location
 from common.location_flag import LocationFlag
 from common.output import print_result
+from recorder.errors import RecordingError
 from recorder.log.check import check
 from recorder.log.log_info import describe
 from recorder.log.reader import Log
+from recorder.log.session_car import UDACITY, car_of
 from recorder.log_copy_cli import CopyLogs
 from recorder.log_edit_cli import Merge, Recover, Rewrite, Split, Trim, noted, remark_crcs, some_logs
 from recorder.log_export_cli import ExportLogs
@@ -93,15 +94,22 @@ class Cameras:
         return _each(self.logs, self._one)
 
     def _one(self, path: Location) -> int:
-        from recorder.log.side_cameras import UDACITY_SPACING, side_cameras  # OpenCV
+        from recorder.log.side_cameras import UDACITY_MPH, UDACITY_SPACING, side_cameras, usual_speed_mph  # OpenCV
 
         code = noted(path)
         with Log(path) as log:
             found = side_cameras(log)
+            speed_mph = usual_speed_mph(log) or UDACITY_MPH
+            try:
+                car, assumed = car_of(log), ""
+            except RecordingError:  # the log does not say it
+                car, assumed = UDACITY, ", if its car is as Udacity's (`bc-record --car` keeps it)"
+        slow = found.side_correction(car, UDACITY_MPH)
         print_result(
             f"{path}: each side camera is {found.spacing:.2f} of its height above the road from the centre one"
             f" (Udacity's: {UDACITY_SPACING:g}), in {counted(found.moments, 'moment')}:"
-            f" `bc-index --side-correction {found.side_correction:g}`"
+            f" `bc-index --side-correction {found.side_correction(car, speed_mph):g}` leads back at"
+            f" {speed_mph:.0f} mph, this log's usual speed, {slow:g} at {UDACITY_MPH:g} mph{assumed}"
         )
         return code
 
@@ -128,8 +136,8 @@ def _each(logs: tuple[Location, ...], action: Callable[[Location], int]) -> int:
     for path in some_logs(logs):
         try:
             codes.append(action(path))
-        except UserError as error:
-            codes.append(print_error("bc-log", error))
+        except Exception as error:
+            codes.append(print_error("bc-log", as_user_error(path, error)))
     return FAILED if FAILED in codes else max(codes)
 
 

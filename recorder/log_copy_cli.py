@@ -14,7 +14,7 @@ import tyro
 
 from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, warn
-from common.errors import StoreError, UsageError, counted, printable
+from common.errors import StoreError, UsageError, as_user_error, counted, printable
 from common.location import Location, Url
 from common.location_flag import LocationFlag
 from common.output import print_message, print_result
@@ -59,9 +59,11 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
             try:
                 on_bytes, on_left = partial(progress.advance, task), partial(_print_left, log, target)
                 done = copy_log(log, target, overwrite=overwrite, on_bytes=on_bytes, on_left=on_left)
-            except (UserError, OSError) as error:
-                shown = error if isinstance(error, UserError) else _unreadable_or_full(log, target, error)
-                codes.append(print_error(prog, shown))
+            except OSError as error:
+                codes.append(print_error(prog, _unreadable_or_full(log, target, error)))
+                continue
+            except Exception as error:
+                codes.append(print_error(prog, as_user_error(log, error)))
                 continue
             finally:
                 progress.remove_task(task)

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from common import UserError
 from common.command import DONE, print_error, warn
+from common.errors import as_user_error
 from common.location import Location, Url, location
 from common.location_flag import LocationFlag
 from common.output import print_result, print_table
@@ -47,8 +48,8 @@ class ListLogs:
         for path in self._logs():
             try:
                 found.append(describe(path))
-            except UserError as error:
-                codes.append(print_error("bc-log", error))
+            except Exception as error:
+                codes.append(print_error("bc-log", as_user_error(path, error)))
         found.sort(key=lambda info: (SORTED_BY[self.sort](info), info.path))
         if self.json:
             for info in found:

@@ -21,6 +21,8 @@ from recorder.log.topics import VEHICLE
 
 MOST_PLACES: Final = 6
 """So many are named of a kind; --json names all."""
+MAX_LINES: Final = 200
+"""So many topics, settings and tags are shown of a log: a terminal takes a millisecond for each."""
 _LONG_VALUE: Final = 400  # characters
 _LONG_LIST: Final = 4
 
@@ -30,18 +32,27 @@ def print_info(info: LogInfo) -> None:
     size = f"{info.size_bytes / 1e6:,.1f} MB"
     print_table(f"[bold]{plain(info.path)}[/]: {info.duration_s:,.1f} s{driven}, {size}, {info.start}")
     table = Table("topic", "schema", "messages", "a second")
-    for topic in info.topics:
+    for topic in info.topics[:MAX_LINES]:
         table.add_row(plain(topic.topic), plain(topic.schema), f"{topic.messages:,}", f"{topic.per_second:,.1f}")
     print_table(table)
-    for name, value in sorted(info.session.items()):
+    _print_more(len(info.topics), "more topic")
+    for name, value in sorted(info.session.items())[:MAX_LINES]:
         print_table(f"  {plain(name)}: {plain(_in_short(value))}")
+    _print_more(len(info.session), "more setting")
     _print_drives(info)
     if info.steering is not None and info.steering.rows:
         print_table(f"  {steering_line(info.steering, info.lag)}", f"  labels: {info.labels}")
-    for topic_name, sizes in info.picture_sizes.items():
+    for topic_name, sizes in list(info.picture_sizes.items())[:MAX_LINES]:
         print_table(f"  pictures of several sizes on {plain(topic_name)}: {plain(sizes)}")
-    for tag in info.tags:
+    _print_more(len(info.picture_sizes), "more topic")
+    for tag in info.tags[:MAX_LINES]:
         print_table(f"  tag {plain(tag.name)}: {rows_of(tag)}")
+    _print_more(len(info.tags), "more tag")
+
+
+def _print_more(count: int, noun: str) -> None:
+    if count > MAX_LINES:
+        print_table(f"    and {counted(count - MAX_LINES, noun)} (--json lists them)")
 
 
 def print_checked(checked: Checked) -> None:
@@ -108,9 +119,9 @@ def _in_short(value: str) -> str:
         return value
     try:
         stored = json.loads(value)
+        return f"{json.dumps(_without_long_lists(stored))} (--json has all)" if isinstance(stored, dict) else value
     except (ValueError, RecursionError):
         return value
-    return f"{json.dumps(_without_long_lists(stored))} (--json has all)" if isinstance(stored, dict) else value
 
 
 def _without_long_lists(stored: Any) -> Any:

@@ -69,18 +69,18 @@ class NameRows:
     def _is_everywhere(self) -> bool:
         return self.start is None and self.end is None and self.rows is None
 
-    def _announce_new(self, name: str) -> None:
-        """A name that nobody has used yet is perhaps one that was mistyped: its rows would be trained on."""
+    def _notice_of_new(self, name: str) -> str:
+        """The notice for a name that nobody has used yet; "" for any other. Where it is perhaps mistyped, a person
+        is asked first: its rows would be trained on."""
         used = names_used(self.log.parent)
         if name in used:
-            return
+            return ""
         meant = did_you_mean(name, used)
         notice = f"new tag {name!r}" + (f"; {meant}" if meant else "")
         answer = ask(f"{notice} Give {name!r} all the same?") if meant else None
-        if answer is None:
-            print_message(notice)
-        elif not answer:
+        if answer is not None and not answer:
             raise UserError("nothing was tagged")
+        return "" if answer else notice
 
     def _change(self, name: str, tags: list[Tag], fingerprint: str) -> list[Tag]:
         with usage_errors(ValueError):
@@ -96,12 +96,13 @@ class NameRows:
         if self.remove and not set(chosen) & set(tags):
             held = ", ".join(f"{tag.name} ({rows_of(tag)})" for tag in tags) or "none"
             raise UserError(f"{self.log}: no tag {name!r} of exactly these rows; its tags: {held}")
-        if not self.remove:
-            self._announce_new(name)
+        notice = "" if self.remove else self._notice_of_new(name)
         for tag in chosen:
             (remove_tag if self.remove else add_tag)(self.log, fingerprint, tag)
             if self.remove:
                 print_message(f"removed {tag.name}: {rows_of(tag)}")
+        if notice:
+            print_message(notice)  # once it is kept
         return read_tags(self.log, fingerprint)
 
 

@@ -1,6 +1,6 @@
 """The built-in simulator as a Gymnasium environment: `gymnasium.make("simulator:bc/Lake-v0")`.
 
-Gymnasium is an extra: `pip install "behavioural-cloning-toolkit[gym]"`. docs/gymnasium.md describes what the
+Gymnasium is an extra: `pip install ".[gym]"`. docs/gymnasium.md describes what the
 environments give and take.
 """
 

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from PIL import Image, ImageSequence
 
 import make_architecture
 import make_commands
@@ -72,11 +73,8 @@ def test_the_commands_are_those_of_the_project_file() -> None:
 
 def test_what_is_generated_is_current(helps: dict[str, str]) -> None:
     """If this fails: `make docs`."""
-    for page, generated in (
-        (make_commands.PAGE, make_commands.generated_page(helps)),
-        (make_architecture.PAGE, make_architecture.generated_page()),
-    ):
-        assert page.read_text(encoding="utf-8") == generated, f"{page.name}: make docs"
+    commands = make_commands.PAGE.read_text(encoding="utf-8")
+    assert commands == make_commands.generated_page(helps), "commands.md: make docs"
     picture = make_architecture.PICTURE.read_text(encoding="utf-8")
     assert picture == make_architecture.picture(), "architecture.svg: make docs"
 
@@ -110,6 +108,18 @@ def test_the_pictures_and_pages_that_the_documentation_shows_are_there() -> None
         if "://" not in target and not (page.parent / target).exists()
     ]
     assert missing == []
+
+
+def test_the_readmes_moving_picture_loads_fast_and_begins_again() -> None:
+    path = ROOT / "docs" / "pictures" / "drive-train-drive.webp"
+    assert path.stat().st_size < 3e6
+    shown_ms = 0
+    with Image.open(path) as picture:
+        assert (picture.width, picture.info["loop"]) == (640, 0)
+        for frame in ImageSequence.Iterator(picture):
+            frame.load()
+            shown_ms += frame.info["duration"]
+    assert 12_000 <= shown_ms <= 20_000
 
 
 @pytest.mark.parametrize("name", ["ARCHITECTURE.md", "CONTRIBUTING.md", "SECURITY.md", "docs/glossary.md"])
@@ -157,6 +167,15 @@ def texts_in(path: Path) -> Iterator[str]:
             yield "".join(str(part.value) if isinstance(part, ast.Constant) else "…" for part in node.values)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             yield node.value
+
+
+@pytest.mark.parametrize(
+    "name", [page for page in PAGES if page.name != "CHANGELOG.md"], ids=lambda page: page.name
+)
+def test_no_page_installs_the_toolkit_from_an_index_that_lacks_it(name: Path) -> None:
+    install = r"(?:pip|pipx|uv tool) install [^`\n]*behavioural-cloning-toolkit[^`\n]*"
+    lines = re.findall(install, name.read_text(encoding="utf-8"))
+    assert [line for line in lines if "@ git+" not in line] == []
 
 
 def test_no_file_names_a_place_on_one_persons_machine() -> None:

@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
+from threading import Event, Thread
+from typing import Any
 
 import numpy as np
+import pytest
 
+from drive import drive_session
+from drive.config import DriveConfig
+from drive.drive_server import DriveServer
 from driving import DriveProcess, Process, command, untrained_run
+from model import load_pilot
 from own_simulator import MAX_DEG, Car
 from recorder import Log
-from recorder.log.session_car import car_of
+from recorder.log.session_car import car_of, named_car
 from recorder.log.topics import POSE
+from recorder.server import in_flight
 from repository import ROOT
-from simulator import SimulatorClient
-from waiting import PATIENCE_S
+from simulator import SimulatorClient, SimulatorTelemetry
+from waiting import PATIENCE_S, wait_until
 
 TELEMETRIES = 40
+SETTINGS = ROOT / "examples" / "own_simulator.toml"
 
 
 def test_an_example_is_short_and_stands_on_its_page() -> None:
@@ -28,14 +37,17 @@ def test_an_example_is_short_and_stands_on_its_page() -> None:
 
 def drive_car(port: int) -> Car:
     car = Car(TELEMETRIES)
-    SimulatorClient(port=port, wait_s=PATIENCE_S, max_steering_deg=MAX_DEG).run(car.next_telemetry)
+    lock_step(port).run(car.next_telemetry)
     return car
+
+
+def lock_step(port: int) -> SimulatorClient:
+    return SimulatorClient(port=port, wait_s=PATIENCE_S, max_steering_deg=MAX_DEG, in_flight=1)
 
 
 def test_ones_own_simulator_is_recorded(tmp_path: Path) -> None:
     path = tmp_path / "mine.mcap"
-    settings = ROOT / "examples" / "own_simulator.toml"
-    flags = ("--listen", "--port", 0, "--sessions", tmp_path, "--car", settings)
+    flags = ("--listen", "--port", 0, "--sessions", tmp_path, "--car", SETTINGS)
     with Process(command("bc-record", "mine", *flags)) as process:
         car = drive_car(int(process.wait_for(r"waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]))
         assert process.end() == 0
@@ -51,13 +63,41 @@ def test_ones_own_simulator_is_recorded(tmp_path: Path) -> None:
 
 
 def test_ones_own_simulator_is_driven(tmp_path: Path) -> None:
-    run, settings = untrained_run(tmp_path / "run"), ROOT / "examples" / "own_simulator.toml"
-    with DriveProcess(run, tmp_path / "run.mcap", "--car", settings) as process:
+    run = untrained_run(tmp_path / "run")
+    with DriveProcess(run, tmp_path / "run.mcap", "--car", SETTINGS) as process:
         drive_car(process.wait_until_it_listens())
         assert process.end() == 0
     with Log(tmp_path / "run.mcap") as log:
         assert car_of(log).wheelbase_m == 2.6
         driven = log.vehicle()["steering"].to_pylist()
         sent = [command.steering for _, command in log.commands()]
-        np.testing.assert_allclose(driven[2:], sent[:-2], atol=1e-4)  # what was answered is how it is steered
+        np.testing.assert_allclose(driven[1:], sent[:-1], atol=1e-4)  # each answer takes hold at once
         assert log.counts["/pilot/command"] == TELEMETRIES
+
+
+def test_pauses_make_ones_own_simulator_act_no_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It pauses three times, until it is sent a steer that answers nothing: all the same, each row is steered by
+    the answer to the one before."""
+    monkeypatch.setattr(drive_session, "WATCHDOG_S", 0.3)
+    for name in ("MIN_HOLD_S", "MAX_HOLD_S"):  # others may have the processor meanwhile
+        monkeypatch.setattr(in_flight, name, PATIENCE_S)
+    pilot, log = load_pilot(untrained_run(tmp_path / "run")), tmp_path / "run.mcap"
+    car, over = Car(TELEMETRIES), Event()
+
+    def next_telemetry(command: Any) -> SimulatorTelemetry | None:
+        if car.left in (10, 20, 30):
+            pushes = server.session.summary.pushes
+            wait_until(lambda: server.session.summary.pushes > pushes)
+        return car.next_telemetry(command)
+
+    with DriveServer(pilot, DriveConfig(car=named_car(str(SETTINGS))), log, port=0) as server:
+        serving = Thread(target=server.run, args=(over.is_set,))
+        serving.start()
+        lock_step(server.port).run(next_telemetry)
+        over.set()
+        serving.join(PATIENCE_S)
+    with Log(log) as drive:
+        driven = drive.vehicle()["steering"].to_pylist()
+        sent = [command.steering for _, command in drive.commands()]
+        assert {command.in_flight for _, command in drive.commands()} == {1}
+    np.testing.assert_allclose(driven[1:], sent[:-1], atol=1e-4)

@@ -31,7 +31,13 @@ from bucket import serving_bucket
 from clusters import ray_cluster
 from common.car import Camera
 from common.errors import UserError
-from common.ray_cluster import ClusterError, cluster_tasks, package_versions, refuse_other_node
+from common.ray_cluster import (
+    ClusterError,
+    cluster_tasks,
+    package_versions,
+    print_node_message,
+    refuse_other_node,
+)
 from common.tasks import Tasks, one_by_one
 from dataset import build_index
 from drive.config import DriveConfig
@@ -296,6 +302,22 @@ def test_a_cluster_with_a_token_that_is_not_here_is_told(tmp_path: Path, monkeyp
             done = run("bc-index", "--ray", address, cwd=tmp_path)
     assert "no token here: put the one that" in one_line_of(done)
     assert done.returncode == 1
+
+
+def test_more_workers_than_this_machine_has_room_for_are_refused_at_once(tmp_path: Path) -> None:
+    toy_index(tmp_path)
+    done = run("bc-train", "--network", "small", "--ray", 2000, "local", cwd=tmp_path)
+    assert "2,000 workers of 1 processor, but this machine has" in done.stderr
+    assert done.returncode == 1
+
+
+def test_the_message_of_a_dead_node_is_one_line_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+    dump = "".join(f"\n    [state-dump] line {number}" for number in range(36))
+    print_node_message(
+        {"lines": [f"[state-dump] x\nRaylet is terminated: 7{dump}"], "pid": "raylet", "is_err": False}
+    )
+    shown = capsys.readouterr()
+    assert (shown.out, shown.err) == ("", "--ray: Raylet is terminated: 7\n")
 
 
 def test_an_address_where_nothing_listens_or_something_else_does_is_told() -> None:

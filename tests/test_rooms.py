@@ -30,7 +30,7 @@ MAY_IMPORT = {
 FOLDERS: dict[str, list[str]] = {
     "common": [],
     "simulator": ["roads", "rendering", "driving", "protocol"],
-    "recorder": ["pictures", "log", "server", "lerobot", "sources"],
+    "recorder": ["pictures", "log", "server", "teleop", "lerobot", "sources"],
     "dataset": ["frames", "samples", "index", "loader"],
     "model": ["network", "runs", "evaluation", "training"],
     "viz": ["playback", "live"],
@@ -243,6 +243,18 @@ def test_nothing_is_ever_unpickled() -> None:
             flags = {keyword.arg: ast.unparse(keyword.value) for keyword in node.keywords}
             assert flags.get("allow_pickle", "False") == "False", f"{path}:{node.lineno}"
             assert flags.get("shell", "False") == "False", f"{path}:{node.lineno}"
+
+
+@pytest.mark.parametrize(
+    ("call", "only_in"),
+    [
+        ("imdecode(", {"recorder/pictures/decoding.py"}),  # its limits hold for every picture
+        (".resolve()", set()),  # raises for a link that leads to itself: common.untrusted.real_path
+    ],
+)
+def test_what_untrusted_files_may_abuse_is_called_in_one_place(call: str, only_in: set[str]) -> None:
+    found = {str(path.relative_to(ROOT)) for path in SOURCES if call in path.read_text(encoding="utf-8")}
+    assert found == only_in
 
 
 @pytest.mark.parametrize("room", ["model", "drive"])

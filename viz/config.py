@@ -16,6 +16,7 @@ from common.command import check_port, flags_given
 from common.errors import UsageError
 from common.location import local_path
 from common.location_flag import LocationFlag
+from common.untrusted import real_path
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,7 @@ def _refuse_overwriting_logs(config: Play) -> None:
     for at, (flag, path) in enumerate(written):
         if path.exists() and any(log.exists() and path.samefile(log) for log in config.logs):
             raise UserError(f"{flag} {path}: the log itself, which stays as it is; give another name")
-        if any(path.resolve() == other.resolve() for _, other in written[:at]):
+        if any(real_path(path) == real_path(other) for _, other in written[:at]):
             raise UsageError(f"{flag} {path}: two files of one name; give another one")
 
 

@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import shlex
-import signal
-import sys
-import threading
 
 from common import UserError
 from common.command import INTERRUPTED, run_command
 from common.files import final_path
+from common.parent_process import end_with_parent
 from viz.cli import play
 from viz.config import Play
 from viz.console import set_program_name
 
 _NAME = "viewer"  # in place of bc-play, which the user has not called
-
-
-def end_with_parent() -> None:
-    """End this process with its parent, which holds the other end of stdin open and writes nothing."""
-    while os.read(0, 1024):
-        pass
-    if sys.platform != "win32":
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)  # it is waiting for the viewer
 
 
 def _show(config: Play) -> int:
@@ -40,6 +29,6 @@ def _show(config: Play) -> int:
 
 
 def main() -> None:
-    threading.Thread(target=end_with_parent, name="parent", daemon=True).start()
+    end_with_parent()
     set_program_name(_NAME)
     run_command(_NAME, Play, _show)

@@ -15,6 +15,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from common import UserError, atomic_file
+from common.files import write_remedy
 
 APPLICATION: Final = "behavioural-cloning-toolkit"
 
@@ -59,7 +60,10 @@ def rrd_file(
                 pipe.finish()
         if pipe.error is not None:
             why = pipe.error.strerror
-            raise UserError(f"{path}: cannot be written ({why}); nothing of it was kept: make room and try again")
+            raise UserError(
+                f"{path}: cannot be written ({why}); nothing of it was kept:"
+                f" {write_remedy(pipe.error)}, and try again"
+            )
 
 
 class _Pipe(threading.Thread):

@@ -15,6 +15,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from common import UserError
+from common.untrusted import real_path
 from dataset.prediction_targets import TARGETS, TargetName
 from model.metrics import Errors, Measures
 from model.runs.history import History, HistoryReader, read_history
@@ -309,4 +310,4 @@ def _plot(origin: str, name: str) -> rrb.View:
 
 
 def _name(run: Path) -> str:
-    return run.resolve().name
+    return real_path(run).name

@@ -1,6 +1,6 @@
 """A log as a video: the centre camera's pictures in their own time, as H.264 in an .mp4 that plays everywhere.
 
-PyAV is an extra: `pip install "behavioural-cloning-toolkit[video]"`.
+PyAV is an extra: `pip install ".[video]"`.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from common import Skipped, UserError, atomic_file
 from common.errors import counted
-from common.files import refuse_existing
+from common.files import refuse_existing, write_remedy
 from common.progress import track
-from common.versions import TOOLKIT
+from common.versions import install_line
 from dataset.preprocess import decode
 from recorder import Log, LogError
 from recorder.log.row_quality import GAP_S
@@ -224,7 +224,7 @@ class _Mp4:
         except self._error as error:
             raise UserError(
                 f"{self._name}: cannot be written ({error.strerror}); nothing of it was kept:"
-                " make room and try again"
+                f" {write_remedy(error)}, and try again"
             ) from None
 
     def __enter__(self) -> Self:
@@ -251,5 +251,5 @@ def _require_av() -> Any:
     try:
         import av
     except ImportError:
-        raise UserError(f'a video needs PyAV: `pip install "{TOOLKIT}[video]"` brings it') from None
+        raise UserError(f"a video needs PyAV: `{install_line('video')}` brings it") from None
     return av

@@ -42,6 +42,8 @@ from web.pages.run_page import run_routes
 from web.pages.runs_page import run_list_routes
 from web.pages.session_page import session_routes
 from web.pages.sessions_page import session_list_routes
+from web.pages.wheel_pages import wheel_routes
+from web.pages.wheel_socket import wheel_socket_routes
 from web.pages.workbench import Workbench
 from web.server.error_pages import HANDLERS
 from web.server.request_guard import RequestGuard
@@ -109,6 +111,8 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
         *index_routes(bench),
         *altered_routes(bench),
         *job_routes(bench),
+        *wheel_routes(bench),
+        *wheel_socket_routes(),
         *run_list_routes(bench),
         *run_routes(bench),
         Mount("/static", StaticFiles(packages=[("web", "static")])),

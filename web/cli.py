@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from common import UserError
+from common.allowed_places import allow_places
 from common.command import DONE, check_port, run_command
 from common.errors import counted, printable
 from common.interrupts import stop_signals
 from common.location import Location, Url
 from common.location_flag import LocationFlag
 from common.output import print_message, print_result
+from common.versions import install_line
 
 
 @dataclass(frozen=True)
@@ -39,19 +41,19 @@ class Web:
     """Where drives are kept."""
 
 
-def serve(config: Web) -> int:
+def serve(config: Web, page: str = "") -> int:
+    """Serve until a signal ends it; print the address of that page, and open it if `config` says so."""
     check_port("--port", config.port)
     _check_folders(config)
+    allow_places(config.sessions, config.drives)
     try:
         from web.app import workbench_app
         from web.server.request_guard import TOKEN, token_for
         from web.server.workbench_server import WorkbenchServer
     except ModuleNotFoundError as error:
-        if error.name not in ("starlette", "uvicorn", "jinja2", "platformdirs"):
+        if error.name not in ("starlette", "uvicorn", "jinja2"):
             raise
-        raise UserError(
-            f'{error.name} is not installed: `pip install "behavioural-cloning-toolkit[web]"` brings it'
-        ) from None
+        raise UserError(f"{error.name} is not installed: `{install_line('web')}` brings it") from None
     from web.data.cache_folder import default_cache_folder
     from web.data.jobs import Jobs
     from web.data.project_folders import ProjectFolders
@@ -65,7 +67,7 @@ def serve(config: Web) -> int:
         server = WorkbenchServer(app, config.host, config.port)
         server.start()
         name = f"[{config.host}]" if ":" in config.host else config.host
-        address = f"http://{name}:{server.port}/" + (f"?{TOKEN}={token}" if token else "")
+        address = f"http://{name}:{server.port}/{page}" + (f"?{TOKEN}={token}" if token else "")
         try:
             print_result(address)
             print_message("open this address in a browser; Ctrl-C ends it")

@@ -17,7 +17,7 @@ DRIVERS: Final[tuple[Driver, ...]] = get_args(Driver)
 """In the order of PilotCommand.Driver; empty where it is unknown, as in a session that is no drive."""
 
 EXPERT: Final = DRIVERS.index("expert")
-_TAKEOVERS: Final = (EXPERT, DRIVERS.index("human"))
+TAKEOVERS: Final = (EXPERT, DRIVERS.index("human"))
 
 
 @dataclass(frozen=True)
@@ -46,4 +46,4 @@ def is_taken(driver: NDArray[np.int8], drives: Drives) -> NDArray[np.bool_]:
     """A mask (N,) of the rows to use, by their drivers (positions in `DRIVERS`); all, if no driver is known."""
     if drives == "all" or not driver.any():
         return np.ones(len(driver), np.bool_)
-    return np.isin(driver, _TAKEOVERS)
+    return np.isin(driver, TAKEOVERS)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -13,18 +14,19 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from common.errors import UserError
+from common.allowed_places import AllowedPlaces
+from common.errors import UserError, printable
 from common.files import final_name
-from common.location import Location, Url, location, relative_to
+from common.location import Location, Url, absolute, location, relative_to
 from dataset.config import IndexConfig
-from dataset.errors import DatasetError
+from dataset.errors import DatasetError, PlaceNotAllowedError
 from dataset.frames.image_check_cache import read_image_check
 from dataset.frames.topic_columns import TOPIC_COLUMNS
 from recorder import Log
 from recorder.log.tags import Tag
 from recorder.log.topics import VEHICLE_COLUMNS
 
-FRAMES_FORMAT: Final = 7
+FRAMES_FORMAT: Final = 8
 
 FRAMES_SCHEMA: Final = pa.schema(
     [
@@ -39,6 +41,7 @@ FRAMES_SCHEMA: Final = pa.schema(
         # steering: where an expert drove, what he commanded
         *(pa.field(name, pa.float64()) for name in (*VEHICLE_COLUMNS, *TOPIC_COLUMNS)),
         pa.field("driver", pa.string()),  # "pilot", "expert", "human"; "" if it is unknown
+        pa.field("device", pa.string()),  # "keyboard", "mouse", "gamepad", "touch"; "" if nobody steered by hand
         pa.field("drive", pa.int64()),
         pa.field("block", pa.int64()),
         pa.field("split", pa.string()),  # "train", "validation", or "gap": left out between the two
@@ -57,7 +60,7 @@ class FramesError(DatasetError):
 
 _ALWAYS_NS: Final = (-(2**63), 2**63 - 1)
 
-REPEATING: Final = ("session", "camera", "driver", "split")
+REPEATING: Final = ("session", "camera", "driver", "device", "split")
 """Columns of few values, which are read as dictionaries: a fraction of the memory."""
 
 
@@ -99,6 +102,26 @@ def log_place(named: str, index: Location) -> Location:
         return index.joined(named) if isinstance(index, Url) else index / named
     except (UserError, ValueError) as error:
         raise DatasetError(f"{index}: names a log that is nowhere ({error}); run `bc-index` again") from None
+
+
+def refuse_other_places(logs: Mapping[str, str], index: Location) -> None:
+    """Raise PlaceNotAllowedError if one of an index's logs, by session, lies where the index may name none
+    (`common.allowed_places`). No file is opened to know that."""
+    allowed = AllowedPlaces(index, index_project(index))
+    index_place = absolute(index)
+    for session, named in logs.items():
+        place = allowed.outside(log_place(named, index_place))
+        if place is not None:
+            raise PlaceNotAllowedError(
+                f"{printable(str(index))}: names {printable(str(place))} as the log of session"
+                f" {printable(session)}, which is not in its project, and it was not built here; it is not opened."
+                f" If it is yours: --sessions {shlex.quote(printable(str(place.parent)))}"
+            )
+
+
+def index_project(index: Location) -> Location:
+    """The folder in which an index lies, with its sessions."""
+    return absolute(index).parent
 
 
 def frames_settings(config: IndexConfig, session: str) -> dict[str, Any]:

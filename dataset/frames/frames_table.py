@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS, Camera
 from dataset.config import IndexConfig
-from dataset.frames.drivers import DRIVERS, EXPERT, is_taken, read_commands
+from dataset.frames.drivers import DRIVERS, TAKEOVERS, is_taken, read_commands
 from dataset.frames.frame_flags import ImageFindings, Paired, frame_flags
 from dataset.frames.frames_file import FRAMES_SCHEMA, SPLITS, session_name
 from dataset.frames.image_check_cache import read_image_check
@@ -22,6 +22,7 @@ from dataset.frames.split import block_numbers, near_validation, validation_bloc
 from dataset.frames.topic_columns import TOPIC_COLUMNS, topic_columns
 from dataset.steering_bins import bin_of
 from recorder import Log, Pictures
+from recorder.log.devices import DEVICES, device_numbers
 from recorder.log.row_quality import States, drive_numbers
 from recorder.log.tags import Tag
 from recorder.log.topics import VEHICLE_COLUMNS, camera_topic
@@ -36,14 +37,15 @@ def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
     session = session_name(log.path)
     findings = read_image_check(index, session, log.fingerprint)
-    return frames_of(states, pictures, session, config, tags, findings, driver, topic_columns(log, states))
+    others = topic_columns(log, states)
+    return frames_of(states, pictures, session, config, tags, findings, driver, others, device_numbers(log))
 
 
 def driven_states(log: Log) -> tuple[States, NDArray[np.int8]]:
     """The vehicle states of a log (N,), and the driver at each, as a position in `DRIVERS`.
 
-    Where an expert drove, the steering is his command at that picture, which a network is to learn: the wheels
-    follow later. Raises LogError for a damaged log.
+    Where an expert or a person took over, the steering is the command at that picture, which a network is to
+    learn: the wheels follow later. Raises LogError for a damaged log.
     """
     states = States.of(log.vehicle())
     commands = read_commands(log)
@@ -52,7 +54,7 @@ def driven_states(log: Log) -> tuple[States, NDArray[np.int8]]:
     driver[state] = commands.driver[command]
     commanded = states.steering.copy()
     commanded[state] = commands.steering[command]
-    return replace(states, steering=np.where(driver == EXPERT, commanded, states.steering)), driver
+    return replace(states, steering=np.where(np.isin(driver, TAKEOVERS), commanded, states.steering)), driver
 
 
 def frames_of(
@@ -64,11 +66,14 @@ def frames_of(
     findings: ImageFindings | None = None,
     driver: NDArray[np.int8] | None = None,
     others: Mapping[str, NDArray[np.float64]] | None = None,
+    device: NDArray[np.int8] | None = None,
 ) -> pa.Table:
     """The frames of a session from its vehicle states, the places of its pictures, the driver at each state (as
-    `driven_states` gives it; None: unknown), and its `topic_columns` (None: NaN)."""
-    if driver is None:
-        driver = np.zeros(len(states.row), np.int8)
+    `driven_states` gives it; None: unknown), its `topic_columns` (None: NaN), and its `device_numbers` (None:
+    unknown)."""
+    nobody = np.zeros(len(states.row), np.int8)
+    driver = nobody if driver is None else driver
+    device = nobody if device is None else device
     drive = drive_numbers(states.time_ns)
     taken = is_taken(driver, config.drives)
     # A stretch of which something is taken may be short: its blocks begin with it, so that none is cut in two.
@@ -108,6 +113,7 @@ def frames_of(
             for name in TOPIC_COLUMNS
         },
         "driver": pa.DictionaryArray.from_arrays(driver[state], list(DRIVERS)),
+        "device": pa.DictionaryArray.from_arrays(device[state], list(DEVICES)),
         "drive": drive[state],
         "block": block[state],
         "split": pa.DictionaryArray.from_arrays(split[state], list(SPLITS)),

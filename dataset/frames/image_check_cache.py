@@ -24,6 +24,7 @@ from common.location import Location
 from common.progress import progress_bar
 from common.stretches import consecutive, stretches
 from common.tasks import Tasks, one_by_one
+from dataset.errors import log_problem
 from dataset.findings_file import read_findings, write_findings
 from dataset.frames.frame_flags import ImageFindings, Position, Stretches
 from recorder import Log, LogError
@@ -113,8 +114,8 @@ def _check_log(
     try:
         with Log(path) as log:
             write_image_check(index, session, log.fingerprint, check_images(log, on_decoded, threads))
-    except LogError as error:
-        return error
+    except Exception as error:
+        return log_problem(path, error)
     return None
 
 

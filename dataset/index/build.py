@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,17 +18,19 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from common.allowed_places import folders_of, remember_places
 from common.car import MAX_STEERING_DEG
 from common.location import Location, location
 from common.progress import track
 from common.tasks import Tasks, one_by_one
 from dataset.config import IndexConfig
-from dataset.errors import DatasetError, index_write_errors
+from dataset.errors import DatasetError, SessionError, index_write_errors
 from dataset.frames.frames_file import (
     FRAMES_SCHEMA,
     FramesError,
     extent_of,
     file_if_rewritten,
+    index_project,
     relative_log_path,
     session_name,
 )
@@ -44,7 +46,7 @@ from dataset.index.build_state import (
     stat_of,
     write_state,
 )
-from dataset.index.duplicates import UnreadablePictureError, refuse_shared_pictures
+from dataset.index.duplicates import shared_standing_rows
 from dataset.index.log_entries import car_to_warp, log_entries
 from dataset.index.session_labels import LAGS_FOLDER, labels_of_sessions
 from dataset.index.sessions import by_session_name
@@ -121,11 +123,11 @@ def build_index(
 
     It changes whole or, where anything is raised, not at all. Raises LogError if a log cannot be read
     (`leave_out_unreadable`: it is left out, and the notices name it), DatasetError if nothing in them can be used,
-    if two of them have the same name or a picture in common, if `config` names a session that is not among them,
-    or if a file cannot be written; and what `check_settings` does. `passed_over` are the sessions that somebody
-    chose not to have in the index: `sessions_not_indexed` does not list them. `tasks` reads the logs: here, or
-    on a cluster (`common.ray_cluster`), which comes to the same bytes. With `divide_from_frames` or more, the
-    samples are a file a session (`dataset.samples.divided_writer`).
+    if two of them have the same name or, but for a standing start, a picture in common, if `config` names a
+    session that is not among them, or if a file cannot be written; and what `check_settings` does. `passed_over`
+    are the sessions that somebody chose not to have in the index: `sessions_not_indexed` does not list them.
+    `tasks` reads the logs: here, or on a cluster (`common.ray_cluster`), which comes to the same bytes. With
+    `divide_from_frames` or more, the samples are a file a session (`dataset.samples.divided_writer`).
     """
     index, config = Path(index), config or IndexConfig()
     by_name = dict(sorted(by_session_name(map(location, logs)).items()))
@@ -136,10 +138,12 @@ def build_index(
         state, damaged = read_state(index), dict[str, str]()
         while True:
             try:
-                return build.run(state, damaged)
+                indexed = build.run(state, damaged)
+                remember_places(index, index_project(index), folders_of(by_name.values()))
+                return indexed
             except _StaleStateError:
                 state = BuildState.nothing()
-            except UnreadablePictureError as error:  # nobody else looks at pictures here
+            except SessionError as error:
                 if not leave_out_unreadable or error.session in config.validation:
                     raise
                 damaged[error.session] = str(error)
@@ -249,8 +253,9 @@ class _Build:
     ) -> _Made:
         """Write the samples of these sessions. Raises LogError or FramesError for a damaged file."""
         extents = {name: extent_of(file) for name, file in frames.items()}
-        refuse_shared_pictures(frames, self.by_name, extents, self.tasks)
+        standing = shared_standing_rows(frames, self.by_name, extents, self.tasks)
         labels = labels_of_sessions(frames, self.by_name, held, self.index, self.config, self.tasks)
+        labels |= {name: replace(labels[name], shared_rows=rows) for name, rows in standing.items()}
         with index_write_errors(self.index / SAMPLES_NAME):
             if sum(extent.frames for extent in extents.values()) < self.divide_from_frames:
                 return *write_samples(frames, samples, self.config, logs, labels, cars), labels
@@ -297,6 +302,8 @@ def _up_to_date(
     try:
         counts = {name: msgspec.convert(stored["counts"][name], SessionCounts) for name in held}
         labels = {name: msgspec.convert(stored["labels"][name], SessionLabels) for name in held}
+        if any(each.lag is not None and each.lag.margin_s is None for each in labels.values()):
+            return None  # earlier versions went by lags that are not believed
         is_divided = sum(count.frames for count in counts.values()) >= divide_from_frames
         parts = Division.of(stored)
         if stored["format"] != (DIVIDED_FORMAT if is_divided else SAMPLES_FORMAT) or (parts is None) == is_divided:

@@ -2,13 +2,18 @@
 
 A log may have been imported twice, or trimmed, merged, recovered beside its original. Logs name no ancestors that
 could be trusted, so the pictures themselves are compared: those of equal time, camera and length, byte by byte.
+
+A simulator that always does the same begins two drives with the same pictures of a standing car. A few of them are
+taken, and held out in neither.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+from collections import defaultdict
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -22,23 +27,29 @@ from common.location import Location
 from common.open_file_limit import allow_open_files
 from common.progress import track
 from common.tasks import Tasks, one_by_one
-from dataset.errors import DatasetError
+from dataset.errors import DatasetError, SessionError
 from dataset.frames.frame_flags import is_excluded
 from dataset.frames.frames_file import Extent, read_frames
 from recorder import Log, LogError
 from recorder.log.chunk_cache import default_cache
+from recorder.log.row_quality import STANDING_MPH
 
 _PRIME: Final = np.uint64(0x9E3779B97F4A7C15)
 
 
-def refuse_shared_pictures(
+MAX_STANDING_SHARE: Final = 0.25
+"""Of a session's frames. One that shares more pictures of a standing car is there twice."""
+
+
+def shared_standing_rows(
     frames: Mapping[str, Path],
     logs: Mapping[str, Location],
     extents: Mapping[str, Extent],
     tasks: Tasks = one_by_one,
-) -> None:
-    """Raise DatasetError if two sessions hold the same picture; frames tagged `exclude` do not count. Raises
-    UnreadablePictureError for a damaged log.
+) -> dict[str, tuple[int, ...]]:
+    """The rows of each session at which the car stands, and another session has the same picture. Raises
+    DatasetError if two sessions have the same picture of a car that moves, or `MAX_STANDING_SHARE` of a standing
+    one; frames tagged `exclude` do not count. Raises SessionError for a damaged log.
 
     `frames`, `logs` and `extents`: the frames file, the log and the times of each session. Pictures are compared
     of sessions whose times overlap; others share none.
@@ -46,12 +57,12 @@ def refuse_shared_pictures(
     names = _overlapping(extents)
     calls = [(frames[name],) for name in names]
     if not calls:
-        return
+        return {}
     found = dict(track(tasks(_keys, calls), "comparing sessions", len(calls)))
     keys, positions = ([found[number][i] for number in range(len(names))] for i in range(2))
     key = np.sort(np.concatenate(keys))
     if not (key[1:] == key[:-1]).any():  # as nearly always
-        return
+        return {}
     owner = np.repeat(np.arange(len(names), dtype=np.int32), [len(of_session) for of_session in keys])
     key, position = np.concatenate(keys), np.concatenate(positions)
     order = np.argsort(key, kind="stable")  # and so by owner where keys are equal
@@ -59,28 +70,33 @@ def refuse_shared_pictures(
     # the groups of equal keys in which several sessions have a part
     groups = np.unique(np.searchsorted(key[order], key[order][alike]))
     allow_open_files(len(frames))
+    standing: dict[int, dict[int, _Pair]] = defaultdict(dict)  # by session, and by the position of the frame
     with contextlib.ExitStack() as stack:
         opened: dict[int, _Session] = {}
         for start in groups.tolist():
             end = int(np.searchsorted(key[order], key[order][start], side="right"))
             first_shown: dict[bytes, tuple[int, int]] = {}
             for at in order[start:end].tolist():
-                number = int(owner[at])
+                number, place = int(owner[at]), int(position[at])
                 if number not in opened:
                     log = stack.enter_context(Log(logs[names[number]], cache=default_cache()))
                     opened[number] = _Session(log, frames[names[number]])
                 try:
-                    row, data = opened[number].picture(int(position[at]))
+                    data = opened[number].picture(place)
                 except LogError as error:
-                    raise UnreadablePictureError(error, names[number]) from None
-                other, other_row = first_shown.setdefault(hashlib.sha256(data).digest(), (number, row))
-                if other != number:
-                    one, two = logs[names[other]], logs[names[number]]
-                    raise DatasetError(
-                        f"{one} and {two}: the same picture in both (rows {other_row} and {row}); index only one"
-                        " of them, or tag the rows `exclude` in one: `bc-log tag`"
-                        f"{_why_alike(opened[other].driven, opened[number].driven)}"
-                    )
+                    raise SessionError(names[number], error) from None
+                other, other_place = first_shown.setdefault(hashlib.sha256(data).digest(), (number, place))
+                if other == number:
+                    continue
+                pair = _Pair(opened[other], other_place, opened[number], place)
+                if not pair.stands:
+                    raise pair.refused()
+                standing[number][place] = standing[other][other_place] = pair
+    for number, pairs in standing.items():
+        if len(pairs) > MAX_STANDING_SHARE * extents[names[number]].frames:
+            raise next(iter(pairs.values())).refused()
+    rows = {number: {opened[number].row(place) for place in pairs} for number, pairs in standing.items()}
+    return {names[number]: tuple(sorted(rows[number])) for number in sorted(rows)}
 
 
 def _overlapping(extents: Mapping[str, Extent]) -> list[str]:
@@ -106,27 +122,48 @@ def _why_alike(one: Mapping[str, str], two: Mapping[str, str]) -> str:
     return ". Both were driven with one seed: `bc-record --seed N` drives otherwise" if is_one_drive else ""
 
 
-class UnreadablePictureError(LogError):
-    """A log of which a picture cannot be read that may be in another one, too."""
-
-    def __init__(self, error: LogError, session: str) -> None:
-        super().__init__(str(error))
-        self.session = session
-
-
 class _Session:
     """An open log and where its frames are."""
 
     def __init__(self, log: Log, frames: Path) -> None:
-        table = read_frames(frames, ("row", "offset", "length", "chunk"))
+        table = read_frames(frames, ("row", "offset", "length", "chunk", "speed_mph"))
         self._log = log
+        self.path = log.path
         self.driven = log.metadata
-        self._columns = [table[name].to_numpy() for name in ("row", "offset", "length", "chunk")]
+        *self._columns, speed_mph = (column.to_numpy() for column in table.columns)
+        self._stands = np.abs(speed_mph) < STANDING_MPH  # False for an unknown speed
 
-    def picture(self, position: int) -> tuple[int, bytes]:
-        """Row and bytes of a frame."""
-        row, offset, length, chunk = (int(column[position]) for column in self._columns)
-        return row, self._log.read(offset, length, chunk)
+    def picture(self, position: int) -> bytes:
+        _, offset, length, chunk = (int(column[position]) for column in self._columns)
+        return self._log.read(offset, length, chunk)
+
+    def row(self, position: int) -> int:
+        return int(self._columns[0][position])
+
+    def stands(self, position: int) -> bool:
+        return bool(self._stands[position])
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """The same picture in two sessions, by its position in the frames of each."""
+
+    one: _Session
+    one_position: int
+    two: _Session
+    two_position: int
+
+    @property
+    def stands(self) -> bool:
+        return self.one.stands(self.one_position) and self.two.stands(self.two_position)
+
+    def refused(self) -> DatasetError:
+        one_row, two_row = self.one.row(self.one_position), self.two.row(self.two_position)
+        return DatasetError(
+            f"{self.one.path} and {self.two.path}: the same picture in both (rows {one_row} and {two_row}); index"
+            " only one of them, or tag the rows `exclude` in one: `bc-log tag`"
+            f"{_why_alike(self.one.driven, self.two.driven)}"
+        )
 
 
 def _keys(file: Path) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:

@@ -8,7 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from common.command import DONE, warn
-from common.errors import printable
+from common.errors import counted, printable
 from common.location import Location
 from common.output import print_message
 from dataset.index.build import Indexed
@@ -83,9 +83,22 @@ def print_log_notices(indexed: Indexed, folder: Location, sessions: Sequence[str
     """Print the notices of an index's logs, and of recordings in `folder` that are not finished (with `sessions`,
     of these only). Returns 3 if there are any, else 0."""
     code = max([DONE, *map(warn, [*indexed.notices, *unfinished_recordings(folder, sessions)])])
-    for remark in [*indexed.remarks, *mixed_sizes(indexed.sizes_px)]:
+    for remark in [*indexed.remarks, *_shared_rows(indexed.labels), *mixed_sizes(indexed.sizes_px)]:
         print_message(remark)
     return code
+
+
+def _shared_rows(labels: Mapping[str, SessionLabels]) -> list[str]:
+    """A line if sessions share pictures of a standing car: which rows have them."""
+    shared = {printable(name): of_session.shared_rows for name, of_session in labels.items()}
+    parts = [f"{name} ({counted(len(rows), 'row')} from row {rows[0]})" for name, rows in shared.items() if rows]
+    if not parts:
+        return []
+    more = f" and {len(parts) - _MOST_NAMES:,} more" if len(parts) > _MOST_NAMES else ""
+    return [
+        f"the same pictures of a standing car in several sessions: {', '.join(parts[:_MOST_NAMES])}{more}; none of"
+        " them is held out"
+    ]
 
 
 def mixed_sizes(sizes_px: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:

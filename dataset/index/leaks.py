@@ -1,7 +1,7 @@
 """The check for leaks: pictures held out for validation must not be among those of training, nor nearly so.
 
 It reads the parquet files as anybody could, and computes the promise anew: only the rows and times of the frames
-are taken on trust. (That two sessions share a picture is refused when an index is built.)
+are taken on trust. (Pictures that two sessions share are looked for when an index is built.)
 """
 
 from __future__ import annotations

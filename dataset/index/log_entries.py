@@ -12,7 +12,7 @@ from common.car import CAMERAS
 from common.location import Location, Url
 from common.tasks import Tasks, in_threads, one_by_one
 from dataset.config import IndexConfig
-from dataset.errors import DatasetError, index_write_errors
+from dataset.errors import DatasetError, index_write_errors, log_problem
 from dataset.frames.frames_file import (
     FRAMES_FORMAT,
     file_if_rewritten,
@@ -112,8 +112,8 @@ def _read_or_error(
 ) -> BuiltLog | LogError:
     try:
         return _read(name, path, index, config, stage)
-    except LogError as error:
-        return error
+    except Exception as error:
+        return log_problem(path, error)
 
 
 def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Path) -> BuiltLog:

@@ -19,12 +19,14 @@ from common.location import Location, Url
 from common.progress import track
 from common.tasks import Tasks, in_threads, one_by_one
 from dataset.config import IndexConfig
+from dataset.errors import SessionError, log_problem
 from dataset.findings_file import read_findings, write_findings
 from dataset.frames.distinct_rows import number_distinct
-from dataset.frames.frames_file import read_frames
+from dataset.frames.frames_file import codes, read_frames
 from dataset.index.build_state import BuiltLog
 from dataset.samples.samples_format import SessionLabels
-from recorder import Log
+from recorder import Log, LogError
+from recorder.log.devices import DEVICES, most_used_of
 from recorder.log.label_plan import AS_RECORDED, goes_by_lag, plan_labels
 from recorder.log.log_info import set_speeds_mph
 from recorder.log.row_quality import States
@@ -44,7 +46,8 @@ def labels_of_sessions(
     tasks: Tasks = one_by_one,
 ) -> dict[str, SessionLabels]:
     """The habits and label plan of each session, from its frames file, its log, and the log's entry. Pictures are
-    decoded only of sessions whose labels may depend on them. Raises LogError or FramesError for a damaged file."""
+    decoded only of sessions whose labels may depend on them. Raises SessionError for a log
+    whose pictures cannot be looked at, LogError or FramesError for a damaged file."""
     names = list(frames)
     steered = tasks(habits_of_frames, [(frames[name], built[name].max_steering_deg) for name in names])
     habits = {names[number]: found for number, found in track(steered, "looking at the steering", len(names))}
@@ -57,6 +60,8 @@ def labels_of_sessions(
         tasks = in_threads  # they wait for answers
     measured = tasks(_measure, calls)
     for number, lag in track(measured, "measuring the steering's lag", len(missing)):
+        if isinstance(lag, LogError):
+            raise SessionError(missing[number], lag)
         lags[missing[number]] = lag
     return {
         name: replace(
@@ -88,25 +93,30 @@ def habits_of_frames(file: Path, max_steering_deg: float = MAX_STEERING_DEG) -> 
     """Steering habits of the rows of a session that have pictures; `max_steering_deg` is that of its car
     (steering 1). Raises FramesError for a damaged file."""
     names = ("row", "log_time_ns", *VEHICLE_COLUMNS)
-    frames: pa.Table = read_frames(file, names)
+    frames: pa.Table = read_frames(file, (*names, "device"))
     columns = [frames[name].to_numpy() for name in names]
     _, rows = number_distinct(columns[1], columns[0])
     row, time_ns, *values = (column[rows] for column in columns)
-    return steering_habits(States(row.astype(np.int64), time_ns.astype(np.int64), *values), max_steering_deg)
+    device = most_used_of(np.maximum(codes(frames["device"], DEVICES)[rows], 0))
+    states = States(row.astype(np.int64), time_ns.astype(np.int64), *values)
+    return steering_habits(states, max_steering_deg, device)
 
 
 class _Stored(msgspec.Struct):
-    format: Literal[1]
+    format: Literal[2]
     fingerprint: str
     lag: SteeringLag | None
 
 
-def _measure(path: Location, index: Path, session: str, fingerprint: str) -> _Stored:
-    """Measure the lag of a session in its pictures, and keep it."""
+def _measure(path: Location, index: Path, session: str, fingerprint: str) -> _Stored | LogError:
+    """Measure the lag of a session in its pictures, and keep it; or why it cannot be measured."""
     from recorder.log.steering_lag import measure_lag  # OpenCV
 
-    with Log(path) as log:
-        measured = _Stored(1, fingerprint, measure_lag(log))
+    try:
+        with Log(path) as log:
+            measured = _Stored(2, fingerprint, measure_lag(log))
+    except Exception as error:
+        return log_problem(path, error)
     write_findings(_path(index, session), measured)
     return measured
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -9,10 +10,11 @@ from pathlib import Path
 from common.errors import did_you_mean, printable
 from common.location import Location, Url, absolute, location
 from dataset.errors import DatasetError
-from dataset.frames.frames_file import session_name
+from dataset.frames.frames_file import log_place, session_name
 from dataset.index.build_state import Stat, Stats, read_state, sources_of
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
+from recorder import Log
 from recorder.log.log_info import logs_in
 
 
@@ -45,6 +47,15 @@ def find_logs(sessions: Sequence[Location | str], folder: Location | str) -> lis
             raise DatasetError(problem)
         found.append(log)
     return list(by_session_name(found).values())
+
+
+def find_unchanged_log(session: Location | str, folder: Location | str, fingerprint: str) -> Location:
+    """The log of a session, as `find_logs` finds it. Raises DatasetError if its fingerprint is another one."""
+    (path,) = find_logs([session], folder)
+    with Log(path) as log:
+        if log.fingerprint != fingerprint:
+            raise DatasetError(f"{path}: changed since it was learnt from; give the --sessions as they were")
+    return path
 
 
 def by_session_name(logs: Iterable[Location]) -> dict[str, Location]:
@@ -93,8 +104,22 @@ def sessions_not_indexed(index: Path | str, folder: Location | str) -> list[str]
     """Names of the logs in `folder` that the index does not hold because they are newer, or have changed since.
 
     Those that somebody chose not to have in it, and those that could not be read, were reported when it was built.
+    An index of logs that all lie elsewhere is not compared with `folder`.
     """
+    if not _is_of_logs_in(Path(index), location(folder)):
+        return []
     return logs_not_indexed(Path(index), finished_logs(location(folder)), Stats())
+
+
+def _is_of_logs_in(index: Path, folder: Location) -> bool:
+    """Whether any log of an index lies in `folder`."""
+    held = (read_metadata(index / SAMPLES_NAME) or {}).get("logs")
+    sources = held.values() if isinstance(held, dict) else ()
+    for name in (source.get("log") for source in sources if isinstance(source, dict)):
+        with contextlib.suppress(DatasetError):  # named by somebody else, and nowhere
+            if isinstance(name, str) and absolute(log_place(name, index).parent) == absolute(folder):
+                return True
+    return False
 
 
 def logs_not_indexed(index: Path, logs: Sequence[Location], stat: Callable[[Location], Stat]) -> list[str]:

@@ -13,9 +13,11 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from common.allowed_places import folders_of, remember_places
 from common.errors import ObjectChangedError, UsageError
 from common.location import Location, Url
 from dataset.errors import DatasetError
+from dataset.frames.frames_file import index_project
 from dataset.index.build_state import FRAMES_FOLDER, STATE_NAME
 from dataset.samples.samples_format import SAMPLES_FOLDER, SAMPLES_NAME
 
@@ -48,7 +50,7 @@ def index_here(index: Location, logs: Sequence[Location]) -> Iterator[tuple[Path
     with StoredFolder(index) as folder:
         folder.bring()
         folder.forget(SAMPLES_NAME, STATE_NAME, f"{SAMPLES_FOLDER}/")  # of a build that could not be put there
-        yield folder.here, lambda: _put(folder)
+        yield folder.here, lambda: _put(folder, index, logs)
 
 
 def frames_here(index: Location) -> Path:
@@ -66,8 +68,9 @@ def frames_here(index: Location) -> Path:
         return folder.here / FRAMES_FOLDER
 
 
-def _put(folder: StoredFolder) -> None:
+def _put(folder: StoredFolder, index: Url, logs: Sequence[Location]) -> None:
     try:
         folder.send(first=[f"{SAMPLES_FOLDER}/", SAMPLES_NAME, f"{FRAMES_FOLDER}/"])
     except ObjectChangedError as error:
         raise DatasetError(f"{error}; give the command again: it begins with what is there") from None
+    remember_places(index, index_project(index), folders_of(logs))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.closeable import Closeable
+from common.errors import printable
 from common.location import Location, location
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import session_name
@@ -38,7 +39,7 @@ class LogCrops(Closeable):
     def __init__(self, path: Location | str) -> None:
         """Raises LogError for a damaged log, DatasetError for one without a picture of the centre camera."""
         path = location(path)
-        self.session = session_name(path)
+        self.session = printable(session_name(path))  # a file name may be no text
         self.skipped = Skipped()  # each picture once
         self._undecoded: set[int] = set()
         self._log = Log(path)

@@ -46,7 +46,6 @@ from dataset.samples.samples_writer import (
     slower_set_speeds_mph,
     usable_frames,
 )
-from recorder.log.label_plan import LabelPlan
 from recorder.log.session_car import UDACITY, Car
 
 
@@ -56,7 +55,7 @@ class _Session:
 
     name: str
     frames: Path
-    plan: LabelPlan
+    labels: SessionLabels
     slower_mph: list[float]
     car: Car
     config: IndexConfig
@@ -69,7 +68,9 @@ class _Session:
     def usable(self) -> tuple[UsableFrames, SessionCounts]:
         condition = Condition(self.config.where) if self.config.where is not None else None
         frames = read_frames(self.frames)
-        return usable_frames(frames, self.config, self.plan, self.slower_mph, condition, self.car, self.random(1))
+        return usable_frames(
+            frames, self.config, self.labels, self.slower_mph, condition, self.car, self.random(1)
+        )
 
 
 def write_divided_samples(
@@ -84,7 +85,7 @@ def write_divided_samples(
     """As `write_samples`, into files beside `path`, a session each: this process holds 25 numbers of a session."""
     slower_mph = slower_set_speeds_mph(labels)
     sessions = [
-        _Session(name, file, labels[name].plan, slower_mph[name], (cars or {}).get(name, UDACITY), config)
+        _Session(name, file, labels[name], slower_mph[name], (cars or {}).get(name, UDACITY), config)
         for name, file in frames.items()
     ]
     counting = tasks(_count, [(session,) for session in sessions])

@@ -11,6 +11,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from common import UserError
+from common.versions import install_line
 from dataset.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -37,9 +38,7 @@ class Condition:
         try:
             import duckdb  # an extra: only --where needs it
         except ImportError:
-            raise UserError(
-                '--where needs DuckDB: `pip install "behavioural-cloning-toolkit[where]"` brings it'
-            ) from None
+            raise UserError(f"--where needs DuckDB: `{install_line('where')}` brings it") from None
         self._where = where
         self._error: type[Exception] = duckdb.Error
         self._connection = duckdb.connect(config=_CLOSED)

@@ -15,8 +15,7 @@ from dataset.frames.frame_flags import is_excluded, is_unusable
 from dataset.frames.frames_file import SPLITS, codes
 from dataset.samples.filter import Condition
 from dataset.samples.labels import planned_labels
-from dataset.samples.samples_format import SessionCounts
-from recorder.log.label_plan import LabelPlan
+from dataset.samples.samples_format import SessionCounts, SessionLabels
 
 
 @dataclass(frozen=True)
@@ -32,10 +31,11 @@ class FrameChoice:
 
 
 def choose_frames(
-    frames: pa.Table, config: IndexConfig, plan: LabelPlan, condition: Condition | None
+    frames: pa.Table, config: IndexConfig, labels: SessionLabels, condition: Condition | None
 ) -> FrameChoice:
     """`condition` is that of `config.where`. Raises DatasetError if it is none on the columns of `frames`."""
     split = codes(frames["split"], SPLITS)
+    split = np.where((split == 1) & np.isin(frames["row"].to_numpy(), labels.shared_rows), 2, split)
     is_bad = is_unusable(frames)
     is_tagged = is_excluded(frames)
     camera = codes(frames["camera"], CAMERAS)
@@ -43,7 +43,7 @@ def choose_frames(
     if condition is not None:
         is_selected &= condition.holds(frames)
     is_wanted = is_selected & is_taken(codes(frames["driver"], DRIVERS), config.drives)
-    steering, is_crashed = planned_labels(frames, plan)
+    steering, is_crashed = planned_labels(frames, labels.plan)
     usable = is_wanted & ~is_bad & ~is_tagged
     has_label = ~np.isnan(steering)
     is_left_out = is_crashed & (split == 0)

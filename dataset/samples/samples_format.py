@@ -157,3 +157,4 @@ class SessionLabels:
     lag: SteeringLag | None  # None: not measured, or nothing to measure it by
     plan: LabelPlan
     set_speeds_mph: tuple[float, ...] = ()  # that the driver was to keep where bends allow; of people, none
+    shared_rows: tuple[int, ...] = ()  # of a standing car, whose pictures another session has, too: not held out

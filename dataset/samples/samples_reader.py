@@ -9,7 +9,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, get_args
 
@@ -28,7 +28,7 @@ from common.random_access import read_bytes
 from common.stored_settings import settings_from
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
-from dataset.frames.frames_file import log_place
+from dataset.frames.frames_file import log_place, refuse_other_places
 from dataset.missing_index import missing_index
 from dataset.parquet_file import METADATA_KEY, METADATA_MOST_BYTES, read_schema
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, speed_ahead_s_in
@@ -83,7 +83,8 @@ class Samples(Closeable):
     """The samples of one index, and the logs that hold their pictures. Use it as a context manager, or call
     `close()`.
 
-    Raises DatasetError if there is no index, if it is damaged, or if a log is not the one that was indexed.
+    Raises DatasetError if there is no index, if it is damaged, or if a log is not the one that was indexed;
+    PlaceNotAllowedError for an index of somebody else that names logs outside of its project.
     """
 
     def __init__(self, index: Location | str) -> None:
@@ -108,6 +109,7 @@ class Samples(Closeable):
             raise self._damaged(error) from None
         if version not in READABLE_FORMATS:
             raise DatasetError(f"{self.path}: of format {version}, not {SAMPLES_FORMAT}; run `bc-index` again")
+        refuse_other_places({session: log.path for session, log in self.sources.items()}, index)
         self.logs = open_logs(index, self.sources)
 
     def close(self) -> None:
@@ -319,12 +321,13 @@ def open_logs(index: Location, sources: Mapping[str, IndexedLog]) -> dict[str, L
     """
     allow_open_files(2 * len(sources))  # what is kept of a log in a store is a file, too
     places = {session: log_place(source.path, index) for session, source in sources.items()}
+    folder_of = cache(short_path)  # asks the disk about each folder in the path
     logs = _open_in_stores({name: place for name, place in places.items() if isinstance(place, Url)})
     try:
         for session, source in sources.items():
             place = places[session]
             if isinstance(place, Path):
-                path = short_path(place.parent) / place.name  # also where the index is a passing one
+                path = folder_of(place.parent) / place.name  # also where the index is a passing one
                 if not path.is_file():
                     raise DatasetError(
                         f"{path}: the log of session {session} is gone; put it back or run `bc-index` again"

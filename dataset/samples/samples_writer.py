@@ -32,7 +32,6 @@ from dataset.samples.sample_choice import ChosenSamples, choose_samples
 from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_SCHEMA, Balance, SessionCounts, SessionLabels
 from dataset.samples.viewpoint_labels import has_way_back, label_back
 from dataset.steering_bins import bin_of
-from recorder.log.label_plan import LabelPlan
 from recorder.log.session_car import UDACITY, Car
 from recorder.log.tags import EXCLUDE
 
@@ -76,9 +75,9 @@ def write_samples(
     slower_mph = slower_set_speeds_mph(labels)
     random = np.random.default_rng((config.seed, 1))  # of the views alone: without them nothing else changes
     for name, file in frames.items():
-        plan, car = labels[name].plan, (cars or {}).get(name, UDACITY)
+        car = (cars or {}).get(name, UDACITY)
         session, counts[name] = usable_frames(
-            read_frames(file), config, plan, slower_mph[name], condition, car, random
+            read_frames(file), config, labels[name], slower_mph[name], condition, car, random
         )
         sessions.append(session)
     sizes = np.array([len(session.position) for session in sessions], np.int64)
@@ -126,15 +125,25 @@ def slower_set_speeds_mph(labels: Mapping[str, SessionLabels]) -> dict[str, list
 
 
 def nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) -> DatasetError:
-    """The error for sessions of which no frame can be used."""
-    return DatasetError(
-        f"no frame can be used: no whole picture of {', '.join(config.cameras)} with steering in -1..1"
-        f"{' that --where chooses' if config.where is not None else ''}"
-        f"{' of a stretch that was taken over' if config.drives == 'takeovers' else ''}"
-        f", none that is not tagged {EXCLUDE}"
-        f"{' and has a label with this --label-shift' if config.label_shift_s else ''}"
-        f"{' and is of no crash' if any(count.crashed for count in counts.values()) else ''}"
-    )
+    """The error for sessions of which no frame can be used: what became of their frames."""
+    chosen = " or not what --where chooses" if config.where is not None else ""
+    shift = f" with --label-shift {config.label_shift_s:g}" if config.label_shift_s else ""
+    reasons = {
+        "not_asked_for": f"not of a camera {' or '.join(config.cameras)}{chosen}",
+        "not_taken_over": (
+            "driven by the network, not taken over (--drives takeovers; while a person holds keys, Udacity's"
+            " simulator sends no pictures: record that in its training mode, or take over with `bc-drive"
+            " --takeover me`)"
+        ),
+        "excluded": f"tagged {EXCLUDE}",
+        "unusable": "with a picture that is not whole, or steering beyond -1..1",
+        "unlabelled": f"too near the end of a stretch for a label{shift}",
+        "crashed": "of a crash",
+        "gap": "between training and validation",
+    }
+    totals = {name: sum(getattr(count, name) for count in counts.values()) for name in reasons}
+    frames = ", ".join(f"{totals[name]:,} {reason}" for name, reason in reasons.items() if totals[name])
+    return DatasetError(f"no frame can be used: {frames or 'no session has a picture'}")
 
 
 def samples_metadata(
@@ -157,7 +166,7 @@ def samples_metadata(
 def usable_frames(
     frames: pa.Table,
     config: IndexConfig,
-    plan: LabelPlan,
+    labels: SessionLabels,
     slower_mph: Sequence[float],
     condition: Condition | None,
     car: Car,
@@ -165,7 +174,7 @@ def usable_frames(
 ) -> tuple[UsableFrames, SessionCounts]:
     """The frames of a session that can be used, with their labels. `condition` is that of `config.where`; `random`
     draws views."""
-    choice = choose_frames(frames, config, plan, condition)
+    choice = choose_frames(frames, config, labels, condition)
     at = np.flatnonzero(choice.is_chosen)
     camera = codes(frames["camera"], CAMERAS)
     label = _of_camera(choice.steering[at], camera[at], config)
@@ -177,7 +186,7 @@ def usable_frames(
         recorded,
         view,
         choice.is_training[at],
-        planned_speed_mph(frames, plan, config.speed_ahead_s, slower_mph)[at],
+        planned_speed_mph(frames, labels.plan, config.speed_ahead_s, slower_mph)[at],
         recorded_throttle(frames)[at],
     )
     if config.viewpoints:

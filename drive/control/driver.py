@@ -13,6 +13,7 @@ from drive.config import DriveConfig
 from drive.control.braking import WALKING_MPH, EmergencyBrake
 from drive.control.course_events import CourseEvents
 from drive.control.drive_clock import DriveClock
+from drive.control.person_takeover import PersonTakeover
 from drive.control.speed_controller import SpeedController
 from drive.control.steering_filter import SteeringFilter
 from drive.control.takeover import Takeover
@@ -23,6 +24,7 @@ from recorder.log.session_car import UDACITY
 from recorder.server.locale_numbers import POINT
 from recorder.server.telemetry import Telemetry, TelemetryError, parse_telemetry
 from recorder.server.world import World, WorldNotices
+from recorder.teleop.messages import Device
 
 USUAL_SIZE: Final = (160, 320)  # height, width
 LEAST_AHEAD_S: Final = 0.5
@@ -47,7 +49,8 @@ class Decision:
     steering: float  # -1..1, as sent
     throttle: float  # -1..1, as sent
     decimal_separator: str = POINT
-    driver: Literal["pilot", "expert", "brake"] = "pilot"  # the one whose throttle was sent
+    driver: Literal["pilot", "human", "expert", "brake"] = "pilot"  # the one whose throttle was sent
+    device: Device | None = None  # what a human steers with
     speed_mph: float | None = None  # the car's, also where nothing else of the telemetry could be used
     telemetry: Telemetry | None = None
     picture_size: tuple[int, int] | None = None  # width, height; None where the telemetry could not be used
@@ -55,19 +58,27 @@ class Decision:
     predicted_steering: float = 0.0  # the network's, also while the expert drives; not clamped, may be NaN
     predicted_speed_mph: float | None = None  # the same; None: it has no such output
     predicted_throttle: float | None = None
-    parse_ms: float = 0.0  # from the telemetry's last byte until its numbers are read
-    decode_ms: float = 0.0  # JPEG and crop
+    parse_ms: float = 0.0  # until the telemetry's numbers are read
+    decode_ms: float = 0.0  # the picture and its crop
     network_ms: float = 0.0
     set_speed_mph: float = 0.0  # lower than the configured one where the network, or a curve, wants less
     problem: str = ""
     kind: str = ""  # of problem: equal for all that differ only in their values
     events: tuple[str, ...] = ()  # that happened with this telemetry
+    in_flight: int = 1  # telemetries, this one included
 
 
 class Driver:
     """Drives one connected simulator."""
 
-    def __init__(self, pilot: Pilot, config: DriveConfig, *, reported_size: bool = False) -> None:
+    def __init__(
+        self,
+        pilot: Pilot,
+        config: DriveConfig,
+        *,
+        person: PersonTakeover | None = None,
+        reported_size: bool = False,
+    ) -> None:
         self.reported_size = reported_size
         """True once the size of pictures of another size than usual has been reported."""
         self._pilot = pilot
@@ -79,6 +90,7 @@ class Driver:
         self._brake = EmergencyBrake()
         self._last_brake: EmergencyBrake | None = None
         self._takeover = Takeover() if config.takeover else None
+        self._person = person
         self._course = CourseEvents()
         self._steering = 0.0
         self._speed_mph: float | None = None  # the last known one
@@ -90,7 +102,7 @@ class Driver:
     def decide(self, data: object, received_s: float, now_s: float | None = None) -> Decision:
         """The command that answers a telemetry: a message's data, or a `Telemetry` whose numbers are good.
 
-        `received_s` is the `time.perf_counter()` at which its last byte had arrived; `now_s` is the time of a
+        `received_s` is the `time.perf_counter()` from which on it is handled; `now_s` is the time of a
         monotonic clock, for smoothing where the simulator does not send its own time, and always for braking.
 
         Never raises, because an unanswered telemetry would stop the simulator's loop for good. Where one cannot be
@@ -116,6 +128,8 @@ class Driver:
             decision = self._answer_by_network(telemetry, parsed_s, time_s)
         if events := self._world_events(world, problems):
             decision = replace(decision, events=(*events, *decision.events))
+        if self._person is not None:  # as late as can be: the newest controls count
+            decision = self._with_person(decision, self._person, time_s)
         if self._last_brake is not None:
             throttle = self._last_brake.throttle(self._clock.safety_s, self._speed_mph)
             decision = replace(decision, throttle=throttle, driver="brake")
@@ -147,7 +161,7 @@ class Driver:
     def _answer_by_network(self, telemetry: Telemetry, parsed_s: float, time_s: float) -> Decision:
         """The answer to a telemetry whose numbers are good; its picture may prove unusable here."""
         try:
-            picture, size = camera_picture(telemetry.jpeg)
+            picture, size = camera_picture(telemetry.picture)
         except TelemetryError as error:
             return self._answer_unusable(error, time_s)
         crop = self._pilot.crop(picture)
@@ -193,6 +207,23 @@ class Driver:
             steering = self._filter.apply(time_s, wanted)
             throttle = self._throttle(telemetry, answer, steering, time_s)
         return self._decision(steering, throttle, events=events, target_mph=_target_mph(answer))
+
+    def _with_person(self, decision: Decision, person: PersonTakeover, time_s: float) -> Decision:
+        """The decision, or in its place the command of the person at the wheel."""
+        events = (*decision.events, *person.update())
+        if not person.person_drives:
+            return replace(decision, events=events)
+        steering, throttle = person.command(self._speed_mph)
+        self._filter.override(time_s, steering)
+        self._brake.release()
+        return replace(
+            decision,
+            steering=steering,
+            throttle=throttle,
+            driver="human",
+            device=person.device,
+            events=events,
+        )
 
     def _throttle(self, telemetry: Telemetry, answer: NetworkAnswer, steering: float, time_s: float) -> float:
         """By the speed; where that is unknown, the expert's, if the simulator sends it.

@@ -16,16 +16,16 @@ from typing import Final
 import torch
 
 from common.location import Location
-from common.random_access import is_there
-from dataset import DatasetError, build_index, find_logs
+from dataset import DatasetError, build_index
 from drive.config import DriveConfig
 from drive.errors import DriveError
 from drive.evaluation.external_simulator import ExternalSimulator
 from drive.evaluation.simulator_process import BuiltInSimulator
 from model import TrainConfig, load_pilot, train
-from model.runs.reproduce import data_of_run
+from model.runs.car_of_run import refuse_other_steering
+from model.runs.own_index import logs_with_takeovers
 from model.runs.run_folder import CONFIG, run_name
-from recorder import Log
+from recorder.log.session_car import UDACITY
 from recorder.server.telemetry_server import ServerMode
 
 MAX_ROUNDS: Final = 100
@@ -57,7 +57,7 @@ class Aggregation:
 
     Everything is named after the run and the track: drives/RUN-TRACK-0.mcap, the index index-RUN-TRACK, and
     runs/RUN-TRACK-1 and so on; with a simulator that connects by itself, TRACK is "connected". Raises UserError
-    at once if one of these exists, or a log of the run is gone.
+    at once if one of these exists, a log of the run is gone, or `config.car` has another angle at steering 1.
     """
 
     def __init__(
@@ -70,12 +70,12 @@ class Aggregation:
         training: TrainConfig,
     ) -> None:
         check_rounds(rounds)
+        refuse_other_steering(run, (config.car or UDACITY).max_steering_deg, "the car that is driven")
         self._simulator = simulator
         self._config = replace(config, takeover=True)
         self._training = training
         self._threads = torch.get_num_threads()  # a pilot drives on one
-        self._settings, fingerprints = data_of_run(run)
-        self._sessions = _sessions(run, fingerprints, folders)
+        self._sessions, self._settings = logs_with_takeovers(run, [], folders.sessions, folders.drives)
         self._warned: set[str] = set()
         name = f"{run_name(run)}-{simulator.name}"
         self._index = folders.runs.parent / f"index-{name}"
@@ -135,10 +135,9 @@ class Aggregation:
 
     def _train(self, run: Path, before: Path, drives: list[Path], warn: Callable[[str], object]) -> None:
         torch.set_num_threads(self._threads)
-        settings = replace(self._settings, drives="takeovers")
         try:
             logs = [*self._sessions, *drives]
-            notices = build_index(logs, self._index, settings, leave_out_unreadable=True).notices
+            notices = build_index(logs, self._index, self._settings, leave_out_unreadable=True).notices
             for notice in notices:
                 if notice not in self._warned:
                     warn(notice)
@@ -161,17 +160,3 @@ def check_rounds(rounds: int) -> None:
     """Raises DriveError for a number of rounds that makes no sense."""
     if not 1 <= rounds <= MAX_ROUNDS:
         raise DriveError(f"--aggregate {rounds}: how often to drive and train, 1 to {MAX_ROUNDS}")
-
-
-def _sessions(run: Path, fingerprints: dict[str, str], folders: AggregationFolders) -> list[Location]:
-    """The logs that `run` was trained on. Raises DatasetError if one is gone, DriveError if one has changed."""
-    logs: list[Location] = []
-    for name, fingerprint in fingerprints.items():
-        drive = folders.drives / f"{name}.mcap"
-        is_drive = drive.is_file() and not is_there(folders.sessions / drive.name)
-        (path,) = find_logs([str(drive) if is_drive else name], folders.sessions)
-        with Log(path) as log:
-            if log.fingerprint != fingerprint:
-                raise DriveError(f"{path}: changed since {run} was trained on it; give the --sessions that it was")
-        logs.append(path)
-    return logs

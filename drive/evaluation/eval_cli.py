@@ -7,9 +7,10 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from common import UserError
+from common.allowed_places import allow_places
 from common.command import (
     DONE,
     DONE_BUT_SKIPPED,
@@ -32,11 +33,12 @@ if TYPE_CHECKING:
     from drive.evaluation.simulator_process import BuiltInSimulator
     from model.evaluation.differences import Verdict
     from model.evaluation.evaluate import Evaluation
-    from model.runs.kept_results import Way
 
 
 def evaluate(config: Eval) -> int:
     refuse_contradictions(config)
+    if config.sessions is not None:
+        allow_places(config.sessions)
     if config.compare is not None:
         return _compare(config, config.compare)
     if config.on is not None:
@@ -57,11 +59,12 @@ def _found_runs(config: Eval, *names: str | None) -> list[Path]:
 
 def _measure(config: Eval) -> int:
     """Measure on recorded frames."""
+    from drive.kept_drive import keep
     from model.worst_moments import worst_frames
 
     (run,) = _found_runs(config, config.run)
     measured_on, (found,) = _evaluations(config, [run])
-    code = _keep(run, "frames", {**measured_on, **found.as_dict()})
+    code = keep(run, "frames", {**measured_on, **found.as_dict()})
     worst = worst_frames(found.frames, 10 if config.worst is None else config.worst, found.max_deg)
     if config.json:
         print_result(json.dumps({**measured_on, **found.as_dict(), "worst": [asdict(frame) for frame in worst]}))
@@ -86,27 +89,6 @@ def _evaluations(config: Eval, runs: Sequence[Path]) -> tuple[dict[str, str | No
     return {"index": str(index), "split": split}, evaluate_runs(runs, index, split)
 
 
-def _keep(run: Path, way: Way, result: dict[str, Any]) -> int:
-    """Keep a result in the run, for `bc-runs`, and where the run is in a store, there; a folder that cannot be
-    written to costs no measurement. Exit code 3 for a result that does not get to the store."""
-    from model.errors import RunWriteError
-    from model.runs.kept_results import keep_result
-    from model.runs.run_arguments import run_argument
-    from model.runs.run_folder import config_folder
-    from model.runs.runs_in_store import send_results
-
-    folder = config_folder(run)
-    try:
-        keep_result(run, way, result)
-        send_results(folder)
-    except RunWriteError as error:
-        print_message(f"bc-eval: the result is not kept in the run: {error}", style="yellow")
-    except (UserError, OSError) as error:
-        later = f"`bc-eval` of {run_argument(folder)}, on this machine, sends it along"
-        return warn(f"the result is kept on this machine only ({error}); the next {later}")
-    return DONE
-
-
 def _print_measured_on(measured_on: dict[str, str | None]) -> None:
     if measured_on["index"] is not None:
         split = "holds out" if measured_on["split"] == "validation" else "trains on"
@@ -115,7 +97,7 @@ def _print_measured_on(measured_on: dict[str, str | None]) -> None:
 
 def _index_of(run: Path) -> Location:
     """The index that the run was trained on; the one in the current folder where a run does not name it."""
-    from model.runs.run_inputs import index_of
+    from model.runs.run_inputs import allowed_index_of, index_of
 
     index = index_of(run)
     if index is None:
@@ -125,7 +107,7 @@ def _index_of(run: Path) -> Location:
             f"{index}: the index that {run} was trained on is not there any more; give --index INDEX, or measure"
             " whole sessions: --session NAME"
         )
-    return index
+    return allowed_index_of(run) or index
 
 
 def _print_notices(found: Evaluation, measured_on: dict[str, str | None]) -> int:
@@ -207,6 +189,7 @@ def _drive(config: Eval) -> int:
     """Let the network drive."""
     from drive.evaluation.closed_loop import DRIVES, LogFolder
     from drive.evaluation.eval_report import print_drives
+    from drive.kept_drive import keep
 
     drives = _drives(config)  # before the seconds that a network takes to load: a track may be misspelt
     results: dict[int, DriveResult] = {}
@@ -215,7 +198,7 @@ def _drive(config: Eval) -> int:
         (run,) = _found_runs(config, config.run)
         for number, result in _driven(config, [(run, LogFolder.of(config.logs or DRIVES))], drives):
             results[number] = result
-            codes += [_keep(run, "simulator", result.as_dict()), _warn_problem(result)]
+            codes += [keep(run, "simulator", result.as_dict()), _warn_problem(result)]
             if config.json:
                 print_result(json.dumps(result.as_dict()))
     finally:  # what was measured is shown, whatever stops the rest
@@ -291,6 +274,7 @@ def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
     """Let the network drive recordings."""
     from dataset import find_logs
     from dataset.loader.log_views import LogViews
+    from drive.kept_drive import keep
     from model import load_pilot
     from model.evaluation.recorded_drive import DEPARTURE_M, drive_views
     from model.runs.car_of_run import refuse_other_steering
@@ -311,7 +295,7 @@ def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
             except RecordingError as error:
                 raise UserError(f"{error}; else name it with --car") from None
             drives.append(drive)
-            codes.append(_keep(run, "recording", drive.as_dict()))
+            codes.append(keep(run, "recording", drive.as_dict()))
             if config.json:
                 print_result(json.dumps({"run": pilot.run, **drive.as_dict()}))
     finally:  # what was measured is shown, whatever stops the rest

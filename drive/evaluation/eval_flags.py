@@ -48,7 +48,7 @@ class Eval:
     session: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
     """Measure all of these sessions instead, by name, or logs by path; no index is needed."""
     sessions: Annotated[LocationFlag | None, _default("PATH|URL", "sessions")] = None
-    """Where logs are kept, for --session and --on."""
+    """Where logs are kept, for --session and --on, and for an index of logs elsewhere that was not built here."""
     worst: Annotated[int | None, _default("INT", "10")] = None
     """How many of the worst frames to list, at most one for each second of a session."""
     on: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
@@ -109,8 +109,6 @@ def refuse_contradictions(config: Eval) -> None:
             raise UsageError(f"{flag} {' '.join(map(str, given))}: give each once")
     if config.session == ():
         raise UsageError("nothing to measure: give --session at least one session")
-    if way == RECORDED and config.session is None and config.sessions is not None:
-        raise UsageError("--sessions is where the logs of --session and --on are: give one of these too")
     if config.session is not None and (config.index is not None or config.split is not None):
         raise UsageError("--session measures whole sessions, of no index: leave out --index and --split")
     if config.compare is None:

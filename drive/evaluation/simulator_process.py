@@ -36,6 +36,8 @@ class BuiltInSimulator:
     laps: float = 1.0
     real_time: bool = False
     """No faster than the clock; otherwise simulated time waits for each answer, and hurries."""
+    leave_off_road: bool = False
+    """A car that has left the road is left to who takes over, and put back only when it is stuck."""
 
     def __post_init__(self) -> None:
         """Raises DriveError for a track or laps that cannot be driven."""
@@ -127,7 +129,7 @@ def _process(
         *(sys.executable, "-P", "-m", "simulator.cli", "--json", "--tell-world", "--port", str(server.port)),
         *("--track", simulator.track, "--laps", str(simulator.laps)),
         *("--expert-speed", str(config.set_speed_mph)),
-        *(["--leave-off-road"] if config.takeover else []),  # the expert brings the car back himself
+        *(["--leave-off-road"] if config.takeover or simulator.leave_off_road else []),
         *(["--real-time"] if simulator.real_time else []),
     ]
     # In a session of its own: Ctrl-C reaches only us, and the drive ends between two telemetries.

@@ -80,7 +80,7 @@ def read_sweep(path: Path) -> SweepPlan:
     except OSError as error:
         meant = did_you_mean(str(path), map(str, path.parent.glob("*.toml")))
         raise UserError(f"{path}: cannot be read ({error.strerror}); {meant or _EXPECTED}") from None
-    except ValueError as error:  # also those of tomllib, msgspec and UTF-8
+    except (ValueError, RecursionError) as error:  # also those of tomllib, msgspec and UTF-8
         why = printable(" ".join(str(error).split()))
         raise UserError(f"{path}: not a sweep ({why}); {_EXPECTED}") from None
     if stored.grid and stored.trainings:

@@ -16,6 +16,7 @@ from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.bad_telemetry import BadTelemetry
 from recorder.log.log_time import LogClock
+from recorder.log.meant_gaps import DISCONNECTED, HUMAN_DRIVES, PILOT_DRIVES_AGAIN
 from recorder.log.pose_message import pose_message
 from recorder.log.writer import EventLevel
 from recorder.server.telemetry import Telemetry
@@ -23,8 +24,13 @@ from recorder.server.telemetry import Telemetry
 if TYPE_CHECKING:
     from drive.control.driver import Decision  # loads PyTorch
 
-_DRIVERS: Final = {"pilot": PilotCommand.PILOT, "expert": PilotCommand.EXPERT, "brake": PilotCommand.BRAKE}
-_PICTURES_OF_A_ROW: Final = 2  # the camera's and the crop
+_DRIVERS: Final = {
+    "pilot": PilotCommand.PILOT,
+    "human": PilotCommand.HUMAN,
+    "expert": PilotCommand.EXPERT,
+    "brake": PilotCommand.BRAKE,
+}
+_PICTURES_OF_A_ROW: Final = 2  # the centre camera's and the crop
 
 
 class DriveLog(Closeable):
@@ -64,10 +70,10 @@ class DriveLog(Closeable):
             if (text := self._bad.take(decision.kind, decision.problem)) is not None:
                 self._event(received_ns, text, is_problem=True)
         else:
-            if self._is_manual:
-                self._is_manual = False
-                self._event(received_ns, "manual: the pilot drives again")
             self._row(received_ns, decision, decision.telemetry, total_ms)
+            for problem in decision.telemetry.side_problems:
+                if (text := self._bad.take(problem, problem)) is not None:
+                    self._event(received_ns, text, is_problem=True)
         for text in decision.events:
             self._event(received_ns, text, is_problem=bool(decision.problem))
 
@@ -76,7 +82,11 @@ class DriveLog(Closeable):
         mark where a human begins to drive, and where the pilot does again."""
         if not self._is_manual:
             self._is_manual = True
-            self._event(_ago_ns(total_ms), "manual: a human drives")
+            self._event(_ago_ns(total_ms), HUMAN_DRIVES)
+
+    def disconnected(self, reason: str) -> None:
+        self._is_manual = False
+        self.event(f"{DISCONNECTED}{reason}")
 
     def event(self, text: str, is_problem: bool = False) -> None:
         self._event(time.perf_counter_ns(), text, is_problem)
@@ -100,15 +110,19 @@ class DriveLog(Closeable):
             self.dropped_rows += 1
             return
         time_ns = self._clock.row(received_ns, None if telemetry.world is None else telemetry.world.time_s)
-        size = len(telemetry.jpeg) + (0 if decision.crop is None else decision.crop.nbytes)
+        size = len(telemetry.picture) + sum(map(len, telemetry.side_pictures.values()))
+        size += 0 if decision.crop is None else decision.crop.nbytes
         if not self._thread.has_room_for(size):
             if not self.dropped_pictures:
                 self._problem("the disk is too slow: pictures are left out until it has caught up")
-            self.dropped_pictures += _PICTURES_OF_A_ROW
-            size, telemetry = 0, replace(telemetry, jpeg=b"")
+            self.dropped_pictures += _PICTURES_OF_A_ROW + len(telemetry.side_pictures)
+            size, telemetry = 0, replace(telemetry, picture=b"", side_pictures={})
             decision = replace(decision, telemetry=telemetry, crop=None)
         self._thread.put(partial(self._write_row, time_ns, self.frames, decision, telemetry, total_ms), size)
         self.frames += 1
+        if self._is_manual:
+            self._is_manual = False
+            self._thread.put(partial(self._writer.event, time_ns, PILOT_DRIVES_AGAIN, "INFO", "drive"))
 
     def _event(self, happened_ns: int, text: str, is_problem: bool = False) -> None:
         if self._thread.has_room:
@@ -127,8 +141,10 @@ class DriveLog(Closeable):
     def _write_row(
         self, time_ns: int, row: int, decision: Decision, telemetry: Telemetry, total_ms: float
     ) -> None:
-        if telemetry.jpeg:
-            self._writer.picture("center", time_ns, row, telemetry.jpeg, decision.picture_size)
+        if telemetry.picture:
+            self._writer.picture("center", time_ns, row, telemetry.picture, decision.picture_size)
+        for camera, picture in telemetry.side_pictures.items():
+            self._writer.picture(camera, time_ns, row, picture)
         if decision.crop is not None:
             # as OpenCV writes it by default: half the time of its best compression in hand, a fifth larger
             ok, png = cv2.imencode(".png", decision.crop)
@@ -136,7 +152,11 @@ class DriveLog(Closeable):
                 raise RuntimeError("OpenCV could not write a PNG of the crop")
             self._writer.crop(time_ns, row, png.tobytes())
         state = VehicleState(
-            steering=telemetry.steering, throttle=telemetry.throttle, brake=0.0, speed_mph=telemetry.speed_mph
+            steering=telemetry.steering,
+            throttle=telemetry.throttle,
+            brake=0.0,
+            speed_mph=telemetry.speed_mph,
+            device=decision.device.upper() if decision.device else None,
         )
         self._writer.vehicle(time_ns, row, state)
         command = PilotCommand(
@@ -149,6 +169,7 @@ class DriveLog(Closeable):
             decode_ms=decision.decode_ms,
             network_ms=decision.network_ms,
             total_ms=total_ms,
+            in_flight=decision.in_flight,
         )
         if decision.predicted_speed_mph is not None:
             command.predicted_speed_mph = decision.predicted_speed_mph

@@ -32,6 +32,8 @@ class DriveSummary:
         """Telemetries that could be used."""
         self.bad: Counter[str] = Counter()
         """Telemetries that could not, by kind."""
+        self.side_problems: Counter[str] = Counter()
+        """Pictures of side cameras that could not be used, by kind."""
         self.without_number = 0
         """Frames for which the network gave no number: the car was braked."""
         self.manual_stretches = 0
@@ -40,6 +42,12 @@ class DriveSummary:
         """The times that the expert took over."""
         self.put_back = 0
         """The times that the simulator put the car back on the road."""
+        self.in_flight: Counter[int] = Counter()
+        """Frames, by the number of telemetries in flight."""
+        self.pushes = 0
+        """Commands that answered no telemetry: the simulator was silent; its owner counts this and the next."""
+        self.unanswered = 0
+        """Telemetries that were left unanswered, because these commands kept more in flight than before."""
         self.dropped_pictures = 0
         """Pictures that are not in the log, as `DriveLog` counts them; its owner sets this and the next."""
         self.dropped_rows = 0
@@ -95,13 +103,17 @@ class DriveSummary:
             least, most = self.wanted_mph or (wanted_mph, wanted_mph)
             self.wanted_mph = min(least, wanted_mph), max(most, wanted_mph)
         self.frames += 1
+        self.side_problems.update(telemetry.side_problems)
         self.without_number += bool(decision.problem)
+        self.in_flight[decision.in_flight] += 1
         for stage, ms in zip(
             STAGES, (decision.parse_ms, decision.decode_ms, decision.network_ms, total_ms), strict=True
         ):
             self.latency[stage].add(ms)
         if decision.driver == "expert" and self.driver != "expert":
             self.takeovers += 1
+        if decision.driver == "human" and self.driver != "human":
+            self.manual_stretches += 1
         if decision.driver != "brake":
             self.driver = decision.driver
         if telemetry.world is not None:
@@ -114,6 +126,11 @@ class DriveSummary:
         if self.driver != "human":
             self.manual_stretches += 1
         self.driver = "human"
+
+    @property
+    def usual_in_flight(self) -> int:
+        """The number of telemetries in flight at most frames; 0 where there are none."""
+        return max(self.in_flight, key=self.in_flight.__getitem__, default=0)
 
     @property
     def malformed(self) -> int:
@@ -177,8 +194,11 @@ class DriveSummary:
                 *("frames", "malformed", "without_number"),
                 *("interventions", "manual_stretches", "takeovers", "put_back"),
                 *("dropped_pictures", "dropped_rows"),
+                *("pushes", "unanswered"),
             )
         }
+        if self.in_flight:
+            counts |= {"in_flight": str(self.usual_in_flight), "in_flight_most": str(max(self.in_flight))}
         numbers: dict[str, float | None] = {
             "elapsed_s": self.elapsed_s,
             "driven_s": self.driven_s,

@@ -31,13 +31,23 @@ def summary_lines(summary: DriveSummary) -> list[str]:
         lines.append(f"the network wanted {least:.1f} to {most:.1f} mph")
     if summary.frames:
         stages = (f"{stage} {latency}" for stage, latency in summary.latency.items())
-        lines.append(f"latency p50/p99/max in ms: {', '.join(stages)}")
+        lines.append(f"latency p50/p99/max in ms: {', '.join(stages)}{_in_flight(summary)}")
+    if summary.pushes:
+        times = counted(summary.pushes, "command")
+        left = counted(summary.unanswered, "telemetry", "telemetries")
+        lines.append(
+            f"the simulator was silent for more than a second: {times} answered no telemetry, {left} got no answer"
+        )
     if summary.bad:
         unusable = counted(summary.malformed, "telemetry", "telemetries")
         kinds = ", ".join(f"{kind} ({count:,})" for kind, count in summary.bad.most_common(MAX_KINDS))
         others = len(summary.bad) - MAX_KINDS
         more = f", and {counted(others, 'other kind')}" if others > 0 else ""
         lines.append(f"{unusable} could not be used: {kinds}{more}")
+    if summary.side_problems:
+        unusable = counted(summary.side_problems.total(), "picture of a side camera", "pictures of side cameras")
+        kinds = ", ".join(f"{kind} ({count:,})" for kind, count in summary.side_problems.most_common(MAX_KINDS))
+        lines.append(f"{unusable} could not be used: {kinds}")
     if summary.without_number:
         frames = counted(summary.without_number, "frame")
         lines.append(f"the network gave no number for {frames}: the car was braked")
@@ -65,6 +75,14 @@ def _interventions(summary: DriveSummary) -> str:
     )
     listed = ", ".join(f"{number:,} {cause}" for number, cause in causes if number)
     return counted(summary.interventions, "intervention") + (f": {listed}" if listed else "")
+
+
+def _in_flight(summary: DriveSummary) -> str:
+    usual, most = summary.usual_in_flight, max(summary.in_flight, default=0)
+    if not usual:
+        return ""
+    at_most = f", at most {most}" if most > usual else ""
+    return f"; {counted(usual, 'telemetry', 'telemetries')} in flight{at_most}"
 
 
 def _unknown_interventions(summary: DriveSummary) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import counted
+from common.untrusted import real_path
 from dataset.errors import DatasetError
 from dataset.loader.log_crops import LogCrops
 from dataset.picture_spec import metadata_of
@@ -32,7 +33,7 @@ def run_names(runs: Sequence[Path]) -> list[str]:
 
     Raises RunError if one is given twice.
     """
-    places = [run.resolve() for run in runs]
+    places = [real_path(run) for run in runs]
     names = [run_name(place) for place in places]
     for name, place in zip(names, places, strict=True):
         if places.count(place) > 1:

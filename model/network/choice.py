@@ -190,7 +190,7 @@ def _parsed(arguments: Sequence[str]) -> dict[str, Any]:
     for each in arguments:
         name, _, text = each.partition("=")
         found[name] = text
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(ValueError, RecursionError):
             found[name] = json.loads(text)
     return found
 

@@ -1,6 +1,6 @@
 """torchvision's ResNet-18 (He et al. 2015, arXiv 1512.03385), with one answer, and random weights.
 
-torchvision is an extra (`pip install "behavioural-cloning-toolkit[torchvision]"`) and is imported only here.
+torchvision is an extra (`pip install ".[torchvision]"`) and is imported only here.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any, Final
 import torch
 from torch import Tensor, nn
 
-from common.versions import TOOLKIT
+from common.versions import install_line
 from dataset.picture_spec import PictureSpec
 from model.errors import RunError
 from model.network.picture_network import PictureNetwork
@@ -50,7 +50,7 @@ def _torchvision_resnet18() -> Callable[..., nn.Module]:
             models = importlib.import_module("torchvision.models")
     except (ImportError, RuntimeError) as error:
         raise RunError(
-            f'resnet18 needs torchvision ({error}): `pip install "{TOOLKIT}[torchvision]"` brings it'
+            f"resnet18 needs torchvision ({error}): `{install_line('torchvision')}` brings it"
         ) from None
     made: Callable[..., nn.Module] = models.resnet18
     return made

@@ -22,7 +22,8 @@ from model.runs.run_folder import config_folder, weights_checksum
 
 _MOST_BYTES: Final = 64 << 20  # a hundred thousand results
 
-Way = Literal["frames", "recording", "simulator"]
+Way = Literal["frames", "recording", "simulator", "supervised"]
+"""Of "supervised", a person took over from the network (`bc-drive --takeover me`)."""
 
 
 class KeptResult(msgspec.Struct, frozen=True):
@@ -31,7 +32,7 @@ class KeptResult(msgspec.Struct, frozen=True):
     measured_at: str  # UTC, ISO 8601
     way: Way
     weights_sha256: str
-    result: dict[str, Any]  # as `bc-eval --json` has it
+    result: dict[str, Any]  # as `bc-eval --json` has it; of a supervised drive, as `drive.kept_drive` makes it
 
 
 def keep_result(run: Path, way: Way, result: Mapping[str, Any]) -> None:

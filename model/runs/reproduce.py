@@ -12,10 +12,11 @@ from common.location import Location, absolute, local_path
 from common.random_access import is_there
 from common.stored_settings import settings_from
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
+from dataset.errors import PlaceNotAllowedError
 from model.errors import RunError
 from model.runs.provenance import StoredData, is_trained_on
 from model.runs.run_folder import CONFIG, load_config, run_name
-from model.runs.run_inputs import logs_of
+from model.runs.run_inputs import log_to_open, logs_of
 
 
 def index_of_run(
@@ -37,7 +38,9 @@ def index_of_run(
     settings, fingerprints = _data_of(stored, where)
     before = logs_of(run)
     logs = [
-        str(before[name]) if name in before and not is_there(sessions / f"{name}.mcap") else name
+        str(log_to_open(run, name, before[name]))
+        if name in before and not is_there(sessions / f"{name}.mcap")
+        else name
         for name in fingerprints
     ]
     for notice in build_index(find_logs(logs, sessions), local_path(own), settings).notices:
@@ -67,6 +70,8 @@ def _is_of(index: Location, stored: dict[str, Any], where: str) -> bool:
     try:
         with Samples(index) as samples:
             return is_trained_on(stored, where, samples)
+    except PlaceNotAllowedError:
+        raise
     except DatasetError:
         return False
 

@@ -1,9 +1,11 @@
-"""Runs and paths as arguments of the commands that messages suggest."""
+"""Names of new runs, and runs as arguments of the commands that messages suggest."""
 
 from __future__ import annotations
 
+import secrets
 import shlex
 from collections.abc import Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Final
 
@@ -15,6 +17,12 @@ RUNS: Final = Path("runs")
 """The default folder of runs."""
 
 _MOST_NAMES: Final = 8
+
+
+def new_run_name() -> str:
+    """A name for a new run: the date and time, and six random digits, because several trainings may begin in the
+    same second."""
+    return f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}-{secrets.token_hex(3)}"
 
 
 def run_argument(run: Path) -> str:

@@ -2,7 +2,7 @@
 
     write_run_figures(Path("runs/first"), predicted, recorded)
 
-Matplotlib is an extra: `pip install "behavioural-cloning-toolkit[figures]"`.
+Matplotlib is an extra: `pip install ".[figures]"`.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from common import atomic_file
+from common.files import write_remedy
 from model.errors import RunWriteError
 
 WEIGHTS: Final = "model.safetensors"
@@ -36,7 +37,8 @@ def run_write_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise RunWriteError(f"{path}: cannot be written ({error.strerror or error}); make room") from None
+        why = error.strerror or error
+        raise RunWriteError(f"{path}: cannot be written ({why}); {write_remedy(error)}") from None
 
 
 def append_json_line(path: Path, values: dict[str, Any]) -> None:

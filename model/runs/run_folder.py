@@ -27,7 +27,7 @@ from common.files import remove_empty
 from common.location import Location, Url, location
 from common.progress import progress_bar
 from common.store_record import read_record
-from common.untrusted import read_bounded
+from common.untrusted import read_bounded, real_path
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import TargetName, speed_ahead_s_in
 from model.errors import RunError
@@ -86,7 +86,7 @@ def write_config(folder: Path, config: dict[str, Any]) -> None:
 
 def run_name(folder: Path) -> str:
     """NAME of runs/NAME, and NAME-last of runs/NAME/last: the weights after its last epoch, not its best."""
-    folder = folder.resolve()
+    folder = real_path(folder)
     return f"{folder.parent.name}-{LAST}" if _is_last(folder) else folder.name
 
 

@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shlex
 from pathlib import Path
 
-from common.errors import UsageError
+from common.allowed_places import AllowedPlaces, folders_of, remember_places
+from common.errors import UsageError, printable
 from common.files import short_path
 from common.location import Location, Url, location
 from common.store_record import cached_from
+from common.untrusted import real_path
+from dataset import Samples
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import log_place
 from model.errors import RunError
@@ -25,7 +29,7 @@ def relative_place(run: Path, place: Location) -> str:
     """A place as a run's config has it: relative to the run's folder; the URL of one in a store."""
     if isinstance(place, Url):
         return str(place)
-    run, place = run.resolve(), place.resolve()
+    run, place = real_path(run), real_path(place)
     try:
         return Path(os.path.relpath(place, run)).as_posix()
     except ValueError:  # on another drive of Windows
@@ -36,6 +40,24 @@ def index_of(run: Path) -> Location | None:
     """The index that a run was trained on, there or not; None where its config lacks it, as in runs of
     earlier versions."""
     return _place_of(run, load_config(run).get("index"))
+
+
+def allowed_index_of(run: Path) -> Location | None:
+    """The same, to be opened; None also where it is gone from a place that the run may not name. Raises RunError
+    where it is there: a run of somebody else may name what it likes."""
+    index = index_of(run)
+    if index is None or index in _allowed(run):
+        return index
+    if isinstance(index, Path) and not index.is_dir():
+        return None
+    raise _not_allowed(run, f"{printable(str(index))} as its index", "--index", index)
+
+
+def remember_inputs(run: Path, samples: Samples, init: Path | None) -> None:
+    """Let the run, which is trained here, name its index, logs and first weights wherever they are."""
+    folders = folders_of(log.path for log in samples.logs.values())
+    inits = () if init is None else (location(cached_from(init) or init),)
+    remember_places(run, run.parent.parent, [samples.path.parent, *folders, *inits])
 
 
 def logs_of(run: Path) -> dict[str, Location]:
@@ -52,12 +74,22 @@ def logs_of(run: Path) -> dict[str, Location]:
     return {}
 
 
+def log_to_open(run: Path, session: str, log: Location) -> Location:
+    """The log that a run names so (`logs_of`). Raises RunError where it may not."""
+    if log in _allowed(run):
+        return log
+    raise _not_allowed(run, f"{printable(str(log))} as the log of {printable(session)}", "--sessions", log.parent)
+
+
 def sessions_of(run: Path) -> Location | None:
-    """The folder that holds the logs of a run's index, if it is one folder, and still there or in a store."""
+    """The folder that holds the logs of a run's index, if it is one folder that the run may name, and still there
+    or in a store."""
     folders: set[Location] = {log.parent for log in logs_of(run).values()}
     if len(folders) != 1:
         return None
     folder = folders.pop()
+    if folder not in _allowed(run):
+        return None
     return folder if isinstance(folder, Url) or folder.is_dir() else None
 
 
@@ -77,11 +109,32 @@ def init_of(run: Path, runs: Location) -> Path | None:
             raise ValueError("a run's name is a path")
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RunError(f"{run / CONFIG}: does not name the run that it was started from ({error})") from None
+    if place is not None and place not in _allowed(run):
+        place = None
     is_there = isinstance(place, Url) or (place is not None and place.exists())
     init = find_run(str(place) if is_there else name, runs)
     if weights_checksum(init) != weights_sha256:
         raise RunError(f"{init}: has other weights now than those that {run} was started from; give --init RUN")
     return init
+
+
+def _not_allowed(run: Path, what: str, flag: str, place: Location) -> RunError:
+    return RunError(
+        f"{run / CONFIG}: names {what}, which is not in its project, and it was not trained here; it is not"
+        f" opened. If it is yours: {flag} {shlex.quote(printable(str(place)))}"
+    )
+
+
+def _allowed(run: Path) -> AllowedPlaces:
+    folder = config_folder(run)
+    return AllowedPlaces(folder, *_projects(folder))
+
+
+def _projects(folder: Path) -> list[Location]:
+    """The folder that holds runs/ with the run in it; of a run in a store, its bucket and that folder here."""
+    if url := cached_from(folder):
+        return [location(url), real_path(RUNS).parent]
+    return [real_path(folder).parent.parent]
 
 
 def _place_of(run: Path, stored: object) -> Location | None:
@@ -94,4 +147,4 @@ def _place_of(run: Path, stored: object) -> Location | None:
     folder = config_folder(run)
     if cached_from(folder):  # in a store, which has no folder beside it here: as of one made in this project
         folder = RUNS / folder.name
-    return short_path(folder.resolve() / stored)
+    return short_path(real_path(folder) / stored)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
-from common import UserError
+from common.errors import as_user_error
 from common.location import Location
 from common.store_record import read_record
 from model.runs.history import read_epochs
@@ -28,8 +30,21 @@ class _Training(msgspec.Struct):
     seed: int = 0
 
 
+_SPLIT_SETTINGS: Final = (
+    "validation", "validation_share", "seed", "block_s", "gap_s", "cameras", "drives", "where", "flip",
+)  # fmt: skip
+
+
 class _Data(msgspec.Struct):
     logs: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
+
+    def split(self, frames: int) -> str:
+        """A short name of the frames that are held out: the same for the same logs, split alike, and as many."""
+        settings = {name: self.settings.get(name) for name in _SPLIT_SETTINGS}
+        logs = {name: log.get("fingerprint") if isinstance(log, dict) else None for name, log in self.logs.items()}
+        described = json.dumps([logs, settings, frames], sort_keys=True, default=str)
+        return hashlib.sha256(described.encode()).hexdigest()[:8]
 
 
 class _Config(msgspec.Struct):
@@ -46,7 +61,7 @@ class RunSummary:
 
     name: str
     folder: str
-    written_at: str  # UTC, ISO 8601: its weights, or its config where it has none yet
+    written_at: str = ""  # UTC, ISO 8601: its weights, or its config where it has none yet
     problem: str = ""  # why nothing else is known of it
     network: str = ""
     targets: list[str] = field(default_factory=list)  # that it answers, steering first
@@ -61,6 +76,7 @@ class RunSummary:
     balanced_rmse_deg: float = math.nan
     mean_balanced_rmse_deg: float = math.nan
     correlation: float = math.nan
+    split: str = ""  # of its logs, by which frames are held out; networks of one were measured on the same frames
     results: list[KeptResult] = field(default_factory=list)  # the last of each kind that its weights have given
 
     @property
@@ -78,10 +94,17 @@ class RunSummary:
         return [kept.result for kept in self.results if kept.way == "simulator"]
 
     @property
+    def supervised(self) -> list[dict[str, Any]]:
+        """The last drive that a person supervised, of each track at each speed."""
+        return [kept.result for kept in self.results if kept.way == "supervised"]
+
+    @property
     def interventions_per_km(self) -> float:
-        """Over all of `drives`; NaN where it has not driven."""
-        driven_m = sum(drive["distance_m"] for drive in self.drives)
-        return 1000 * sum(drive["interventions"] for drive in self.drives) / driven_m if driven_m else math.nan
+        """Over all of `drives`, or where there are none, of those that a person supervised; NaN where it has not
+        driven."""
+        drives = self.drives or self.supervised
+        driven_m = sum(drive["distance_m"] for drive in drives)
+        return 1000 * sum(drive["interventions"] for drive in drives) / driven_m if driven_m else math.nan
 
 
 def _share(value: float, whole: float) -> float:
@@ -101,30 +124,37 @@ def summarize_runs(runs: Location) -> Iterator[RunSummary]:
 
 
 def summarize_run(run: Path) -> RunSummary:
-    """The summary of a run, or of a copy of one in a store, which may lack the weights."""
+    """The summary of a run, or of a copy of one in a store, which may lack the weights; of one that cannot be
+    read, its problem."""
+    try:
+        return _summary(run)
+    except Exception as error:
+        return RunSummary(run.name, str(run), problem=" ".join(str(as_user_error(run, error)).split()))
+
+
+def _summary(run: Path) -> RunSummary:
     weights, left = run / WEIGHTS, read_record(run).left.get(WEIGHTS)
     has_weights = left is not None or weights.exists()
     written_s = (weights if has_weights else run / CONFIG).stat().st_mtime if left is None else left.mtime_ns / 1e9
-    about = run.name, str(run), datetime.fromtimestamp(written_s, UTC).isoformat(timespec="seconds")
-    try:
-        stored = load_config(run)
-        config = msgspec.convert(stored, _Config)
-        epochs = read_epochs(run)
-        kept = next((epoch for epoch in reversed(epochs) if epoch.is_best), None)
-        return RunSummary(
-            *about,
-            network=stored_network(stored, run).name,
-            targets=list(stored_targets(stored, run)),
-            recipe=config.training.recipe,
-            seed=config.training.seed,
-            sessions=list(config.data.logs),
-            epochs=epochs[-1].epoch if epochs else 0,
-            epochs_asked=config.training.epochs,
-            **_errors(kept),
-            results=last_results(run) if has_weights else [],
-        )
-    except (UserError, msgspec.ValidationError, OSError) as error:
-        return RunSummary(*about, problem=" ".join(str(error).split()))
+    stored = load_config(run)
+    config = msgspec.convert(stored, _Config)
+    epochs = read_epochs(run)
+    kept = next((epoch for epoch in reversed(epochs) if epoch.is_best), None)
+    return RunSummary(
+        run.name,
+        str(run),
+        datetime.fromtimestamp(written_s, UTC).isoformat(timespec="seconds"),
+        network=stored_network(stored, run).name,
+        targets=list(stored_targets(stored, run)),
+        recipe=config.training.recipe,
+        seed=config.training.seed,
+        sessions=list(config.data.logs),
+        epochs=epochs[-1].epoch if epochs else 0,
+        epochs_asked=config.training.epochs,
+        **_errors(kept),
+        split=config.data.split(kept.measures.frames) if kept else "",
+        results=last_results(run) if has_weights else [],
+    )
 
 
 def _errors(kept: Epoch | None) -> dict[str, Any]:
@@ -165,8 +195,9 @@ def measured_sessions(result: Mapping[str, Any]) -> list[str]:
 
 def _is_whole(kept: KeptResult) -> bool:
     """Whether a drive has the numbers that are added up."""
-    if kept.way != "simulator":
+    if kept.way not in ("simulator", "supervised"):
         return True
-    numbers = [kept.result.get(name) for name in ("distance_m", "interventions", "set_speed_mph")]
+    names = ("distance_m", "interventions", "set_speed_mph", *(("by_person",) if kept.way == "supervised" else ()))
+    numbers = [kept.result.get(name) for name in names]
     is_known = all(isinstance(number, int | float) and 0 <= number < 1e12 for number in numbers)
     return is_known and isinstance(kept.result.get("track"), str)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from common import UserError
+from common.allowed_places import remember_places
 from common.errors import UsageError
 from common.location import Location, Url
 from common.progress import progress_bar
@@ -47,6 +48,7 @@ def _bring_to(here: Path, found: RunInStore) -> None:
         )
     with stored_run_folder(found.url, here) as folder, progress_bar() as progress:
         folder.bring(keeps_ours=True, objects=found.files.values(), progress=progress)
+    remember_places(here, here.parent.parent, [Url(found.url.scheme, found.url.bucket)])
 
 
 def place_of_copies(to: Location, run: Path, *, is_new: bool) -> Url:

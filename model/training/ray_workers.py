@@ -20,10 +20,11 @@ from typing import Any, Final
 
 from rich.progress import Progress
 
+from common.allowed_places import allow_places, places_of
 from common.errors import UserError, counted, printable
 from common.location import Location
 from common.output import print_message
-from common.ray_cluster import ClusterError, connection, package_versions, refuse_other_node
+from common.ray_cluster import NOTICE_AFTER_S, ClusterError, connection, package_versions, refuse_other_node
 from model.config import TrainConfig
 from model.network.names import is_own
 from model.network.own_code import load_code
@@ -38,7 +39,9 @@ MAX_RESTARTS: Final = 5
 """A training whose workers die for the sixth time is given up; it can be resumed."""
 
 _POLL_S: Final = 0.5
-_NOTICE_AFTER_S: Final = 10.0
+_NOTICE_EVERY_S: Final = 60.0
+MAX_LOCAL_START_S: Final = 600.0
+"""Workers on a cluster of this machine alone, where nobody else has work, are there by then, or never."""
 _STOP_S: Final = 60.0
 
 
@@ -56,6 +59,7 @@ class _Call:
     init: Path | None
     like: Path | None
     resume: bool
+    places: Sequence[Location]  # which index and run may name (`common.allowed_places`)
 
 
 class _Recorder:
@@ -114,6 +118,7 @@ class _Worker:
         group = {"RANK": rank, "WORLD_SIZE": ranks, "LOCAL_RANK": 0, "MASTER_ADDR": host, "MASTER_PORT": port}
         os.environ.update({name: str(value) for name, value in group.items()})
         try:
+            allow_places(*call.places)
             if call.resume and is_own(call.config.network):
                 load_code(call.config.network)
             return train(
@@ -157,7 +162,7 @@ def train_on_cluster(
     Raises what `train` does, ClusterError where no cluster can be reached or workers died too often. Ctrl-C ends
     the training after the batch that it is in.
     """
-    call = _Call(index, run, config, init, like, resume)
+    call = _Call(index, run, config, init, like, resume, places_of(index, run))
     notices: list[str] = []
     guarded = Listeners(listeners, notices)
     with connection(address) as ray, open_bar(is_shown=True) as bar:
@@ -170,7 +175,7 @@ def train_on_cluster(
         try:
             for attempt in itertools.count():
                 try:
-                    trained = _attempt(ray, actor, workers, call, guarded, bar)
+                    trained = _attempt(ray, actor, workers, call, guarded, bar, is_local=address == "local")
                     return replace(trained, notices=[*trained.notices, *notices])
                 except _WorkerLostError as error:
                     why = printable(" ".join(str(error).split())[:300])
@@ -183,12 +188,14 @@ def train_on_cluster(
     raise AssertionError("it ends in the loop")
 
 
-def _attempt(ray: Any, actor: Any, workers: int, call: _Call, listeners: Listeners, bar: Progress) -> Trained:
+def _attempt(
+    ray: Any, actor: Any, workers: int, call: _Call, listeners: Listeners, bar: Progress, *, is_local: bool
+) -> Trained:
     """Train from where the run is. Raises _WorkerLostError if a worker dies."""
     ranks = [actor.remote(package_versions(), Path.cwd()) for _ in range(workers)]
     results: list[Any] = []
     try:
-        place = _place(ray, ranks)
+        place = _place(ray, ranks, call.config.threads or 1, is_local=is_local)
         results = [rank.train.remote(number, workers, place, call) for number, rank in enumerate(ranks)]
         pending = results
         while pending:
@@ -215,14 +222,29 @@ def _attempt(ray: Any, actor: Any, workers: int, call: _Call, listeners: Listene
     return trained
 
 
-def _place(ray: Any, ranks: Sequence[Any]) -> tuple[str, int]:
-    """The address and port at which the ranks meet, once the cluster has room for all of them."""
+def _place(ray: Any, ranks: Sequence[Any], processors: int, *, is_local: bool) -> tuple[str, int]:
+    """The address and port at which the ranks meet, once the cluster has room for all of them; each takes so many
+    processors. Raises ClusterError where a cluster of this machine alone cannot have them."""
+    needed, total = len(ranks) * processors, ray.cluster_resources().get("CPU", 0)
+    workers = f"{counted(len(ranks), 'worker')} of {counted(processors, 'processor')}"
+    if is_local and needed > total:
+        raise ClusterError(f"--ray: {workers}, but this machine has {total:g}; give fewer workers, or --threads")
     places = [rank.place.remote() for rank in ranks]
-    began_s, has_notified = time.monotonic(), False
+    began_s, notices = time.monotonic(), 0
     while len(ray.wait(places, num_returns=len(places), timeout=_POLL_S)[0]) < len(places):
-        if not has_notified and time.monotonic() - began_s > _NOTICE_AFTER_S:
-            print_message(f"bc-train: waiting for {counted(len(ranks), 'worker')} to start, or for room for them")
-            has_notified = True
+        waited_s = time.monotonic() - began_s
+        if waited_s > NOTICE_AFTER_S + notices * _NOTICE_EVERY_S:
+            free, total = (of.get("CPU", 0) for of in (ray.available_resources(), ray.cluster_resources()))
+            print_message(
+                f"bc-train: waiting for {workers} to start, or for room for them: {free:g} of"
+                f" {counted(round(total), 'processor')} are free"
+            )
+            notices += 1
+        if is_local and waited_s > MAX_LOCAL_START_S:
+            raise ClusterError(
+                f"--ray: {workers} did not start within {MAX_LOCAL_START_S / 60:.0f} minutes; this machine may be"
+                " busy with other programs: end some, or train without --ray"
+            )
     place: tuple[str, int] = ray.get(places)[0]
     return place
 

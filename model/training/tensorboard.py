@@ -3,7 +3,7 @@
     bc-train --tensorboard
     tensorboard --logdir runs
 
-TensorBoard is an extra: `pip install "behavioural-cloning-toolkit[tensorboard]"`.
+TensorBoard is an extra: `pip install ".[tensorboard]"`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from common.files import write_remedy
+from common.versions import install_line
 from model.errors import RunError
 from model.metrics import BinErrors
 from model.runs.history import HistoryReader
@@ -44,8 +46,7 @@ class TensorBoard:
             import torch.utils.tensorboard  # noqa: F401
         except ImportError:
             raise RunError(
-                "--tensorboard needs TensorBoard: install it with"
-                ' `pip install "behavioural-cloning-toolkit[tensorboard]"`'
+                f"--tensorboard needs TensorBoard: install it with `{install_line('tensorboard')}`"
             ) from None
         self._run = run
         self._folder = run / FOLDER
@@ -75,7 +76,8 @@ class TensorBoard:
             yield self._file
         except OSError as error:
             raise RunError(
-                f"{self._folder}: cannot be written ({error.strerror}); make room, or go on without --tensorboard"
+                f"{self._folder}: cannot be written ({error.strerror}); {write_remedy(error)}, or go on without"
+                " --tensorboard"
             ) from None
 
     def _new_file(self, epoch: int, samples: float) -> _EventFile:

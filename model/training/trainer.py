@@ -18,7 +18,7 @@ import torch
 from common import Skipped, UserError
 from common.interrupts import stop_signals
 from common.location import Location, location
-from common.versions import TOOLKIT
+from common.versions import install_line
 from dataset import Samples
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import steering_in
@@ -41,7 +41,7 @@ from model.runs.run_folder import (
     removed_unless_saved,
     write_config,
 )
-from model.runs.run_inputs import init_of, relative_place
+from model.runs.run_inputs import init_of, relative_place, remember_inputs
 from model.runs.run_lock import locked_for_training
 from model.runs.training_progress import Epoch, Listener
 from model.training.distributed import group_of_processes, local_rank_of_process
@@ -139,6 +139,7 @@ def train(
             if init is not None:
                 origin["init"] = init_provenance(init, run)
             group.on_first_rank(lambda: stack.enter_context(_new_run(writer, origin, network, picture)))
+        group.on_first_rank(lambda: remember_inputs(run, samples, init))
         loop = TrainingLoop(samples, writer, config, network, picture, machine, group, guarded, bar)
         notices += validation_notices(samples, loop.validation, init)
         remarks = [] if resume else _recipe_remarks(samples, config)
@@ -189,7 +190,7 @@ def _draw_figures(loop: TrainingLoop, notices: list[str], remarks: list[str]) ->
     if not (run / WEIGHTS).exists():
         return
     if find_spec("matplotlib") is None:
-        remarks.append(f'{run}: no pictures of how it went; `pip install "{TOOLKIT}[figures]"` brings them')
+        remarks.append(f"{run}: no pictures of how it went; `{install_line('figures')}` brings them")
         return
     try:
         from model.runs.run_figures import write_run_figures

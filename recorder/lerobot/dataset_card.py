@@ -10,7 +10,7 @@ from typing import Any, Final
 from common.errors import counted
 from common.markdown import as_markdown
 from common.versions import version_of
-from recorder.lerobot.dataset_format import SPLIT
+from recorder.lerobot.dataset_format import PREVIOUS_NAMES, SPLIT, STATE
 
 CARD_PATH: Final = "README.md"
 NO_LICENCE: Final = "not stated: ask whoever recorded it before you use it"
@@ -70,6 +70,8 @@ def card(
         "- `split`, also in `meta/episodes`: `train`, or `validation` for whole stretches of time that were held"
         " out. An episode is on one side."
     )
+    has_speed = "speed_mph" in info["features"][STATE]["names"]
+    speed = "`speed_mph`, miles an hour (1 is 0.44704 m/s), and " if has_speed else ""
     split = [of_split] if SPLIT in info["features"] else []
     lines = [
         *header,
@@ -86,11 +88,8 @@ def card(
         f"- {pictures}",
         f"- `action`: `steering` from -1 (left) to 1 (right), where 1 is {max_steering_deg:g} degrees of the front"
         " wheels; `throttle`, `brake`, 0 to 1.",
-        *(
-            ["- `observation.state`: `speed_mph`, miles an hour (1 is 0.44704 m/s)."]
-            if "observation.state" in info["features"]
-            else ["- No `observation.state`: not every session knows its speed."]
-        ),
+        f"- `observation.state`: {speed}{_listed(PREVIOUS_NAMES)}: what was in force before the frame's `action`,"
+        " from the row before it in its log. They are 0 where a drive begins.",
         f"- `timestamp` is `frame_index / {info['fps']}`, as the format has it. The true time of each frame is"
         " `log_time_ns`, nanoseconds since 1970 where the session knew the date.",
         "- `log_fingerprint`, `log_row`: the log and the row that a frame comes from. `log_vehicle`: steering,"
@@ -116,6 +115,10 @@ def card(
         "",
     ]
     return "\n".join(lines)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
 
 
 def _origin(session: Mapping[str, str]) -> str:

@@ -32,6 +32,9 @@ VIDEO_PATH: Final = "videos/{video_key}/" + f"{CHUNK_AND_FILE}.mp4"
 STATE: Final = "observation.state"
 ACTION: Final = "action"
 ACTION_NAMES: Final = ("steering", "throttle", "brake")
+PREVIOUS_NAMES: Final = ("previous_steering", "previous_throttle", "previous_brake")
+"""Numbers of the state: what was in force when the picture was taken. LeRobot makes a scalar of a state of one
+number, and its policies then fail."""
 LOG_TIME: Final = "log_time_ns"
 LOG_ROW: Final = "log_row"
 LOG_VEHICLE: Final = "log_vehicle"
@@ -87,10 +90,10 @@ def features(
         )
         for camera, (width, height) in sizes.items()
     }
-    state = {STATE: Feature("float32", (1,), ("speed_mph",))} if has_speed else {}
+    state = ("speed_mph", *PREVIOUS_NAMES) if has_speed else PREVIOUS_NAMES
     return {
         **images,
-        **state,
+        STATE: Feature("float32", (len(state),), state),
         ACTION: Feature("float32", (3,), ACTION_NAMES),
         "timestamp": Feature("float32", (1,)),
         **{name: Feature("int64", (1,)) for name in REQUIRED[1:]},

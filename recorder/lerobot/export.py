@@ -35,7 +35,7 @@ from recorder.lerobot.log_episodes import ChosenRows, LogEpisodes, log_episodes
 from recorder.lerobot.picture_spool import PictureSpool
 from recorder.lerobot.row_pictures import RowPictures, Sizes
 from recorder.lerobot.video_files import require_av, video_info
-from recorder.log.meant_gaps import is_not_recorded
+from recorder.log.meant_gaps import NotRecorded, is_not_recorded, not_recorded
 from recorder.log.reader import Log
 from recorder.log.row_quality import States
 from recorder.log.session_car import CAR_KEY, car_of, metadata_of
@@ -131,10 +131,10 @@ class _Export:
             self.skipped.add("parts of logs that are not finished", log.notice)
         taken = log_episodes(log, self._plan.cameras, self.skipped, chosen)
         frames_before, episodes_before = self.frames, self.episodes
-        not_recorded = _not_recorded(log)
+        not_recorded_before = _not_recorded(log)
         pictures = RowPictures(log, taken, self._sizes, self.skipped)
         for episode in taken.episodes:
-            self._add_episode(log, taken, range(episode.start, episode.stop), pictures, not_recorded)
+            self._add_episode(log, taken, range(episode.start, episode.stop), pictures, not_recorded_before)
         self.sessions.append(
             CardSession(
                 _name(log),
@@ -155,7 +155,7 @@ class _Export:
             if not kept:
                 return
             states = taken.states.part(kept)
-            numbers = self._numbers(states)
+            numbers = self._numbers(states, taken.previous[kept])
             statistics = _statistics(numbers, of_pictures)
             columns: dict[str, pa.Array | pa.ChunkedArray] = {
                 **{name: _arrow(values) for name, values in numbers.items()},
@@ -208,13 +208,14 @@ class _Export:
             kept.append(number)
         return kept, statistics
 
-    def _numbers(self, states: States) -> Columns:
-        """The columns of an episode that are numbers."""
+    def _numbers(self, states: States, previous: NDArray[np.float64]) -> Columns:
+        """The columns of an episode that are numbers; `previous` is that of `LogEpisodes`."""
         count = len(states.row)
         frame = np.arange(count)
         vehicle = np.stack([states.steering, states.throttle, states.brake, states.speed_mph], axis=1)
+        speed = [states.speed_mph] if self._plan.has_speed else []
         return {
-            **({form.STATE: states.speed_mph.astype(np.float32)} if self._plan.has_speed else {}),
+            form.STATE: np.column_stack([*speed, previous]).astype(np.float32),
             form.ACTION: vehicle[:, :3].astype(np.float32),
             "timestamp": (frame / self._plan.fps).astype(np.float32),
             "frame_index": frame,
@@ -293,9 +294,17 @@ def _car(log: Log) -> str:
 
 
 def _not_recorded(log: Log) -> dict[int, str]:
-    """The events of a log about time that was not recorded on purpose, by log time."""
-    events = log.decoded(EVENTS) if EVENTS in log.counts else ()
-    return {at.log_time_ns: event.message for at, event in events if is_not_recorded(event.message)}
+    """The events about time before a row in which nothing was lost, by the row's log time."""
+    times, events = NotRecorded(), dict[int, str]()
+    for at, event in log.decoded(EVENTS) if EVENTS in log.counts else ():
+        times.add(at.log_time_ns, event.message)
+        if is_not_recorded(event.message):
+            events[at.log_time_ns] = event.message
+    states = States.of(log.vehicle())
+    for row in np.flatnonzero(times.gaps(states)).tolist():
+        step_s = int(states.time_ns[row] - states.time_ns[row - 1]) / 1e9
+        events.setdefault(int(states.time_ns[row]), not_recorded(step_s, "a human drove"))
+    return events
 
 
 def _name(log: Log) -> str:

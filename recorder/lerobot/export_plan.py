@@ -69,7 +69,7 @@ def plan_export(
             f"rows a second differ ({listed}); the dataset says {rate_hz:.0f}, its {LOG_TIME} are right"
         )
     if any(known) and not all(known):
-        notices.append(f"not every row has a speed: it is in {LOG_VEHICLE}, and {STATE} is left out")
+        notices.append(f"not every row has a speed: it is in {LOG_VEHICLE}, and {STATE} is without it")
     if len(degrees) > 1:
         listed = " and ".join(f"{each:g}" for each in sorted(degrees))
         raise LogError(

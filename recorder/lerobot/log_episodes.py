@@ -30,6 +30,7 @@ class LogEpisodes:
     """The rows taken of a log, and their episodes."""
 
     states: States  # (N,) of the rows that are taken
+    previous: NDArray[np.float64]  # (N, 3) of these rows: steering, throttle and brake of the row before
     places: dict[Camera, NDArray[np.int64]]  # (N,) for each camera: which of `pictures` belongs to the row
     pictures: dict[Camera, Pictures]
     episodes: list[slice]
@@ -60,9 +61,11 @@ def log_episodes(
     taken = ~is_excluded
     if chosen is not None:
         taken &= np.isin(states.row, chosen.row)
-    out_of_range = row_flags(states)["out_of_range"] & taken
-    _skip(skipped, f"rows of {name} with steering, pedals or speed out of range", states.row[out_of_range])
+    out_of_range = row_flags(states)["out_of_range"]
+    reason = f"rows of {name} with steering, pedals or speed out of range"
+    _skip(skipped, reason, states.row[out_of_range & taken])
     taken &= ~out_of_range
+    previous = _previous(states, ~out_of_range)
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in cameras}
     places = {camera: _first_of_each(found.sequence, states.row) for camera, found in pictures.items()}
     for camera, place in places.items():
@@ -76,7 +79,21 @@ def log_episodes(
         begins[1:] |= split[1:] != split[:-1]
     episodes = [slice(*ends) for ends in pairwise([*np.flatnonzero(begins).tolist(), len(kept.row)])]
     of_rows = {camera: place[taken] for camera, place in places.items()}
-    return LogEpisodes(kept, of_rows, pictures, episodes, int(is_excluded.sum()), split)
+    return LogEpisodes(kept, previous[taken], of_rows, pictures, episodes, int(is_excluded.sum()), split)
+
+
+def _previous(states: States, is_usable: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """For each row of a log (N, 3) the steering, throttle and brake that were in force before it: of the last
+    usable row before it in the same drive; 0 where there is none."""
+    vehicle = np.stack([states.steering, states.throttle, states.brake], axis=1)
+    usable = np.flatnonzero(is_usable)
+    if not len(usable):
+        return np.zeros_like(vehicle)
+    position = np.searchsorted(usable, np.arange(len(vehicle))) - 1
+    before = usable[position]
+    drive = drive_numbers(states.time_ns)
+    is_same_drive = (position >= 0) & (drive[before] == drive)
+    return np.where(is_same_drive[:, None], vehicle[before], 0.0)
 
 
 def _is_tagged(rows: NDArray[np.int64], log: Log) -> NDArray[np.bool_]:

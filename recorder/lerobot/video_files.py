@@ -1,6 +1,6 @@
 """The video files of a dataset: `videos/KEY/chunk-000/file-000.mp4`, episode after episode, in H.264.
 
-PyAV is an extra: `pip install "behavioural-cloning-toolkit[video]"`.
+PyAV is an extra: `pip install ".[video]"`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common import UserError
-from common.versions import TOOLKIT
+from common.versions import install_line
 from recorder.lerobot.dataset_format import MEBIBYTE, VIDEO_FILE_MB, VIDEO_PATH, FileNumber
 
 if TYPE_CHECKING:
@@ -105,5 +105,5 @@ def require_av() -> Any:
     try:
         import av
     except ImportError:
-        raise UserError(f'videos need PyAV: `pip install "{TOOLKIT}[video]"` brings it') from None
+        raise UserError(f"videos need PyAV: `{install_line('video')}` brings it") from None
     return av

@@ -226,13 +226,10 @@ def check_rows(log: Log, rows: tuple[int, int]) -> None:
 
 def _rows(log: Log) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Number and time of every row, in the order of the log."""
-    messages = log.messages(topics.VEHICLE)
-    if not messages:
+    number, time_ns = log.rows_and_times()
+    if not len(number):
         raise LogError(f"{log.path}: no rows in it (nothing on {topics.VEHICLE}); only times can be given for it")
-    return (
-        np.array([message.sequence for message in messages], np.int64),
-        np.array([message.log_time_ns for message in messages], np.int64),
-    )
+    return number, time_ns
 
 
 def _range(number: NDArray[np.int64]) -> str:

@@ -17,6 +17,7 @@ from recorder.log.reader import Log
 from recorder.log.row_quality import States, Values
 from recorder.log.topics import camera_topic
 from recorder.pictures.decoding import decode_picture
+from recorder.pictures.scaling import scaled_to_width
 
 WIDTH_PX: Final = 160
 _APART_S: Final = 0.095  # between two pictures: in less, what is far moves by a fraction of a pixel
@@ -81,7 +82,7 @@ class FarField:
         return self._last[1]
 
     def _decoded(self, row: int) -> Picture | None:
-        """Upright edges about the horizon."""
+        """Upright edges about the horizon; None of a picture too flat, or too narrow, to show any."""
         place = self._places[row]
         if place is None:
             return None
@@ -92,8 +93,8 @@ class FarField:
         if picture is None:
             return None
         self.decoded_rows.add(row)
-        height, width = picture.shape
-        top, bottom = (round(share * height) for share in _FAR)
-        size = (WIDTH_PX, max(1, round((bottom - top) * WIDTH_PX / width)))
-        far = cv2.resize(picture[top : max(bottom, top + 1)], size, interpolation=cv2.INTER_AREA)
+        top, bottom = (round(share * picture.shape[0]) for share in _FAR)
+        far = scaled_to_width(picture[top : max(bottom, top + 1)], WIDTH_PX)
+        if far is None:
+            return None
         return cv2.Sobel(cv2.GaussianBlur(far, (3, 3), 0), cv2.CV_32F, 1, 0).astype(np.float32, copy=False)

@@ -10,10 +10,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, overload
 
-import msgspec
-
 from common.location import Location, Url
+from common.untrusted_json import json_as
 from recorder.log import topics
+from recorder.log.devices import device_numbers, most_used_of
 from recorder.log.label_plan import goes_by_lag, plan_labels
 from recorder.log.meant_gaps import NotRecorded, meant_rows
 from recorder.log.reader import Log
@@ -72,9 +72,12 @@ class LogInfo:
 
     @property
     def driver(self) -> str:
-        """The run that drove, or else the driver or the source, as far as the log has them; else empty."""
+        """The run that drove, or else the driver or the source, as far as the log has them; else empty. A person's
+        device is in brackets."""
         names = (self.session.get(name, "") for name in ("run", "driver", "source"))
-        return next((name for name in names if name), "")
+        name = next((name for name in names if name), "")
+        device = self.steering.device if self.steering else ""
+        return f"{name} ({device})" if device else name
 
     @property
     def length_s(self) -> float:
@@ -171,11 +174,8 @@ def set_speeds_mph(log: Log) -> tuple[float, ...]:
 def first_picture_sizes(log: Log) -> dict[str, tuple[int, int]] | None:
     """Width and height of the first picture of each camera's topic, where that has any, as the log's writer has
     noted them; None where it has not."""
-    try:
-        stored = log.read_metadata(topics.QUALITY_METADATA).get("first_picture_px", "")
-        return msgspec.json.decode(stored, type=dict[str, tuple[int, int]])
-    except msgspec.MsgspecError:
-        return None
+    stored = log.read_metadata(topics.QUALITY_METADATA).get("first_picture_px", "")
+    return json_as(stored, dict[str, tuple[int, int]])
 
 
 def _quality(log: Log) -> dict[str, str]:
@@ -196,7 +196,9 @@ def _steering(log: Log, quality: dict[str, str]) -> SteeringHabits | None:
     if noted := habits_from(quality.get("steering", "")):
         return noted
     states = _states(log) if log.is_ours and log.counts.get(topics.VEHICLE) else None
-    return steering_habits(states, max_steering_deg_of(log)) if states else None
+    if states is None:
+        return None
+    return steering_habits(states, max_steering_deg_of(log), most_used_of(device_numbers(log)))
 
 
 def _states(log: Log) -> States | None:

@@ -48,11 +48,11 @@ class LogClock:
     that begins anew, are so far apart that nobody takes them for neighbours.
 
     Moments are nanoseconds of `time.perf_counter_ns`: the wall clock is read once, so that setting it while
-    the car drives moves no row. With `from_wall_clock` they are those of `time.time_ns`.
+    the car drives moves no row.
     """
 
-    def __init__(self, *, from_wall_clock: bool = False) -> None:
-        self._wall_ns = 0 if from_wall_clock else time.time_ns() - time.perf_counter_ns()
+    def __init__(self) -> None:
+        self._wall_ns = time.time_ns() - time.perf_counter_ns()
         self._shift_ns = self._wall_ns  # from the clock in use to log time
         self._simulated_ns: int | None = None  # of the last row; None: the clock in use is ours
         self._last_ns = 0

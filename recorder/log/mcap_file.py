@@ -46,9 +46,11 @@ MAX_CHUNK_BYTES: Final = 1 << 28
 """The most that a chunk may unpack to; writers use 0.25 to 4 MB, and a damaged length must not take all memory."""
 MAX_RECORD_BYTES: Final = MAX_CHUNK_BYTES + (1 << 20)
 """The most that is read at once: the largest chunk, with its header."""
+MIN_MESSAGE_BYTES: Final = 4
+"""Of a file, for each of its messages: empty ones of the most regular times take five of zstd's bytes, but those
+that were made to fill a memory hardly any."""
 FREE_MESSAGES: Final = 1 << 16
-"""A file holds no more messages than bytes, and these: compressed, the smallest ones still take several bytes, but
-what was made to fill a memory takes hardly any."""
+"""So many more are taken of any file."""
 
 WITHOUT_CRCS: Final = "written without CRCs: damage to it cannot be noticed"
 """The notice, given once, of another program's log that does without them."""
@@ -259,7 +261,7 @@ class McapFile(Closeable):
 
     def messages(self, records: bytes) -> Iterator[StoredMessage]:
         """The messages in a chunk's records, in their order. Raises LogError at once if one is damaged."""
-        return (_message(records, start) for start in self.parts(records).messages)
+        return (stored_message(records, start) for start in self.parts(records).messages)
 
     def metadata(self, offset: int) -> MetadataRecord:
         """The metadata record that begins at `offset`."""
@@ -297,7 +299,7 @@ class McapFile(Closeable):
         found = Parts(array("q"), [])
         unpack, is_message = RECORD.unpack_from, found.messages.append
         position, size = 0, len(records)
-        for _ in range(self.size + FREE_MESSAGES):
+        for _ in range(self._most_messages):
             if position > size - RECORD.size:
                 break
             opcode, length = unpack(records, position)
@@ -312,7 +314,7 @@ class McapFile(Closeable):
                 found.definitions.append((opcode, position, end))
             position = end
         else:
-            raise self.damaged(f"more records than {self.size:,} bytes can hold")
+            raise self._too_many(f"{self._most_messages:,} records and more")
         if position > size:
             raise self.damaged("a record points out of its chunk")
         if position < size:
@@ -321,8 +323,15 @@ class McapFile(Closeable):
 
     def check_count(self, messages: int) -> None:
         """Raise LogError if that many messages cannot be in a file of this size."""
-        if messages > self.size + FREE_MESSAGES:
-            raise self.damaged(f"{counted(messages, 'message')} in {self.size:,} bytes")
+        if messages > self._most_messages:
+            raise self._too_many(counted(messages, "message"))
+
+    @property
+    def _most_messages(self) -> int:
+        return self.size // MIN_MESSAGE_BYTES + FREE_MESSAGES
+
+    def _too_many(self, what: str) -> LogError:
+        return self.damaged(f"{what} in {self.size:,} bytes, which hold {self._most_messages:,} at most")
 
     def damaged(self, what: str) -> LogError:
         path = self.path
@@ -339,7 +348,8 @@ def has_crc_in(chunk: Chunk, head: bytes) -> bool:
     return not chunk.is_message and len(head) >= CHUNK_HEADER.size and any(head[crc_at : CHUNK_HEADER.size])
 
 
-def _message(records: bytes, start: int) -> StoredMessage:
+def stored_message(records: bytes, start: int) -> StoredMessage:
+    """The message whose record begins at `start` of a chunk's records."""
     _, length, channel, sequence, log_time, publish_time = MESSAGE.unpack_from(records, start)
     content = start + MESSAGE.size
     return StoredMessage(channel, sequence, log_time, publish_time, start, content, length - _LEAST_MESSAGE)

@@ -29,7 +29,7 @@ from recorder.log import topics
 from recorder.log.chunk_cache import ChunkCache
 from recorder.log.chunk_reader import ChunkReader
 from recorder.log.fetched_chunks import FetchedChunks
-from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile, has_crc_in
+from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile, has_crc_in, stored_message
 from recorder.log.message_index import LAST_TIME_NS, UNCOMPRESSED, Read, index_messages
 from recorder.log.number_fields import decode_numbers
 from recorder.log.picture_places import is_about_places, is_of_pictures, read_chunk_crcs, read_places
@@ -43,6 +43,7 @@ if TYPE_CHECKING:  # training reads pictures where protobuf is not installed
     from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 
 _PLACE: Final = ("offset", "length", "chunk")
+_ROWS_AT_ONCE: Final = 4096
 _NEAR_BYTES: Final = 4096  # takes as long to read, and for its CRC, as a message to be read alone
 
 Decoded = TypeVar("Decoded", bound="ProtobufMessage")
@@ -94,7 +95,9 @@ class Log(Closeable):
         self._file = McapFile(self.path)
         try:
             self._structure = self._as_found = read_structure(self._file, without_chunks=brief)
-            if salvages:
+            if not salvages:
+                self._file.check_count(self.message_count or 0)
+            else:
                 self._as_found = replace(self._structure, chunks=list(self.chunks))
                 salvage(self._file, self._structure)
             self.size = self._file.size
@@ -333,6 +336,11 @@ class Log(Closeable):
             self._pictures[topic] = Pictures(*(table[name].astype(np.int64) for name in names))
         return self._pictures[topic]
 
+    def rows_and_times(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Number and log time of every vehicle state, in the order of the log."""
+        found = self._of_topic(topics.VEHICLE)
+        return found["sequence"].astype(np.int64), found["log_time_ns"].astype(np.int64)
+
     def messages(self, topic: str) -> list[Message]:
         """The places of the messages on `topic`, in the order of writing."""
         return _messages(self._of_topic(topic))
@@ -361,12 +369,13 @@ class Log(Closeable):
         Those that no log can hold are added to `skipped`; without it, they raise LogError.
         """
         records = self._file.records(chunk)
-        messages = list(self._file.messages(records))
+        starts = self._file.parts(records).messages
         if chunk.start not in self._copied_from:
-            self._file.check_count(self._copied + len(messages))
+            self._file.check_count(self._copied + len(starts))
             self._copied_from.add(chunk.start)
-            self._copied += len(messages)
-        for stored in messages:
+            self._copied += len(starts)
+        for start in starts:
+            stored = stored_message(records, start)
             channel = self.channels.get(stored.channel)
             if channel is None or max(stored.log_time_ns, stored.publish_time_ns) > LAST_TIME_NS:
                 what = "a topic that is not known" if channel is None else "a time that cannot be"
@@ -427,8 +436,7 @@ class Log(Closeable):
         is_near = np.diff(found["offset"], prepend=-_NEAR_BYTES, append=2**62) < _NEAR_BYTES
         are_near = is_near[:-1] | is_near[1:]  # the one before, or the next
         records_at, records = 0, b""
-        places = zip(*(found[name].tolist() for name in _PLACE), are_near.tolist(), strict=True)
-        for offset, length, chunk, is_beside in places:
+        for offset, length, chunk, is_beside in _in_plain_numbers(*(found[name] for name in _PLACE), are_near):
             if chunk != UNCOMPRESSED or not is_beside:
                 yield self._chunk_reader.read(offset, length, chunk)
                 continue
@@ -442,7 +450,13 @@ class Log(Closeable):
 
 def _messages(found: NDArray[np.void]) -> list[Message]:
     names = ("sequence", "log_time_ns", *_PLACE)
-    return [Message(*row) for row in zip(*(found[name].tolist() for name in names), strict=True)]
+    return [Message(*row) for row in _in_plain_numbers(*(found[name] for name in names))]
+
+
+def _in_plain_numbers(*columns: NDArray[Any]) -> Iterator[tuple[Any, ...]]:
+    """The rows of columns of one length, a part at a time: an int of Python's takes 32 bytes."""
+    for start in range(0, len(columns[0]), _ROWS_AT_ONCE):
+        yield from zip(*(column[start : start + _ROWS_AT_ONCE].tolist() for column in columns), strict=True)
 
 
 def _sha256(*parts: bytes) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import overload
 
@@ -12,8 +13,10 @@ from common.location import Location
 from common.locks import is_being_written
 from common.progress import track
 from common.random_access import is_there
+from common.untrusted import real_path
 from recorder.errors import LogError
 from recorder.log import topics
+from recorder.log.bad_rows import bad_rows_in
 from recorder.log.check_structure import is_damaged_beside_chunks
 from recorder.log.derived_log import (
     Written,
@@ -59,7 +62,7 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     skipped = Skipped()
     refuse_taken(to, [path], overwrite)  # before a long log is read
     goes_on = is_being_written(path)
-    if goes_on and to.resolve() == final_path(path.resolve()):
+    if goes_on and real_path(to) == final_path(real_path(path)):
         raise LogError(f"{to}: the name that the recording will take, which still goes on; give another by --to")
     with Log(path, salvages=True) as log:
         order = in_order_of_rows(log, skipped)
@@ -84,6 +87,7 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
             if not count:
                 raise LogError(f"{path}: not one whole message in it: there is nothing to recover")
             copy_rest(log, records, writer, skipped)
+            tags += _bad_rows(log)
             close_with_tags(writer, tags_of_rows(tags, rows))
     for start, end in log.lost:
         if log.problem:
@@ -104,6 +108,15 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     if goes_on:
         notices.append(f"{path}: its recording still goes on, and its end is not in {to.name}")
     return Written(to, count, len(rows), skipped, notices)
+
+
+def _bad_rows(log: Log) -> list[Tag]:
+    """The rows that a person found bad while a log was recorded, whose tags come with its end."""
+    if not log.problem or not log.is_ours or topics.EVENTS not in log.counts:
+        return []
+    with contextlib.suppress(LogError):
+        return [tag for _, event in log.decoded(topics.EVENTS) if (tag := bad_rows_in(event.message))]
+    return []
 
 
 def _sound_metadata(log: Log, skipped: Skipped) -> list[tuple[str, dict[str, str]]]:

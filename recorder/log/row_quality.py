@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from array import array
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.stretches import stretches
+from recorder.log.devices import Device, most_used
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -72,12 +74,19 @@ class StatesWritten:
     """The states of a log that is being written: 48 bytes a row."""
 
     def __init__(self) -> None:
+        self._devices = Counter[int]()
         self._numbers = array("q")
         self._values = array("d")
 
     def add(self, row: int, time_ns: int, state: VehicleState) -> None:
         self._numbers.extend((row, time_ns))
         self._values.extend((state.steering, state.throttle, state.brake, state.speed_mph))
+        self._devices[state.device] += 1
+
+    @property
+    def device(self) -> Device:
+        """The device that most rows were steered with."""
+        return most_used(self._devices)
 
     def __len__(self) -> int:
         return len(self._numbers) // 2

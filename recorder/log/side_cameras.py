@@ -7,6 +7,7 @@ cameras' pictures, row by row, gives d / h; neither the road nor the horizon has
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
@@ -15,16 +16,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from common.car import Camera
+from common.car import MPS_PER_MPH, Camera
 from recorder.errors import RecordingError
 from recorder.log.reader import Log
+from recorder.log.row_quality import STANDING_MPH
+from recorder.log.session_car import UDACITY, Car
 from recorder.log.topics import camera_topic
 from recorder.pictures.decoding import decode_picture
+from recorder.pictures.scaling import scaled_to_width
+from simulator.driving.expert import LOOK_AHEAD_M, LOOK_AHEAD_S
 
 UDACITY_SPACING: Final = 0.63
 """d / h of the real simulator, as measured here: 0.62 to 0.64 in published recordings of its three tracks."""
 UDACITY_CORRECTION: Final = 0.2
 """The label correction in use for it since the first projects with that simulator."""
+UDACITY_MPH: Final = 10.0
+"""The speed at which their networks drove."""
 
 _MEASURED: Final[tuple[Camera, ...]] = ("center", "left", "right")
 MOMENTS: Final = 60
@@ -51,15 +58,26 @@ class SideCameras:
     def spacing(self) -> float:
         return (self.left + self.right) / 2
 
-    @property
-    def side_correction(self) -> float:
-        """The label correction that brings such cameras' car back as Udacity's 0.2 does its own.
+    def side_correction(self, car: Car, speed_mph: float) -> float:
+        """The label correction that leads this car back as Udacity's 0.2 does its own at 10 mph."""
+        udacitys = _steering_back(UDACITY_SPACING * UDACITY.height_m, UDACITY, UDACITY_MPH)
+        ours = _steering_back(self.spacing * car.height_m, car, speed_mph)
+        return round(UDACITY_CORRECTION * ours / udacitys, 2)
 
-        The steering that leads back to the line within a given way grows with the distance from it (pure pursuit:
-        curvature = 2 * distance / way^2). It holds for cameras as high and a car that turns as sharply as
-        Udacity's, which no picture shows.
-        """
-        return round(UDACITY_CORRECTION * self.spacing / UDACITY_SPACING, 2)
+
+def _steering_back(beside_m: float, car: Car, speed_mph: float) -> float:
+    """The steering, as a share of full lock, with which the built-in simulator's expert leads a car back to a line
+    from so far beside it (pure pursuit: curvature = 2 * distance / way^2, Coulter 1992, CMU-RI-TR-92-01)."""
+    ahead_m = LOOK_AHEAD_M + LOOK_AHEAD_S * speed_mph * MPS_PER_MPH
+    curvature = 2.0 * beside_m / (ahead_m**2 + beside_m**2)
+    return math.atan(car.wheelbase_m * curvature) / car.max_wheel_rad
+
+
+def usual_speed_mph(log: Log) -> float | None:
+    """The median speed of the rows in which the car moves; None where no speed is known."""
+    speed_mph = log.vehicle()["speed_mph"].to_numpy()
+    moving = speed_mph[speed_mph > STANDING_MPH]  # False for NaN
+    return float(np.median(moving)) if len(moving) else None
 
 
 def side_cameras(log: Log) -> SideCameras:
@@ -79,20 +97,22 @@ def side_cameras(log: Log) -> SideCameras:
 
 
 def measure(moments: Iterable[list[Gray | None]]) -> SideCameras:
-    """Measure in pictures (H, W) of the centre, left and right camera in many places; where one is None, or of
-    another size than the others, the moment is passed over. Raises ValueError where it cannot be measured."""
+    """Measure in pictures (H, W) of the centre, left and right camera in many places; where one is None, of
+    another size than the others, or too flat or narrow, the moment is passed over. Raises ValueError where it
+    cannot be measured."""
     left: list[Floats] = []
     right: list[Floats] = []
     rows = 0  # of a band
     for pictures in moments:
-        bands = [_bands(picture) for picture in pictures if picture is not None]
-        if len(bands) == 3 and len({band.shape for band in bands}) == 1:
+        found_bands = (_bands(picture) for picture in pictures if picture is not None)
+        bands = [each for each in found_bands if each is not None]
+        if len(bands) == 3 and len({each.shape for each in bands}) == 1:
             centre, left_of, right_of = bands
             rows = centre.shape[1]
             left.append(_likeness(left_of, centre))
             right.append(_likeness(centre, right_of))
     if not left:
-        raise ValueError("no moment has whole pictures of one size of all three cameras")
+        raise ValueError("no moment has whole pictures of all three cameras, of one size and high enough")
     found = SideCameras(_slope(np.mean(left, axis=0), rows), _slope(np.mean(right, axis=0), rows), len(left))
     if abs(found.left - found.right) > _MOST_ASKEW * found.spacing:
         raise ValueError(
@@ -102,15 +122,17 @@ def measure(moments: Iterable[list[Gray | None]]) -> SideCameras:
     return found
 
 
-def _bands(picture: Gray) -> NDArray[np.float32]:
-    """(bands, rows, columns): edges that stand upright, in stripes of the ground."""
-    height = max(1, round(picture.shape[0] * _WIDTH_PX / picture.shape[1]))
-    small = cv2.resize(picture, (_WIDTH_PX, height), interpolation=cv2.INTER_AREA)
+def _bands(picture: Gray) -> NDArray[np.float32] | None:
+    """(bands, rows, columns): edges that stand upright, in stripes of the ground; None of a picture that is too
+    flat or too narrow to measure in."""
+    small = scaled_to_width(picture, _WIDTH_PX)
+    if small is None:
+        return None
     edges = cv2.Sobel(cv2.GaussianBlur(small, (3, 3), 0), cv2.CV_32F, 1, 0)
-    first, last = (round(share * height) for share in _ROWS)
+    first, last = (round(share * small.shape[0]) for share in _ROWS)
     each = (last - first) // _BANDS
     if each < 1:
-        raise ValueError("pictures that are too flat to measure in")
+        return None
     return np.asarray(edges[first : first + _BANDS * each].reshape(_BANDS, each, _WIDTH_PX), np.float32)
 
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, Literal
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from common.car import MAX_STEERING_DEG
+from common.untrusted_json import json_as
+from recorder.log.devices import Device
 from recorder.log.row_quality import (
     States,
     Values,
@@ -68,6 +69,7 @@ class SteeringHabits:
     largest_deg: float | None  # of either side
     ceiling: tuple[float | None, float | None, float | None]  # within each of CEILING_S
     crashes: float | None  # share of the rows in crashes
+    device: Device = ""  # that a person steered most rows with, as recorded; empty if the log names none
 
 
 @dataclass(frozen=True)
@@ -77,19 +79,19 @@ class SteeringLag:
     lag_s: float  # steering comes so long after the turning; negative: before it
     correlation: float  # of the two at that lag; negative: the pictures turn the other way
     pictures: int  # that were decoded
+    margin_s: float | None = None  # it is surely so near to that; None in what earlier versions have written
 
 
 def habits_from(text: str) -> SteeringHabits | None:
     """The habits in a log's note of itself, from JSON; None for any other text, which strangers may write."""
-    try:
-        return msgspec.json.decode(text, type=SteeringHabits)
-    except (msgspec.MsgspecError, UnicodeError):
-        return None
+    return json_as(text, SteeringHabits)
 
 
-def steering_habits(states: States, max_steering_deg: float = MAX_STEERING_DEG) -> SteeringHabits:
-    """Measure the habits in the rows of a log, whose wheels turn by `max_steering_deg` at steering 1. No content
-    of the rows raises anything."""
+def steering_habits(
+    states: States, max_steering_deg: float = MAX_STEERING_DEG, device: Device = ""
+) -> SteeringHabits:
+    """Measure the habits in the rows of a log, whose wheels turn by `max_steering_deg` at steering 1, and whose
+    rows name `device`. No content of the rows raises anything."""
     in_range = np.abs(states.steering) <= 1  # False for NaN too
     flags = row_flags(states)
     steering, time_ns = states.steering[in_range], states.time_ns[in_range]
@@ -119,6 +121,7 @@ def steering_habits(states: States, max_steering_deg: float = MAX_STEERING_DEG) 
         largest_deg=float(np.abs(steering).max()) * max_steering_deg if rows else None,
         ceiling=ceiling,
         crashes=_share(flags["crash"]),
+        device=device,
     )
 
 

@@ -27,7 +27,7 @@ def steering_cells(habits: SteeringHabits, lag: SteeringLag | None) -> list[str]
         f"{habits.presses:,}" + (f" x {habits.press_s:.1f} s" if habits.press_s else ""),
         _formatted(habits.rate_hz, "{:.1f}"),
         _formatted(habits.ceiling[1], "{:.2f}"),
-        _formatted(lag.lag_s if lag else None, "{:+.2f}"),
+        _lag_words(lag) if lag else "-",
     ]
 
 
@@ -44,11 +44,18 @@ def steering_line(habits: SteeringHabits, lag: SteeringLag | None) -> str:
         f"ceiling {' / '.join(_formatted(ceiling, '{:.2f}') for ceiling in habits.ceiling)}",
     ]
     if lag is not None:
-        parts.append(f"lag {lag.lag_s:+.2f} s (correlation {lag.correlation:.2f})")
+        parts.append(f"lag {_lag_words(lag)} s (correlation {lag.correlation:.2f})")
     return "; ".join(parts)
 
 
+def _lag_words(lag: SteeringLag) -> str:
+    margin = "" if lag.margin_s is None else f" \N{PLUS-MINUS SIGN}{lag.margin_s:.2f}"
+    return f"{lag.lag_s:+.2f}{margin}"
+
+
 def _how(habits: SteeringHabits) -> str:
+    if habits.device:
+        return habits.device
     return "keys" if habits.keys and habits.kind == "steps" else _IN_WORDS[habits.kind]
 
 
@@ -59,5 +66,5 @@ def _formatted(value: float | None, form: str) -> str:
 def in_words(habits: SteeringHabits, lag: SteeringLag | None, plan: LabelPlan) -> str:
     """Short enough for the title of a figure."""
     ceiling = f"ceiling {_formatted(habits.ceiling[1], '{:.2f}')}"
-    late = "" if lag is None else f"lag {lag.lag_s:+.2f} s; ".replace("-", "\N{MINUS SIGN}")
+    late = "" if lag is None else f"lag {_lag_words(lag)} s; ".replace("-", "\N{MINUS SIGN}")
     return f"{_how(habits)}; {_formatted(habits.zeros, '{:.0%}')} zeros; {ceiling}; {late}{plan}"

@@ -254,7 +254,8 @@ class LogWriter:
                 **({"picture_sizes": json.dumps(mixed)} if mixed else {}),
             }
             states = self._states.states()
-            steering = json.dumps(asdict(steering_habits(states, self._max_steering_deg)), allow_nan=False)
+            habits = steering_habits(states, self._max_steering_deg, self._states.device)
+            steering = json.dumps(asdict(habits), allow_nan=False)
             rows = summary(states) | self._not_recorded.summary(states)
             self.add_metadata(topics.QUALITY_METADATA, rows | {"steering": steering} | sizes)
         if self.same_as:

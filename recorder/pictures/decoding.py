@@ -1,4 +1,4 @@
-"""Decoding pictures that may be anything, and telling those that are whole."""
+"""Decoding pictures that may be anything, and telling those that are whole: the one place that calls OpenCV's."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _REDUCED_GRAYSCALE_8: Final = 64
 def decode_picture(picture: bytes, flags: int) -> NDArray[np.uint8] | None:
     """A JPEG or PNG as OpenCV decodes it with these flags (cv2.IMREAD_...), (height, width) or (height, width, 3).
 
-    None for what is neither, is too large, or does not decode to its end. Wrong bytes within the coded picture
-    that end where they should decode to a wrong picture, which nothing distinguishes from a right one.
+    None for what is neither, has too many pixels or scans, or does not decode to its end. Wrong bytes within the
+    coded picture that end where they should decode to a wrong picture: nothing distinguishes it from a right one.
     """
     if not can_be_decoded(picture):
         return None

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
-from recorder.pictures.picture_size import MOST_PIXELS
+from recorder.pictures.picture_size import MOST_PIXELS, has_too_many_scans
 
 PADDING_BYTES: Final = 64  # some cameras pad the end of a file
 _MOST_BLOCKS: Final = 10  # in a unit of several components (T.81, B.2.3)
@@ -37,7 +37,7 @@ def is_whole_jpeg(data: bytes) -> bool:
 
 def whole_jpeg_size(data: bytes) -> tuple[int, int] | None:
     """Width and height of a JPEG that is complete, as `is_whole_jpeg` defines it; None if it is not."""
-    if len(data) < 4 or data[:2] != bytes((0xFF, _START)):
+    if len(data) < 4 or data[:2] != bytes((0xFF, _START)) or has_too_many_scans(data):
         return None
     try:
         end, frame = _find_end(data)
@@ -65,24 +65,20 @@ class _Known:
 
 _NOTHING: Final = _Known()
 
-_MOST_SCANS: Final = 100
-"""A progressive picture has some ten. Each is decoded over the whole picture: thousands of them, which fit into
-50 KB, take seconds."""
-
 
 def _find_end(data: bytes) -> tuple[int, _Frame]:
     """Offset of the bytes after the end marker, and the picture's frame.
 
     Raises ValueError or IndexError if there is no sound end.
     """
-    known, scans, position = _NOTHING, 0, 2
+    known, has_scan, position = _NOTHING, False, 2
     while True:
         if data[position] != 0xFF:
             raise ValueError("no marker")
         while (marker := data[position + 1]) == 0xFF:
             position += 1
         if marker == _END:
-            if known.frame is None or not scans:
+            if known.frame is None or not has_scan:
                 raise ValueError("no picture")
             return position + 2, known.frame
         length = data[position + 2] << 8 | data[position + 3]
@@ -93,9 +89,7 @@ def _find_end(data: bytes) -> tuple[int, _Frame]:
         if marker not in _IGNORED:
             known = _after(known, marker, segment)
         if marker == _SOS:
-            scans += 1
-            if scans > _MOST_SCANS:
-                raise ValueError("too many scans")
+            has_scan = True
             end = _SCAN_END.search(data, position)
             if end is None:
                 raise ValueError("cut off")

@@ -1,4 +1,4 @@
-"""The size of a JPEG or PNG by its header, before anything is unpacked: a few kilobytes may be gigabytes."""
+"""What decoding a JPEG or PNG takes, before it is done: a few kilobytes may be gigabytes, or minutes."""
 
 from __future__ import annotations
 
@@ -11,11 +11,16 @@ from common.errors import counted
 MOST_PIXELS: Final = 1 << 26
 """No larger picture is decoded: in memory it is up to 200 MB, and a car's camera gives a hundredth of it."""
 
+MAX_SCANS: Final = 100
+"""A progressive picture has some ten. Each is decoded over the whole picture: thousands of them, which fit into
+50 KB, take seconds."""
+
 _MOST_SIZES: Final = 8  # of one camera's pictures, listed
 
 PNG_START: Final = b"\x89PNG\r\n\x1a\n"
 
 _JPEG_START: Final = b"\xff\xd8"
+_SCAN_START: Final = b"\xff\xda"
 _WITHOUT_LENGTH: Final = frozenset({0x00, 0x01, *range(0xD0, 0xD8)})
 _NO_FRAMES: Final = frozenset({0xC4, 0xC8, 0xCC})  # tables among the numbers of the frames
 _SCAN_OR_END: Final = frozenset({0xD9, 0xDA})
@@ -67,8 +72,23 @@ def pixels(picture: bytes) -> int | None:
 
 
 def can_be_decoded(picture: bytes) -> bool:
-    """True for what begins as a JPEG or PNG of at most `MOST_PIXELS`."""
-    return 0 < (pixels(picture) or 0) <= MOST_PIXELS
+    """True for what begins as a JPEG or PNG of at most `MOST_PIXELS` and, as a JPEG, of at most `MAX_SCANS`."""
+    return not decoding_problem(picture)
+
+
+def decoding_problem(picture: bytes) -> str:
+    """Why a picture is not to be decoded, by its header and its markers; empty if it may be."""
+    size = pixels(picture) or 0
+    if not size:
+        return f"{counted(len(picture), 'byte')} that are not a picture"
+    if size > MOST_PIXELS:
+        return f"a picture of more than {MOST_PIXELS:,} pixels"
+    return f"a JPEG of more than {MAX_SCANS} scans" if has_too_many_scans(picture) else ""
+
+
+def has_too_many_scans(picture: bytes) -> bool:
+    """True for a JPEG of more than `MAX_SCANS`. Coded data has no marker in it: those in comments count, too."""
+    return picture.startswith(_JPEG_START) and picture.count(_SCAN_START) > MAX_SCANS
 
 
 class PictureSizes:

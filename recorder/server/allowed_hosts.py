@@ -8,11 +8,15 @@ the page was loaded (DNS rebinding). A numeric address leads nowhere else, and a
 from __future__ import annotations
 
 import ipaddress
+import re
 import socket
 from typing import Any, Final
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs
 
 _LOOPBACK_NAMES: Final = ("localhost", "localhost.localdomain", "ip6-localhost")
+_PLACE: Final = re.compile(
+    r"(?:[A-Za-z][A-Za-z0-9+.-]*:)?//(?:\[(?P<address>[^\s\[\]@/]+)\]|(?P<name>[^\s\[\]@/\\?#:]+))(?::[0-9]{0,5})?/?"
+)
 _PRIVATE: Final = (".local", ".internal", ".home.arpa")
 
 
@@ -50,11 +54,10 @@ class AllowedHosts:
 
 
 def _name(url: str) -> str:
-    """The host in a URL; empty if there is none."""
-    try:
-        return _normalised(urlsplit(url).hostname or "")
-    except ValueError:
-        return ""
+    """The host in `//HOST` or `SCHEME://HOST`; empty for anything else, also where a user is named before the host
+    (`evil.example@127.0.0.1`) or something follows an address (`[::1].evil.example`)."""
+    matched = _PLACE.fullmatch(url)
+    return _normalised(matched["address"] or matched["name"]) if matched else ""
 
 
 def _normalised(name: str) -> str:

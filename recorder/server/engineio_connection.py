@@ -8,11 +8,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from engineio import packet
 from engineio.socket import Socket
 
+from recorder.server.in_flight import InFlight
 from recorder.server.websocket import BROKEN_FRAME, TOO_LARGE, HandshakeError, WebSocket
 
 STREAM: Final = "telemetry.stream"
@@ -33,6 +34,14 @@ NOTICES_HUNG_UP: Final = {
 }
 
 Lock = AbstractContextManager[Any]
+
+
+class Received(NamedTuple):
+    """A telemetry that has come."""
+
+    sid: str
+    data: object
+    received_s: float
 
 
 class ServerHost(Protocol):
@@ -70,6 +79,8 @@ class Connection(Socket):  # type: ignore[misc]
 
     has_sent_message: bool
     awaits_first_command: bool  # no telemetry has come, and no command was sent
+    first_command_sent: bool  # before any telemetry
+    in_flight: InFlight[Received]
     last_ping: Any
     _lock: Lock
     _host: ServerHost
@@ -84,6 +95,7 @@ class Connection(Socket):  # type: ignore[misc]
         `notify` gets the reason where a client is disconnected."""
         connection.__class__ = cls
         connection.has_sent_message, connection.awaits_first_command = False, True
+        connection.first_command_sent, connection.in_flight = False, InFlight()
         connection._lock, connection._host, connection._notify = lock, host, notify
         connection._websocket = None
         connection._since_s = connection._next_ping_s = time.monotonic()
@@ -97,6 +109,26 @@ class Connection(Socket):  # type: ignore[misc]
         """`time.perf_counter()` at which the last message had arrived; with long polling, now."""
         return time.perf_counter() if self._websocket is None else self._websocket.received_s
 
+    @property
+    def taken_s(self) -> float:
+        """The same of the moment from which on it is handled."""
+        return time.perf_counter() if self._websocket is None else self._websocket.taken_s
+
+    @property
+    def has_unread(self) -> bool:
+        """True if the client has sent something that is not handled yet."""
+        return self._websocket is not None and (bool(self._websocket.waiting) or self._websocket.has_unread)
+
+    @property
+    def waiting(self) -> list[str | bytes]:
+        """The messages that were read, and are not handled yet."""
+        return [] if self._websocket is None else self._websocket.waiting
+
+    def look(self) -> None:
+        """Read what has come meanwhile. To be called by the thread that reads."""
+        if self._websocket is not None:
+            self._websocket.look()
+
     def is_older_than(self, seconds: float) -> bool:
         return time.monotonic() - self._since_s >= seconds
 
@@ -104,9 +136,10 @@ class Connection(Socket):  # type: ignore[misc]
         """True for a websocket that has sent no telemetry for so long, and got no first command yet."""
         return self.is_websocket and self.awaits_first_command and not self.closed and self.is_older_than(seconds)
 
-    def send_first_command(self, message: str) -> None:
-        """Send a command before any telemetry, once."""
-        self.awaits_first_command = False
+    def send_first_command(self, message: str, now_s: float) -> None:
+        """Send a command before any telemetry, once; `now_s` is the time of the server's `RunningClock`."""
+        self.awaits_first_command, self.first_command_sent = False, True
+        self.in_flight.pushed(now_s)
         self.send(packet.Packet(packet.MESSAGE, data=message))
 
     def send_directly(self, message: str) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import selectors
 import socket
 from typing import Any
 
@@ -33,6 +34,16 @@ class QuickAckSocket(QuickAck, socket.socket):
 
 def send_at_once(connection: socket.socket) -> None:
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+
+def has_unread(stream: socket.socket) -> bool:
+    """True if something has come that is not read yet; also where the other side has hung up."""
+    try:
+        with selectors.DefaultSelector() as selector:
+            selector.register(stream, selectors.EVENT_READ)
+            return bool(selector.select(0))
+    except (OSError, ValueError):  # it is closed
+        return False
 
 
 def listen(host: str, port: int, kind: type[Any] = QuickAckSocket) -> Any:

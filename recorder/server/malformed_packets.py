@@ -13,13 +13,13 @@ from typing import Any, Final
 import socketio
 from socketio import packet
 
+from common.car import CAMERAS
 from recorder.server.connection_guard import Notify, landing_page
+from recorder.server.telemetry import NOT_JSON
 
 BROKEN_PACKET: Final = "broken packet"
-MAX_ATTACHMENTS: Final = 1  # of a packet, which is kept until they have come: a telemetry has one picture
+MAX_ATTACHMENTS: Final = len(CAMERAS)  # of a packet, which is kept until they have come: a picture of each camera
 MAX_NAMESPACE_CHARACTERS: Final = 100
-NOT_JSON: Final = "not JSON"
-"""The data of a telemetry that is not JSON: it is answered like any other."""
 
 NOTICE_BROKEN: Final = (
     "hung up on a client that broke the Socket.IO protocol: a simulator in autonomous mode does not, other clients"
@@ -34,6 +34,11 @@ _RESERVED_EVENTS = ("connect", "disconnect")
 _TELEMETRY = re.compile(r'(?:2|5(?:(\d{1,9})-)?)\d*\[\s*"telemetry"')  # and its attachments
 
 Application = Callable[[dict[str, Any], Callable[..., Any]], Iterable[bytes]]
+
+
+def is_telemetry(message: str | bytes) -> bool:
+    """True for an Engine.IO message that holds a telemetry, whatever that is."""
+    return isinstance(message, str) and message[:1] == "4" and _TELEMETRY.match(message, 1) is not None
 
 
 class CheckedPacket(packet.Packet):  # type: ignore[misc]

@@ -8,25 +8,34 @@ from __future__ import annotations
 import base64
 import binascii
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Final
 
+from common.car import CAMERAS, Camera
 from common.errors import counted, printable
 from recorder.log.session_car import UDACITY, Car
 from recorder.pictures.jpeg import whole_jpeg_size
+from recorder.pictures.picture_size import PNG_START
+from recorder.pictures.png import whole_png_size
+from recorder.server.json_kinds import json_kind
 from recorder.server.locale_numbers import POINT, decimal_separator, format_number, parse_number
 from recorder.server.world import World, parse_world
 
 MAX_IMAGE_BYTES: Final = 1 << 20  # base64; the simulator's own are about 20 KB
 
+NOT_JSON: Final = object()
+"""The data of a telemetry that is not JSON, or too deep: it is answered like any other."""
+
 MAX_SPEED_MPH: Final = 1e7  # higher ones make distances that nobody can read
 
 _NUMBERS: Final = ("steering_angle", "throttle", "speed")
 _FIELDS: Final = (*_NUMBERS, "image")
+SIDE_IMAGES: Final[Mapping[Camera, str]] = {name: f"image_{name}" for name in CAMERAS if name != "center"}
+"""The fields of the other cameras' pictures, which a simulator may leave out."""
 _MAX_FIELDS_SHOWN: Final = 6
 _MAX_CHARACTERS_SHOWN: Final = 30  # of a client's text, in a reason
 _OTHER_PICTURES: Final = {
-    b"\x89PNG": "PNG",
     b"GIF8": "GIF",
     b"RIFF": "WebP",
     b"BM": "BMP",
@@ -58,11 +67,13 @@ class Telemetry:
     steering: float  # -1 (left) .. 1 (right), the wheels as they are; not clamped
     throttle: float  # 0..1; not clamped
     speed_mph: float  # NaN where the simulator sends none, which no message may have
-    jpeg: bytes
+    picture: bytes  # of the centre camera
     decimal_separator: str = POINT  # of the simulator's machine, for what it writes and reads
     observed_separator: str | None = None  # the same, if this telemetry shows it without doubt
     world: World | None = None  # None unless the simulator sends more than the real one does
     world_problems: tuple[str, ...] = ()  # what of it could not be used, and why
+    side_pictures: Mapping[Camera, bytes] = field(default_factory=dict)  # whole ones
+    side_problems: tuple[str, ...] = ()  # why others could not be used, without values
 
 
 def parse_telemetry(data: object, known_separator: str | None = None, car: Car = UDACITY) -> Telemetry:
@@ -71,8 +82,12 @@ def parse_telemetry(data: object, known_separator: str | None = None, car: Car =
     `known_separator` is the decimal separator of the same connection's earlier telemetry: whole numbers, and
     1,234, do not show it. `car` gives the wheels' angle at steering 1 and the unit of the speed.
     """
+    if data is NOT_JSON:
+        raise TelemetryError("telemetry is not JSON")
     if not isinstance(data, dict):
-        raise TelemetryError(f"not an object but a {type(data).__name__}")
+        is_encoded = isinstance(data, str) and data.lstrip().startswith("{")
+        hint = " (send the object, not a string of JSON)" if is_encoded else ""
+        raise TelemetryError(f"not an object but {json_kind(data)}", hint)
     observed = _decimal_separator(data)
     decimal = observed or known_separator or POINT  # "N4", the default, never writes three decimals
     numbers: dict[str, float] = {}
@@ -86,7 +101,7 @@ def parse_telemetry(data: object, known_separator: str | None = None, car: Car =
             except TelemetryError as error:
                 problems.append(error)
     try:
-        jpeg = _image(data["image"]) if "image" not in missing else b""
+        picture = _image(data["image"], "image") if "image" not in missing else b""
     except TelemetryError as error:
         problems.append(error)
     world, world_problems = parse_world(data.get("world"), decimal)
@@ -95,31 +110,36 @@ def parse_telemetry(data: object, known_separator: str | None = None, car: Car =
         problem.speed_mph, problem.decimal_separator = numbers.get("speed"), observed
         problem.world, problem.world_problems = world, world_problems
         raise problem
+    side_pictures, side_problems = _side_pictures(data)
     return Telemetry(
         steering=numbers["steering_angle"] / car.max_steering_deg,
         throttle=numbers["throttle"],
         speed_mph=numbers["speed"],
-        jpeg=jpeg,
+        picture=picture,
         decimal_separator=decimal,
         observed_separator=observed,
         world=world,
         world_problems=world_problems,
+        side_pictures=side_pictures,
+        side_problems=side_problems,
     )
 
 
-def check_whole_jpeg(jpeg: bytes) -> tuple[int, int]:
-    """The width and height of a JPEG.
+def check_whole_picture(picture: bytes, name: str = "image") -> tuple[int, int]:
+    """The width and height of a JPEG or PNG, which came in the field `name`.
 
     Raises TelemetryError if it is not complete: the end of one that is cut off would be grey.
     """
-    if (size := whole_jpeg_size(jpeg)) is not None:
+    is_png = picture.startswith(PNG_START[:4])
+    if (size := whole_png_size(picture) if is_png else whole_jpeg_size(picture)) is not None:
         return size
-    for start, name in _OTHER_PICTURES.items():
-        if jpeg.startswith(start):
-            raise TelemetryError(f"image is a {name}, not a JPEG")
-    if jpeg.startswith(b"\xff\xd8"):
-        raise TelemetryError("image is a JPEG that is cut off or damaged", f" ({counted(len(jpeg), 'byte')})")
-    raise TelemetryError("image is not a JPEG", f" ({counted(len(jpeg), 'byte')})")
+    for start, kind in _OTHER_PICTURES.items():
+        if picture.startswith(start):
+            raise TelemetryError(f"{name} is a {kind}, not a JPEG or PNG")
+    size_text = f" ({counted(len(picture), 'byte')})"
+    if is_png or picture.startswith(b"\xff\xd8"):
+        raise TelemetryError(f"{name} is a {'PNG' if is_png else 'JPEG'} that is cut off or damaged", size_text)
+    raise TelemetryError(f"{name} is not a JPEG or PNG", size_text)
 
 
 def format_command(steering: float, throttle: float, decimal_separator: str = POINT) -> dict[str, str]:
@@ -152,7 +172,7 @@ def _missing(names: list[str], data: dict[object, object]) -> TelemetryError:
 def _number(value: object, field: str, decimal: str, unit: float) -> float:
     """The number in a field that is there, times `unit`. Raises TelemetryError if it holds none."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise TelemetryError(f"{field} is not a number but a {type(value).__name__}")
+        raise TelemetryError(f"{field} is not a number but {json_kind(value)}")
     try:
         number = parse_number(value, decimal) if isinstance(value, str) else float(value)
     except OverflowError:
@@ -173,17 +193,32 @@ def _shortened(value: object) -> str:
     return printable(text if len(text) <= _MAX_CHARACTERS_SHOWN else f"{text[:_MAX_CHARACTERS_SHOWN]}...")
 
 
-def _image(value: object) -> bytes:
+def _side_pictures(data: dict[object, object]) -> tuple[dict[Camera, bytes], tuple[str, ...]]:
+    """The whole pictures of the side cameras, and the kinds of problems with the others."""
+    pictures: dict[Camera, bytes] = {}
+    problems = []
+    for camera, name in SIDE_IMAGES.items():
+        if data.get(name) is not None:
+            try:
+                picture = _image(data[name], name)
+                check_whole_picture(picture, name)
+                pictures[camera] = picture
+            except TelemetryError as error:
+                problems.append(error.kind)
+    return pictures, tuple(problems)
+
+
+def _image(value: object, name: str) -> bytes:
     """The picture in a field that is there. Raises TelemetryError if it holds none."""
     if not isinstance(value, str):
-        raise TelemetryError(f"image is not a string but a {type(value).__name__}")
+        raise TelemetryError(f"{name} is not a string but {json_kind(value)}")
     if not value:
-        raise TelemetryError("image is empty")
+        raise TelemetryError(f"{name} is empty")
     if len(value) > MAX_IMAGE_BYTES:
-        raise TelemetryError(f"image is larger than {MAX_IMAGE_BYTES:,} bytes")
+        raise TelemetryError(f"{name} is larger than {MAX_IMAGE_BYTES:,} bytes")
     if value.startswith("data:"):
-        raise TelemetryError("image begins with data:", " (send only what comes after base64,)")
+        raise TelemetryError(f"{name} begins with data:", " (send only what comes after base64,)")
     try:
         return base64.b64decode(value, validate=True)
     except (binascii.Error, ValueError):
-        raise TelemetryError("image is not base64") from None
+        raise TelemetryError(f"{name} is not base64") from None

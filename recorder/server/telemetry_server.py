@@ -17,16 +17,21 @@ from socketio import packet
 from common.errors import printable
 from recorder.server.allowed_hosts import AllowedHosts
 from recorder.server.connection_guard import END_S, MAX_CONNECTIONS, NOTICE_TOO_MANY, Notify
-from recorder.server.engineio_connection import WEBSOCKET_OVER, Connection, ServerHost
+from recorder.server.engineio_connection import WEBSOCKET_OVER, Connection, Received, ServerHost
 from recorder.server.locale_numbers import POINT
-from recorder.server.malformed_packets import CheckedPacket, close_on_broken_packets, one_line_logger
+from recorder.server.malformed_packets import (
+    CheckedPacket,
+    close_on_broken_packets,
+    is_telemetry,
+    one_line_logger,
+)
+from recorder.server.running_clock import RunningClock
 from recorder.server.socketio2 import accept_socketio2_clients
 from recorder.server.telemetry import MAX_IMAGE_BYTES, format_command
 
 TICK_S: Final = 0.1
 FIRST_COMMAND_S: Final = 1.0
-"""The time that a first command waits for telemetry: the real simulator sends its own at once, and each command
-that answers none keeps one more telemetry in flight."""
+"""The time that a first command waits for telemetry: the real simulator sends its own at once."""
 NO_TELEMETRY_S: Final = 5.0
 """A client that has sent nothing for so long speaks another protocol."""
 MAX_MESSAGE_BYTES: Final = 4 * MAX_IMAGE_BYTES
@@ -67,7 +72,7 @@ class Answer:
     command: Steer | None  # None is `manual`: a human drives
     on_sent: Callable[[float], None]
     """Called with the milliseconds since the telemetry's last byte had arrived, when the system has taken the
-    answer, or the client has gone."""
+    answer, or the client has gone: so old is the picture then."""
 
 
 class TelemetryHandler(Protocol):
@@ -80,7 +85,16 @@ class TelemetryHandler(Protocol):
 
     def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
         """The answer to `data`, which is whatever the client has sent; None while a human holds a key.
-        `received_s` is the `time.perf_counter()` at which its last byte had arrived."""
+        `received_s` is the `time.perf_counter()` from which on it is handled: it may have waited before."""
+        ...
+
+    def unanswered(self, sid: str, data: object, received_s: float) -> None:
+        """Called with a telemetry that is left unanswered, because a command that answered none keeps one more in
+        flight (`recorder.server.in_flight`). Its last byte had arrived at `received_s`."""
+        ...
+
+    def first_command_sent(self, sid: str) -> None:
+        """Called before the first telemetry of a client that had got a first command."""
         ...
 
     def tick(self) -> None:
@@ -123,6 +137,7 @@ class TelemetryServer:
         # by Engine.IO's name of a connection, until sent: its Socket.IO name, when the telemetry came, the answer
         self._pending_answers: dict[str, tuple[str, float, Answer]] = {}
         self._unsent_answers = 0
+        self._clock = RunningClock()
         self._lock = threading.RLock()
         self._allowed_hosts = AllowedHosts(host)
         self._has_refused = False
@@ -160,6 +175,7 @@ class TelemetryServer:
             while not self._is_done(until):
                 self._host.wait(TICK_S)  # a tick, because a signal does not wake eventlet
                 with self._lock:
+                    self._clock.tick()
                     self._call(self._handler.tick)
                     self._tick_connections()
         finally:
@@ -177,9 +193,24 @@ class TelemetryServer:
     def push(self, sid: str, command: Steer) -> None:
         """Send a command that answers no telemetry; to be called by the handler, from `tick`."""
         with self._lock:
-            if self._server.manager.is_connected(sid, "/"):
+            if (connection := self._connection(sid)) is not None:
+                connection.in_flight.pushed(self._clock.tick())
                 self._steered.add(sid)
                 self._server.emit(*_event(command), to=sid)
+
+    def in_flight(self, sid: str) -> int:
+        """The telemetries of a client that are in flight, at least."""
+        connection = self._connection(sid)
+        return 1 if connection is None else connection.in_flight.count
+
+    def has_unread(self, sid: str) -> bool:
+        """True if a client has sent something that the handler has not got yet: it is not silent."""
+        connection = self._connection(sid)
+        return connection is not None and (connection.has_unread or connection.in_flight.holds)
+
+    def _connection(self, sid: str) -> Connection | None:
+        is_connected = self._server.manager.is_connected(sid, "/")
+        return self._engine.sockets.get(self._server.manager.eio_sid_from_sid(sid, "/")) if is_connected else None
 
     def _wait_for_unsent_answers(self) -> None:
         """Wait: an answer that a thread still holds would come after the last command, and the car would keep
@@ -237,6 +268,8 @@ class TelemetryServer:
             return
         # Without the lock: a client that does not read keeps nobody else waiting.
         sid, received_s, answer = pending
+        connection.look()  # before the answer leaves: what has come by now was not caused by it
+        waiting = _telemetries(connection)
         name, fields = _event(answer.command)
         with contextlib.suppress(OSError, EngineIOError):  # the client has gone
             if not connection.send_directly(packet.Packet(packet.EVENT, data=[name, fields]).encode()):
@@ -244,6 +277,7 @@ class TelemetryServer:
         total_ms = (time.perf_counter() - received_s) * 1e3
         with self._lock:
             self._unsent_answers -= 1
+            connection.in_flight.note(1 + waiting)
             self._call(answer.on_sent, total_ms)
 
     def _on_connect(self, sid: str, environ: dict[str, Any]) -> None:
@@ -258,22 +292,46 @@ class TelemetryServer:
     def _on_telemetry(self, sid: str, data: object = None, *_: object) -> None:
         engine_sid = self._server.manager.eio_sid_from_sid(sid, "/")
         connection: Connection = self._engine.sockets[engine_sid]
-        connection.awaits_first_command, received_s = False, connection.received_s
-        answer = None if self._is_over else self._call(self._handler.telemetry, sid, data, received_s)
-        if answer is not None:
-            if answer.command is not None:
-                self._steered.add(sid)
-            self._pending_answers[engine_sid] = (sid, received_s, answer)
+        connection.awaits_first_command = False
+        if self._is_over:
+            return
+        if connection.first_command_sent:
+            connection.first_command_sent = False
+            self._call(self._handler.first_command_sent, sid)
+        received = Received(sid, data, connection.received_s)
+        unanswered, due = connection.in_flight.take(received, _telemetries(connection), self._clock.tick())
+        for left in unanswered:
+            self._call(self._handler.unanswered, *left)
+        if due is not None and (answer := self._answer(due, connection.taken_s)) is not None:
+            self._pending_answers[engine_sid] = (sid, due.received_s, answer)
+
+    def _answer(self, received: Received, taken_s: float) -> Answer | None:
+        """The handler's answer; None if it has failed."""
+        answer = self._call(self._handler.telemetry, received.sid, received.data, taken_s)
+        if answer is not None and answer.command is not None:
+            self._steered.add(received.sid)
+        return answer
+
+    def _answer_held(self, connection: Connection) -> None:
+        """Answer the telemetry that was held, if it is time."""
+        flight = connection.in_flight
+        received = flight.overdue(self._clock.seconds, has_unread=connection.has_unread) if flight.holds else None
+        if received is not None and (answer := self._answer(received, time.perf_counter())) is not None:
+            self._server.emit(*_event(answer.command), to=received.sid)
+            self._call(answer.on_sent, (time.perf_counter() - received.received_s) * 1e3)
 
     def _tick_connections(self) -> None:
         for engine_sid, connection in list(self._engine.sockets.items()):
             connection.tick()
+            self._answer_held(connection)
             if connection.closed and not connection.is_websocket:
                 self._engine.sockets.pop(engine_sid, None)
                 continue
             if self._first_command != "nothing" and connection.has_waited(FIRST_COMMAND_S):
                 event = _event(self._first_command if isinstance(self._first_command, Steer) else None)
-                connection.send_first_command(packet.Packet(packet.EVENT, data=[*event]).encode())
+                connection.send_first_command(
+                    packet.Packet(packet.EVENT, data=[*event]).encode(), self._clock.seconds
+                )
             if connection.is_older_than(NO_TELEMETRY_S):
                 if not connection.is_websocket:
                     self._notify_once(NOTICE_POLLING)
@@ -301,6 +359,11 @@ def _event(command: Steer | None) -> tuple[str, dict[str, str]]:
     if command is None:
         return "manual", {}
     return "steer", format_command(command.steering, command.throttle, command.decimal_separator)
+
+
+def _telemetries(connection: Connection) -> int:
+    """Those that were read, and are not handled yet."""
+    return sum(map(is_telemetry, connection.waiting))
 
 
 def _is_for_websocket(environ: dict[str, Any]) -> bool:

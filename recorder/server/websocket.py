@@ -22,6 +22,8 @@ from websockets.http11 import Request
 from websockets.protocol import Protocol, Side, State
 from websockets.server import ServerProtocol
 
+from recorder.server.listening_socket import has_unread
+
 RECEIVE_BYTES: Final = 1 << 16
 FRAME_BYTES: Final = 100
 """The memory that a frame takes beside its content."""
@@ -31,6 +33,9 @@ PARSED_BYTES: Final = 1 << 13
 """The most that is parsed before others may run: 1,400 empty frames, in some 3 ms."""
 FEW_FRAMES: Final = 50
 """No simulator sends more frames at once; after more, others run first."""
+MAX_WAITING: Final = 64
+MAX_WAITING_BYTES: Final = 1 << 20
+"""The messages that are read before they are asked for are no more than these; the system keeps the others."""
 DATA_OPCODES: Final = frozenset((Opcode.TEXT, Opcode.BINARY, Opcode.CONT))
 
 TOO_LARGE, BROKEN_FRAME = "message too large", "broken frame"
@@ -60,7 +65,9 @@ class WebSocket:
         Raises HandshakeError if the headers ask for no websocket, OSError if the client has gone.
         """
         self.received_s = 0.0
-        """`time.perf_counter()` at which the last byte of the last message had arrived."""
+        """`time.perf_counter()` at which the last byte of the last message had arrived: at most so long ago."""
+        self.taken_s = 0.0
+        """The same of the moment at which `wait` returned it."""
         self.broken_by = ""
         """The violation that closed the connection (TOO_LARGE, BROKEN_FRAME); empty if there was none."""
         self._stream = stream
@@ -72,7 +79,9 @@ class WebSocket:
         self._parts: list[bytes] = []
         self._size = 0
         self._is_text = False
-        self._messages: deque[str | bytes] = deque()
+        self._messages: deque[tuple[str | bytes, float]] = deque()  # and when they had arrived
+        self._arrived_s = 0.0  # of what is read now
+        self._looked_s = time.perf_counter()
         self._is_over = False
         self._closed_s: float | None = None
         handshake = ServerProtocol()
@@ -87,23 +96,32 @@ class WebSocket:
     def wait(self) -> str | bytes | None:
         """The next message; None when the connection is over."""
         self._let_others_run()
+        self.look()
         while not self._messages:
             if self._is_over:
                 return None
-            try:
-                data = self._stream.recv(RECEIVE_BYTES)
-            except (OSError, EOFError):  # the latter is eventlet's
-                data = b""
-            self.received_s = time.perf_counter()
-            if not data:
-                self._is_over = True
-            elif self._closed_s is None:
-                self._read(data)
-            else:
-                self._is_over = self.received_s - self._closed_s > DRAIN_S
-            if len(data) == RECEIVE_BYTES:  # there may be more without end
-                self._let_others_run()
-        return self._messages.popleft()
+            self._receive()
+            self._looked_s = self._arrived_s
+        message, self.received_s = self._messages.popleft()
+        self.taken_s = time.perf_counter()
+        return message
+
+    def look(self) -> None:
+        """Read what has come since this thread looked last. It may have come at once then: while one message is
+        answered, nobody sees the next ones come."""
+        while len(self._messages) < MAX_WAITING and self._waiting_bytes < MAX_WAITING_BYTES and self.has_unread:
+            self._receive(self._looked_s)
+        self._looked_s = time.perf_counter()
+
+    @property
+    def has_unread(self) -> bool:
+        """True if something has come that is not read yet."""
+        return not self._is_over and has_unread(self._stream)
+
+    @property
+    def waiting(self) -> list[str | bytes]:
+        """The messages that were read, and not asked for yet."""
+        return [message for message, _ in self._messages]
 
     def send(self, message: str | bytes) -> None:
         """Send a message; returns when the system has taken it. Raises OSError if the client has gone."""
@@ -127,6 +145,27 @@ class WebSocket:
         self._is_over = True
         with contextlib.suppress(OSError):
             self._stream.shutdown(socket.SHUT_RDWR)
+
+    @property
+    def _waiting_bytes(self) -> int:
+        return sum(len(message) for message, _ in self._messages)
+
+    def _receive(self, arrived_s: float | None = None) -> None:
+        """Read once; what is read has arrived now, if that is not given."""
+        try:
+            data = self._stream.recv(RECEIVE_BYTES)
+        except (OSError, EOFError):  # the latter is eventlet's
+            data = b""
+        now_s = time.perf_counter()
+        self._arrived_s = now_s if arrived_s is None else arrived_s
+        if not data:
+            self._is_over = True
+        elif self._closed_s is None:
+            self._read(data)
+        else:
+            self._is_over = now_s - self._closed_s > DRAIN_S
+        if len(data) == RECEIVE_BYTES:  # there may be more without end
+            self._let_others_run()
 
     def _read(self, data: bytes) -> None:
         for at in range(0, len(data), PARSED_BYTES):
@@ -169,7 +208,7 @@ class WebSocket:
             message = b"".join(self._parts)
             self._parts, self._size = [], 0
             try:
-                self._messages.append(message.decode() if self._is_text else message)
+                self._messages.append((message.decode() if self._is_text else message, self._arrived_s))
             except UnicodeDecodeError:
                 self._break(BROKEN_FRAME, CloseCode.INVALID_DATA)
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
+from recorder.server.json_kinds import json_kind
 from recorder.server.locale_numbers import POINT
 from simulator.pose import Pose
 
@@ -86,7 +87,7 @@ def parse_world(value: object, decimal: str = POINT) -> tuple[World | None, tupl
     if value is None:
         return None, ()
     if not isinstance(value, Mapping):
-        return None, (f"it is not an object but a {type(value).__name__}",)
+        return None, (f"it is not an object but {json_kind(value)}",)
     problems: list[str] = []
     members: dict[str, Any] = {}
     for name in MEMBERS:
@@ -121,7 +122,7 @@ def _member(name: str, value: object, decimal: str) -> float | int:
     elif isinstance(value, int | float) and not isinstance(value, bool):
         number = value
     else:
-        raise ValueError(f"is not a number but a {type(value).__name__}")
+        raise ValueError(f"is not a number but {json_kind(value)}")
     # refuses NaN, and numbers that overflow in calculations
     most = MAX_TIME_S if name == "time_s" else MAX_WORLD_NUMBER
     if not -most <= number <= most:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 import tyro
 
@@ -41,13 +41,16 @@ class SimulatedDrive:
 
     track: str = "lake"
     """The track of the built-in simulator: lake, mountain, random:SEED, or hairpins:SEED."""
-    driver: DriverName = "expert"
-    """Who drives: the expert, who steers smoothly and in time, or somebody like a person, late and only when
-    the car strays: at a keyboard in short presses of a key, with a mouse by dragging it aside for a second."""
-    laps: float = 1.0
-    """How far to drive, at each speed; 0.5 records the first half of the track and nothing of the second."""
+    driver: DriverName | Literal["me"] = "expert"
+    """Who drives: the expert, who steers smoothly and in time; somebody like a person, late and only when the
+    car strays: at a keyboard in short presses of a key, with a mouse by dragging it aside for a second; or me: you
+    drive, on a page in the browser."""
+    laps: float | None = None
+    """How far to drive, at each speed, 1 by default; 0.5 records the first half of the track and nothing of the
+    second. You (--driver me) drive until you end it."""
     speed: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MPH [MPH ...]")] = (10.0,)
-    """Set speeds in mph, driven one after the other, each from the start; the driver slows for bends."""
+    """Set speeds in mph, driven one after the other, each from the start; the driver slows for bends. With
+    --driver me the speed that the page holds for you at first."""
     rate: Annotated[float, tyro.conf.Suppress] = 10.0  # bc-record has a --rate of its own
     """Recorded rows a second; it must divide 50."""
     recovery: float = 0.35
@@ -67,6 +70,7 @@ def record_simulated(
     """
     refuse_existing(log, overwrite)  # before the folder is begun
     check_drive(drive)
+    name, laps = _driver_name(drive), 1.0 if drive.laps is None else drive.laps
     try:
         simulation = Simulation(drive.track)
     except ValueError as error:
@@ -76,14 +80,14 @@ def record_simulated(
         "simulator": "built-in",
         "track": simulation.track.name,
         "track_fingerprint": simulation.track.fingerprint(),
-        "driver": drive.driver,
-        "drive.laps": f"{drive.laps:g}",
+        "driver": name,
+        "drive.laps": f"{laps:g}",
         "drive.speed": " ".join(f"{speed_mph:g}" for speed_mph in drive.speed),
         **{f"drive.{name}": f"{getattr(drive, name):g}" for name in ("rate", "recovery", "noise")},
         "drive.seed": str(drive.seed),
         **metadata_of(built_in()),
     }
-    length_m = len(drive.speed) * drive.laps * simulation.track.line.length_m
+    length_m = len(drive.speed) * laps * simulation.track.line.length_m
     rows = put_back = 0
     last_s = 0.0
     with (
@@ -92,7 +96,7 @@ def record_simulated(
         progress_bar() as bar,
     ):
         task = bar.add_task(f"recording {drive.track}", total=math.ceil(length_m), note="metres")
-        for step, new_speed_mph in _drive_at_each_speed(simulation, drive):
+        for step, new_speed_mph in _drive_at_each_speed(simulation, drive, name, laps):
             time_ns = CLOCK_START_NS + round(step.time_s * 1e9)
             if new_speed_mph is not None and len(drive.speed) > 1:
                 writer.event(time_ns, f"from the start, at a set speed of {new_speed_mph:g} mph")
@@ -120,7 +124,7 @@ def record_simulated(
             put_back += step.after_gap and not step.recovering
             bar.update(task, completed=step.progress_m)
         if not rows:
-            raise UserError(f"{drive.laps:g} laps: too short to record a single row")
+            raise UserError(f"{laps:g} laps: too short to record a single row")
         if folder is not None:
             folder.finish()
     notices = []
@@ -139,20 +143,26 @@ def _why_not_recorded(step: DriveStep, new_speed_mph: float | None) -> str:
 
 
 def _drive_at_each_speed(
-    simulation: Simulation, drive: SimulatedDrive
+    simulation: Simulation, drive: SimulatedDrive, name: DriverName, laps: float
 ) -> Iterator[tuple[DriveStep, float | None]]:
     """The steps of a recording, whose times and progress run on; with the first one at each speed, that speed."""
     begin_s = 0.0
     for number, speed_mph in enumerate(drive.speed):
         seed = drive.seed + number  # the pushes are other ones each time
-        driver = make_driver(drive.driver, simulation.track.line, speed_mph, drive.noise, seed)
-        begin_m = number * drive.laps * simulation.track.line.length_m
+        driver = make_driver(name, simulation.track.line, speed_mph, drive.noise, seed)
+        begin_m = number * laps * simulation.track.line.length_m
         new_speed_mph: float | None = speed_mph
-        for step in drive_for_recording(simulation.course, driver, drive.laps, drive.rate, drive.recovery, seed):
+        for step in drive_for_recording(simulation.course, driver, laps, drive.rate, drive.recovery, seed):
             now_s = begin_s + step.time_s
             yield replace(step, time_s=now_s, progress_m=begin_m + step.progress_m), new_speed_mph
             new_speed_mph = None
         begin_s = now_s + BACK_TO_START_S
+
+
+def _driver_name(drive: SimulatedDrive) -> DriverName:
+    if drive.driver == "me":
+        raise RecordingError("--driver me: a person's drive is recorded by `record_person`")
+    return drive.driver
 
 
 def check_drive(drive: SimulatedDrive) -> None:
@@ -164,7 +174,7 @@ def check_drive(drive: SimulatedDrive) -> None:
     if not drive.speed:
         raise RecordingError("--speed: a set speed in mph was expected, or several")
     for flag, value, is_good, expected in (
-        ("--laps", drive.laps, 0 < drive.laps < math.inf, "a number above 0"),
+        ("--laps", drive.laps or 0.0, drive.laps is None or 0 < drive.laps < math.inf, "a number above 0"),
         *(("--speed", mph, 0 < mph < math.inf, "a set speed above 0 mph") for mph in drive.speed),
         ("--recovery", drive.recovery, 0 <= drive.recovery <= MOST_RECOVERY, f"a share of 0 .. {MOST_RECOVERY:g}"),
         ("--noise", drive.noise, 0 <= drive.noise < math.inf, "a standard deviation of the steering, 0 or more"),

@@ -15,6 +15,7 @@ from common import Skipped
 from common.car import CAMERAS, Camera
 from common.errors import did_you_mean, printable
 from common.untrusted import open_regular
+from common.whole_number import whole_number
 from recorder.errors import RecordingError
 
 MOST_LINE_CHARACTERS: Final = 100_000
@@ -175,8 +176,8 @@ def _time_ns(key: str, text: str, number: float) -> int | None:
     """None for a time that no log can hold."""
     if not 0 <= number * _TIMES[key] <= 2**63:  # NaN is not, either
         return None
-    is_exact = key == "time_ns" and text.isdecimal()  # a float does not hold all of its digits
-    time_ns = int(text) if is_exact else round(number * _TIMES[key])
+    exact = whole_number(text, 19) if key == "time_ns" else None  # a float does not hold all of its digits
+    time_ns = round(number * _TIMES[key]) if exact is None else exact
     return time_ns if time_ns < 2**63 else None
 
 

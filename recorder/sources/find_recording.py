@@ -50,7 +50,7 @@ def _folders_in(folder: Path) -> list[Path]:
     try:
         with os.scandir(folder) as entries:
             some = islice(entries, 100 * _MOST_FOLDERS)
-            return sorted(folder / entry.name for entry in some if entry.is_dir())
+            return sorted(path for entry in some if (path := folder / entry.name).is_dir())
     except OSError:
         return []
 

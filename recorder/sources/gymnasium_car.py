@@ -1,6 +1,6 @@
 """Any Gymnasium environment as a car with one camera: its picture, its speed, and the numbers of its action.
 
-Gymnasium is an extra (`pip install "behavioural-cloning-toolkit[gym]"`) and imported only here. An environment is
+Gymnasium is an extra (`pip install ".[gym]"`) and imported only here. An environment is
 somebody else's code: it is run because its user has named it, and what it gives is checked.
 """
 
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from common.closeable import Closeable
 from common.errors import UsageError, UserError, counted, printable
 from common.named_function import in_one_line, load_function
-from common.versions import TOOLKIT
+from common.versions import install_line
 from recorder.errors import RecordingError
 from recorder.sources.action_map import ActionMap, CarCommand
 from recorder.sources.frame_rate import LEAST_HZ, MOST_HZ
@@ -218,7 +218,7 @@ def _make(name: str, arguments: dict[str, Any]) -> gymnasium.Env[Any, Any]:
     try:
         import gymnasium
     except ImportError:
-        raise UserError(f'--gym needs Gymnasium: `pip install "{TOOLKIT}[gym]"` brings it') from None
+        raise UserError(f"--gym needs Gymnasium: `{install_line('gym')}` brings it") from None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # about other people's code
@@ -239,7 +239,7 @@ def _their_errors(what: str, where: str) -> Iterator[None]:
 def _parse_arguments(text: str) -> dict[str, Any]:
     try:
         found = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         found = None
     if not isinstance(found, dict):
         raise UsageError(f"--gym-args {text}: a JSON object was expected, such as '{{\"seed\": 7}}'")

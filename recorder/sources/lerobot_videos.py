@@ -1,6 +1,6 @@
 """The frames of a LeRobot dataset's videos, in the order of its rows.
 
-PyAV is an extra: `pip install "behavioural-cloning-toolkit[video]"`.
+PyAV is an extra: `pip install ".[video]"`.
 """
 
 from __future__ import annotations

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 from common import Skipped
 from common.errors import counted
@@ -16,15 +18,23 @@ from common.progress import StatusLine
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.bad_telemetry import BadTelemetry
+from recorder.log.derived_log import close_with_tags
 from recorder.log.log_time import LogClock
+from recorder.log.meant_gaps import DISCONNECTED, HUMAN_DRIVES, HUMAN_HAS_STOPPED, not_recorded
 from recorder.log.pose_message import pose_message
 from recorder.log.session_car import UDACITY, Car, metadata_of
 from recorder.log.writer import EventLevel, LogWriter
-from recorder.server.telemetry import TelemetryError, check_whole_jpeg, parse_telemetry
+from recorder.server.locale_numbers import POINT
+from recorder.server.telemetry import Telemetry, TelemetryError, check_whole_picture, parse_telemetry
 from recorder.server.telemetry_server import NO_TELEMETRY_S, Answer, Steer, TelemetryServer
 from recorder.server.world import WorldNotices
 from recorder.sources.import_result import Imported
+from recorder.teleop.messages import Device
 
+if TYPE_CHECKING:
+    from recorder.sources.person_of_telemetry import PersonOfTelemetry
+
+MAX_ROW_S = 0.2  # between two rows of a simulator that is driven; what is more was not recorded
 RATE_S = 1.0  # the rows a second that are shown are those of this last while
 
 
@@ -37,9 +47,10 @@ def listen_for_telemetry(
     overwrite: bool = False,
     car: Car | None = None,
     on_started: Callable[[Path], None] | None = None,
+    person: PersonOfTelemetry | None = None,
 ) -> Imported:
     """Record the telemetry of Socket.IO clients on host:port (port 0: a free one) to `log`. Every telemetry is
-    answered by `manual`, which asks for the next one.
+    answered by `manual`, which asks for the next one, or by a `person`, who also chooses what is recorded.
 
     Ends on Ctrl-C or `kill`, or `idle_s` seconds after the last telemetry; outside the main thread, which alone
     hears signals, only on the latter. `on_started` gets the path of the growing file, once the server listens.
@@ -49,30 +60,45 @@ def listen_for_telemetry(
     if `log` exists and `overwrite` is off, or if it cannot be written any further.
     """
     refuse_existing(log, overwrite)
+    metadata = {"source": "telemetry"} | ({} if person is None else {"driver": "human"})
     with stop_signals() as stopped, contextlib.ExitStack() as writing:
-        writer = writing.enter_context(
-            LogWriter(log, {"source": "telemetry"} | metadata_of(car), overwrite=overwrite, live=True)
-        )
+        writer = writing.enter_context(LogWriter(log, metadata | metadata_of(car), overwrite=overwrite, live=True))
         with StatusLine() as status:
-            session = _Session(writer, status, car or UDACITY)
-            server = TelemetryServer(session, host=host, port=port, notify=session.warn, first_command="manual")
+            session = _Session(writer, status, car or UDACITY, person)
+            first_command: Steer | Literal["manual"] = "manual" if person is None else Steer(0.0, 0.0)
+            server = TelemetryServer(
+                session, host=host, port=port, notify=session.warn, first_command=first_command
+            )
+
+            def is_over() -> bool:
+                is_ended = stopped.is_set() or (idle_s is not None and session.is_idle_for(idle_s))
+                if person is None:
+                    return is_ended
+                return (is_ended or person.is_ended) and person.is_at_rest()
+
             session.show(f"waiting for a simulator on {host}:{server.port}")
             if on_started is not None:
                 on_started(writer.part)
-            server.run(until=lambda: stopped.is_set() or (idle_s is not None and session.is_idle_for(idle_s)))
+            server.run(until=is_over)
         session.finish()
         if not session.rows:
             writing.pop_all()  # a live log would be kept, for its events
             writer.discard()
             raise RecordingError(f"{log}: {session.why_nothing()}")
-    return Imported(log, session.rows, session.rows, session.skipped, writer.notices)
+        if person is not None:
+            close_with_tags(writer, person.tags)
+    return Imported(log, session.rows, session.pictures, session.skipped, writer.notices)
 
 
 class _Session:
     """Writes telemetry to a log; rows are numbered from 0, and no time is the same as or before the last one."""
 
-    def __init__(self, writer: LogWriter, status: StatusLine, car: Car) -> None:
+    def __init__(
+        self, writer: LogWriter, status: StatusLine, car: Car, person: PersonOfTelemetry | None = None
+    ) -> None:
         self._car = car
+        self._person = person
+        self._last_row_ns = 0
         self._writer = writer
         self._status = status
         self._text = ""
@@ -80,18 +106,19 @@ class _Session:
         self._first_connected_s: float | None = None  # until its first telemetry, or none came for too long
         self._telemetries = 0
         self._manuals = 0
-        self._clock = LogClock(from_wall_clock=True)
+        self._human: set[str] = set()  # the connections on which a human drives
+        self._clock = LogClock()
         self._world_notices = WorldNotices()
         self._separators: dict[str, str] = {}  # of decimals, by connection
         self._last_s = 0.0
         self._rate_from = (time.monotonic(), 0)
         self._rate = 0.0
-        self.rows = 0
+        self.rows = self.pictures = 0
         self.skipped = Skipped()
         self._bad = BadTelemetry()
 
     def connected(self, sid: str) -> None:
-        self._event(time.time_ns(), "connected")
+        self._event(time.perf_counter_ns(), "connected")
         self._connections += 1
         if self._connections == 1:
             self._first_connected_s = time.monotonic()
@@ -99,17 +126,46 @@ class _Session:
 
     def disconnected(self, sid: str, reason: str) -> None:
         self._separators.pop(sid, None)
-        self._event(time.time_ns(), f"disconnected: {reason}")
+        self._human.discard(sid)
+        self._event(time.perf_counter_ns(), f"{DISCONNECTED}{reason}")
 
     def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
-        received_ns = time.time_ns()
+        received_ns = time.perf_counter_ns()
         self._last_s = time.monotonic()
-        return Answer(None, lambda _: self._note(sid, received_ns, data))
+        person = self._person
+        if person is None or data is None:
+            return Answer(None, lambda _: self._note(sid, received_ns, self._parsed(sid, data)))
+        parsed = self._parsed(sid, data)
+        self._heed(person)
+        device, brake = person.control.device, person.brake  # in force at the moment of this picture
+        speed_mph = None if parsed is None else parsed.speed_mph
+        command = person.command(
+            parsed if isinstance(parsed, Telemetry) else None,
+            math.nan if speed_mph is None else speed_mph,
+            self._separators.get(sid, POINT),
+        )
+        is_taken = person.takes_row()
+        return Answer(command, lambda _: self._note(sid, received_ns, parsed, device, brake, is_taken=is_taken))
+
+    def unanswered(self, sid: str, data: object, received_s: float) -> None:
+        received_ns = round(received_s * 1e9)
+        self._last_s = time.monotonic()
+        self._event(received_ns, "one telemetry more in flight than before a silence: one is left unanswered")
+        device, brake = (None, 0.0) if self._person is None else (self._person.control.device, self._person.brake)
+        is_taken = self._person is None or self._person.takes_row()
+        self._note(sid, received_ns, self._parsed(sid, data), device, brake, is_taken=is_taken)
+
+    def first_command_sent(self, sid: str) -> None:
+        sent = "manual" if self._person is None else "a command"
+        text = f"no telemetry for a second after the connection: {sent} was sent, to make the simulator begin"
+        self._event(time.perf_counter_ns(), text)
 
     def final_command(self, sid: str) -> Steer | None:
-        return None  # nobody was steered
+        return None if self._person is None else Steer(0.0, 0.0, self._separators.get(sid, POINT))
 
     def tick(self) -> None:
+        if self._person is not None:
+            self._heed(self._person)
         self._writer.flush_if_due()
         now_s = time.monotonic()
         since_s, rows = self._rate_from
@@ -119,7 +175,7 @@ class _Session:
         if self._telemetries:
             self._first_connected_s = None
             self._text = (
-                f"{counted(self.rows, 'row')}, {counted(self.rows, 'picture')},"
+                f"{counted(self.rows, 'row')}, {counted(self.pictures, 'picture')},"
                 f" {self._writer.bytes_written / 1e6:,.1f} MB, {self._rate:,.0f} rows/s,"
                 f" {len(self.skipped):,} skipped"
             )
@@ -130,7 +186,7 @@ class _Session:
 
     def warn(self, text: str) -> None:
         """Report a client that is no simulator, or telemetry that cannot be used."""
-        self._event(time.time_ns(), text, "WARNING")
+        self._event(time.perf_counter_ns(), text, "WARNING")
         self.show(text)
 
     def show(self, text: str) -> None:
@@ -141,13 +197,15 @@ class _Session:
     def finish(self) -> None:
         """To be called when nothing more will come."""
         for text in self._bad.left():
-            self._event(time.time_ns(), text, "WARNING")
+            self._event(time.perf_counter_ns(), text, "WARNING")
 
     def is_idle_for(self, idle_s: float) -> bool:
         """True if the last telemetry came so long ago; False before the first."""
         return self._telemetries > 0 and time.monotonic() - self._last_s >= idle_s
 
     def why_nothing(self) -> str:
+        if self._person is not None and self._telemetries:
+            return "nothing was recorded: begin to record on the page, and drive"
         if self.skipped:
             return f"nothing was recorded{self.skipped.error_suffix()}"
         if self._manuals:
@@ -159,37 +217,85 @@ class _Session:
             return "nothing was recorded: a client connected, but sent no telemetry; start its autonomous mode"
         return "nothing was recorded: no simulator connected; start its autonomous mode while this waits for it"
 
-    def _note(self, sid: str, received_ns: int, data: object) -> None:
-        self._telemetries += 1
-        if data is None:  # a human holds a key
-            self._manuals += 1
-            if self._manuals == 1:
-                self._event(received_ns, "manual: a human drives")
-            return
+    def _heed(self, person: PersonOfTelemetry) -> None:
+        for text in person.heed():
+            self._event(time.perf_counter_ns(), text)
+
+    def _parsed(self, sid: str, data: object) -> Telemetry | TelemetryError | None:
+        """A telemetry whose picture is whole, or why it cannot be used; None while a human holds a key."""
+        if data is None:
+            return None
         try:
             telemetry = parse_telemetry(data, self._separators.get(sid), self._car)
             if telemetry.observed_separator is not None:
                 self._separators[sid] = telemetry.observed_separator
-            size = check_whole_jpeg(telemetry.jpeg)
+            check_whole_picture(telemetry.picture)
         except TelemetryError as error:
-            if error.kind not in self._bad.counts:
-                print_message(f"telemetry that cannot be used: {error}")
-            self.skipped.add(f"telemetries that cannot be used ({error.kind})", f"number {self._telemetries}")
-            if (text := self._bad.take(error.kind, str(error))) is not None:
-                self._event(received_ns, text, "WARNING")
+            return error
+        return telemetry
+
+    def _note(
+        self,
+        sid: str,
+        received_ns: int,
+        telemetry: Telemetry | TelemetryError | None,
+        device: Device | None = None,
+        brake: float = 0.0,
+        *,
+        is_taken: bool = True,
+    ) -> None:
+        """Write a telemetry to the log, if it `is_taken`."""
+        self._telemetries += 1
+        if telemetry is None:
+            self._manuals += 1
+            if not self._human:
+                self._event(received_ns, HUMAN_DRIVES)
+            self._human.add(sid)
+            return
+        if isinstance(telemetry, TelemetryError):
+            self._note_unusable("telemetries", received_ns, telemetry.kind, str(telemetry))
             return
         time_ns = self._clock.row(received_ns, None if telemetry.world is None else telemetry.world.time_s)
         for text in self._world_notices.new_notices(telemetry.world_problems, clock_stands=self._clock.stands):
             self.warn(text)
-        self._writer.picture("center", time_ns, self.rows, telemetry.jpeg, size)
+        if not is_taken:
+            return
+        self._writer.picture("center", time_ns, self.rows, telemetry.picture)
+        for camera, picture in telemetry.side_pictures.items():
+            self._writer.picture(camera, time_ns, self.rows, picture)
+        self.pictures += 1 + len(telemetry.side_pictures)
+        for problem in telemetry.side_problems:
+            self._note_unusable("pictures", received_ns, problem, problem)
         state = VehicleState(
-            steering=telemetry.steering, throttle=telemetry.throttle, brake=0.0, speed_mph=telemetry.speed_mph
+            steering=telemetry.steering,
+            throttle=telemetry.throttle,
+            brake=brake,
+            speed_mph=telemetry.speed_mph,
+            device=device.upper() if device else None,
         )
         self._writer.vehicle(time_ns, self.rows, state)
+        if self._person is not None:
+            gap_s = (time_ns - self._last_row_ns) / 1e9 - MAX_ROW_S
+            if self.rows and self._person.gap_why and gap_s > 0:
+                self._writer.event(time_ns, not_recorded(gap_s, self._person.gap_why), name="recorder")
+            self._person.has_row(time_ns)
+            self._last_row_ns = time_ns
         pose = None if telemetry.world is None else telemetry.world.pose
         if pose is not None:
             self._writer.pose(time_ns, self.rows, pose_message(pose, time_ns))
+        if sid in self._human:
+            self._human.remove(sid)
+            if not self._human:
+                self._writer.event(time_ns, HUMAN_HAS_STOPPED, "INFO", "recorder")
         self.rows += 1
+
+    def _note_unusable(self, what: str, received_ns: int, kind: str, reason: str) -> None:
+        """Note that a telemetry, or a side camera's picture in it, cannot be used."""
+        if kind not in self._bad.counts:
+            print_message(f"{'telemetry' if what == 'telemetries' else 'a picture'} that cannot be used: {reason}")
+        self.skipped.add(f"{what} that cannot be used ({kind})", f"number {self._telemetries}")
+        if (text := self._bad.take(kind, reason)) is not None:
+            self._event(received_ns, text, "WARNING")
 
     def _event(self, time_ns: int, text: str, level: EventLevel = "INFO") -> None:
         self._writer.event(self._clock.event(time_ns), text, level, "recorder")

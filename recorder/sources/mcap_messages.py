@@ -22,9 +22,11 @@ from mcap.records import Channel, Schema
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 
 from common.errors import printable
+from common.versions import install_line
 from recorder.errors import RecordingError
 
-INSTALL_ROS: Final = 'ROS 2 messages need two packages more: `pip install "behavioural-cloning-toolkit[ros]"`'
+MAX_DEFINITION_BYTES: Final = 1 << 16
+"""Of a type, with those in it: a car's commands have some hundred. Reading one of 3 MB takes minutes."""
 
 _PICTURE_TYPE = re.compile(r"(foxglove|foxglove_msgs|sensor_msgs)[./](msg/)?CompressedImage")
 
@@ -50,6 +52,11 @@ def decoder_for(schema: Schema | None, channel: Channel) -> Decoder:
     Raises RecordingError where there is none.
     """
     encoding = channel.message_encoding
+    if schema is not None and len(schema.data) > MAX_DEFINITION_BYTES:
+        raise RecordingError(
+            f"{brief(channel.topic)}: the definition of its type has {len(schema.data):,} bytes;"
+            f" at most {MAX_DEFINITION_BYTES:,} were expected"
+        )
     if encoding == "json":
         return json.loads
     if encoding == "protobuf":
@@ -58,7 +65,7 @@ def decoder_for(schema: Schema | None, channel: Channel) -> Decoder:
         try:
             from mcap_ros2.decoder import DecoderFactory as RosDecoders
         except ImportError:
-            raise RecordingError(f"{channel.topic}: {INSTALL_ROS}") from None
+            raise RecordingError(f"{channel.topic}: {needs_ros()}") from None
         find = RosDecoders().decoder_for
     else:
         raise RecordingError(
@@ -119,6 +126,11 @@ def picture_in(message: object) -> bytes:
     except (binascii.Error, TypeError, ValueError):
         pass
     raise FieldError("data is no picture")
+
+
+def needs_ros() -> str:
+    """The error where the packages that read ROS 2 messages are missing."""
+    return f"ROS 2 messages need two packages more: `{install_line('ros')}` brings them"
 
 
 def brief(text: str) -> str:

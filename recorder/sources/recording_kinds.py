@@ -10,6 +10,7 @@ from typing import Annotated
 import tyro
 
 from common.files import PART_SUFFIX
+from common.untrusted import real_path
 from recorder.errors import RecordingError
 from recorder.log.session_car import Car
 from recorder.sources.donkeycar_tub import is_tub
@@ -128,6 +129,6 @@ def refuse_to_watch(source: Path) -> None:
 def _what_to_do_instead(source: Path, log: Path) -> str:
     if source.suffix == PART_SUFFIX:
         return f"still unfinished: `bc-log recover {source}` makes a whole one of it"
-    if source.resolve().parent == log.resolve().parent:
+    if real_path(source).parent == real_path(log).parent:
         return "and a session already: `bc-index` takes it in"
     return f"which is a session without being imported: copy it into {log.parent}/"

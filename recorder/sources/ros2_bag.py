@@ -19,13 +19,15 @@ from mcap.records import Channel, Message, Schema
 
 from common import Skipped
 from common.progress import track
-from common.untrusted import read_bounded
+from common.untrusted import read_bounded, real_path
 from recorder.errors import RecordingError
-from recorder.sources.mcap_messages import INSTALL_ROS, brief
+from recorder.sources.bounded_yaml import yaml_content
+from recorder.sources.mcap_messages import brief, needs_ros
 
 METADATA: Final = "metadata.yaml"
 MCAP, SQLITE = ".mcap", ".db3"
 
+_READABLE: Final = ("none", "storage", "", "null", "~")  # compression modes: of files, not of messages
 _MOST_METADATA_BYTES: Final = 1 << 22
 _MOST_VALUE_BYTES: Final = 1 << 28  # of a message; SQLite itself takes four times that
 _STEPS_BETWEEN_SIGNALS: Final = 1000  # of SQLite's machine: some of them, of large values, take milliseconds
@@ -69,17 +71,17 @@ def bag_files(folder: Path, skipped: Skipped) -> list[Path]:
     root = Path(os.path.realpath(folder))
     try:
         inside = {
-            path.name: path for path in folder.iterdir() if path.is_file() and path.resolve().is_relative_to(root)
+            path.name: path for path in folder.iterdir() if path.is_file() and real_path(path).is_relative_to(root)
         }
         text = read_bounded(inside[METADATA], _MOST_METADATA_BYTES)
-    except (OSError, KeyError, RuntimeError):
+    except (OSError, KeyError):
         raise RecordingError(f"{folder}: {METADATA} cannot be read; `ros2 bag reindex` writes a new one") from None
     metadata = _parse(folder, text)
     information = metadata.get("rosbag2_bagfile_information") if isinstance(metadata, dict) else None
     names = information.get("relative_file_paths") if isinstance(information, dict) else None
     if not isinstance(information, dict) or not isinstance(names, list):
         raise RecordingError(f"{folder}: {METADATA} names no files; `ros2 bag reindex` writes a new one")
-    if str(information.get("compression_mode") or "none").lower() not in ("none", "storage"):
+    if str(information.get("compression_mode")).lower() not in _READABLE:
         raise RecordingError(f"{folder}: a compressed bag, which is not read; `ros2 bag convert` unpacks it")
     listed = list(dict.fromkeys(re.split(r"[/\\]", name)[-1] for name in names if isinstance(name, str)))
     files = []
@@ -176,18 +178,15 @@ class SqliteFile:
         try:
             from rosbags.typesys import Stores, get_typestore
         except ImportError:
-            raise RecordingError(f"{self.path}: {INSTALL_ROS}") from None
+            raise RecordingError(f"{self.path}: {needs_ros()}") from None
         store = get_typestore(Stores.LATEST)
         return store.generate_msgdef(kind, ros_version=2)[0] if kind in store.fielddefs else None
 
 
 def _parse(folder: Path, text: bytes) -> object:
     try:
-        from ruamel.yaml import YAML
+        return yaml_content(text)
     except ImportError:
-        raise RecordingError(f"{folder}: {INSTALL_ROS}") from None
-    try:
-        parsed: object = YAML(typ="safe").load(text)
+        raise RecordingError(f"{folder}: {needs_ros()}") from None
     except Exception:  # ruamel raises nearly anything on what is no YAML
         return None
-    return parsed

@@ -64,7 +64,7 @@ class PictureFiles:
                     continue
                 if entry.is_symlink() and not self.is_inside(entry.path):
                     self._skip_link(entry.path)
-                elif entry.is_file():
+                elif os.path.isfile(entry.path):  # noqa: PTH113  (is_file raises for a link to itself)
                     yield entry.name
 
     def skip_missing(self, name: str, places: list[Path]) -> None:

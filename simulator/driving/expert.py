@@ -76,17 +76,19 @@ class Expert:
         return -wheel_angle_for(curvature, speed) / MAX_WHEEL_RAD
 
     def _throttle(self, course: Course) -> float:
-        """The throttle for the wanted acceleration, against the resistances and the slope."""
-        speed = course.vehicle.speed_mps
-        place = self._line.at(course.arc_m)
         point: int = round(course.arc_m / self._line.step_m)
-        wanted = self._speed_mps[point % len(self._speed_mps)]
-        force = _SPEED_GAIN_PER_S * (wanted - speed) + resistance_mps2(speed, course.off_road)
-        force += slope_mps2(place.slope)
-        # At walking pace a negative throttle would reverse the car.
-        if force < 0 and speed < 0.5:
-            return 0.0
-        return min(1.0, max(-1.0, force / (THROTTLE_MPS2 if force > 0 else BRAKE_MPS2)))
+        return throttle_for(course, self._speed_mps[point % len(self._speed_mps)])
+
+
+def throttle_for(course: Course, speed_mps: float) -> float:
+    """The throttle, -1 .. 1, that brings a course's car to a speed, against the resistances and the slope."""
+    speed = course.vehicle.speed_mps
+    force = _SPEED_GAIN_PER_S * (speed_mps - speed) + resistance_mps2(speed, course.off_road)
+    force += slope_mps2(course.line.at(course.arc_m).slope)
+    # At walking pace a negative throttle would reverse the car.
+    if force < 0 and speed < 0.5:
+        return 0.0
+    return min(1.0, max(-1.0, force / (THROTTLE_MPS2 if force > 0 else BRAKE_MPS2)))
 
 
 def plan_speed(line: Centreline, most_mps: float) -> Floats:

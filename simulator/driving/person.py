@@ -68,6 +68,15 @@ class Person(ABC):
         self._next_look_s = -math.inf
         self._act: Act | None = None  # the present one, or the last
 
+    @property
+    def act(self) -> Act | None:
+        """What the hands do, or did last; None before the first act."""
+        return self._act
+
+    def wish(self, course: Course) -> tuple[float, float]:
+        """The command that is wanted for the course's present state, whatever the hands make of it."""
+        return self._wish.control(course)
+
     def control(self, course: Course) -> tuple[float, float]:
         """The command for the course's present state: steering -1 (left) .. 1 (right), throttle -1 .. 1."""
         wanted, throttle = self._wish.control(course)

@@ -23,13 +23,14 @@ class Simulation:
         self.course = Course(self.track, world.height_m)
         self._renderer = Renderer(world)
 
-    def picture(self, camera: Camera = "center", pose: Pose | None = None) -> Picture:
-        """A camera's picture, (160, 320, 3) uint8 BGR, at the car's pose or at another one."""
-        return self._renderer.render(pose or self.course.pose, camera)
+    def picture(self, camera: Camera = "center", pose: Pose | None = None, scale: float = 1.0) -> Picture:
+        """A camera's picture, (160, 320, 3) uint8 BGR, at the car's pose or at another one. A larger one, by
+        ``scale``, is for the eye."""
+        return self._renderer.render(pose or self.course.pose, camera, scale)
 
-    def jpeg(self, camera: Camera = "center", pose: Pose | None = None) -> bytes:
+    def jpeg(self, camera: Camera = "center", pose: Pose | None = None, scale: float = 1.0) -> bytes:
         """The same as a JPEG."""
-        picture = self.picture(camera, pose)
+        picture = self.picture(camera, pose, scale)
         ok, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
         if not ok:  # cannot happen with a picture of ours; an error rather than a silent loss
             raise RuntimeError("OpenCV could not write a JPEG")

@@ -93,8 +93,8 @@ def drive_autonomously(
         nonlocal command, start_s, farthest_m, farthest_s, gave_up
         if isinstance(received, SteerCommand):
             command = received
-            start_s = start_s or time.monotonic()
-            if real_time:
+            if real_time:  # after a delay, too: nobody can steer a car that makes up for lost time
+                start_s = max(start_s, time.monotonic() - course.time_s)
                 time.sleep(max(0.0, start_s + course.time_s - time.monotonic()))
             course.advance(command.steering, command.throttle, step_s)
             if must_intervene():

@@ -14,13 +14,13 @@ import math
 import socket
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 import websocket
 from websocket import ABNF
 
-from common.car import MAX_STEERING_DEG
+from common.car import MAX_STEERING_DEG, Camera
 
 FRAME_BYTES: Final = 1016  # payload of one websocket frame (websocket-sharp's FragmentLength)
 PING_S: Final = 25.0
@@ -35,8 +35,9 @@ class SimulatorTelemetry:
     steering: float  # -1 (left) .. 1 (right)
     throttle: float  # 0..1
     speed_mph: float
-    jpeg: bytes  # the centre camera
+    jpeg: bytes  # the centre camera's; a PNG is taken, too
     world: Mapping[str, float] | None = None  # the real simulator never sends one
+    side_pictures: Mapping[Camera, bytes] = field(default_factory=dict)  # nor of the left and right cameras
 
 
 @dataclass(frozen=True)
@@ -74,15 +75,19 @@ class SimulatorClient:
         wait_s: float = 60.0,
         decimal_comma: bool = False,
         max_steering_deg: float = MAX_STEERING_DEG,
+        in_flight: Literal[1, 2] = 2,
     ) -> None:
         """``wait_s`` limits the wait for a server that is not there. ``decimal_comma`` writes (and reads) numbers
-        as a machine with such a locale does. ``max_steering_deg`` is how far the wheels turn at steering 1."""
+        as a machine with such a locale does. ``max_steering_deg`` is how far the wheels turn at steering 1.
+        ``in_flight``: 2 sends the second telemetry before the first answer, as the real one does; with 1, each
+        answer is to the last telemetry."""
         self._address = host.strip("[]"), port
         host = f"[{self._address[0]}]" if ":" in host else host  # IPv6
         self.url = f"ws://{host}:{port}/socket.io/?EIO=4&transport=websocket"
         self.wait_s = wait_s
         self.decimal_comma = decimal_comma
         self.max_steering_deg = max_steering_deg
+        self.in_flight = in_flight
         self.telemetries = 0  # sent
         self.steers = 0  # received and understood
         self.manuals = 0  # received
@@ -96,7 +101,7 @@ class SimulatorClient:
     ) -> None:
         """Connect and drive until `next_telemetry` returns None. `lost` is called when the server has gone.
 
-        It is called twice when a connection opens, and then once for each command.
+        It is called when a connection opens, once for each telemetry in flight, and then once for each command.
 
         Raises NoHostError at once where there is no such machine, WaitTimeoutError where no server answers for
         `wait_s`.
@@ -133,7 +138,7 @@ class SimulatorClient:
         self, connection: websocket.WebSocket, next_telemetry: Callable[[ServerCommand], SimulatorMessage]
     ) -> bool:
         """Drive until the server goes (True: connect again) or there is nothing more to send (False)."""
-        commands: list[ServerCommand] = [None]  # the socket is open: the first of the two "open" events
+        commands: list[ServerCommand] = [None] * (self.in_flight - 1)  # the first of the two "open" events
         next_ping_s = time.monotonic()
         try:
             while True:
@@ -211,6 +216,10 @@ class SimulatorClient:
             "throttle": self._n4(telemetry.throttle),
             "speed": self._n4(telemetry.speed_mph),
             "image": base64.b64encode(telemetry.jpeg).decode("ascii"),
+            **{
+                f"image_{camera}": base64.b64encode(picture).decode("ascii")
+                for camera, picture in telemetry.side_pictures.items()
+            },
         }
         if telemetry.world is not None:
             fields["world"] = dict(telemetry.world)

@@ -13,6 +13,7 @@ from typing import Self
 from common import UserError, files
 from common.car import Camera
 from common.interrupts import uninterrupted
+from common.untrusted import real_path
 
 CSV_CAMERAS: tuple[Camera, ...] = ("center", "left", "right")
 
@@ -26,7 +27,7 @@ class UdacityWriter:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._images = folder.resolve() / "IMG"
+        self._images = real_path(folder) / "IMG"
         self._csv_path = folder / "driving_log.csv"
         self._part = files.part_path(self._csv_path)
         self._made: list[Path] = []

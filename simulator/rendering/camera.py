@@ -66,15 +66,17 @@ class Renderer:
         self._props = PropsView(world.props)
         self._bonnets = {camera: draw_bonnet(camera, WIDTH_PX, HEIGHT_PX) for camera in MOUNT_LEFT_M}
 
-    def render(self, pose: Pose, camera: Camera = "center") -> Picture:
+    def render(self, pose: Pose, camera: Camera = "center", scale: float = 1.0) -> Picture:
         """The picture (160, 320, 3) uint8 BGR that a camera of a car at ``pose`` sees; the same pose, the
-        same bytes."""
+        same bytes. It is ``scale`` times as wide and as high, with the same field of view."""
+        width, height = round(WIDTH_PX * scale), round(HEIGHT_PX * scale)
         rotation = _rotation(pose)
-        view = self._view(pose, rotation, MOUNT_LEFT_M[camera])
+        view = self._view(pose, rotation, MOUNT_LEFT_M[camera], scale)
         inverse = self._inverse_distance(view)
-        picture = np.zeros((HEIGHT_PX, WIDTH_PX, 3), np.uint8)
+        picture = np.zeros((height, width, 3), np.uint8)
         first = int((inverse > SKY_PER_M).any(axis=1).argmax())  # above it there is nothing but sky
-        picture[first:] = self._ground(View(view.eye, view.side[first:], view.up[first:]), inverse[first:])
+        ground = View(view.eye, view.side[first:], view.up[first:])
+        picture[first:] = self._ground(ground, inverse[first:], scale)
         self._sky(picture, view, inverse, pose.heading_rad)
         place = self._world.origin_m + CELL_M * np.array([view.eye.column, view.eye.row])
         self._props.draw(
@@ -83,15 +85,17 @@ class Renderer:
             (*place.tolist(), view.eye.height_m),
             pose.heading_rad,
             (rotation @ _mount()).T,  # from (ahead, left, up), level to the ground, to the camera's own axes
-            FOCAL_PX,
+            FOCAL_PX * scale,
         )
         bonnet = self._bonnets[camera]
+        lowest = picture[round(BONNET_PX * scale) :]
+        if scale != 1.0:
+            bonnet = np.asarray(cv2.resize(bonnet, (width, len(lowest))), dtype=np.uint8)
         alpha = bonnet[..., 3:].astype(np.uint16)
-        lowest = picture[BONNET_PX:]
         lowest[...] = (lowest * (255 - alpha) + bonnet[..., :3] * alpha + 127) // 255
         return picture
 
-    def _view(self, pose: Pose, rotation: NDArray[np.float64], left_m: float) -> View:
+    def _view(self, pose: Pose, rotation: NDArray[np.float64], left_m: float, scale: float) -> View:
         cos, sin = float(np.cos(pose.heading_rad)), float(np.sin(pose.heading_rad))
         ahead, left, up = rotation @ (MOUNT_FORWARD_M, left_m, MOUNT_UP_M)
         x, y = pose.x_m + ahead * cos - left * sin, pose.y_m + ahead * sin + left * cos
@@ -99,8 +103,11 @@ class Renderer:
         eye = Eye((x - origin_x) / CELL_M, (y - origin_y) / CELL_M, pose.z_m + up, cos, sin)
         # Each component of a pixel's ray is linear in its column and row.
         rays = (rotation @ _mount()).astype(np.float32)
-        right = ((np.arange(WIDTH_PX) + 0.5 - WIDTH_PX / 2) / FOCAL_PX).astype(np.float32)[None, :]
-        down = ((np.arange(HEIGHT_PX) + 0.5 - HEIGHT_PX / 2) / FOCAL_PX).astype(np.float32)[:, None]
+        right, down = (
+            ((np.arange(size) + 0.5 - size / 2) / (FOCAL_PX * scale)).astype(np.float32)
+            for size in (round(WIDTH_PX * scale), round(HEIGHT_PX * scale))
+        )
+        right, down = right[None, :], down[:, None]
         ahead_px, left_px, up_px = (rays[k, 0] - rays[k, 1] * right - rays[k, 2] * down for k in range(3))
         ahead_px = np.maximum(ahead_px, np.float32(0.05))
         return View(eye, left_px / ahead_px, up_px / ahead_px)
@@ -113,7 +120,7 @@ class Renderer:
         row = (view.up - np.float32(up[0])) * np.float32((ROWS - 1) / (up[1] - up[0]))
         return look_up(table, column, row)
 
-    def _ground(self, view: View, inverse: Field) -> Picture:
+    def _ground(self, view: View, inverse: Field, scale: float) -> Picture:
         """The ground's colours at every pixel; those of the sky are left for ``_sky``."""
         world, eye = self._world, view.eye
         distance = 1.0 / np.maximum(inverse, np.float32(1 / 400))
@@ -126,7 +133,7 @@ class Renderer:
         lap = float(world.length_m)
         arc = look_up(self._arcs[0 if 0.25 * lap < float(here[0, 0]) < 0.75 * lap else 1], column, row)
         rows = world.road.shape[0]
-        level = np.clip(np.floor(np.log2(distance * np.float32(1 / SHARP_M)) + 1.0), 0, LEVELS - 1)
+        level = np.clip(np.floor(np.log2(distance * np.float32(1 / (SHARP_M * scale))) + 1.0), 0, LEVELS - 1)
         texel = (offset + np.float32(REACH_M)) * np.float32(1 / ACROSS_M) - np.float32(0.5)
         on_road = np.abs(offset) < REACH_M - 0.2
         road = cv2.remap(

@@ -16,17 +16,27 @@ from pathlib import Path
 
 import pytest
 import zstandard
+from mcap.records import Channel, McapRecord, Schema, Statistics
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from mcap_protobuf.schema import register_schema
 from rosbags.rosbag2 import StoragePlugin
 
 from common import Skipped
 from common.untrusted import open_regular, read_bounded
 from driving import Process, command, environment, run
-from logs import read_messages
+from logs import START_NS, read_messages, write_log
+from mcap_patch import patched
 from other_logs import CAMERA, ROS_TOPICS, write_bag
 from recorder import Log, LogError, RecordingError, import_udacity
+from recorder.bc_pb2 import VehicleState
+from recorder.log.edit import trim
+from recorder.log.recover import recover
 from recorder.pictures.decoding import decodes
+from recorder.sources.bounded_yaml import yaml_content
 from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.import_mcap import import_mcap
+from recorder.sources.mcap_messages import decoder_for
 from recorder.sources.udacity_follow import watch_udacity
 from recorder.sources.udacity_recording import UdacityRecording
 from tubs import record_1, record_2, write_tub_1, write_tub_2
@@ -145,6 +155,46 @@ def test_a_huge_metadata_file_of_a_bag(tmp_path: Path) -> None:
         import_mcap(bag, tmp_path / "log.mcap", ROS_TOPICS)
 
 
+def test_metadata_of_a_bag_that_repeats_itself_without_end(tmp_path: Path) -> None:
+    """Each mapping is merged twice into the next one: the last would have 2 to the power of 60."""
+    merges = "".join(f"a{n + 1}: &a{n + 1} {{<<: [*a{n}, *a{n}], k{n}: 1}}\n" for n in range(60))
+    bag = write_bag(tmp_path / "bag", StoragePlugin.MCAP)
+    text = (bag / "metadata.yaml").read_text()
+    (bag / "metadata.yaml").write_text(f"a0: &a0 {{k: 1}}\n{merges}{text}")
+    assert import_mcap(bag, tmp_path / "log.mcap", ROS_TOPICS).rows
+
+
+def test_yaml_is_what_its_writer_meant(tmp_path: Path) -> None:
+    text = b"a:\n  - b: 'c'\n    d: [1, {e: ~}]\n  - |\n    two\n    lines\nf: &g null\nh: *g\n? [no, key]\n: 1\n"
+    assert yaml_content(text) == {
+        "a": [{"b": "c", "d": ["1", {"e": "~"}]}, "two\nlines\n"],
+        "f": "null",
+        "h": None,
+    }
+    assert yaml_content(b"") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (b"[" * 30 + b"]" * 30, "deeper than 20 levels"),
+        (b"- " * 100_000, "deeper than 20 levels"),
+        (b"[" + b"[],\n" * 26_000 + b"]", "more than 50,000 events"),
+    ],
+    ids=["brackets", "dashes", "many"],
+)
+def test_yaml_is_bounded_in_depth_and_number(text: bytes, why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        yaml_content(text)
+
+
+def test_a_definition_of_thousands_of_fields_is_refused() -> None:
+    fields = "".join(f"float32 field_{number}\n" for number in range(4000)).encode()
+    assert len(fields) > 1 << 16
+    with pytest.raises(RecordingError, match=f"the definition of its type has {len(fields):,} bytes"):
+        decoder_for(Schema(1, fields, "ros2msg", "a/msg/B"), Channel(1, "/a", "cdr", {}, 1))
+
+
 # ROS bags that are programs
 
 ENDLESS = "WITH RECURSIVE c(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM c) SELECT n AS id, 1 AS topic_id,"
@@ -217,14 +267,14 @@ def text(value: bytes) -> bytes:
     return struct.pack("<I", len(value)) + value
 
 
-def write_packed(path: Path, messages: int) -> Path:
-    """An unfinished log of one chunk with so many empty messages, a few kilobytes in all."""
+def write_packed(path: Path, messages: int, padding: bytes = b"") -> Path:
+    """An unfinished log of one chunk with so many empty messages, a few kilobytes and the padding in all."""
     channel = record(4, struct.pack("<HH", 1, 0) + text(b"/x") + text(b"json") + text(b""))
     records = channel + record(5, struct.pack("<HIQQ", 1, 0, 5, 5)) * messages
     packed = zstandard.ZstdCompressor(9).compress(records)
     about = struct.pack("<QQQI", 5, 5, len(records), zlib.crc32(records)) + text(b"zstd")
     chunk = record(6, about + struct.pack("<Q", len(packed)) + packed)
-    path.write_bytes(b"\x89MCAP0\r\n" + record(1, text(b"") + text(b"")) + chunk)
+    path.write_bytes(b"\x89MCAP0\r\n" + record(1, text(b"") + text(b"")) + record(0x80, padding) + chunk)
     return path
 
 
@@ -250,6 +300,43 @@ def test_a_log_of_more_messages_than_bytes_is_not_unpacked_into_memory(tmp_path:
         assert "Traceback" not in done.stderr
     with Log(path) as log:
         assert (log.counts, log.lost) == ({}, [(25, path.stat().st_size)])
+
+
+def test_a_log_of_more_messages_than_its_size_explains_is_refused(tmp_path: Path) -> None:
+    """A message takes four bytes of any file that was not made to fill a memory, beside 65,536 of them."""
+    with Log(write_packed(tmp_path / "many.mcap", 165_000, os.urandom(400_000))) as log:
+        assert log.counts == {"/x": 165_000}
+    with Log(write_packed(tmp_path / "more.mcap", 170_000, os.urandom(400_000))) as log:
+        assert log.counts == {}
+
+
+def test_a_log_that_declares_more_messages_than_it_can_hold_is_refused(tmp_path: Path) -> None:
+    def declare_many(record: McapRecord) -> None:
+        if isinstance(record, Statistics):
+            record.message_count = 10**15
+
+    log = patched(write_log(tmp_path / "declares.mcap", [0.1] * 5), summary=declare_many)
+    with pytest.raises(LogError, match=r"declares\.mcap: damaged: 1,000,000,000,000,000 messages in"):
+        Log(log)
+    assert recover(log, tmp_path / "saved.mcap").rows == 5
+
+
+def test_trimming_takes_little_memory_for_each_message(tmp_path: Path) -> None:
+    messages = 20_000
+    log = tmp_path / "many.mcap"
+    with log.open("wb") as stream:
+        writer = McapWriter(stream, chunk_size=1 << 22, compression=CompressionType.ZSTD)
+        writer.start("bc", "somebody")
+        channel = writer.register_channel("/vehicle", "protobuf", register_schema(writer, VehicleState))
+        for row in range(messages):
+            writer.add_message(channel, START_NS + row, b"", START_NS + row, row)
+        writer.finish()  # type: ignore[no-untyped-call]
+    tracemalloc.start()
+    try:
+        trim(log, tmp_path / "part.mcap", (0, 9))
+        assert tracemalloc.get_traced_memory()[1] / messages < 300
+    finally:
+        tracemalloc.stop()
 
 
 def test_many_small_messages_are_all_read(tmp_path: Path) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
@@ -322,6 +324,47 @@ def test_one_recording_under_two_names_is_refused(tmp_path: Path) -> None:
     logs = [write_log(tmp_path / f"{name}.mcap", STEERING) for name in "ab"]
     with pytest.raises(DatasetError, match=r"a\.mcap and .*b\.mcap: the same picture in both"):
         build_index(logs, tmp_path / "index", BLOCKS)
+
+
+def standing_start(path: Path, rows: int, standing: int) -> Path:
+    """It begins as every drive of a simulator that always does the same; then its pictures are its own."""
+    with LogWriter(path, {"source": "test"}) as writer:
+        for row in range(rows):
+            picture = b"start%05d" % row if row < standing else b"%s%05d" % (path.stem.encode(), row)
+            writer.picture("center", 10**18 + row * 10**8, row, picture)
+            state = VehicleState(steering=0.1, speed_mph=0.0 if row < standing else 20.0)
+            writer.vehicle(10**18 + row * 10**8, row, state)
+    return path
+
+
+def test_a_standing_start_that_two_drives_share_is_not_held_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs = [standing_start(tmp_path / f"{name}.mcap", 400, 12) for name in "abcd"]
+    config = IndexConfig(validation=("a",), flip=False, balance=False)  # the start of a would be held out
+    for divide_from_frames in (1, 10_000):
+        indexed = build_index(
+            logs,
+            tmp_path / "index",
+            replace(config, seed=divide_from_frames),
+            divide_from_frames=divide_from_frames,
+        )
+        held_out = indexed.samples.filter(pc.equal(indexed.samples["split"], "validation"))
+        assert sorted(held_out["row"].to_pylist()) == list(range(12, 400))
+        assert indexed.counts["a"].gap == 12
+        assert {indexed.counts[name].training for name in "bcd"} == {400}
+    assert call(main, "--sessions", tmp_path, "--index", tmp_path / "again") == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "same pictures of a standing car in several sessions: a (12 rows from row 0), b (12" in said
+
+
+def test_a_recording_that_stands_and_is_there_twice_is_refused(tmp_path: Path) -> None:
+    for rows, standing in ((40, 40), (40, 20)):
+        folder = tmp_path / str(standing)
+        folder.mkdir()
+        logs = [standing_start(folder / f"{name}.mcap", rows, standing) for name in "ab"]
+        with pytest.raises(DatasetError, match="the same picture in both"):
+            build_index(logs, folder / "index", BLOCKS)
 
 
 @pytest.mark.parametrize(("second", "is_hinted"), [({}, True), ({"drive.seed": "1"}, False)])

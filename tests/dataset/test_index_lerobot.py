@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
@@ -70,6 +71,8 @@ def test_pictures_and_steering_are_those_of_the_log(tmp_path: Path) -> None:
         images = [image["bytes"] for image in table[f"observation.images.{camera}"]]
         assert images == [jpeg(camera, row) for row in table["log_row"]]
     assert [state[0] for state in table["log_vehicle"]] == [steering(row) for row in table["log_row"]]
+    before = [0.0 if row == 0 else steering(row - 1) for row in table["log_row"]]  # also where the split changes
+    assert [state[1] for state in table["observation.state"]] == np.array(before, np.float32).tolist()
 
 
 def test_what_tags_gaps_and_conditions_leave_out_stays_out(tmp_path: Path) -> None:

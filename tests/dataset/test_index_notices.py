@@ -55,6 +55,15 @@ def test_sessions_that_were_not_chosen_are_told_once(capsys: pytest.CaptureFixtu
     assert sessions_not_indexed("index", "sessions") == []
 
 
+def test_an_index_of_other_logs_is_not_compared_with_the_sessions_here() -> None:
+    log_of("reimer")
+    elsewhere = write_log(Path("elsewhere/sessions/lake.mcap"), STEERING[:60])
+    build_index([elsewhere], Path("elsewhere/index"))
+    assert sessions_not_indexed("elsewhere/index", "sessions") == []
+    write_log(Path("elsewhere/sessions/newer.mcap"), STEERING[:60])
+    assert sessions_not_indexed("elsewhere/index", "elsewhere/sessions") == ["newer"]
+
+
 def test_a_log_that_was_left_out_is_told_again_when_it_has_changed(capsys: pytest.CaptureFixture[str]) -> None:
     log_of("lake")
     bad = Path("sessions/bad.mcap")

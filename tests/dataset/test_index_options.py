@@ -125,6 +125,19 @@ def test_a_condition_reads_no_file(tmp_path: Path) -> None:
         build_index([log_of(tmp_path / "a.mcap")], tmp_path / "index", IndexConfig(where=where))
 
 
+def test_an_index_of_nothing_says_what_became_of_the_frames(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "a.mcap", [0.0] * 4 + [1.5] * 3, cameras=["center", "left"])
+    with pytest.raises(DatasetError) as raised:
+        build_index([path], tmp_path / "index", IndexConfig(where="steering > 1", cameras=("left",)))
+    assert str(raised.value) == (
+        "no frame can be used: 11 not of a camera left or not what --where chooses, 3 with a picture that is not"
+        " whole, or steering beyond -1..1"
+    )
+    empty = write_log(tmp_path / "empty.mcap", [0.0] * 4, cameras=[])
+    with pytest.raises(DatasetError, match="no frame can be used: no session has a picture"):
+        build_index([empty], tmp_path / "index")
+
+
 def test_a_condition_that_nothing_meets_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"no frame can be used.*--where"):
         build_index([log_of(tmp_path / "a.mcap")], tmp_path / "index", IndexConfig(where="speed_mph > 900"))

@@ -287,7 +287,7 @@ def test_one_shared_picture_among_alike_ones_is_found(tmp_path: Path) -> None:
             for row in range(5):
                 data = b"shared" if row == shared else f"{path.stem}{row:05d}".encode()
                 writer.picture("center", 10**18, row, data)  # equal times, equal lengths
-                writer.vehicle(10**18, row, VehicleState(steering=0.1))
+                writer.vehicle(10**18, row, VehicleState(steering=0.1, speed_mph=9.0))
         return path
 
     logs = [writing(tmp_path / "a.mcap", 4), writing(tmp_path / "b.mcap", 0)]

@@ -14,6 +14,7 @@ import pytest
 from common.stored_settings import settings_from
 from dataset import IndexConfig, Indexed, Samples, build_index
 from dataset.cli import main
+from dataset.index.build_state import stat_of
 from logs import write_log
 from panorama import hand, views, write_drive
 from recorder import Log
@@ -73,19 +74,44 @@ def test_seconds_that_are_given_hold_for_every_session(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("late_s", "shift_s"), [(0.0, 0.0), (0.3, 0.4), (-0.3, 0.0), (-0.7, -0.6)], ids=lambda value: f"{value} s"
-)
-def test_a_smooth_hand_is_learnt_as_recorded_unless_its_record_is_late_or_early(
-    late_s: float, shift_s: float, tmp_path: Path
-) -> None:
+def pressed(at_s: np.ndarray) -> np.ndarray:
+    """The hand that the pictures show, where it turns enough: else the wheel is let go."""
+    return np.where(np.abs(hand(at_s)) < 0.15, 0.0, hand(at_s))
+
+
+@pytest.mark.parametrize("late_s", [0.3, -0.7])
+def test_a_smooth_hand_is_learnt_as_recorded_whatever_pictures_show(late_s: float, tmp_path: Path) -> None:
     log = write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: hand(at_s - late_s))
     index = indexed(tmp_path, log)
-    plan = metadata(index)["labels"]["a"]["plan"]
-    assert plan["smooth_s"] == 0
-    assert plan["shift_s"] == pytest.approx(shift_s, abs=0.051)
+    labels = metadata(index)["labels"]["a"]
+    assert labels["lag"]["lag_s"] == pytest.approx(late_s, abs=labels["lag"]["margin_s"] + 1e-9)
     label, recorded = label_and_recorded(index)
-    assert np.array_equal(label, recorded) == (shift_s == 0)
+    assert np.array_equal(label, recorded)
+
+
+@pytest.mark.parametrize(("late_s", "shift_s"), [(0.0, 0.2), (0.3, 0.6), (-0.3, 0.2), (-0.7, 0.2), (0.7, 0.2)])
+def test_presses_are_shifted_more_where_their_record_is_late(
+    late_s: float, shift_s: float, tmp_path: Path
+) -> None:
+    log = write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: pressed(at_s - late_s))
+    plan = metadata(indexed(tmp_path, log))["labels"]["a"]["plan"]
+    assert plan["smooth_s"] == 0.5
+    assert plan["shift_s"] == pytest.approx(shift_s, abs=0.051)
+
+
+def test_an_index_that_went_by_a_lag_of_unknown_margin_is_built_anew(tmp_path: Path) -> None:
+    """Those of earlier versions, which believed any."""
+    log = write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: hand(at_s - 0.3))
+    index = indexed(tmp_path, log)
+    samples, stored = index.samples, metadata(index)
+    del stored["labels"]["a"]["lag"]["margin_s"]
+    stored["labels"]["a"]["plan"]["shift_s"] = 0.4
+    file = index.path / "samples.parquet"
+    pq.write_table(samples.replace_schema_metadata({b"bc.index": json.dumps(stored).encode()}), file)
+    state = json.loads((index.path / "state.json").read_text())
+    state["samples"] = list(stat_of(file) or ())
+    (index.path / "state.json").write_text(json.dumps(state))
+    assert metadata(indexed(tmp_path, log))["labels"]["a"]["plan"]["shift_s"] == 0
 
 
 def test_the_built_in_expert_is_learnt_as_recorded_whatever_it_did_and_no_picture_is_looked_at(
@@ -104,14 +130,14 @@ def test_the_built_in_expert_is_learnt_as_recorded_whatever_it_did_and_no_pictur
 
 
 def test_pictures_are_looked_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    log = write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: hand(at_s - 0.3))
+    log = write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: pressed(at_s - 0.3))
     first = metadata(indexed(tmp_path, log))["labels"]
     kept = tmp_path / "index" / "lags" / "a.json"
     stored = json.loads(kept.read_text())
-    stored["lag"]["lag_s"] = 0.55  # what is kept is believed, for the log that it was measured in
+    stored["lag"]["lag_s"] = 0.45  # what is kept is believed, for the log that it was measured in
     kept.write_text(json.dumps(stored))
     again = metadata(indexed(tmp_path, log, seed=7))["labels"]
-    assert (first["a"]["plan"]["shift_s"], again["a"]["plan"]["shift_s"]) == (pytest.approx(0.4, abs=0.051), 0.65)
+    assert (first["a"]["plan"]["shift_s"], again["a"]["plan"]["shift_s"]) == (pytest.approx(0.6, abs=0.051), 0.75)
     for damaged in ("{", json.dumps(stored | {"fingerprint": "another"}), json.dumps(stored | {"lag": 3})):
         kept.write_text(damaged)
         assert metadata(indexed(tmp_path, log, seed=len(damaged)))["labels"] == first
@@ -168,14 +194,14 @@ def test_the_command_says_how_each_session_was_steered(tmp_path: Path, capsys: p
     folder = tmp_path / "sessions"
     folder.mkdir()
     write_drive(folder / "keyboard.mcap", NO_PICTURES, keys)
-    write_drive(folder / "late.mcap", views(ROWS), lambda at_s: hand(at_s - 0.3))
+    write_drive(folder / "late.mcap", views(ROWS), lambda at_s: pressed(at_s - 0.3))
     write_log(folder / "short.mcap", [0.1, 0.2] * 30)
     write_drive(folder / "mirrored.mcap", views(ROWS)[1:], lambda at_s: -hand(at_s + 0.1))
     for _ in ("built", "found built"):
         assert call(main, "--sessions", folder, "--index", tmp_path / "index") == 0
         said = " ".join(capsys.readouterr().out.split())
         assert "keyboard keys 50% 65 x 0.5 s 10.0" in said
-        for word in ("mean of 0.5 s", "is 0.4 s late", "too short to tell", "is left right?"):
+        for word in ("mean of 0.5 s", "is 0.4 s late", "+0.30 ±0.10", "too short to tell", "is left right?"):
             assert word in said
 
 

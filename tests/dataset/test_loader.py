@@ -430,7 +430,7 @@ def test_bytes_that_changed_behind_a_log_that_looks_the_same_are_never_trained_o
 def test_a_log_may_be_named_by_a_link_and_the_folder_may_move(own: Path, tmp_path: Path) -> None:
     expected = rows_of(own)
     log = own.parent / "lake.mcap"
-    log.symlink_to(log.rename(tmp_path / "far.mcap"))
+    log.symlink_to(log.rename(log.with_name("far.mcap")).name)
     own.parent.rename(tmp_path / "renamed")
     with load(tmp_path / "renamed" / "index") as loader:
         assert len(loader) == len(expected)

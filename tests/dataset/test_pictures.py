@@ -13,6 +13,7 @@ import pytest
 from common.car import CAMERAS, Camera
 from dataset import Batch, DatasetError, IndexConfig, Loader, Samples, build_index, decode, preprocess
 from dataset.augment import alter, blur, brightness, shadow
+from dataset.picture_spec import PictureSpec
 from dataset.preprocess import Image
 from logs import write_log
 from udacity import jpeg
@@ -334,3 +335,10 @@ def test_a_header_that_promises_too_many_pixels_is_no_picture() -> None:
     longer[16:20] = (1 << 21).to_bytes(4, "big")  # few pixels, but more columns than OpenCV allows
     with pytest.raises(ValueError, match="not a picture"):
         decode(bytes(longer))
+
+
+@pytest.mark.parametrize("height", range(1, 9))
+@pytest.mark.parametrize(("top", "bottom"), [(50, 20), (159, 0), (0, 159)])
+def test_a_crop_leaves_a_row_of_any_picture(height: int, top: int, bottom: int) -> None:
+    spec = PictureSpec(crop_top=top, crop_bottom=bottom)
+    assert preprocess(np.zeros((height, 320, 3), np.uint8), spec).shape == spec.shape

@@ -18,10 +18,9 @@ import pyarrow.parquet as pq
 import pytest
 from mcap.reader import make_reader
 
-from dataset import IndexConfig, build_index
+from dataset import DatasetError, IndexConfig, build_index
 from drive.cli import main as drive_main
 from drive.config import DriveConfig
-from drive.errors import DriveError
 from drive.evaluation.aggregation import Aggregation, AggregationFolders
 from drive.evaluation.simulator_process import BuiltInSimulator
 from driving import Process, call_drive, command, one_line_in, road_jpeg
@@ -33,8 +32,10 @@ from model.runs.training_progress import METRICS_FILE
 from places import as_bucket
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
+from recorder.log.session_car import Car, stored_car
 from recorder.log.topics import DRIVE_METADATA
 from serving import ModernClient, fields
+from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
 from udacity import call
 from waiting import wait_until
 
@@ -64,10 +65,10 @@ def aggregated(tmp_path_factory: pytest.TempPathFactory) -> Aggregated:
         )
 
 
-def a_session(path: Path, first: int, rows: int) -> Path:
+def a_session(path: Path, first: int, rows: int, car: Car | None = None) -> Path:
     """A session of so many of the drawn pictures, none of which another one may have."""
     steering = [0.3 * math.sin(row / 9) for row in range(rows)]
-    return write_log(path, steering, lambda camera, row: road_jpeg(first + row), cameras=["center"])
+    return write_log(path, steering, lambda camera, row: road_jpeg(first + row), cameras=["center"], car=car)
 
 
 def train_on_what_is_damaged(folder: Path, run_name: str) -> None:
@@ -183,7 +184,7 @@ def test_another_log_in_the_place_of_one_that_was_learnt_from_is_refused(
 ) -> None:
     shutil.copy(aggregated.folder / "sessions" / "hurt.mcap", tmp_path)
     a_session(tmp_path / "lake.mcap", 200, 50)
-    with pytest.raises(DriveError, match=r"lake\.mcap: changed since .*first was trained on it"):
+    with pytest.raises(DatasetError, match=r"lake\.mcap: changed since it was learnt from"):
         aggregation(aggregated, "first", tmp_path)
 
 
@@ -271,6 +272,48 @@ def test_a_simulator_that_connects_by_itself_is_waited_for_in_every_round(aggreg
     assert set(learnt["data"]["logs"]) == {"lake", "first-random-3-0", "next-connected-0"}
 
 
+TORCS = Car(max_steering_deg=23.0, wheelbase_m=2.6, speed_unit="km/h")
+
+
+def drive_off_the_road(port: int, first: int) -> None:
+    """A simulator of that car, 36 km/h fast; it is so far to the left that its expert steers to the right."""
+    rows = iter(range(40))
+
+    def next_telemetry(command: ServerCommand) -> SimulatorMessage:
+        if command is None and client.steers == 0 and client.telemetries == 1:
+            return "nothing"  # in lock step
+        if (row := next(rows, None)) is None:
+            return None
+        world = {"time_s": row / 20, "offset": 0.95, "expert_steering": 0.5, "expert_throttle": 0.2}
+        return SimulatorTelemetry(0.1, 0.2, 36.0, road_jpeg(first + row), world)
+
+    client = SimulatorClient(port=port, max_steering_deg=TORCS.max_steering_deg)
+    client.run(next_telemetry)
+
+
+def test_a_simulator_of_another_car_goes_through_all_rounds(tmp_path: Path) -> None:
+    session = a_session(tmp_path / "sessions" / "torcs.mcap", 0, 60, TORCS)
+    build_index([session], tmp_path / "index", SETTINGS)
+    config = TrainConfig(network="small", epochs=1, batch=32)
+    train(tmp_path / "index", tmp_path / "runs" / "torcs", config, figures=False, show_progress=False)
+    aggregate = ("torcs", "--port", 0, "--aggregate", 2, "--epochs", 1, "--viewer", "off")
+    with Process(command("bc-drive", *aggregate), tmp_path) as process:
+        for number, run_name in enumerate(("torcs", "torcs-connected-1", "torcs-connected-2")):
+            port = process.wait_for(rf"{run_name} is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]
+            drive_off_the_road(int(port), 100 * (number + 1))
+        assert process.join() == 0, process.stderr
+    for number in range(3):
+        with Log(tmp_path / "drives" / f"torcs-connected-{number}.mcap") as log:
+            assert stored_car(log) == TORCS
+            assert log.vehicle()["steering"].to_pylist() == pytest.approx([0.1] * 40)
+            assert log.vehicle()["speed_mph"].to_pylist() == pytest.approx([22.369] * 40, abs=1e-3)
+    learnt = json.loads((tmp_path / "runs" / "torcs-connected-2" / "config.json").read_text())
+    assert {each["max_steering_deg"] for each in learnt["data"]["logs"].values()} == {23.0}
+    samples = pq.read_table(tmp_path / "index-torcs-connected" / "samples.parquet").to_pylist()
+    expert = [each["label"] for each in samples if each["session"] != "torcs"]
+    assert {abs(label) for label in expert} == {0.5}
+
+
 def test_a_second_ctrl_c_brakes_no_longer_and_finishes_the_log(aggregated: Aggregated) -> None:
     shutil.copytree(aggregated.folder / "runs" / "first", aggregated.folder / "runs" / "twice")
     with Process(command("bc-drive", "twice", "--port", 0, "--aggregate", 1), aggregated.folder) as process:
@@ -309,6 +352,8 @@ def test_a_simulator_without_an_expert_ends_it_at_once_and_is_told_why(aggregate
         (("--aggregate", "1", "--simulator", "lake", "--log", "x.mcap"), "--log: not with --aggregate"),
         (("--aggregate", "1", "--simulator", "lake", "--force"), "--force: not with --aggregate, which"),
         (("--aggregate", "1", "--simulator", "lake", "--epochs", "0"), "epochs"),
+        (("--aggregate", "1", "--viewer", "web"), "--viewer: not with --aggregate, which"),
+        (("--aggregate", "1", "--car", "torcs.toml"), "it answers 1 where the wheels are to turn by 25"),
     ],
 )
 def test_what_cannot_be_aggregated_is_one_line(
@@ -319,5 +364,6 @@ def test_what_cannot_be_aggregated_is_one_line(
     expected: str,
 ) -> None:
     monkeypatch.chdir(aggregated.folder)
+    Path("torcs.toml").write_text("max_steering_deg = 23")
     assert call(drive_main, "first", *flags) in (1, 2)
     assert expected in one_line_in(capsys)

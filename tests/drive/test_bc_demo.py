@@ -45,7 +45,7 @@ def installed(tmp_path: Path) -> Path:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell of Unix")
-def test_the_command_that_it_ends_with_can_be_typed(installed: Path, tmp_path: Path) -> None:
+def test_the_commands_that_it_ends_with_can_be_typed(installed: Path, tmp_path: Path) -> None:
     found = environment()
     found["PATH"] = os.defpath
     code = "from behavioural_cloning_toolkit import bc_demo; bc_demo()"
@@ -58,11 +58,15 @@ def test_the_command_that_it_ends_with_can_be_typed(installed: Path, tmp_path: P
         assert said[step + 1].startswith(f"called in {tmp_path / 'my demo'}: ")
         assert said[step - 1].startswith(f"{number + 1} of 6")
         assert ("left" in said[step - 1]) == (number > 0)
-    assert shlex.split(said[-1])[1] == "my demo/drives/demo-mountain-10mph.mcap"
-    typed = subprocess.run(
-        said[-1], cwd=tmp_path, env=found, shell=True, capture_output=True, text=True, check=True
-    )
-    assert typed.stdout.startswith(f"called in {tmp_path}: ")
+    assert shlex.split(said[-3])[1] == "my demo/drives/demo-mountain-10mph.mcap"
+    assert "drive yourself" in said[-2]
+    for closing, program, last in ((said[-3], "bc-play", "10mph.mcap"), (said[-1], "bc-web", "--open")):
+        typed = subprocess.run(
+            closing, cwd=tmp_path, env=found, shell=True, capture_output=True, text=True, check=True
+        )
+        assert typed.stdout.startswith(f"called in {tmp_path}: ")
+        assert f"/{program} " in typed.stdout
+        assert typed.stdout.endswith(f"{last}\n")
     [activate] = [text.partition(": ")[2] for text in said if "source " in text]
     play = shlex.split(activate)[1]
     assert Path(play).exists()

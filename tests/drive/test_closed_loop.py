@@ -81,7 +81,7 @@ def test_nothing_is_recorded_past_the_share_of_the_lap(recorded: Imported) -> No
     """The nearest point of the centre line to every pose lies within the first 0.02 of its length."""
     line = load_track("lake").line
     points_m = line.points_m[:, :2]
-    end_m = DRIVE.laps * line.length_m
+    end_m = (DRIVE.laps or 0.0) * line.length_m
     arcs_m = []
     for _, _, data in messages(recorded.path, "/pose"):
         position = PoseInFrame.FromString(data).pose.position

@@ -71,6 +71,7 @@ def decided(number: int, world: World | None = None, **changed: Any) -> Decision
         decode_ms=0.25,
         network_ms=1.5,
         set_speed_mph=10.5,
+        in_flight=2,
     )
     return replace(decision, **changed)
 
@@ -109,7 +110,7 @@ def test_a_row_holds_what_was_told_seen_and_answered(tmp_path: Path) -> None:
         telemetry = decision.telemetry
         assert telemetry is not None
         assert decision.crop is not None
-        assert messages["/camera/center"][row][1].data == telemetry.jpeg
+        assert messages["/camera/center"][row][1].data == telemetry.picture
         crop = cv2.imdecode(np.frombuffer(messages["/pilot/input"][row][1].data, np.uint8), cv2.IMREAD_COLOR)
         assert crop is not None
         assert np.array_equal(crop, decision.crop)
@@ -131,6 +132,7 @@ def test_a_row_holds_what_was_told_seen_and_answered(tmp_path: Path) -> None:
                 "decode_ms": 0.25,
                 "network_ms": 1.5,
                 "total_ms": 2.5,
+                "in_flight": 2,
             }.items()
             if value
         }
@@ -244,7 +246,33 @@ def test_who_drives_is_told_at_the_beginning_and_the_end_of_a_humans_stretch(tmp
     assert events_of(path) == stretch * 2
     ends = [m.log_time for m, e in messages["/events"] if e.message == stretch[2]]
     rows = [m.log_time for m, _ in messages["/vehicle"]]
-    assert ends[0] < rows[0] < ends[1] < rows[1]
+    assert ends == rows
+
+
+@pytest.mark.parametrize("is_manual", [True, False])
+def test_a_humans_stretch_is_no_gap_whatever_the_simulators_clock(tmp_path: Path, is_manual: bool) -> None:
+    """Its clock goes on for five seconds, in which this computer's hardly moves."""
+    path = tmp_path / "run.mcap"
+    with drive_log(path) as log:
+        for number, time_s in enumerate((0.0, 0.1, 5.1, 5.2)):
+            if number == 2 and is_manual:
+                log.manual(0.1)
+            log.decision(decided(number, World(time_s=time_s)), 2.0)
+    checked = check(path, look=False)
+    where = ["before row 2"]
+    assert checked.meant_gaps == (where if is_manual else [])
+    assert [found.where for found in checked.findings if found.kind == "gaps in time"] == (
+        [] if is_manual else where
+    )
+
+
+def test_a_human_who_drives_when_the_simulator_goes_is_noted_again_when_it_comes_back(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with drive_log(path) as log:
+        for _ in range(2):
+            log.manual(0.1)
+            log.disconnected("it went away")
+    assert events_of(path) == ["manual: a human drives", "disconnected: it went away"] * 2
 
 
 def test_ten_thousand_bad_telemetries_do_not_fill_the_log_but_are_all_counted(tmp_path: Path) -> None:
@@ -365,7 +393,7 @@ def test_where_the_disk_stands_still_pictures_are_lost_before_commands(
 ) -> None:
     path = tmp_path / "run.mcap"
     decisions = [decided(i, replace(WORLD, time_s=i / 25)) for i in range(100)]
-    sizes = [len(d.telemetry.jpeg) + d.crop.nbytes for d in decisions if d.telemetry and d.crop is not None]
+    sizes = [len(d.telemetry.picture) + d.crop.nbytes for d in decisions if d.telemetry and d.crop is not None]
     kept = 7
     monkeypatch.setattr("drive.log.log_thread.MAX_PICTURE_BYTES", sum(sizes[:kept]))
     with LogWriter(path, {"source": "drive"}, live=True) as writer, standing_disk(writer, monkeypatch) as goes_on:

@@ -336,8 +336,10 @@ def test_what_the_simulator_put_back_counts_since_the_drive_began() -> None:
 def test_the_metadata_has_a_unit_in_every_name_that_needs_one() -> None:
     summary = DriveSummary()
     for i in range(26):
-        summary.decision(decided(world=replace(WORLD, time_s=i / 25, laps=i / 100, interventions=i // 25)), 2.0, i)
+        world = replace(WORLD, time_s=i / 25, laps=i / 100, interventions=i // 25)
+        summary.decision(decided(world=world, in_flight=1 + i // 12), 2.0, i)
     summary.dropped_pictures, summary.dropped_rows = 4, 1
+    summary.pushes, summary.unanswered = 3, 2
     found = summary.as_metadata()
     assert all(isinstance(value, str) for value in found.values())
     assert found.pop("clock") == "simulator"
@@ -352,6 +354,10 @@ def test_the_metadata_has_a_unit_in_every_name_that_needs_one() -> None:
             "put_back": 1,
             "dropped_pictures": 4,
             "dropped_rows": 1,
+            "pushes": 3,
+            "unanswered": 2,
+            "in_flight": 1,
+            "in_flight_most": 3,
             "elapsed_s": 1.0,
             "driven_s": 1.0,
             "distance_m": 10 * MPH,

@@ -163,7 +163,7 @@ def test_the_answer_is_the_networks_and_what_led_to_it_is_told() -> None:
     assert decision.predicted_steering == decision.steering == pilot.predict(crop)
     assert decision.throttle == pytest.approx(0.1 * 6 + 0.002 * 6)  # the first of the controller, 6 mph too slow
     assert decision.telemetry is not None
-    assert decision.telemetry.jpeg == road_jpeg(7)
+    assert decision.telemetry.picture == road_jpeg(7)
     assert (decision.driver, decision.set_speed_mph, decision.problem, decision.events) == ("pilot", 10.0, "", ())
     assert min(decision.parse_ms, decision.decode_ms, decision.network_ms) > 0
 
@@ -187,6 +187,14 @@ def test_a_picture_of_another_size_is_driven_on_and_that_is_said_once(
     assert events == [f"pictures of {width}x{height} pixels, not 320x160: driven on all the same"]
 
 
+def test_a_png_is_driven_on_as_it_came(half_right: Pilot) -> None:
+    png = picture(320, 160, ".png")
+    decision = drive(Driver(half_right, DriveConfig()), message(image=base64.b64encode(png).decode()))
+    assert (decision.steering, decision.problem, decision.picture_size) == (0.5, "", (320, 160))
+    assert decision.telemetry is not None
+    assert decision.telemetry.picture == png
+
+
 @pytest.mark.parametrize(
     ("jpeg", "problem"),
     [
@@ -194,8 +202,8 @@ def test_a_picture_of_another_size_is_driven_on_and_that_is_said_once(
         (base64.b64encode(picture(2049, 1024)[:-9]).decode(), f"image has more than {MAX_PIXELS:,} pixels"),
         (base64.b64encode(picture(2049, 1024, ".png")).decode(), f"image has more than {MAX_PIXELS:,} pixels"),
         (base64.b64encode(road_jpeg(0)[:-900]).decode(), "image is a JPEG that is cut off or damaged ("),
-        (base64.b64encode(b"\x89PNG" + bytes(99)).decode(), "image is a PNG, not a JPEG"),
-        (base64.b64encode(bytes(99)).decode(), "image is not a JPEG (99 bytes)"),
+        (base64.b64encode(b"\x89PNG" + bytes(99)).decode(), "image is a PNG that is cut off or damaged ("),
+        (base64.b64encode(bytes(99)).decode(), "image is not a JPEG or PNG (99 bytes)"),
         ("", "image is empty"),
     ],
 )

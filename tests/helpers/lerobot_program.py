@@ -1,8 +1,10 @@
 # mypy: ignore-errors
-"""Run by a Python that has LeRobot: reads a dataset with LeRobot's own reader, or writes one with its own writer.
+"""Run by a Python that has LeRobot: reads a dataset with LeRobot's own reader, writes one with its own
+writer, or asks a policy of its own for actions.
 
 python lerobot_program.py read ROOT FOUND.npz
 python lerobot_program.py write ROOT image|video
+python lerobot_program.py act ROOT MODEL ACTIONS.npy
 """
 
 from __future__ import annotations
@@ -17,6 +19,8 @@ from lerobot.datasets.compute_stats import compute_episode_stats
 from lerobot.datasets.feature_utils import validate_frame
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.datasets.streaming_dataset import StreamingLeRobotDataset
+from lerobot.policies.act.modeling_act import ACTPolicy
+from lerobot.policies.factory import make_pre_post_processors
 from lerobot.utils.constants import DEFAULT_FEATURES
 from lerobot.utils.feature_utils import dataset_to_policy_features
 
@@ -117,5 +121,17 @@ def write(root: str, dtype: str) -> None:
     dataset.finalize()
 
 
+def act(root: str, model: str, actions: str) -> None:
+    """Save the action (3,) that a trained ACT gives for each frame, one observation at a time, as a robot asks."""
+    policy = ACTPolicy.from_pretrained(model)
+    before, after = make_pre_post_processors(policy.config, model)
+    answers = []
+    for frame in opened(root):
+        policy.reset()
+        observation = {key: value for key, value in frame.items() if key.startswith("observation.")}
+        answers.append(after(policy.select_action(before(observation)))[0].numpy())
+    np.save(actions, np.stack(answers))
+
+
 if __name__ == "__main__":
-    {"read": read, "write": write}[sys.argv[1]](*sys.argv[2:])
+    {"read": read, "write": write, "act": act}[sys.argv[1]](*sys.argv[2:])

@@ -14,6 +14,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from common.car import CAMERAS, Camera
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
+from recorder.log.session_car import Car, metadata_of
 
 START_NS = 1_720_880_000_000_000_000
 STEP_NS = 100_000_000
@@ -34,9 +35,10 @@ def write_log(
     step_ns: int = STEP_NS,
     source: str = "test",
     overwrite: bool = False,
+    car: Car | None = None,
 ) -> Path:
     """A log of one frame for each steering, a tenth of a second apart."""
-    with LogWriter(path, {"source": source}, overwrite=overwrite) as writer:
+    with LogWriter(path, {"source": source} | metadata_of(car), overwrite=overwrite) as writer:
         for row, value in enumerate(steering):
             time_ns = start_ns + row * step_ns
             for camera in cameras:

@@ -36,6 +36,7 @@ class Book:
         self.calls: list[str] = []
         self.answered_ms: list[float] = []
         self.waited_ms: list[float] = []  # from the last byte to the handler's answer
+        self.left: list[object] = []  # without an answer
         self.overlaps = 0
         self.ticks = 0
         self.last: Steer | None = None
@@ -63,6 +64,14 @@ class Book:
     def answered(self, total_ms: float) -> None:
         with self._alone("answered"):
             self.answered_ms.append(total_ms)
+
+    def unanswered(self, sid: str, data: object, received_s: float) -> None:
+        with self._alone("unanswered"):
+            self.left.append(data)
+
+    def first_command_sent(self, sid: str) -> None:
+        with self._alone("first_command_sent"):
+            pass
 
     def tick(self) -> None:
         with self._alone(""):
@@ -184,8 +193,11 @@ class ModernClient:
 
     def close(self) -> None:
         """Hang up. Its threads are not waited for: where the server closes at the same moment, the one that writes
-        waits for 30 s more."""
+        waits for 30 s more. So its socket is closed here."""
+        connection = self.client.eio.ws
         self.client.disconnect()
+        if connection is not None:
+            connection.shutdown()
 
     def _note(self, name: str, data: object) -> None:
         with self._came:

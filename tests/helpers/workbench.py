@@ -63,13 +63,15 @@ def served(
     token: str = "",
     at: Location | None = None,
     drives: Location | None = None,
+    port: int = 0,
 ) -> Iterator[Served]:
     """The workbench over the folders of a project, which is `at` another place if one is given, as may be its
-    `drives` alone; its cache is in `folder`. It listens on loopback, whatever it believes its `host` to be."""
+    `drives` alone; its cache is in `folder`. It listens on loopback, whatever it believes its `host` to be, on a
+    free port unless one is given."""
     within = at or folder
     folders = ProjectFolders(within / "sessions", within / "index", within / "runs", drives or within / "drives")
     with workbench_app(folders, host, token, folder / "cache") as app:
-        server = WorkbenchServer(app, "127.0.0.1", 0)
+        server = WorkbenchServer(app, "127.0.0.1", port)
         server.start()
         try:
             yield Served(folder, server.port)

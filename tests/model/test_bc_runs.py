@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from drive.evaluation.eval_cli import main as bc_eval
 from driving import untrained_run
 from histories import epoch_line
 from logs import write_log
+from model.runs import run_summary
 from model.runs.kept_results import keep_result
 from model.runs_cli import main as bc_runs
 from toy import STEERING, road
@@ -55,6 +57,29 @@ def test_runs_stand_beside_one_another(
     assert " ".join(row[8:]) == "10 mph: lake 2"
 
 
+def test_a_supervised_drive_says_how_many_interventions_are_a_persons(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "140")
+    keep_result(run := a_run(tmp_path, "first"), "simulator", drive("lake", 2))
+    for by_person in (7, 2):  # the last one counts
+        keep_result(run, "supervised", drive("mountain", 3) | {"by_person": by_person, "laps": 0.5})
+    keep_result(run, "supervised", drive("lake", 1))  # without the person's: no supervised drive
+    assert call(bc_runs, "--runs", tmp_path) == 0
+    row = capsys.readouterr().out.splitlines()[-1]
+    assert "10 mph: lake 2; supervised at 10 mph: mountain 3 (2 by a person) in 0.50 laps" in row
+
+
+def test_runs_are_ordered_by_supervised_drives_where_nothing_else_drove(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, times in (("often", 9), ("seldom", 1)):
+        keep_result(a_run(tmp_path, name), "supervised", drive("lake", times) | {"by_person": times})
+    keep_result(a_run(tmp_path, "some"), "simulator", drive("lake", 4))
+    found = listed(capsys, tmp_path, "--sort", "interventions")
+    assert [run["name"] for run in found] == ["seldom", "some", "often"]
+
+
 def test_a_run_says_what_network_it_is_and_what_it_answers(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -78,6 +103,33 @@ def test_the_best_one_comes_first(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert [run["name"] for run in listed(capsys, tmp_path, "--sort", "rmse")] == ["bb", "ccc", "a"]
     # the one that has not driven comes last
     assert [run["name"] for run in listed(capsys, tmp_path, "--sort", "interventions")] == ["a", "bb", "ccc"]
+
+
+def measured_on(run: Path, logs: dict[str, str], **settings: Any) -> None:
+    config = json.loads((run / "config.json").read_text())
+    config["data"] = {"logs": {name: {"fingerprint": of} for name, of in logs.items()}, "settings": settings}
+    (run / "config.json").write_text(json.dumps(config))
+
+
+def test_networks_measured_on_other_frames_are_marked_and_ranked_apart(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A mixed test drive would make the best driver look worst."""
+    for number, (name, rmse_deg) in enumerate((("a", 2.0), ("bb", 1.0), ("ccc", 1.5), ("dddd", 0.5))):
+        run = a_run(tmp_path, name, rmse_deg)
+        measured_on(
+            run, {"sunday": "one" if name != "dddd" else "two"}, seed=1 if name == "ccc" else 0, bins=number
+        )
+        for file in run.iterdir():
+            os.utime(file, (number, number))
+    by_rmse = [run["name"] for run in listed(capsys, tmp_path, "--sort", "rmse")]
+    assert by_rmse == ["dddd", "ccc", "bb", "a"]  # apart by the log, by the seed of its split, and then by errors
+    assert call(bc_runs, "--runs", tmp_path, "--sort", "rmse") == 0
+    printed = capsys.readouterr()
+    lines = [line.split() for line in printed.out.splitlines() if " people " in line]
+    assert [(line[0], line[5]) for line in lines] == [("dddd", "A"), ("ccc", "B"), ("bb", "C"), ("a", "C")]
+    said = " ".join(printed.err.split())
+    assert "`bc-eval dddd --session NAME` and `bc-eval ccc --session NAME`" in said.replace(".venv/bin/", "")
 
 
 def test_the_last_drive_of_each_track_and_speed_counts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -147,6 +199,24 @@ def test_a_damaged_run_is_named_behind_the_others(tmp_path: Path, capsys: pytest
     output = capsys.readouterr()
     assert "sound" in output.out
     assert str(tmp_path / "broken" / "config.json") in output.err
+
+
+def test_a_failure_nobody_expects_hides_no_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("sound", "broken"):
+        a_run(tmp_path, name)
+
+    def fails_on_broken(run: Path) -> list[object]:
+        if run.name == "broken":
+            raise ZeroDivisionError("of a library")
+        return []
+
+    monkeypatch.setattr(run_summary, "read_epochs", fails_on_broken)
+    assert call(bc_runs, "--runs", tmp_path) == 3
+    output = capsys.readouterr()
+    assert "sound" in output.out
+    assert f"{tmp_path / 'broken'}: cannot be looked at (ZeroDivisionError of a library)" in output.err
 
 
 @pytest.mark.parametrize(

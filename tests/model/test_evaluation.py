@@ -409,6 +409,19 @@ def test_whole_sessions_that_the_run_never_saw_are_measured_frame_by_frame(
     assert found["worst"][0]["row"] == max(range(len(off)), key=lambda row: abs(off[row]))
 
 
+def test_a_result_that_cannot_be_kept_is_shown_and_is_something_lost(
+    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = shutil.copytree(here / "runs" / "toy", tmp_path / "toy")
+    (run / "results.jsonl").unlink(missing_ok=True)
+    (run / "results.jsonl").mkdir()
+    assert call(main, run, "--session", "new", "--json") == 3
+    shown = capsys.readouterr()
+    assert json.loads(shown.out)["frames"] == len(STEERING)
+    assert "the result is not kept in the run" in shown.err
+    assert "make room" not in shown.err
+
+
 @pytest.mark.parametrize("name", ["a", "under_another_name"])
 def test_a_session_that_the_run_has_learnt_from_is_known_by_its_bytes(
     here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
@@ -645,7 +658,6 @@ def test_an_index_of_somebody_else_is_damaged_in_one_line(here: Path, tmp_path: 
         (["--simulator"], "--simulator at least one"),
         (["--session"], "--session at least one"),
         (["--session", "a", "--split", "train"], "leave out --index and --split"),
-        (["--sessions", "sessions"], "--session"),
         (["--worst", -1], "--worst -1"),
         (["--session", "nobody"], "nobody.mcap: no such log"),
         (["--index", "nowhere"], "build it with `bc-index --index nowhere`"),

@@ -250,7 +250,7 @@ def test_without_its_packages_the_error_says_how_to_get_them(
     trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(RunError, match=r'`pip install "behavioural-cloning-toolkit\[onnx\]"`'):
+    with pytest.raises(RunError, match=r"`pip install .*\[onnx\].*`"):
         export_onnx(trained, tmp_path / "first.onnx")
     assert list(tmp_path.iterdir()) == []
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,6 +19,7 @@ from dataset import decode
 from driving import run_code
 from model import RunError, evaluate, export_onnx, find_run, load_pilot, predict_log, train
 from model.evaluation.evaluate import evaluate_sessions
+from model.runs.run_arguments import new_run_name
 from model.runs.run_folder import create_run, find_any_run
 from toy import SMALL, road, toy_index
 
@@ -133,6 +135,12 @@ def test_places_may_be_given_as_text(trained: Path, tmp_path: Path) -> None:
     assert evaluate_sessions(run, [log]).measures.frames == len(predict_log(log, [run]).row) == 40
     assert export_onnx(run, str(tmp_path / "run.onnx")) < 1e-4
     assert load_pilot(str(find_run("run", str(tmp_path)))).run == "run"
+
+
+def test_trainings_that_begin_in_the_same_second_have_names_of_their_own() -> None:
+    names = [new_run_name() for _ in range(14)]
+    assert len(set(names)) == 14
+    assert all(re.fullmatch(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d-[0-9a-f]{6}", name) for name in names)
 
 
 def test_a_name_that_is_nearly_that_of_a_run_is_recognised(tmp_path: Path) -> None:

@@ -47,7 +47,7 @@ def indexes(bucket: Bucket, tmp_path: Path) -> tuple[Path, Path]:
 
 
 def cached(tmp_path: Path) -> list[Path]:
-    return sorted(path for path in (tmp_path / "cache").rglob("*") if path.is_file())
+    return sorted(path for path in (tmp_path / "cache" / "chunks").rglob("*") if path.is_file())
 
 
 def pictures(loader: Loader, epochs: int = 2) -> list[Any]:
@@ -165,6 +165,7 @@ def test_a_cache_that_is_too_small_says_so_and_gives_the_same(
 def test_a_cache_that_cannot_be_written_says_so_and_gives_the_same(
     bucket: Bucket, indexes: tuple[Path, Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
+    shutil.rmtree(tmp_path / "cache", ignore_errors=True)
     (tmp_path / "cache").write_text("no folder")
     expected = pictures(load(indexes[0], batch=7, budget_bytes=0))
     with caplog.at_level(logging.WARNING):

@@ -17,6 +17,7 @@ from mcap.writer import Writer as McapWriter
 
 from common.car import Camera
 from common.location import Location
+from disk import files_of_at_most
 from driving import PATIENCE_S, command, environment, run
 from layouts import Layout, mixed, two_kinds
 from logs import START_NS, STEP_NS, read_messages, write_log
@@ -196,6 +197,27 @@ def test_info_tells_gaps_odd_rows_and_tags(
     printed = capsys.readouterr().out
     assert "2 drives" in printed
     assert "tag recovery: rows 3 to 5" in printed
+
+
+def test_info_of_very_many_topics_and_settings_shows_the_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "many.mcap"
+    with log.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start("", "somebody")
+        for number in range(300):
+            writer.register_channel(f"/topic_{number:03d}", "json", 0)
+        writer.add_metadata("bc.session", {f"setting_{number:04d}": "x" for number in range(1300)})
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert call(main, "info", log) == 0
+    output = capsys.readouterr().out
+    assert (output.count("/topic_"), output.count("setting_")) == (200, 200)
+    assert "and 100 more topics (--json lists them)" in output
+    assert "and 1,100 more settings (--json lists them)" in output
+    assert call(main, "info", log, "--json") == 0
+    described = json.loads(capsys.readouterr().out)
+    assert (len(described["topics"]), len(described["session"])) == (300, 1300)
 
 
 def test_info_reads_only_the_end_of_a_finished_log(
@@ -389,6 +411,13 @@ def test_a_new_tag_is_said_with_what_may_have_been_meant(
     assert capsys.readouterr().err == ""
     assert call(main, "tag", other, "recovry", "--rows", 1, 2) == 0
     assert "did you mean recovery?" in capsys.readouterr().err
+
+
+def test_a_tag_that_cannot_be_kept_is_not_called_new(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_log(tmp_path / "a.mcap", [0.1] * 5)
+    with files_of_at_most(10):
+        assert call(main, "tag", path, "recovery", "--rows", 1, 2) == 1
+    assert "new tag" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("answer", ["y", "n"])

@@ -86,12 +86,17 @@ def tags_of(path: Path) -> list[tuple[int, int, str]]:
         return [(tag.first_row, tag.last_row, tag.name) for tag in read_tags(path, log.fingerprint)]
 
 
+CHUNK_BYTES = 2100
+"""These chunks end within rows, and none between a row's pose and its other messages: a row that has only lost its
+pose is kept."""
+
+
 @pytest.fixture(autouse=True, params=["two kinds", "mixed"])
 def layout(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The layout of logs that are edited; those that are written have the one of today."""
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 2048)
+    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", CHUNK_BYTES)
     if request.param == "mixed":
-        monkeypatch.setattr(f"{__name__}.laid_out", partial(mixed, chunk_bytes=2048))
+        monkeypatch.setattr(f"{__name__}.laid_out", partial(mixed, chunk_bytes=CHUNK_BYTES))
     name: str = request.param
     return name
 

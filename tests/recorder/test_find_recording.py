@@ -85,6 +85,13 @@ def test_folders_that_go_in_circles_end(tmp_path: Path) -> None:
         import_recording(tmp_path / "a", tmp_path / "x.mcap")
 
 
+def test_a_link_to_itself_hides_no_recording(home: Path) -> None:
+    (home / "loop").symlink_to("loop")
+    with pytest.raises(RecordingError) as error:
+        import_recording(home, home / "x.mcap")
+    assert str(home / "mycar" / "data") in str(error.value)
+
+
 # Logs of this toolkit
 
 

@@ -377,6 +377,18 @@ def test_names_that_are_tried_one_after_the_other_are_one_line(mode: ServerMode)
         ("192.168.0.7", "192.168.0.8:4567", None, False),
         ("car.example.org", "car.example.org:4567", "http://car.example.org", True),
         ("car.example.org", "mybox", None, False),
+        ("127.0.0.1", "evil.example@127.0.0.1", None, False),
+        ("127.0.0.1", "evil.example@127.0.0.1:4567", None, False),
+        ("127.0.0.1", "[::1].evil.example", None, False),
+        ("127.0.0.1", "[::1]evil.example", None, False),
+        ("127.0.0.1", "127.0.0.1/evil.example", None, False),
+        ("127.0.0.1", "127.0.0.1\\@evil.example", None, False),
+        ("127.0.0.1", "127.0.0.1:4567:4567", None, False),
+        ("127.0.0.1", "127.0.0.1", "http://evil.example@127.0.0.1", False),
+        ("127.0.0.1", "127.0.0.1", "http://[::1].evil.example", False),
+        ("0.0.0.0", "evil.example@192.168.0.7", None, False),
+        ("0.0.0.0", "[::1].evil.example", None, False),
+        ("0.0.0.0", "[fe80::7]:4567", "http://[fe80::7]:4567", True),
     ],
 )
 def test_what_host_names_is_let_in(host: str, name: str, origin: str | None, is_let_in: bool) -> None:

@@ -98,6 +98,13 @@ def test_times_in_nanoseconds_keep_every_one(tmp_path: Path) -> None:
         assert log.vehicle()["log_time_ns"].to_pylist() == [1_720_880_000_123_456_789]
 
 
+def test_a_time_of_thousands_of_digits_that_are_zeros_is_a_number(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, f"n,p,s\n{'0' * 5000}7,a.jpg,0\n", ["a.jpg"])
+    done = imported(folder, "time_ns=n", "image=p", "steering=s")
+    with Log(done.path) as log:
+        assert log.vehicle()["log_time_ns"].to_pylist() == [7]
+
+
 @pytest.mark.parametrize(
     ("column", "time"), [("time_ns", "1" * 5000), ("time_s", "1e305"), ("time_ns", str(2**63)), ("time_ms", "-1")]
 )

@@ -86,6 +86,26 @@ def test_an_export_comes_back_as_it_was(tmp_path: Path, speed_mph: float) -> Non
         assert opened.metadata["clock"] == "recorded"
 
 
+@pytest.mark.parametrize("flags", [{}, {"steering": "action.steering"}])
+def test_an_export_of_the_version_before_comes_back(tmp_path: Path, flags: dict[str, str]) -> None:
+    """Its state was one number, the speed."""
+    log = write_drives(tmp_path / "two.mcap")
+    export_lerobot([log], tmp_path / "out")
+    now = content(imported(tmp_path / "out", **flags).path)
+    (data,) = (tmp_path / "out/data").glob("*/*.parquet")
+    table = pq.read_table(data)
+    speed = pa.array([9.3] * len(table), pa.float32())
+    pq.write_table(
+        table.set_column(table.column_names.index("observation.state"), "observation.state", speed), data
+    )
+    info = json.loads((tmp_path / "out/meta/info.json").read_text())
+    state = {"observation.state": numbers_feature(["speed_mph"], 1)}
+    change_info(tmp_path / "out", features=info["features"] | state)
+    before = content(imported(tmp_path / "out", overwrite=True, **flags).path)
+    assert before == now
+    assert flags or before == content(log)
+
+
 def test_the_car_of_a_session_comes_back(tmp_path: Path) -> None:
     car = Car(max_steering_deg=30.0, wheelbase_m=2.5)
     log = write_drives(tmp_path / "two.mcap", metadata=metadata_of(car))
@@ -119,6 +139,22 @@ def test_gaps_that_were_meant_come_back_as_such_and_others_as_gaps(tmp_path: Pat
     (episodes,) = (tmp_path / "out/meta/episodes").glob("*/*.parquet")
     pq.write_table(pq.read_table(episodes).drop_columns(["log_not_recorded"]), episodes)
     assert not check(imported(tmp_path / "out", overwrite=True).path).meant_gaps
+
+
+def test_a_gap_in_which_a_human_drove_is_explained_in_what_comes_back(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "a.mcap", {"source": "drive"}) as writer:
+        for row, seconds in enumerate((0.0, 0.1, 4.1, 4.2)):
+            time_ns = START_NS + round(seconds * 1e9)
+            writer.picture("center", time_ns, row, jpeg("center", row))
+            writer.vehicle(time_ns, row, VehicleState(steering=row / 10, speed_mph=9.0))
+            if row == 1:
+                writer.event(time_ns + 1, "manual: a human drives")
+            elif row == 2:
+                writer.event(time_ns, "manual: the pilot drives again")
+    export_lerobot([writer.path], tmp_path / "out")
+    back = imported(tmp_path / "out").path
+    assert check(back).meant_gaps == ["before row 2"]
+    assert [event.message for _, event in read_messages(back)["/events"]] == [not_recorded(4.0, "a human drove")]
 
 
 def test_an_export_as_videos_comes_back_with_other_pictures_and_says_so(tmp_path: Path) -> None:

@@ -317,6 +317,16 @@ def test_a_link_that_leaves_the_recording_is_not_followed(tmp_path: Path) -> Non
     assert secret.read_bytes() not in done.path.read_bytes()
 
 
+def test_a_picture_that_is_a_link_to_itself_is_left_out(tmp_path: Path) -> None:
+    make_recording(tmp_path / "drive", three_rows())
+    link = tmp_path / "drive" / "IMG" / picture_name("left", 0)
+    link.unlink()
+    link.symlink_to(link.name)
+    done = imported(tmp_path / "drive")
+    assert link.name in [name for _, name in done.skipped]
+    assert done.pictures == 8
+
+
 def pictures_elsewhere(folder: Path, place: Path) -> dict[str, bytes]:
     """A recording whose `place` is a link to a folder on another disk, which has the pictures."""
     pictures = make_recording(folder, three_rows())

@@ -11,6 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dataset import decode
+from recorder.pictures.decoding import decode_picture
 from recorder.pictures.jpeg import PADDING_BYTES, is_whole_jpeg, whole_jpeg_size
 
 ENCODINGS: dict[str, list[int]] = {
@@ -137,11 +139,9 @@ def test_half_a_picture_with_another_one_behind_it_is_refused() -> None:
 
 def test_a_picture_of_thousands_of_scans_is_refused() -> None:
     """Each makes OpenCV go over the whole picture once more, and takes fourteen bytes."""
-    data = cv2.imencode(".jpg", np.zeros((64, 64, 3), np.uint8), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
-    last = data.rindex(b"\xff\xda")
-    assert is_whole_jpeg(data)
-    assert is_whole_jpeg(data[:-2] + 50 * data[last:-2] + data[-2:])
-    assert not is_whole_jpeg(data[:-2] + 2000 * data[last:-2] + data[-2:])
+    assert is_whole_jpeg(of_scans(0))
+    assert is_whole_jpeg(of_scans(50))
+    assert not is_whole_jpeg(of_scans(2000))
 
 
 def test_a_picture_without_a_size_is_refused() -> None:
@@ -150,3 +150,18 @@ def test_a_picture_without_a_size_is_refused() -> None:
     assert data[size_at : size_at + 4] == bytes((0, 40, 0, 56))
     assert not is_whole_jpeg(data[:size_at] + bytes((0, 0, 0, 56)) + data[size_at + 4 :])
     assert not is_whole_jpeg(data[:size_at] + b"\xff\xff\xff\xff" + data[size_at + 4 :])
+
+
+def of_scans(count: int) -> bytes:
+    """A progressive JPEG whose last scan is there so many times more."""
+    data = cv2.imencode(".jpg", np.zeros((64, 64, 3), np.uint8), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    return data[:-2] + count * data[data.rindex(b"\xff\xda") : -2] + data[-2:]
+
+
+def test_nothing_decodes_a_picture_of_thousands_of_scans() -> None:
+    assert is_decoded(of_scans(2000))  # by OpenCV, in seconds where it is larger
+    assert decode_picture(of_scans(50), cv2.IMREAD_COLOR) is not None
+    assert decode(of_scans(50)).shape == (64, 64, 3)
+    assert decode_picture(of_scans(2000), cv2.IMREAD_COLOR) is None
+    with pytest.raises(ValueError, match="more than 100 scans"):
+        decode(of_scans(2000))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,8 @@ def test_every_frame_has_its_jpegs_byte_for_byte_its_steering_and_its_time(tmp_p
     assert table["task_index"].to_pylist() == [0] * 20
     assert table["timestamp"].to_pylist() == [np.float32(frame / 10) for frame in frames]
     assert table["action"].to_pylist() == [np.array(values, np.float32).tolist() for values in as_driven]
-    assert table["observation.state"].to_pylist() == [np.float32(9.3)] * 20
+    states = [[9.3, *([0.0] * 3 if row in (0, 8) else as_driven[row - 1])] for row in ROWS]  # 0, 8: a drive begins
+    assert table["observation.state"].to_pylist() == [np.array(values, np.float32).tolist() for values in states]
     assert table["log_time_ns"].to_pylist() == TIMES_NS
     assert table["log_vehicle"].to_pylist() == [[*values, 9.3] for values in as_driven]
     with Log(log) as opened:
@@ -218,10 +220,63 @@ def test_logs_without_a_camera_in_common_are_refused(tmp_path: Path) -> None:
     assert sorted(path.suffix for path in tmp_path.iterdir()) == [".mcap", ".mcap"]
 
 
-def test_an_unknown_speed_is_no_state(tmp_path: Path) -> None:
+def written(log: Path, steering_of_rows: Sequence[float], times_s: Sequence[float]) -> Path:
+    with LogWriter(log, {"source": "test"}) as writer:
+        for row, (steering_of_row, time_s) in enumerate(zip(steering_of_rows, times_s, strict=True)):
+            time_ns = TIMES_NS[0] + round(time_s * 1e9)
+            writer.picture("center", time_ns, row, jpeg("center", row))
+            writer.vehicle(time_ns, row, VehicleState(steering=steering_of_row, throttle=0.5, speed_mph=9.0))
+    return log
+
+
+def state_steering(folder: Path) -> dict[int, float]:
+    """The steering in the state of each row of the log."""
+    table = pq.read_table(folder / DATA)
+    at = info_of(folder)["features"]["observation.state"]["names"].index("previous_steering")
+    return dict(
+        zip(table["log_row"].to_pylist(), [row[at] for row in table["observation.state"].to_pylist()], strict=True)
+    )
+
+
+def test_no_state_knows_the_action_of_its_row(tmp_path: Path) -> None:
+    steering_of_rows = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+    times_s = [row / 10 for row in range(6)]
+    export_lerobot([written(tmp_path / "a.mcap", steering_of_rows, times_s)], tmp_path / "a")
+    for row in range(6):
+        other = [*steering_of_rows[:row], *(-value for value in steering_of_rows[row:])]
+        folder = tmp_path / f"other-{row}"
+        export_lerobot([written(tmp_path / f"{row}.mcap", other, times_s)], folder)
+        states = [pq.read_table(path / DATA)["observation.state"].to_pylist() for path in (tmp_path / "a", folder)]
+        assert states[0][: row + 1] == states[1][: row + 1]
+        assert row == 5 or states[0][row + 1] != states[1][row + 1]
+
+
+def test_a_state_is_of_the_row_before_it_in_the_log_and_0_where_a_drive_begins(tmp_path: Path) -> None:
+    # row 3 is no steering, between 5 and 6 are 2 s, and at row 8 time goes back
+    steering_of_rows = [0.125, 0.25, 0.375, 2.0, 0.5, 0.625, 0.75, 0.875, -0.125, -0.25]
+    times_s = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 2.5, 2.6, 1.0, 1.1]
+    log = written(tmp_path / "odd.mcap", steering_of_rows, times_s)
+    with Log(log) as opened:
+        add_tag(log, opened.fingerprint, Tag(1, 1, "exclude"))
+    export_lerobot([log], tmp_path / "out")
+    assert state_steering(tmp_path / "out") == {
+        0: 0.0,
+        2: 0.25,  # of row 1, which is left out
+        4: 0.375,
+        5: 0.5,
+        6: 0.0,
+        7: 0.75,
+        8: 0.0,
+        9: -0.125,
+    }
+
+
+def test_an_unknown_speed_is_in_no_state(tmp_path: Path) -> None:
     log = write_drives(tmp_path / "no_speed.mcap", speed_mph=math.nan)
     export_lerobot([log], tmp_path / "out")
-    assert "observation.state" not in info_of(tmp_path / "out")["features"]
+    state = info_of(tmp_path / "out")["features"]["observation.state"]
+    assert (state["shape"], state["names"]) == ([3], ["previous_steering", "previous_throttle", "previous_brake"])
+    assert "speed_mph" not in (tmp_path / "out/README.md").read_text()
     vehicle = pq.read_table(tmp_path / "out" / DATA)["log_vehicle"].to_pylist()
     assert all(math.isnan(speed_mph) for *_, speed_mph in vehicle)
 
@@ -275,6 +330,8 @@ def test_the_card_says_what_who_how_and_asks_for_a_licence(tmp_path: Path) -> No
     card = (without.folder / "README.md").read_text()
     assert "license:" not in card
     assert "ask whoever recorded it" in card
+    assert "`observation.state`: `speed_mph`, miles an hour (1 is 0.44704 m/s), and `previous_steering`, " in card
+    assert "They are 0 where a drive begins." in card
     assert "| two | source: test, driver: ann\\|e \\<b\\> | 20 | 2 | 0 |" in card
     assert (without.folder / "picture.jpg").read_bytes() == jpeg("center", 0)
     export_lerobot([log], tmp_path / "with", licence="cc-by-4.0")

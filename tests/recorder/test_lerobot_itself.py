@@ -30,10 +30,14 @@ pytestmark = pytest.mark.skipif(not PYTHON, reason="BC_LEROBOT_PYTHON names no P
 
 
 def run_lerobot(tmp_path: Path, *arguments: object) -> None:
+    run_python(tmp_path, PROGRAM, *arguments)
+
+
+def run_python(tmp_path: Path, *arguments: object) -> None:
     environment = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "huggingface")}
     environment.pop("PYTHONPATH", None)
     done = subprocess.run(
-        [PYTHON, PROGRAM, *map(str, arguments)],
+        [PYTHON, *map(str, arguments)],
         cwd=tmp_path,
         env=environment,
         capture_output=True,
@@ -75,7 +79,9 @@ def test_its_batches_have_our_pictures_actions_and_times(found: dict[str, Any]) 
             assert np.abs(pictures[row].astype(int) - rgb(jpeg(camera, row))).max() <= 3
     expected = np.array([[steering(row), 0.1 * (row % 10), 0.0] for row in ROWS])
     np.testing.assert_array_equal(found["action"], expected.astype(np.float32))
-    np.testing.assert_array_equal(found["observation.state"], np.full(20, 9.3, np.float32))
+    before = np.where(np.isin(ROWS, [drive[0] for drive in DRIVES])[:, None], 0.0, np.roll(expected, 1, axis=0))
+    states = np.column_stack([np.full(20, 9.3), before])
+    np.testing.assert_array_equal(found["observation.state"], states.astype(np.float32))
     assert found["log_time_ns"].tolist() == TIMES_NS
     np.testing.assert_array_equal(found["log_vehicle"][:, 0], expected[:, 0].astype(np.float32))
     assert found["episode_index"].tolist() == [episode for episode, drive in enumerate(DRIVES) for _ in drive]
@@ -98,8 +104,8 @@ def test_its_other_readers_and_its_merging_agree(found: dict[str, Any]) -> None:
 
 def test_its_statistics_are_ours(found: dict[str, Any], exported: Path) -> None:
     (first, _) = pq.read_table(exported / "meta/episodes").to_pylist()
-    keys = [key for key in found if key.startswith("stats/action/")]
-    assert len(keys) == 10
+    keys = [key for key in found if key.startswith(("stats/action/", "stats/observation.state/"))]
+    assert len(keys) == 20
     for key in keys:
         # its quantiles are of the bins of a histogram
         tolerance = 0.3 if key.rpartition("/")[2].startswith("q") else 1e-5
@@ -114,6 +120,23 @@ def test_its_frames_of_our_videos_are_those_of_the_rows(tmp_path: Path) -> None:
     for row, picture in enumerate(found["observation.images.left"]):
         errors = [np.abs(picture - original).mean() for original in originals]
         assert errors[row] == min(errors) < 12
+
+
+def test_it_trains_act_on_an_export_and_act_answers_with_an_action(tmp_path: Path, exported: Path) -> None:
+    trained = tmp_path / "trained"
+    run_python(
+        tmp_path,
+        *("-m", "lerobot.scripts.lerobot_train", "--dataset.repo_id=own/dataset", f"--dataset.root={exported}"),
+        *("--policy.type=act", "--policy.device=cpu", "--policy.push_to_hub=false"),
+        "--policy.pretrained_backbone_weights=null",  # they are on the internet
+        *("--policy.chunk_size=4", "--policy.n_action_steps=2", "--policy.dim_model=64"),
+        *("--steps=2", "--batch_size=4", "--num_workers=0", "--save_freq=2", f"--output_dir={trained}"),
+    )
+    model = trained / "checkpoints/000002/pretrained_model"
+    run_lerobot(tmp_path, "act", exported, model, tmp_path / "actions.npy")
+    actions = np.load(tmp_path / "actions.npy")
+    assert actions.shape == (len(ROWS), 3)
+    assert np.isfinite(actions).all()
 
 
 @pytest.mark.parametrize("dtype", ["image", "video"])

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer as McapWriter
 
 from common.car import Camera
 from logs import START_NS, write_log
+from recorder import Log
+from recorder.log import copy_log
 from recorder.log_cli import main
 from udacity import call, jpeg
 
@@ -81,3 +85,70 @@ def test_without_logs_it_says_how_to_begin(here: Path, capsys: pytest.CaptureFix
     (here / "sessions").mkdir()
     assert call(main, "ls") == 1
     assert "bc-record" in capsys.readouterr().err
+
+
+def hostile(path: Path, name: str, values: dict[str, str]) -> Path:
+    """A log of another program, whose metadata `name` has these values."""
+    path.parent.mkdir(exist_ok=True)
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start("bc", "somebody")
+        writer.add_metadata(name, values)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [
+        *(("bc.quality", key) for key in ("steering", "stretches", "picture_sizes", "meant_gaps")),
+        ("bc.quality", "first_picture_px"),
+        *(("bc.session", key) for key in ("car", "drive.speed")),
+    ],
+)
+@pytest.mark.parametrize("depth", [600, 5000])
+def test_metadata_that_is_nested_deep_hides_no_log(
+    name: str, key: str, depth: int, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log_of(here / "sessions" / "monday.mcap", 3)
+    log = hostile(here / "sessions" / "deep.mcap", name, {key: '{"a":' * depth + "1" + "}" * depth})
+    assert names(capsys) == ["monday", "deep"]
+    assert call(main, "info", log, here / "sessions" / "monday.mcap") == 0
+    assert "monday.mcap" in capsys.readouterr().out
+
+
+def test_a_failure_nobody_expects_hides_no_log(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("monday", "tuesday"):
+        log_of(here / "sessions" / f"{name}.mcap", 3)
+
+    def fails_on_monday(log: Log) -> dict[str, str]:
+        if "monday" in log.path.name:
+            raise ZeroDivisionError("of a library")
+        return {}
+
+    monkeypatch.setattr(Log, "metadata", property(fails_on_monday))
+    assert call(main, "ls") == 1
+    output = capsys.readouterr()
+    assert "tuesday" in output.out
+    assert "sessions/monday.mcap: cannot be looked at (ZeroDivisionError of a library)" in output.err
+
+
+def test_a_failure_nobody_expects_keeps_no_log_from_being_copied(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("monday", "tuesday"):
+        log_of(here / "sessions" / f"{name}.mcap", 3)
+
+    def fails_on_monday(log: Path, *options: object, **named: object) -> object:
+        if "monday" in log.name:
+            raise ZeroDivisionError("of a library")
+        return copy_as_ever(log, *options, **named)
+
+    copy_as_ever: Callable[..., object] = copy_log.copy_log
+    monkeypatch.setattr(copy_log, "copy_log", fails_on_monday)
+    assert call(main, "copy", "sessions", "elsewhere") == 1
+    printed = capsys.readouterr().err
+    assert "sessions/monday.mcap: cannot be looked at (ZeroDivisionError of a library)" in printed
+    assert "sessions/tuesday.mcap and elsewhere/tuesday.mcap: both on this machine" in printed

@@ -334,6 +334,45 @@ def test_a_store_that_is_not_there_is_said(
     assert "cannot be reached (endpoint http://127.0.0.1:1)" in one_line_in(capsys)
 
 
+@pytest.mark.parametrize(
+    ("place", "name", "value"),
+    [
+        ("s3://logs", "AWS_ENDPOINT_URL_S3", "127.0.0.1:9000"),
+        ("s3://logs", "AWS_ENDPOINT_URL_S3", "http://127.0.0.1:99999"),
+        ("s3://logs", "AWS_ENDPOINT_URL_S3", "http://127.0.0.1:x"),
+        ("s3://logs", "AWS_ENDPOINT_URL_S3", "http://a b:9000"),
+        ("s3://logs", "AWS_ENDPOINT_URL", "http://"),
+        ("s3://logs", "AWS_REGION", "us east"),
+        ("s3://logs", "AWS_ACCESS_KEY_ID", "key\n"),
+        ("gs://logs", "GOOGLE_BASE_URL", "127.0.0.1:9000"),
+        ("az://logs", "AZURE_STORAGE_ENDPOINT", "127.0.0.1:9000"),
+    ],
+)
+def test_a_setting_that_no_store_can_be_reached_with_is_named(
+    bucket: Bucket,
+    place: str,
+    name: str,
+    value: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    if name != "AWS_ENDPOINT_URL_S3":
+        monkeypatch.delenv("AWS_ENDPOINT_URL_S3")
+    monkeypatch.setenv(name, value)
+    assert call(main, "ls", place) == 1
+    assert one_line_in(capsys).startswith(f"bc-log: {name}")
+
+
+def test_an_endpoint_in_the_usual_file_is_checked_too(
+    bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("AWS_ENDPOINT_URL_S3")
+    (tmp_path / "config").write_text("[default]\nendpoint_url = 127.0.0.1:9000\n")
+    monkeypatch.setenv("AWS_CONFIG_FILE", str(tmp_path / "config"))
+    assert call(main, "ls", "s3://logs") == 1
+    assert "endpoint=127.0.0.1:9000: no endpoint" in one_line_in(capsys)
+
+
 def test_credentials_are_those_of_the_usual_files(
     bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -15,6 +15,7 @@ from recorder.log.meant_gaps import meant_rows
 from recorder.log_cli import main
 from udacity import call, jpeg
 
+HUMAN, PILOT = "manual: a human drives", "manual: the pilot drives again"
 EVENT = "not recorded: 1.000 s, the car was pushed off its line"
 
 
@@ -33,8 +34,9 @@ def write_rows(writer: LogWriter, at_s: list[float], events: dict[float, str]) -
         time_ns = START_NS + round(seconds * 1e9)
         writer.picture("center", time_ns, row, jpeg(60 + row, 10 * row))
         writer.vehicle(time_ns, row, VehicleState(steering=row / 10, speed_mph=9.0))
-        if seconds in events:
-            writer.event(time_ns, events[seconds])
+        before = at_s[row - 1] if row else -1.0
+        for at in sorted(at for at in events if before < at <= seconds):
+            writer.event(START_NS + round(at * 1e9), events[at])
 
 
 @pytest.mark.parametrize(
@@ -55,6 +57,28 @@ def test_a_gap_counts_unless_an_event_at_its_row_tells_its_length(
 ) -> None:
     path = log_of(tmp_path / "a.mcap", at_s, events)
     assert findings(path) == [("gaps in time", where) for where in found]
+
+
+@pytest.mark.parametrize(
+    ("events", "found"),
+    [
+        ({0.2: HUMAN, 3.2: PILOT}, []),
+        ({0.2: HUMAN, 3.1: PILOT}, []),  # as earlier versions wrote it: right before the row
+        ({0.2: HUMAN, 1.0: PILOT, 1.5: HUMAN, 3.2: "manual: telemetry comes again"}, []),
+        ({1.5: HUMAN, 3.2: PILOT}, ["before row 2"]),  # more than a second before it
+        ({0.2: HUMAN, 1.9: PILOT}, ["before row 2"]),  # and behind it
+        ({0.2: HUMAN, 1.0: "disconnected: transport close"}, ["before row 2"]),
+        ({0.2: HUMAN}, ["before row 2"]),
+        ({0.05: HUMAN, 3.2: PILOT}, ["before row 2"]),  # a row lies within
+        ({3.2: PILOT}, ["before row 2"]),
+    ],
+)
+def test_a_gap_in_which_a_human_drove_is_no_finding(
+    tmp_path: Path, events: dict[float, str], found: list[str]
+) -> None:
+    path = log_of(tmp_path / "a.mcap", [0.0, 0.1, 3.2, 3.3], events)
+    assert findings(path) == [("gaps in time", where) for where in found]
+    assert describe(path).meant_gaps == ([] if found else [2])
 
 
 def test_rows_that_are_cut_out_are_missed(tmp_path: Path) -> None:

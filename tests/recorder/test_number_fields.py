@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ NAMES = ("steering", "throttle", "brake", "speed_mph")
 
 numbers = st.one_of(st.just(0.0), st.just(-0.0), st.floats(width=64))
 states = st.tuples(numbers, numbers, numbers, numbers).map(
-    lambda values: VehicleState(**dict(zip(NAMES, values, strict=True))).SerializeToString()
+    lambda values: VehicleState(**dict[str, Any](zip(NAMES, values, strict=True))).SerializeToString()
 )
 
 

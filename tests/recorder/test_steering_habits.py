@@ -69,6 +69,31 @@ def test_a_hand_is_in_time_only_if_pictures_have_told() -> None:
     assert plan_labels(habits, SteeringLag(-0.1, 0.9, 400)).why == "smooth and in time"
 
 
+@pytest.mark.parametrize("lag_s", [-0.5, -0.1, 0.3, 0.95])
+def test_a_smooth_driver_is_learnt_as_recorded_whatever_the_lag(lag_s: float) -> None:
+    """An expert of another simulator was measured to be 0.5 s early, and turned in the same step by its poses."""
+    plan = plan_labels(steering_habits(rows_of(hand(100))), SteeringLag(lag_s, 0.9, 400, 0.05))
+    assert (plan.smooth_s, plan.shift_s) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("lag_s", "margin_s", "late_s", "why"),
+    [
+        (-0.1, 0.05, 0.0, ""),
+        (-0.5, 0.05, 0.0, "not believed"),
+        (0.3, 0.05, 0.4, "0.4 s late"),
+        (0.3, 0.25, 0.0, "too unsure"),
+        (0.6, 0.05, 0.0, "not believed"),
+    ],
+)
+def test_presses_are_shifted_by_a_lag_that_is_sure_and_can_be(
+    lag_s: float, margin_s: float, late_s: float, why: str
+) -> None:
+    plan = plan_labels(steering_habits(rows_of(keys(100))), SteeringLag(lag_s, 0.9, 400, margin_s))
+    assert plan.shift_s == pytest.approx(0.2 + late_s)
+    assert why in plan.why
+
+
 def test_the_ceiling_is_the_correlation_with_the_neighbours_of_the_same_drive() -> None:
     """Beside one that is computed row by row; one row is alone."""
     steering = np.random.default_rng(0).uniform(-1, 1, 200).cumsum() % 1

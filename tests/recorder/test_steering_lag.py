@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from panorama import hand, views, write_drive
+from panorama import RATE_HZ, Seconds, hand, views, write_drive
 from recorder import Log
 from recorder.log.steering_habits import SteeringLag
 from recorder.log.steering_lag import measure_lag
@@ -27,6 +28,23 @@ def test_steering_that_was_recorded_late_or_early_is_found_out(late_s: float, tm
     assert found.lag_s == pytest.approx(late_s, abs=0.051)
     assert found.correlation > 0.9
     assert found.pictures == ROWS
+
+
+def _recorded(wheel: Seconds, at_s: Seconds) -> Seconds:
+    return wheel
+
+
+def test_a_noisy_lag_has_a_wider_margin_that_holds_the_true_one(tmp_path: Path) -> None:
+    calm = lag_of(write_drive(tmp_path / "calm.mcap", views(ROWS)))
+    assert calm is not None
+    assert calm.margin_s == 0.05  # lags are tried so far apart
+    for seed in range(5):
+        wheel = hand(np.arange(ROWS) / RATE_HZ - 0.2) + np.random.default_rng(seed).normal(0, 0.2, ROWS)
+        noisy = lag_of(write_drive(tmp_path / f"{seed}.mcap", views(ROWS), partial(_recorded, wheel)))
+        assert noisy is not None
+        assert noisy.margin_s is not None
+        assert noisy.margin_s > calm.margin_s
+        assert abs(noisy.lag_s - 0.2) <= noisy.margin_s + 1e-9
 
 
 def test_pictures_that_turn_the_other_way_are_told(tmp_path: Path) -> None:

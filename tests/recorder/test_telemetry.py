@@ -11,11 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drive.control.speed_controller import SpeedController
+from driving import road_jpeg
 from recorder.server.telemetry import (
     MAX_IMAGE_BYTES,
     Telemetry,
     TelemetryError,
-    check_whole_jpeg,
+    check_whole_picture,
     format_command,
     parse_telemetry,
 )
@@ -188,17 +189,38 @@ def test_what_can_be_read_of_a_bad_telemetry_is_told(
 @pytest.mark.parametrize(
     ("picture", "kind"),
     [
-        (b"\x89PNG\r\n", "image is a PNG, not a JPEG"),
-        (b"RIFF\0\0\0\0WEBP", "image is a WebP, not a JPEG"),
+        (b"\x89PNG\r\n", "image is a PNG that is cut off or damaged"),
+        (b"RIFF\0\0\0\0WEBP", "image is a WebP, not a JPEG or PNG"),
         (b"\xff\xd8\xff", "image is a JPEG that is cut off or damaged"),
-        (b"", "image is not a JPEG"),
-        (bytes(99), "image is not a JPEG"),
+        (b"", "image is not a JPEG or PNG"),
+        (bytes(99), "image is not a JPEG or PNG"),
     ],
 )
-def test_a_picture_that_is_no_jpeg_is_named(picture: bytes, kind: str) -> None:
+def test_a_picture_that_is_no_whole_jpeg_or_png_is_named(picture: bytes, kind: str) -> None:
     with pytest.raises(TelemetryError) as found:
-        check_whole_jpeg(picture)
+        check_whole_picture(picture)
     assert found.value.kind == kind
+
+
+@pytest.mark.parametrize(
+    ("left", "problem"),
+    [
+        (road_jpeg(1)[:-100], "image_left is a JPEG that is cut off or damaged"),
+        (b"RIFF\0\0\0\0WEBP", "image_left is a WebP, not a JPEG or PNG"),
+        ("%%", "image_left is not base64"),
+        (7, "image_left is not a string but a number"),
+        ("A" * (MAX_IMAGE_BYTES + 4), f"image_left is larger than {MAX_IMAGE_BYTES:,} bytes"),
+    ],
+    ids=lambda value: repr(value)[:12],
+)
+def test_a_side_picture_that_cannot_be_used_is_named_and_the_others_are_kept(left: object, problem: str) -> None:
+    fields = {"image_left": base64.b64encode(left).decode() if isinstance(left, bytes) else left}
+    parsed = parse_telemetry(telemetry(image_right=base64.b64encode(road_jpeg(2)).decode(), **fields))
+    assert (parsed.picture, parsed.side_pictures, parsed.side_problems) == (
+        PICTURE,
+        {"right": road_jpeg(2)},
+        (problem,),
+    )
 
 
 NOT_NUMBERS: tuple[object, ...] = (
@@ -253,7 +275,7 @@ def test_what_is_not_a_picture_in_base64_is_refused(value: object, reason: str) 
 
 
 def test_the_largest_picture_that_is_allowed_is_taken() -> None:
-    assert len(parse_telemetry(telemetry(image="A" * MAX_IMAGE_BYTES)).jpeg) == MAX_IMAGE_BYTES * 3 // 4
+    assert len(parse_telemetry(telemetry(image="A" * MAX_IMAGE_BYTES)).picture) == MAX_IMAGE_BYTES * 3 // 4
 
 
 @pytest.mark.parametrize("data", [None, 1, "telemetry", [telemetry()], b"", True, {}, {"telemetry": telemetry()}])

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import itertools
+import json
 import random
 import re
 import socket
@@ -29,7 +30,8 @@ from recorder.server import connection_guard, eventlet_host, telemetry_server, t
 from recorder.server.engineio_connection import Connection
 from recorder.server.eventlet_host import QuickAckGreenSocket
 from recorder.server.listening_socket import QuickAckSocket, listen
-from recorder.server.telemetry_server import MAX_MESSAGE_BYTES, ServerMode, Steer, TelemetryServer
+from recorder.server.telemetry import TelemetryError, parse_telemetry
+from recorder.server.telemetry_server import MAX_MESSAGE_BYTES, Answer, ServerMode, Steer, TelemetryServer
 from serving import (
     PICTURES,
     UNUSED,
@@ -478,6 +480,49 @@ def ask(serving: Serving, count: int, seed: int) -> None:
             assert set(command) <= {"steering_angle", "throttle"}
         assert client.command() == steered(Steer(-steering(good), 0.5))
     client.close()
+
+
+class Reasons(Book):
+    """Writes down why telemetries cannot be used."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.reasons: list[str] = []
+
+    def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
+        try:
+            parse_telemetry(data)
+        except TelemetryError as error:
+            self.reasons.append(str(error))
+        return super().telemetry(sid, data, received_s)
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        ('{"speed": 9.0', "telemetry is not JSON"),
+        ("'x'", "telemetry is not JSON"),
+        ("[" * 5000 + "]" * 5000, "telemetry is not JSON"),
+        ('"not JSON"', "not an object but a string"),
+        (
+            json.dumps(json.dumps(fields(0))),
+            "not an object but a string (send the object, not a string of JSON)",
+        ),
+        ("[1]", "not an object but a list"),
+        ("true", "not an object but true or false"),
+        ("7", "not an object but a number"),
+        (json.dumps(fields(0, image=7)), "image is not a string but a number"),
+        (json.dumps(fields(0, speed={})), "speed is not a number but an object"),
+    ],
+)
+def test_the_reason_is_plain_where_a_telemetry_is_no_object(mode: ServerMode, data: str, reason: str) -> None:
+    book = Reasons()
+    with Serving(mode, book) as serving:
+        client = RawClient(serving.port)
+        client.websocket.send(f'42["telemetry",{data}]')
+        assert client.command() == steered(UNUSED)
+        client.close()
+    assert book.reasons == [reason]
 
 
 def test_thousands_of_malformed_telemetries_are_each_answered_once_and_good_ones_driven(mode: ServerMode) -> None:

@@ -106,7 +106,7 @@ def test_the_world_is_that_of_the_moment_whose_picture_is_told() -> None:
             expert_steering=steering,
             expert_throttle=throttle,
         )
-        assert moment.jpeg == other.jpeg()
+        assert moment.picture == other.jpeg()
         assert world_of(moment).time_s == pytest.approx(max(0, number - 1) / RATE_HZ)
     assert len({moment.world for moment in told}) == len(told) - 1  # the first two tell the same moment
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -198,6 +201,13 @@ def test_they_are_kept_as_a_log_that_others_read_and_bc_play_shows(
     expected = [25 * (one - other) for one, other in zip(said["first"], STEERING, strict=True)]
     assert values(tmp_path / "kept.rrd", "/error_deg/first") == pytest.approx(expected, abs=0.01)
     assert "error in degrees: predicted - recorded" in view_names(tmp_path / "kept.rrd")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")
+def test_the_worst_moments_of_a_log_whose_name_is_not_utf8(here: Path, tmp_path: Path) -> None:
+    log = shutil.copy(here / "session.mcap", tmp_path / os.fsdecode(b"b\xffd.mcap"))
+    (worst,) = predict_log(log, [here / "runs" / "first"]).worst("first", 1)
+    assert worst.session == "b\\udcffd"
 
 
 def test_it_says_which_log_and_which_weights(here: Path, tmp_path: Path) -> None:

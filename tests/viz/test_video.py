@@ -423,6 +423,6 @@ def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
 def test_without_pyav_the_error_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = write_log(tmp_path / "x.mcap", [grey(90)])
     monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(UserError, match=r'`pip install "behavioural-cloning-toolkit\[video\]"`'):
+    with pytest.raises(UserError, match=r"`pip install .*\[video\].*`"):
         write_video(log, tmp_path / "x.mp4")
     assert list(tmp_path.iterdir()) == [log]

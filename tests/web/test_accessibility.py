@@ -20,6 +20,7 @@ from logs import write_log
 from pages import window_of
 from udacity import call
 from waiting import wait_until
+from wheel_host import Host, driving_host
 from workbench import Served, served
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ PAGES: Final = {
     "/runs/r": "#plots canvas",
     "/drives?log=d&by=speed": "circle",
     "/jobs?start=train": "details[open] button",
+    "/wheel?driver=run": "form.begin",
+    "/wheel/after/sessions/faulty": "form",
     "/nothing": "main",
 }
 """Each page, and what stands in it when all of it is there."""
@@ -48,7 +51,8 @@ NOTE_WHAT_IS_REACHED: Final = """() => {
 }"""
 LEFT: Final = """() => {
   const all = document.querySelectorAll('a[href], button, input:not([type=hidden]), select, summary, [tabindex]');
-  const wanted = [...all].filter(each => each.checkVisibility() && !each.disabled && each.tabIndex >= 0);
+  const wanted = [...all].filter(each => each.checkVisibility() && !each.disabled && each.tabIndex >= 0
+    && (each.type !== 'radio' || each.checked));  // the others of its group are reached by the arrow keys
   return wanted.filter(each => !reached.has(each)).map(each => each.outerHTML.slice(0, 120));
 }"""
 
@@ -83,11 +87,18 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         yield found
 
 
-def test_every_page_is_for_everybody(browser: Browser, bench: Served) -> None:
+@pytest.fixture
+def host(bench: Served, monkeypatch: pytest.MonkeyPatch) -> Iterator[Host]:
+    monkeypatch.setenv("BC_CACHE", str(bench.folder / "cache"))
+    with driving_host(bench.folder / "sessions" / "new.mcap", with_network=True) as found:
+        yield found
+
+
+def test_every_page_is_for_everybody(browser: Browser, bench: Served, host: Host) -> None:
     axe = pytest.importorskip("axe_playwright_python.base", reason="axe-core is not installed")
     wrong: dict[str, Any] = {}
     with window_of(browser, 1280, 800) as page:
-        for path, last in PAGES.items():
+        for path, last in {**PAGES, host.address: "#wheel[data-frame]"}.items():
             page.goto(f"{bench.address}{path}", wait_until="networkidle")  # axe fails in a list that changes
             page.wait_for_selector(last)
             page.evaluate(NOTE_WHAT_IS_REACHED)
@@ -105,7 +116,7 @@ def test_every_page_is_for_everybody(browser: Browser, bench: Served) -> None:
             if found := page.evaluate(RUN, {"runOnly": ["color-contrast"]}):
                 wrong[f"{path}, dark"] = found
             page.emulate_media(color_scheme="light")
-            for width in (1280, 2560):
+            for width in (1280, 2560, *([390] if path.startswith("/wheel") else ())):
                 page.set_viewport_size({"width": width, "height": width * 9 // 16})
                 wait_until(lambda: page.evaluate("document.documentElement.scrollWidth <= innerWidth"))
     assert wrong == {}

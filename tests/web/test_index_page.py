@@ -16,11 +16,12 @@ import pytest
 
 import dataset.cli
 import recorder.log_cli
-from dataset import Samples, decode, load
+from dataset import IndexConfig, Samples, build_index, decode, load
 from driving import road_jpeg
-from logs import write_log
+from logs import not_a_picture, write_log
 from udacity import call
 from waiting import wait_until
+from web.data.index_view import session_bins_sketch
 from workbench import Served, served
 
 FORM = {"Content_Type": "application/x-www-form-urlencoded"}
@@ -66,6 +67,18 @@ def test_the_page_shows_what_the_index_holds(bench: Served) -> None:
         assert (answer.status, answer.headers["content-type"]) == (200, "image/svg+xml")
         assert b"<rect" in answer.body
     assert "no leak between training and validation" in bench.get("/index.leaks").text
+
+
+@pytest.mark.parametrize("bins", [5, 40])
+def test_a_session_is_sketched_in_the_bins_of_its_index(bins: int, tmp_path: Path) -> None:
+    """By the square root of its samples in each, which are those of the whole index: it is alone there."""
+    steering = [0.02 * (row % 50) - 0.2 for row in range(400)]  # 0.4, an edge of five bins, is among them
+    log = write_log(tmp_path / "a.mcap", steering, not_a_picture, cameras=["center"])
+    indexed = build_index([log], tmp_path / "index", IndexConfig(bins=bins))
+    sketch = session_bins_sketch(indexed.path, "a").decode()
+    bars = np.array(re.findall(r'height="([0-9.]+)" fill', sketch), np.float64)
+    shares = np.sqrt(indexed.balance.after)
+    assert bars == pytest.approx(28 * shares / shares.max(), abs=0.051)
 
 
 def test_samples_are_shown_as_training_sees_them(bench: Served) -> None:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import html
 import json
+import os
 import re
+import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlencode
@@ -15,7 +19,6 @@ from driving import Process, command
 from ports import free_ports
 from recorder import Log
 from waiting import wait_until
-from web.data.cache_folder import default_cache_folder
 from web.data.jobs import Jobs
 from workbench import Answer, Served, served
 
@@ -37,6 +40,14 @@ def start(bench: Served, **values: str) -> str:
 
 def post(bench: Served, path: str, **values: str) -> Answer:
     return bench.ask("POST", path, urlencode(values).encode(), **FORM)
+
+
+def is_a_process(number: int) -> bool:
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    return True
 
 
 def text(bench: Served, path: str) -> str:
@@ -81,6 +92,25 @@ def test_a_job_outlives_the_server_and_is_stopped_by_another(tmp_path: Path) -> 
         assert post(again, f"{job}/stop").status == 303  # nothing more to stop
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="a lock is of one process there")
+def test_a_job_whose_runner_was_killed_still_runs_and_is_stopped(bench: Served) -> None:
+    job = start(bench, form="record", name="long", laps="200")
+    sessions = bench.folder / "sessions"
+    wait_until(lambda: list(sessions.glob("long.mcap.*.part")))
+    (file,) = (bench.folder / "cache" / "jobs").glob("*/*/pid")
+    runner = int(file.read_text())
+    try:
+        os.kill(runner, signal.SIGKILL)
+        wait_until(lambda: not is_a_process(runner))
+        assert "running" in text(bench, f"{job}/body")
+        assert post(bench, f"{job}/stop").status == 303
+        wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+        assert not list(sessions.glob("long.mcap.*.part"))  # Ctrl-C lets a recording end as it does in a terminal
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(runner, signal.SIGKILL)
+
+
 def test_without_any_folder_the_demo_fills_them(bench: Served) -> None:
     page = bench.get("/sessions").text
     assert '<form method="post" action="/jobs">' in page
@@ -97,7 +127,7 @@ def test_without_any_folder_the_demo_fills_them(bench: Served) -> None:
 
 
 def test_the_command_says_which_jobs_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
     (port,) = free_ports(1)
     with Process(command("bc-web", "--port", port), cwd=tmp_path) as process:
@@ -108,7 +138,7 @@ def test_the_command_says_which_jobs_go_on(tmp_path: Path, monkeypatch: pytest.M
         said = "\n".join(process.stderr)
         assert "1 job goes on: bc-record long --laps=200\n" in said
         assert f"`bc-web`, begun again in {tmp_path}, shows them" in said
-    jobs = Jobs(default_cache_folder())
+    jobs = Jobs(tmp_path / "cache" / "web")
     jobs.stop(job)
     wait_until(lambda: not jobs.get(job).is_running)
 

@@ -27,7 +27,18 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         yield found
 
 
-@pytest.mark.parametrize("host", ["evil.example", "evil.example:8080", "127.0.0.1.evil.example", "", "a b"])
+@pytest.mark.parametrize(
+    "host",
+    [
+        "evil.example",
+        "evil.example:8080",
+        "127.0.0.1.evil.example",
+        "evil.example@127.0.0.1",
+        "[::1].evil.example",
+        "",
+        "a b",
+    ],
+)
 def test_a_name_that_leads_here_but_is_not_ours_is_refused(bench: Served, host: str) -> None:
     """DNS rebinding: the page of evil.example asks evil.example, which now is this machine."""
     assert bench.get("/sessions", Host=host).status in (400, 403)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -108,10 +109,28 @@ def test_what_bc_eval_measured_is_told_by_session(tmp_path: Path) -> None:
         errors = {"rmse_deg": rmse_deg, "correlation": None}
         keep_result(run, "frames", {"index": None, "network": errors, "sessions": {session: {}}})
     with served(tmp_path) as bench:
-        wait_until(lambda: "Measured by bc-eval" in bench.get("/runs/r/body").text)
+        wait_until(lambda: "Measured in drives and on frames" in bench.get("/runs/r/body").text)
         text = page(bench, "r")
     assert "of monday , rmse deg 5.25" in text
     assert "of sunday , rmse deg 3.5" in text
+
+
+def test_runs_measured_on_different_frames_are_listed_apart(tmp_path: Path) -> None:
+    for name, rmse_deg, seed in (("a", 2.0, 0), ("b", 1.0, 1), ("c", 1.5, 0)):
+        config = a_run(tmp_path / "runs", name, rmse_deg) / "config.json"
+        stored = json.loads(config.read_text())
+        stored["data"]["settings"]["seed"] = seed  # of the split
+        config.write_text(json.dumps(stored))
+    with served(tmp_path) as bench:
+        wait_until(lambda: "0.25" in bench.get("/runs.rows?sort=rmse").text)
+        listed = bench.get("/runs.rows?sort=rmse").text
+    names = re.findall(r'<a class="name"[^>]*>(\w)</a>', listed)
+    marks = re.findall(r"<td>([AB])</td>", listed)
+    assert list(zip(names, marks, strict=True)) in (
+        [("c", "A"), ("a", "A"), ("b", "B")],  # by which was written last
+        [("b", "A"), ("c", "B"), ("a", "B")],
+    )
+    assert "--session NAME" in listed
 
 
 def test_a_run_without_an_epoch_tells_how_to_go_on(tmp_path: Path) -> None:

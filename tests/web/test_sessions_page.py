@@ -134,6 +134,15 @@ def test_a_session_without_pictures_that_decode_has_a_strip_all_the_same(bench: 
     assert "MCAP" in bench.get("/sessions/nothing/steering.svg").json["error"]
 
 
+def test_a_log_that_is_a_link_to_itself_is_shown_as_damaged(tmp_path: Path) -> None:
+    (tmp_path / "sessions").mkdir()
+    (tmp_path / "sessions" / "loop.mcap").symlink_to("loop.mcap")
+    with served(tmp_path) as bench:
+        for page in ("", "/strip.jpg", "/steering.svg"):
+            assert bench.get(f"/sessions/loop{page}").status == 422
+        wait_until(lambda: "damaged" in rows(bench)["loop"])
+
+
 def test_the_sketch_is_a_picture(bench: Served) -> None:
     answer = bench.get("/sessions/plain/steering.svg")
     assert answer.headers["content-type"] == "image/svg+xml"

@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 import msgspec
-from platformdirs import user_cache_path
+
+from common.untrusted_json import json_as
+from common.users_cache import users_cache
 
 Kept = TypeVar("Kept")
 
@@ -20,8 +22,7 @@ _KEPT_SHARE: Final = 0.8  # when it is too large, so that this is seldom
 
 
 def default_cache_folder() -> Path:
-    folder: Path = user_cache_path("behavioural-cloning-toolkit")
-    return folder / "web"
+    return users_cache() / "web"
 
 
 class CacheFolder:
@@ -41,11 +42,11 @@ class CacheFolder:
     def struct(self, key: str, kind: type[Kept], make: Callable[[], Kept]) -> Kept:
         """`get` for a value that msgspec encodes; made anew where the file is damaged."""
         data = self.get(key, lambda: msgspec.json.encode(make()))
-        try:
-            return msgspec.json.decode(data, type=kind)
-        except (msgspec.MsgspecError, UnicodeError):
+        kept = json_as(data, kind)
+        if kept is None:
             self.forget(key)
             return make()
+        return kept
 
     def find(self, key: str) -> bytes | None:
         """The data kept under that key, if any."""

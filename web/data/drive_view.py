@@ -16,6 +16,7 @@ from common.location import Location, absolute
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
 from recorder.log import topics
+from recorder.log.meant_gaps import HUMAN_DRIVES
 from recorder.log.session_car import max_steering_deg_of
 from web.data.background import Background
 from web.data.cache_folder import CacheFolder
@@ -23,7 +24,7 @@ from web.data.project_folders import ProjectFolders
 
 _MOST_POINTS: Final = 1500
 _MOST_EVENTS: Final = 200
-_INTERVENTIONS: Final = ("off the road, or stuck", "the expert takes over", "manual: a human drives")
+_INTERVENTIONS: Final = ("off the road, or stuck", "the expert takes over", HUMAN_DRIVES)
 
 
 class DriveEvent(msgspec.Struct, frozen=True):

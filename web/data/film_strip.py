@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from common.car import CAMERAS
 from recorder import Log, LogError, Pictures
 from recorder.log.topics import camera_topic
-from recorder.pictures.picture_size import MOST_PIXELS, width_and_height
+from recorder.pictures.decoding import decode_picture
+from recorder.pictures.picture_size import width_and_height
 
 PICTURES: Final = 4
 WIDTH_PX, HEIGHT_PX = 160, 80  # of each; shown at half of that, for screens of two pixels a point
@@ -52,12 +53,10 @@ def _thumbnail(log: Log, pictures: Pictures | None, share: float) -> NDArray[np.
         data = log.read(int(pictures.offset[at]), int(pictures.length[at]), int(pictures.chunk[at]))
     except LogError:
         return None
-    size = width_and_height(data)
-    if size is None or not 0 < size[0] * size[1] <= MOST_PIXELS:
-        return None
+    size = width_and_height(data) or (0, 0)
     is_large = min(size[0] // WIDTH_PX, size[1] // HEIGHT_PX) >= 2
     flag = cv2.IMREAD_REDUCED_COLOR_2 if is_large else cv2.IMREAD_COLOR  # JPEGs are decoded at half their size
-    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), flag)
+    decoded = decode_picture(data, flag)
     if decoded is None:
         return None
     height, width = decoded.shape[:2]

@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 from typing import Final
 
+from common.untrusted import real_path
 from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
 from dataset.index.session_labels import LAGS_FOLDER
 from web.errors import WebError
@@ -38,7 +39,7 @@ class IndexTrials:
         path = self._found().get(key)
         if path is None:
             raise WebError(f"no trial {key!r} (any more): the newest {_KEPT} are kept; try it again", 404)
-        return path.resolve()
+        return real_path(path)
 
     def _found(self) -> dict[str, Path]:
         try:

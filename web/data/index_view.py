@@ -25,6 +25,7 @@ from dataset.samples.samples_format import (
     SessionCounts,
     sample_files,
 )
+from dataset.steering_bins import bin_of
 
 _WIDTH: Final = 300
 _COLORS: Final = {"train": "#4a90d9", "validation": "#c77d1e"}  # readable on a light and on a dark page
@@ -94,8 +95,9 @@ def bins_sketch(view: IndexView) -> bytes:
 
 
 def session_bins_sketch(index: Path, session: str) -> bytes:
-    """The training samples of one session by steering, as the index has them; by the square root."""
-    height, bins = 28, 25
+    """The square root of one session's training samples in each steering bin of the index. Raises DatasetError as
+    `view_index` does."""
+    height, bins = 28, len(view_index(index).before)
     filters = [("session", "=", session), ("split", "=", "train")]
     try:
         # where they are divided, a session has a file of its own, or none
@@ -104,14 +106,15 @@ def session_bins_sketch(index: Path, session: str) -> bytes:
     except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
         raise DatasetError(f"{index / SAMPLES_NAME}: cannot be read ({error}); `bc-index` makes it anew") from None
     labels = tables[0]["label"].to_numpy() if tables else np.zeros(0)
-    counts, _ = np.histogram(labels, bins, (-1, 1))
+    counts = np.bincount(bin_of(labels, bins), minlength=bins)
     shares = height * np.sqrt(counts / max(1, counts.max()))
     step = _WIDTH / bins
+    width = max(0.5, step - 1)
     return _svg(
         _WIDTH,
         height,
         [
-            f'<rect x="{at * step:.1f}" y="{height - share:.1f}" width="{step - 1:.1f}" height="{share:.1f}"'
+            f'<rect x="{at * step:.1f}" y="{height - share:.1f}" width="{width:.1f}" height="{share:.1f}"'
             f' fill="{_AFTER}"/>'
             for at, share in enumerate(shares)
         ],

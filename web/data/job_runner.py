@@ -1,6 +1,7 @@
 """A job's own process: it runs a command, keeps what it prints, and its exit code; whether or not bc-web goes on.
 
-Its lock is held as long as the command runs, so that another process of the same number is not taken for it.
+Its lock is held as long as the command runs, so that another process of the same number is not taken for it. The
+command inherits the lock: where this process is killed, the job is still known to run, and can be stopped.
 """
 
 from __future__ import annotations
@@ -44,8 +45,15 @@ def run_job(folder: Path, root: Path) -> None:
             asking.write(READY)
         environment = {**os.environ, "COLUMNS": "160", "NO_COLOR": "1", "PYTHONUNBUFFERED": "1"}
         line = [*python_of(words[0], root), *words[1:]]
+        inherited = () if sys.platform == "win32" else (held.fileno(),)
         done = subprocess.run(
-            line, stdin=subprocess.DEVNULL, stdout=output, stderr=output, env=environment, check=False
+            line,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            env=environment,
+            pass_fds=inherited,
+            check=False,
         )
         part = folder / f"{EXIT}.part"
         part.write_text(str(done.returncode), encoding="utf-8")

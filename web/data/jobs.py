@@ -27,6 +27,8 @@ import msgspec
 import behavioural_cloning_toolkit
 from common.errors import printable
 from common.locks import is_being_written
+from common.untrusted import real_path
+from common.untrusted_json import json_as
 from web.data.file_versions import version_of
 from web.data.job_runner import ABOUT, EXIT, LOCK, OUTPUT, READY
 from web.errors import WebError
@@ -148,7 +150,7 @@ class Jobs:
             folder.mkdir(parents=True)
             about = About(list(words), now.isoformat(), made)
             (folder / ABOUT).write_bytes(msgspec.json.encode(about))
-            line = [sys.executable, "-P", "-c", _RUNNER, str(folder.resolve()), str(_ROOT)]
+            line = [sys.executable, "-P", "-c", _RUNNER, str(real_path(folder)), str(_ROOT)]
             # in a session of its own: neither the terminal's Ctrl-C nor its end reaches it
             process = subprocess.Popen(
                 line,
@@ -179,10 +181,10 @@ class Jobs:
     def _found(self) -> Iterator[Job]:
         with contextlib.suppress(OSError):
             for folder in self._folder.iterdir():
-                with contextlib.suppress(OSError, msgspec.MsgspecError, UnicodeError):
-                    about = msgspec.json.decode((folder / ABOUT).read_bytes(), type=About)
-                    datetime.fromisoformat(about.began)
-                    yield _job(folder, about)
+                with contextlib.suppress(OSError, ValueError):
+                    if about := json_as((folder / ABOUT).read_bytes(), About):
+                        datetime.fromisoformat(about.began)
+                        yield _job(folder, about)
 
     def _tidy(self) -> None:
         for job in [job for job in self.all() if not job.is_running][_KEPT:]:

@@ -13,6 +13,7 @@ from common.errors import printable
 from common.files import PART_SUFFIX, final_name
 from common.location import Location
 from common.locks import is_being_written
+from common.whole_number import whole_number
 from recorder.log.recover import recovered_name
 from web.data.project_folders import ProjectFolders
 from web.errors import WebError
@@ -155,6 +156,7 @@ def _name(given: str) -> str:
 
 
 def _row(text: str, field: str) -> int:
-    if not (text.isascii() and text.isdigit() and len(text) < 13):
+    row = whole_number(text)
+    if row is None:
         raise WebError(f"{field}: the number of a row was expected, not {printable(text[:20])!r}", 422)
-    return int(text)
+    return row

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.car import CAMERAS
+from common.errors import printable
 from common.stretches import stretches
 from dataset.config import IndexConfig
 from dataset.frames.frame_flags import ImageFindings, PictureFlag, lists_with
@@ -38,7 +39,8 @@ def odd_stretches(log: Log, states: States, findings: ImageFindings | None) -> l
     masks: dict[str, NDArray[np.bool_]] = dict(row_flags(states).items())
     masks["gap"] &= ~np.isin(states.row, meant_rows(log.read_metadata(QUALITY_METADATA)))
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
-    frames = frames_of(states, pictures, session_name(log.path), IndexConfig(), findings=findings)
+    session = printable(session_name(log.path))  # a file name may be no text
+    frames = frames_of(states, pictures, session, IndexConfig(), findings=findings)
     for flag in get_args(PictureFlag):
         rows = frames["row"].to_numpy()[lists_with(frames["flags"], flag)]
         masks[flag] = np.isin(states.row, rows)

@@ -10,7 +10,6 @@ import json
 import os
 import signal
 import sys
-import threading
 from pathlib import Path
 from typing import Final
 
@@ -21,12 +20,12 @@ from common import UserError
 from common.errors import printable
 from common.location import location
 from common.output import print_result
+from common.parent_process import end_with_parent
 from model.evaluation.log_predictions import LogPredictions
 from model.evaluation.predict import BATCH
 from model.evaluation.predict_log import predict_log
 from model.metrics import measure
 from recorder.log_copy_cli import brought_here
-from viz.preview_command import end_with_parent
 from web.data.predictions import Measured, WorstMoment
 from web.errors import WebError
 
@@ -38,7 +37,7 @@ def main() -> None:
     if sys.platform != "win32":
         signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the web server's threads block those that end a process
         os.nice(_NICENESS)
-    threading.Thread(target=end_with_parent, name="parent", daemon=True).start()
+    end_with_parent()
     log, run, fingerprint, result = sys.argv[1:]
     try:
         with brought_here([location(log)]) as (here,):

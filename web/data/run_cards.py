@@ -18,7 +18,6 @@ from model.runs.training_progress import METRICS_FILE, STEPS_FILE
 from model.runs.worst_pictures import WORST_FILE
 from web.data.background import Background
 from web.data.project_folders import ProjectFolders, key_of
-from web.errors import WebError
 
 if TYPE_CHECKING:  # these load PyTorch, which only pages of runs need
     from model.runs.history import History
@@ -118,7 +117,4 @@ def _card(path: Path, found: RunSummary | UserError | None, place: Location) -> 
 def _summary(run: Path, version: str) -> RunSummary:
     from model.runs.run_summary import summarize_run
 
-    try:
-        return summarize_run(run)
-    except OSError as error:  # gone meanwhile
-        raise WebError(f"{run}: {error.strerror}") from None
+    return summarize_run(run)

@@ -18,6 +18,7 @@ from common.errors import StoreError, printable
 from common.files import PART_SUFFIX
 from common.location import Location, absolute
 from common.locks import is_being_written
+from common.untrusted import real_path
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import read_frames, session_name
 from dataset.index.build_state import FRAMES_FOLDER, BuildState, Sources, Stat, read_state, sources_of
@@ -211,7 +212,7 @@ class SessionCards:
         return share.tags == [(tag.name, tag.first_row, tag.last_row) for tag in tags]
 
     def _share(self, path: Path, version: str) -> Share:
-        key = f"share 1 {path.resolve()} {version}"
+        key = f"share 1 {real_path(path)} {version}"
         return self._cache.struct(key, Share, lambda: _read_share(path))
 
 

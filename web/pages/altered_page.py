@@ -8,11 +8,13 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route
 
+from common.whole_number import whole_number
 from dataset.samples.samples_format import SAMPLES_NAME
 from web.data.altered_samples import AlteredSamples, altered_samples
 from web.data.file_versions import version_of
 from web.data.project_folders import key_of
 from web.errors import WebError
+from web.pages.address_number import number_in
 from web.pages.workbench import Workbench
 from web.server.templates import render
 
@@ -24,15 +26,15 @@ def altered_routes(bench: Workbench) -> list[Route]:
         return altered_samples(index, version_of(here / SAMPLES_NAME), others, bench.cache)
 
     def rows(request: Request) -> Response:
-        trial, others = request.query_params.get("trial", ""), _number(request.query_params.get("others", "0"))
+        trial, others = _chosen(request)
         found = samples_of(trial, others)
         shown = [(number, sample, key_of(Path(sample.session))) for number, sample in enumerate(found.shown)]
         return HTMLResponse(render("altered_rows.html", found=found, shown=shown, trial=trial, others=others))
 
     def picture(request: Request) -> Response:
         """The picture as it was driven (0), or as it is trained on (1)."""
-        number, which = request.path_params["number"], request.path_params["which"]
-        trial, others = request.query_params.get("trial", ""), _number(request.query_params.get("others", "0"))
+        number, which = number_in(request, "number"), number_in(request, "which")
+        trial, others = _chosen(request)
         shown = samples_of(trial, others).shown
         if number >= len(shown) or which > 1 or not shown[number].pictures[which]:
             raise WebError(f"no such picture of sample {number}", 404)
@@ -40,10 +42,10 @@ def altered_routes(bench: Workbench) -> list[Route]:
 
     return [
         Route("/index.altered", rows),
-        Route("/index.altered/{number:int}/{which:int}.jpg", picture),
+        Route("/index.altered/{number}/{which}.jpg", picture),
     ]
 
 
-def _number(text: str) -> int:
-    """The number in an address; 0 for anything else."""
-    return int(text) if text.isascii() and text.isdigit() and len(text) < 7 else 0
+def _chosen(request: Request) -> tuple[str, int]:
+    """The index that was tried, "" for the project's own, and the number of the choice of samples."""
+    return request.query_params.get("trial", ""), whole_number(request.query_params.get("others", "")) or 0

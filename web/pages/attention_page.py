@@ -10,6 +10,7 @@ from recorder import LogError
 from web.data.project_folders import Place
 from web.data.run_networks import NETWORK_FILES
 from web.errors import WebError
+from web.pages.address_number import number_in
 from web.pages.workbench import Workbench
 
 
@@ -21,11 +22,11 @@ def attention_routes(bench: Workbench, place: Place) -> list[Route]:
             if request.query_params.get("v", opened.version) != opened.version:
                 raise WebError("the log has changed since this page was opened: reload it", 409)
             try:
-                encoded = opened.log.picture(int(request.path_params["row"]), "center")
+                encoded = opened.log.picture(number_in(request, "row"), "center")
             except LogError as error:
                 raise WebError(str(error), 404) from None
         bench.folders.bring_run(run, NETWORK_FILES)
         data = bench.attention.overlay(run, bench.folders.run_place(run), path, encoded)
         return Response(data, media_type="image/png")
 
-    return [Route(f"/{place}/{{log}}/attention/{{run}}/{{row:int}}", overlay)]
+    return [Route(f"/{place}/{{log}}/attention/{{run}}/{{row}}", overlay)]

@@ -16,6 +16,7 @@ from web.data.film_strip import film_strip
 from web.data.project_folders import Place
 from web.data.steering_sketch import steering_sketch
 from web.errors import WebError
+from web.pages.address_number import number_in
 from web.pages.workbench import Workbench
 
 _FOR_EVER: Final = {"Cache-Control": "private, max-age=31536000, immutable"}  # another content has another address
@@ -46,7 +47,7 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
         return Response(data, media_type="image/svg+xml", headers=_kept(request, version))
 
     def picture(request: Request) -> Response:
-        camera, row = _camera_of(request), int(request.path_params["row"])
+        camera, row = _camera_of(request), number_in(request, "row")
         with bench.logs.open(bench.folders.log(place, request.path_params["log"])) as opened:
             version = request.query_params.get("v", opened.version)
             if version != opened.version:
@@ -61,7 +62,7 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
     return [
         Route(f"{at}/strip.jpg", strip),
         Route(f"{at}/steering.svg", sketch),
-        Route(f"{at}/pictures/{{camera}}/{{row:int}}", picture),
+        Route(f"{at}/pictures/{{camera}}/{{row}}", picture),
     ]
 
 

@@ -13,11 +13,13 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import printable
+from common.whole_number import whole_number
 from web.data.project_folders import PLACES, ProjectFolders, key_of
 from web.data.run_cards import RunCard
 from web.data.run_origins import index_checksum, origin_of
 from web.data.run_settings import run_settings
 from web.errors import WebError
+from web.pages.address_number import number_in
 from web.pages.changes import runs_version
 from web.pages.runs_page import PATIENCE_S
 from web.pages.workbench import Workbench
@@ -36,7 +38,7 @@ def run_routes(bench: Workbench) -> list[Route]:
 
     def worst_picture(request: Request) -> Response:
         """The network's picture of the worst frame of that number after that epoch."""
-        epoch, number = request.path_params["epoch"], request.path_params["number"]
+        epoch, number = number_in(request, "epoch"), number_in(request, "number")
         path = bench.folders.run(request.path_params["run"])
         pictures = next((found for found in bench.runs.history(path).worst if found.epoch == epoch), None)
         if pictures is None or number >= len(pictures.jpegs):
@@ -65,7 +67,7 @@ def run_routes(bench: Workbench) -> list[Route]:
     return [
         Route("/runs/{run}", page),
         Route("/runs/{run}/body", body),
-        Route("/runs/{run}/worst/{epoch:int}/{number:int}.jpg", worst_picture),
+        Route("/runs/{run}/worst/{epoch}/{number}.jpg", worst_picture),
     ]
 
 
@@ -97,7 +99,7 @@ def _page_of(pages: Mapping[str, str], session: str) -> str:
 
 
 def _results(pages: Mapping[str, str], card: RunCard) -> list[dict[str, Any]]:
-    """The results of `bc-eval` for its present weights: the last of each kind."""
+    """The results of its present weights: the last of each kind."""
     found = []
     for kept in card.summary.results if card.summary else ():
         log = kept.result.get("log")
@@ -154,7 +156,7 @@ def _worst(
         return {"worst": [], "epochs": [], "epoch": 0, "kept": 0, "problem": printable(str(error))}
     kept = card.summary.kept_epoch if card.summary else 0
     by_epoch = {found.epoch: found for found in history.worst}
-    epoch = int(requested) if requested.isascii() and requested.isdigit() and len(requested) < 9 else kept
+    epoch = kept if (number := whole_number(requested)) is None else number
     if epoch not in by_epoch and by_epoch:
         epoch = max(by_epoch)
     frames = []

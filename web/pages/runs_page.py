@@ -13,7 +13,7 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import printable
-from model.runs_cli import SORTED_BY, driven_words, order_of
+from model.runs_cli import SORTED_BY, different_frames, driven_words, in_order, marks_of_splits
 from web.data.run_cards import RunCard
 from web.data.run_curves import run_curves
 from web.data.run_settings import differing, run_settings
@@ -72,8 +72,12 @@ def run_list_routes(bench: Workbench) -> list[Route]:
     def _list(query: RunQuery) -> dict[str, Any]:
         folder = bench.folders.runs
         cards = bench.runs.cards(PATIENCE_S)
+        shown = _sorted([card for card in cards if _has(card, query.text)], query.sort)
+        summaries = [card.summary for card in shown if card.summary]
         return {
-            "cards": _sorted([card for card in cards if _has(card, query.text)], query.sort),
+            "cards": shown,
+            "marks": marks_of_splits(summaries),
+            "different_frames": different_frames(summaries),
             "total": len(cards),
             "chosen": {key: number for number, (key, _) in enumerate(_chosen(query), 1)},
             "driven": driven_words,
@@ -106,9 +110,9 @@ def run_list_routes(bench: Workbench) -> list[Route]:
 
 def _sorted(cards: Sequence[RunCard], by: str) -> list[RunCard]:
     """The cards in order; those that cannot be read, or are not read yet, come last."""
-    known = [(order_of(by, card.summary), card) for card in cards if card.summary]
-    known.sort(key=lambda pair: pair[0])
-    return [card for _, card in known] + [card for card in cards if not card.summary]
+    known = {id(card.summary): card for card in cards if card.summary}
+    ordered = in_order([card.summary for card in cards if card.summary], by)
+    return [known[id(summary)] for summary in ordered] + [card for card in cards if not card.summary]
 
 
 def _has(card: RunCard, text: str) -> bool:

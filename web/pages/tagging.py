@@ -35,7 +35,7 @@ async def change_tags(bench: Workbench, place: Place, path: Location, request: R
         raise WebError("a change of tags is sent as application/json", 415)
     try:
         change = msgspec.json.decode(await request.body(), type=TagChange)
-    except (msgspec.MsgspecError, UnicodeError) as error:
+    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
         raise WebError(f"not a change of tags: {error}", 422) from None
     return JSONResponse(await run_in_threadpool(_changed, bench, place, path, change))
 

@@ -3,7 +3,8 @@
 A page of another site, open in the same browser, can send requests to this machine. Its `Host` is not one of ours
 (DNS rebinding) or its `Origin` not that of our own pages; `Sec-Fetch-Site` shows it for requests without an Origin
 (https://www.w3.org/TR/fetch-metadata/). Programs that are no browsers send neither, and need not be kept out: they
-can read the files themselves. Where others can reach the port, everything needs the token that was printed.
+can read the files themselves. A websocket steers a car: it needs an Origin, which only our own pages have rightly.
+Where others can reach the port, everything needs the token that was printed.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from common.whole_number import whole_number
 from recorder.server.allowed_hosts import AllowedHosts, is_loopback
 from web.errors import WebError
 from web.server.error_pages import error_answer
@@ -64,7 +66,7 @@ class RequestGuard:
         self._token = token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
+        if scope["type"] not in ("http", "websocket"):
             return  # nothing else is served, and the server is not asked for it
         answer: ASGIApp = self._app
         try:
@@ -73,6 +75,9 @@ class RequestGuard:
                 answer = self._check_token(scope) or self._app
             _check_size(scope)
         except WebError as error:
+            if scope["type"] == "websocket":  # uvicorn reports a refusal that has a text as a bug of ours
+                await send({"type": "websocket.close"})
+                return
             answer = error_answer(scope, error)
 
         is_begun = False
@@ -101,8 +106,11 @@ class RequestGuard:
             raise WebError(f"asked {why}: this workbench answers to its own address only", 403)
         if origin is not None and origin.lower() != f"http://{host}".lower():
             raise WebError(f"asked by a page from {origin}: only the workbench's own pages may ask", 403)
+        if origin is None and scope["type"] == "websocket":  # a browser sends one with each
+            raise WebError("a websocket without an Origin: only the workbench's own pages may ask", 403)
         site, mode = headers.get("sec-fetch-site"), headers.get("sec-fetch-mode")
-        is_opened = mode == "navigate" and scope["method"] == "GET" and headers.get("sec-fetch-dest") == "document"
+        is_get = scope.get("method") == "GET"
+        is_opened = mode == "navigate" and is_get and headers.get("sec-fetch-dest") == "document"
         if site not in (None, "same-origin", "none") and not is_opened:
             raise WebError("asked by a page of another site: only the workbench's own pages may ask", 403)
 
@@ -111,7 +119,7 @@ class RequestGuard:
         headers = Headers(scope=scope)
         given = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
         in_address = next((value for name, value in given if name == TOKEN), "")
-        if in_address and self._is_token(in_address):
+        if in_address and self._is_token(in_address) and scope["type"] == "http":
             rest = urlencode([(name, value) for name, value in given if name != TOKEN])
             # one slash: two would be the address of another server
             path = "/" + quote(scope["path"]).lstrip("/")
@@ -139,10 +147,10 @@ def _cookie(headers: Headers) -> str:
 
 def _check_size(scope: Scope) -> None:
     """Refuse a body that is too long, or has no length, which no client of ours sends."""
-    if scope["method"] in ("GET", "HEAD"):
-        return
-    length = Headers(scope=scope).get("content-length", "")
-    if not (length.isascii() and length.isdigit() and len(length) < 12):
+    if scope["type"] == "websocket" or scope["method"] in ("GET", "HEAD"):
+        return  # the server limits the messages of a websocket
+    length = whole_number(Headers(scope=scope).get("content-length", ""))
+    if length is None:
         raise WebError("a request with a body needs its length (Content-Length)", 411)
-    if int(length) > MOST_BODY_BYTES:
-        raise WebError(f"a request of {int(length):,} bytes: at most {MOST_BODY_BYTES:,} are taken", 413)
+    if length > MOST_BODY_BYTES:
+        raise WebError(f"a request of {length:,} bytes: at most {MOST_BODY_BYTES:,} are taken", 413)

@@ -11,6 +11,7 @@ from common.errors import counted, decimal
 from common.versions import version_of
 
 PAGES: Final = (
+    ("Drive", "/wheel"),
     ("Sessions", "/sessions"),
     ("Index", "/index"),
     ("Runs", "/runs"),

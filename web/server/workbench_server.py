@@ -14,6 +14,7 @@ from common import UserError
 from common.interrupts import leave_signals_to_main_thread
 from recorder.errors import ListenError
 from recorder.server.listening_socket import listen, send_at_once
+from recorder.teleop.messages import MAX_MESSAGE_BYTES
 
 _LAST_ANSWERS_S: Final = 2  # for requests that are being answered when the server stops
 _TICK_S: Final = 0.2
@@ -39,7 +40,9 @@ class WorkbenchServer:
                 self._answer,
                 interface="asgi3",
                 lifespan="off",
-                ws="none",
+                ws="websockets-sansio",
+                ws_max_size=MAX_MESSAGE_BYTES,
+                ws_per_message_deflate=False,  # what is large there are JPEGs
                 log_config=None,
                 access_log=False,
                 server_header=False,

@@ -1,4 +1,4 @@
-"""The settings of a process that drives, so that threads and garbage collection do not delay an answer."""
+"""The settings of a process that drives, so that threads and garbage collection do not delay it."""
 
 from __future__ import annotations
 

@@ -1,0 +1,54 @@
+"""Results are kept in the run that they are of, for `bc-runs`: of measurements, and of supervised drives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from common import UserError
+from common.command import DONE, warn
+from drive.config import DriveConfig
+from drive.drive_session import DriveSession
+from model.errors import RunWriteError
+from model.runs.kept_results import Way, keep_result
+from model.runs.run_arguments import run_argument
+from model.runs.run_folder import config_folder
+from model.runs.runs_in_store import send_results
+
+OTHER_SIMULATOR = "another simulator"
+"""The track of a drive in a simulator that connects, which names none."""
+
+
+def keep(run: Path, way: Way, result: Mapping[str, Any]) -> int:
+    """Keep a result in the run, and where the run is in a store, there; a folder that cannot be written to costs
+    no measurement. Exit code 3 for a result that is not kept, or does not get to the store."""
+    folder = config_folder(run)
+    try:
+        keep_result(run, way, result)
+        send_results(folder)
+    except RunWriteError as error:
+        return warn(f"the result is not kept in the run: {error}")
+    except (UserError, OSError) as error:
+        later = f"`bc-eval` of {run_argument(folder)}, on this machine, sends it along"
+        return warn(f"the result is kept on this machine only ({error}); the next {later}")
+    return DONE
+
+
+def keep_supervised(run: Path, config: DriveConfig, track: str | None, session: DriveSession) -> int:
+    """Keep the result of a drive that a person supervised, if its simulator reports laps; the exit code."""
+    summary = session.summary
+    if summary.laps is None:
+        return DONE
+    result = {
+        "track": track or OTHER_SIMULATOR,
+        "set_speed_mph": config.set_speed_mph,
+        "laps": summary.laps,
+        "distance_m": summary.distance_m,
+        "interventions": summary.interventions,
+        "by_person": summary.manual_stretches,
+        "put_back": summary.put_back,
+        "autonomy_percent": summary.autonomy_percent,
+        "log": str(session.writer.path),
+    }
+    return keep(run, "supervised", result)

@@ -1,0 +1,36 @@
+"""The devices that a person steers with: their names, by their numbers in the rows of a log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.log.topics import VEHICLE
+
+if TYPE_CHECKING:
+    from recorder.log.reader import Log
+
+Device = Literal["", "keyboard", "mouse", "gamepad", "touch"]
+DEVICES: Final[tuple[Device, ...]] = get_args(Device)
+"""In the order of VehicleState.Device; empty for rows that nobody steered by hand, or where it is unknown."""
+
+
+def device_numbers(log: Log) -> NDArray[np.int8]:
+    """The position in `DEVICES` of each vehicle state of a log (N,). Raises LogError for a damaged log."""
+    numbers = log.numbers(VEHICLE, ["device"])["device"].to_numpy()
+    is_known = (numbers >= 0) & (numbers < len(DEVICES))  # a later version may know more
+    return np.where(is_known, numbers, 0).astype(np.int8)
+
+
+def most_used(rows: Mapping[int, int]) -> Device:
+    """The device of most rows, from the rows of each number; empty where no device is known."""
+    by_hand = {number: count for number, count in rows.items() if 0 < number < len(DEVICES) and count}
+    return DEVICES[max(by_hand, key=lambda number: by_hand[number])] if by_hand else ""
+
+
+def most_used_of(numbers: NDArray[np.int8]) -> Device:
+    """The same, from the number of each row."""
+    return most_used(dict(enumerate(np.bincount(numbers, minlength=len(DEVICES)).tolist())))

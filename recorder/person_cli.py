@@ -1,0 +1,85 @@
+"""`bc-record --driver me`: a person drives, the built-in simulator or one that connects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from common.command import flags_given, usage_errors
+from common.errors import UsageError
+from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
+from recorder.errors import RecordingError
+from recorder.sources.built_in_simulator import SimulatedDrive
+from recorder.sources.import_result import Imported
+
+if TYPE_CHECKING:
+    from recorder.sources.listen_settings import ListenSettings
+    from recorder.sources.record_person import PersonDrive
+    from recorder.teleop.wheel import Wheel
+
+
+@dataclass(frozen=True)
+class AtTheWheel:
+    """How a person gets to the wheel: on a page that this command serves, or that bc-web serves already."""
+
+    log: Path
+    opens: bool  # the browser
+    serves: bool  # the page; False where a bc-web that runs already has it
+
+    def record(self, source: Callable[[Callable[[Wheel], object]], Imported]) -> Imported:
+        """Record with `source`, which is given what is to be done with its wheel."""
+        if self.serves:
+            check_wheel_page()
+        with ExitStack() as stack:
+
+            def serve_page(wheel: Wheel) -> None:
+                if self.serves:
+                    stack.enter_context(wheel_page(wheel.key, {"sessions": self.log.parent}, opens=self.opens))
+
+            done = source(serve_page)
+            if self.serves:
+                wait_until_left(done.path)
+            return done
+
+
+def record_at_the_wheel(drive: SimulatedDrive, rate: float | None, wheel: AtTheWheel, overwrite: bool) -> Imported:
+    from recorder.sources.record_person import record_person  # OpenCV
+
+    person = _person_drive(drive, rate)
+    return wheel.record(lambda on_wheel: record_person(person, wheel.log, overwrite=overwrite, on_wheel=on_wheel))
+
+
+def listen_at_the_wheel(settings: ListenSettings, hold_mph: float, wheel: AtTheWheel, overwrite: bool) -> Imported:
+    from recorder.sources import person_of_telemetry  # Socket.IO: a second to load
+
+    return wheel.record(
+        lambda on_wheel: person_of_telemetry.listen_at_the_wheel(
+            settings, wheel.log, hold_mph, overwrite=overwrite, on_wheel=on_wheel
+        )
+    )
+
+
+def check_at_the_wheel(drive: SimulatedDrive, rate: float | None, *, listens: bool) -> None:
+    """Raise UsageError for flags that are others' than a person's."""
+    if flags := flags_given(drive, "recovery", "noise", "seed"):
+        raise UsageError(f"{flags}: a simulated driver's, not with --driver me")
+    if len(drive.speed) != 1 or not 0 < drive.speed[0] < math.inf:
+        raise UsageError("--speed: with --driver me, one speed above 0 mph is expected, for the page to hold")
+    if listens:
+        if flags := flags_given(drive, "track", "laps") or ("--rate" if rate is not None else ""):
+            raise UsageError(f"{flags}: the simulator that connects decides; not with --listen --driver me")
+        return
+    from recorder.sources.record_person import check_person_drive
+
+    with usage_errors(RecordingError):
+        check_person_drive(_person_drive(drive, rate))
+
+
+def _person_drive(drive: SimulatedDrive, rate: float | None) -> PersonDrive:
+    from recorder.sources.record_person import PersonDrive
+
+    return PersonDrive(drive.track, drive.laps, drive.speed[0], drive.rate if rate is None else rate)

@@ -1,0 +1,100 @@
+"""The telemetries of one connection that are in flight, counted; and the one that is left unanswered.
+
+A simulator sends one telemetry for each command. So a command that answers none keeps one more in flight for
+good, unless all others were lost: every later answer comes later by one telemetry. After such a command the next
+telemetry is held. Where another one comes meanwhile, at least two were in flight: the held one is left unanswered.
+Where none comes, the held one is answered, so that no simulator waits for ever.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final, Generic, TypeVar
+
+MIN_HOLD_S: Final = 0.1
+MAX_HOLD_S: Final = 1.0
+FIRST_HOLD_S: Final = 0.5
+"""The time for which a telemetry is held while nobody knows yet how often they come."""
+INTERVALS: Final = 8
+"""A telemetry is held for twice the longest of the last so many intervals."""
+MAX_HOLDS: Final = 2
+"""After so many telemetries that were held in vain, nothing else is in flight."""
+RETRY_S: Final = 1.0
+"""The time between two of them."""
+RECENT: Final = 250
+"""The telemetries by which the number in flight is known."""
+
+T = TypeVar("T")
+
+
+class InFlight(Generic[T]):
+    """Counts telemetries and commands; all times are a `RunningClock`'s."""
+
+    def __init__(self) -> None:
+        self.owed = 0
+        """Commands that answered no telemetry, and may each keep one more in flight."""
+        self._held: T | None = None
+        self._held_s = 0.0
+        self._holds = 0  # in vain, since the last command that answered none
+        self._hold_from_s = 0.0
+        self._last_s: float | None = None
+        self._intervals: deque[float] = deque(maxlen=INTERVALS)
+        self._unasked: deque[int] = deque(maxlen=RECENT)  # that lay here at once, without the owed ones
+
+    @property
+    def count(self) -> int:
+        """The telemetries in flight, as far as counting proves: the most that lay here unanswered at once, of
+        late, and those that are owed."""
+        return max(1, max(self._unasked, default=1) + self.owed)
+
+    @property
+    def holds(self) -> bool:
+        """True while a telemetry is held."""
+        return self._held is not None
+
+    def pushed(self, now_s: float) -> None:
+        """Note a command that answers no telemetry."""
+        self.owed, self._holds, self._hold_from_s = self.owed + 1, 0, now_s
+
+    def note(self, unanswered: int) -> None:
+        """Note that so many telemetries lie here unanswered, at once."""
+        self._unasked.append(unanswered - self.owed)
+
+    def take(self, telemetry: T, waiting: int, now_s: float) -> tuple[list[T], T | None]:
+        """The telemetries that are left unanswered now that this one has come, and the one to be answered now.
+
+        `waiting` more have come, too, and will be taken next.
+        """
+        if self._last_s is not None and now_s - self._last_s < MAX_HOLD_S:
+            self._intervals.append(now_s - self._last_s)
+        self._last_s = now_s
+        held, self._held = self._held, None
+        self.note(1 + waiting + (held is not None))
+        left = [] if held is None else [held]
+        self.owed -= len(left)
+        if self.owed and waiting:
+            self.owed -= 1
+            return [*left, telemetry], None
+        if self.owed and now_s >= self._hold_from_s:
+            self._held, self._held_s = telemetry, now_s
+            return left, None
+        return left, telemetry
+
+    def overdue(self, now_s: float, *, has_unread: bool) -> T | None:
+        """The held telemetry, if it has to be answered now. `has_unread`: something has come that is not read yet;
+        it is waited for once more."""
+        if self._held is None or now_s - self._held_s < self._hold_s * (1 + has_unread):
+            return None
+        held, self._held = self._held, None
+        self._holds += 1
+        self._hold_from_s = now_s + RETRY_S
+        if self._holds >= MAX_HOLDS:  # the others were lost, and the command was needed
+            self.owed = 0
+            self._unasked.clear()
+        return held
+
+    @property
+    def _hold_s(self) -> float:
+        if not self._intervals:
+            return FIRST_HOLD_S
+        return min(max(2 * max(self._intervals), MIN_HOLD_S), MAX_HOLD_S)

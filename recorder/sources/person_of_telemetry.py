@@ -1,0 +1,208 @@
+"""Recording a person who drives a simulator that connects: a page's controls answer each telemetry."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Final
+
+from common.errors import counted
+from recorder.errors import RecordingError
+from recorder.log.bad_rows import driven_badly
+from recorder.log.session_car import UDACITY
+from recorder.log.tags import EXCLUDE, Tag
+from recorder.server.telemetry import Telemetry
+from recorder.server.telemetry_server import Steer
+from recorder.sources.import_result import Imported
+from recorder.sources.listen_settings import ListenSettings
+from recorder.sources.live_telemetry import listen_for_telemetry
+from recorder.sources.person_pedals import MAX_STANDING_MPH, brake_of_telemetry, throttle_of_telemetry
+from recorder.teleop.seat import Control
+from recorder.teleop.wheel import Wheel
+
+MAX_BRAKING_S: Final = 5.0
+"""A simulator whose car does not come to a stand in that time is left alone at the end."""
+_RATE_S: Final = 2.0
+_MAX_ROWS: Final = 6000  # whose times are kept, to tag the last seconds: a minute at 100 a second
+
+
+class PersonOfTelemetry:
+    """A person at the wheel of a simulator that connects: commands, and what is recorded of the drive."""
+
+    def __init__(self, wheel: Wheel) -> None:
+        self._wheel = wheel
+        self._control = Control()
+        self._sent = Steer(0.0, 0.0)  # is in force at the next telemetry's picture
+        self._speed_mph = math.nan
+        self._shown_s: deque[float] = deque(maxlen=200)
+        self._rows_ns: deque[int] = deque(maxlen=_MAX_ROWS)
+        self._first_ns = 0
+        self._braking_since_s: float | None = None
+        self._is_recording = False
+        self.rows = 0
+        self.why = "stopped at the terminal"
+        """Why the drive has ended."""
+        self.is_ended = False
+        """The person has ended the drive."""
+        self.gap_why = ""
+        """Why the rows before the next one were not recorded; empty where none is missing on purpose."""
+        self.tags: list[Tag] = []
+
+    @property
+    def control(self) -> Control:
+        """The controls in force."""
+        return self._control
+
+    @property
+    def brake(self) -> float:
+        """The brake in force, 0 .. 1."""
+        return max(0.0, -self._sent.throttle)
+
+    def command(self, telemetry: Telemetry | None, speed_mph: float, separator: str) -> Steer:
+        """The answer to a telemetry, None for one that cannot be used; what was in force before is shown."""
+        self._speed_mph = speed_mph
+        if telemetry is not None:
+            self._show(telemetry)
+        self._control = self._wheel.control()
+        if self._braking_since_s is not None:
+            self._sent = Steer(0.0, brake_of_telemetry(speed_mph), separator)
+        else:
+            throttle = throttle_of_telemetry(self._control, speed_mph)
+            self._sent = Steer(self._control.steering, throttle, separator)
+        return self._sent
+
+    def is_at_rest(self) -> bool:
+        """Brake the car, at the end of the drive; True once it stands, or does not in all that time."""
+        now_s = time.monotonic()
+        if self._braking_since_s is None:
+            self._braking_since_s = now_s
+        is_slow = not self._speed_mph > MAX_STANDING_MPH  # NaN: nobody knows, or nothing has connected
+        return is_slow or now_s - self._braking_since_s > MAX_BRAKING_S
+
+    def takes_row(self) -> bool:
+        """True if the telemetry that has come is to be recorded."""
+        if not self._is_recording or self._braking_since_s is not None:
+            return False
+        if self._control.is_absent:
+            self.gap_why = self.gap_why or "nobody was at the wheel"
+        return not self._control.is_absent
+
+    def has_row(self, time_ns: int) -> None:
+        """Note a row that was recorded."""
+        self.rows += 1
+        self._first_ns = self._first_ns or time_ns
+        self._rows_ns.append(time_ns)
+        self.gap_why = ""
+
+    def heed(self) -> list[str]:
+        """Heed what the person has asked for; returns the events of it for the log."""
+        events = []
+        for request in self._wheel.requests():
+            match request.kind:
+                case "record":
+                    self._is_recording = True
+                    self._wheel.event("recording")
+                case "pause":
+                    self._is_recording = False
+                    self.gap_why = self.gap_why or "the person paused"
+                    self._wheel.event("recording is paused")
+                case "bad" if self._rows_ns:
+                    begin_ns = self._rows_ns[-1] - request.seconds * 1e9
+                    count = sum(time_ns > begin_ns for time_ns in self._rows_ns)
+                    tag = Tag(self.rows - count, self.rows - 1, EXCLUDE)
+                    self.tags.append(tag)
+                    events.append(driven_badly(tag.first_row, tag.last_row))
+                    self._wheel.event(f"{counted(count, 'row')} will not be learnt from")
+                case "put_back":
+                    self._wheel.event("only the simulator itself can put the car back", is_problem=True)
+                case "end":
+                    self.is_ended, self.why = True, "ended on the page"
+                case "bad" | "hand_back":
+                    pass  # no row to tag; nobody else drives
+        return events
+
+    def _show(self, telemetry: Telemetry) -> None:
+        now_s = time.monotonic()
+        self._shown_s.append(now_s)
+        world = telemetry.world
+        pose = None if world is None else world.pose
+        speed_mph = 0.0 if math.isnan(telemetry.speed_mph) else telemetry.speed_mph
+        is_rolling = abs(speed_mph) > MAX_STANDING_MPH
+        recorded_s = (self._rows_ns[-1] - self._first_ns) / 1e9 if self._rows_ns else 0.0
+        self._wheel.show(
+            {
+                "time_s": now_s if world is None or world.time_s is None else world.time_s,
+                "control": self._control.number,
+                "control_time_ms": self._control.time_ms,
+                "drives": "human" if not self._control.is_absent else "brake" if is_rolling else "nobody",
+                "device": self._control.device,
+                "steering": self._sent.steering,
+                "predicted": None,
+                "throttle": self._sent.throttle,
+                "speed_mph": speed_mph,
+                "rows": self.rows,
+                "recorded_s": recorded_s,
+                "is_recording": self._is_recording,
+                "pace": 1.0,
+                "picture_hz": sum(now_s - shown_s < _RATE_S for shown_s in self._shown_s) / _RATE_S,
+                "x": None if pose is None else pose.x_m,
+                "y": None if pose is None else pose.y_m,
+                "heading_rad": None if pose is None else pose.heading_rad,
+                "laps": None if world is None else world.laps,
+                "takeovers": 0,
+                "put_back": 0,
+            },
+            telemetry.picture,
+        )
+
+
+def listen_at_the_wheel(
+    settings: ListenSettings,
+    log: Path,
+    hold_mph: float,
+    *,
+    overwrite: bool = False,
+    on_wheel: Callable[[Wheel], object] | None = None,
+) -> Imported:
+    """Record to `log` what a person drives in the simulator that connects, until the page, Ctrl-C or silence ends
+    it. `hold_mph` is the speed that the page offers to hold; `on_wheel` gets the wheel, once pages can connect.
+
+    Raises what `listen_for_telemetry` does.
+    """
+    about = {
+        "kind": "listen",
+        "session": log.stem,
+        "run": None,
+        "track": None,
+        "road": None,
+        "rate_hz": None,
+        "picture_hz": None,
+        "hold_mph": hold_mph,
+        "recorded": None,
+        "car": asdict(settings.car or UDACITY),
+    }
+    with Wheel(f"{log.stem}, a simulator that connects", log, about) as wheel:
+        if on_wheel is not None:
+            on_wheel(wheel)
+        person = PersonOfTelemetry(wheel)
+        ended = {"log": str(log), "takeovers": []}
+        try:
+            done = listen_for_telemetry(
+                log,
+                host=settings.host,
+                port=settings.port,
+                idle_s=settings.idle_s,
+                overwrite=overwrite,
+                car=settings.car,
+                on_started=settings.on_started,
+                person=person,
+            )
+        except RecordingError:
+            wheel.end(ended | {"rows": 0, "why": f"{person.why}: nothing was recorded"})
+            raise
+        wheel.end(ended | {"rows": done.rows, "why": person.why})
+        return done

@@ -1,0 +1,128 @@
+"""The rows of a person's drive: rendered and written on a thread, so that the drive does not wait for them."""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Self
+
+from common.interrupts import leave_signals_to_main_thread
+from recorder.bc_pb2 import VehicleState
+from recorder.log.bad_rows import driven_badly
+from recorder.log.meant_gaps import not_recorded
+from recorder.log.pose_message import pose_message
+from recorder.log.tags import EXCLUDE, Tag
+from recorder.log.writer import EventLevel, LogWriter
+from simulator.driving.simulation import Simulation
+from simulator.pose import Pose
+from simulator.rendering.camera import MOUNT_LEFT_M
+
+MAX_WAITING: Final = 20
+"""Rows that wait to be rendered. With more, the drive waits, and its clock with it: no row is lost."""
+MAX_PATIENT: Final = 5
+"""With fewer rows that wait, pictures for the eye are rendered first."""
+_PATIENCE_S: Final = 0.05
+_TICK_S: Final = 0.1
+
+
+@dataclass(frozen=True)
+class PersonRow:
+    """One row of a person's drive."""
+
+    time_ns: int
+    pose: Pose
+    state: VehicleState
+    gap_s: float = 0.0  # that was not recorded before it, on purpose
+    gap_why: str = ""
+
+
+class PersonRows:
+    """Renders rows and writes them to a log, in their order. Left as a context manager, it has written all."""
+
+    def __init__(self, simulation: Simulation, writer: LogWriter, let_pass: Callable[[float], object]) -> None:
+        """`let_pass` waits until nothing more urgent is rendered, for so many seconds at most."""
+        self._let_pass = let_pass
+        self._simulation = simulation
+        self._writer = writer
+        self._actions: queue.Queue[Callable[[], None] | None] = queue.Queue(MAX_WAITING)
+        self._failure: Exception | None = None
+        self._thread = threading.Thread(target=self._run, name="rows", daemon=True)
+        self.count = 0
+        """Rows until now, also those that wait."""
+        self.last_ns = 0
+        self.tags: list[Tag] = []
+        """Of rows that were driven badly."""
+
+    def add(self, row: PersonRow) -> None:
+        """Add a row; waits while too many wait. Raises what writing has raised."""
+        number = self.count
+        self.count += 1
+        self.last_ns = row.time_ns
+        self._put(lambda: self._write(number, row))
+
+    def event(self, text: str, level: EventLevel = "INFO") -> None:
+        """Add an event at the time of the last row."""
+        time_ns = self.last_ns
+        if self.count:  # the times of a log begin with its rows
+            self._put(lambda: self._writer.event(time_ns, text, level, "recorder"))
+
+    def exclude_last(self, rows: int) -> int:
+        """Tag the last rows, so that nobody learns from them; returns how many there are."""
+        tag = Tag(max(0, self.count - rows), self.count - 1, EXCLUDE)
+        if tag.first_row > tag.last_row:
+            return 0
+        self.tags.append(tag)
+        self.event(driven_badly(tag.first_row, tag.last_row))
+        return tag.last_row - tag.first_row + 1
+
+    def check(self) -> None:
+        """Raise what writing has raised."""
+        if self._failure is not None:
+            raise self._failure
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with contextlib.suppress(Exception):  # it is raised below
+            self._put(None)
+        self._thread.join()
+        self.check()
+
+    def _put(self, action: Callable[[], None] | None) -> None:
+        while True:
+            self.check()
+            with contextlib.suppress(queue.Full):
+                return self._actions.put(action, timeout=_TICK_S)
+
+    def _write(self, number: int, row: PersonRow) -> None:
+        jpegs = {}
+        for camera in MOUNT_LEFT_M:
+            if self._actions.qsize() < MAX_PATIENT:
+                self._let_pass(_PATIENCE_S)
+            jpegs[camera] = self._simulation.jpeg(camera, row.pose)
+        for camera, jpeg in jpegs.items():
+            self._writer.picture(camera, row.time_ns, number, jpeg)
+        self._writer.vehicle(row.time_ns, number, row.state)
+        if row.gap_why:
+            self._writer.event(row.time_ns, not_recorded(row.gap_s, row.gap_why))
+        self._writer.pose(row.time_ns, number, pose_message(row.pose, row.time_ns))
+
+    def _run(self) -> None:
+        leave_signals_to_main_thread()
+        try:
+            while True:
+                try:
+                    action = self._actions.get(timeout=_TICK_S)
+                except queue.Empty:
+                    self._writer.flush_if_due()
+                    continue
+                if action is None:
+                    return
+                action()
+        except Exception as error:
+            self._failure = error

@@ -1,0 +1,294 @@
+"""Recording a person who drives the built-in simulator, in real time, with the controls of a page."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Final
+
+import cv2
+
+from common import Skipped
+from common.errors import counted
+from common.files import refuse_existing
+from common.interrupts import StopEvent, stop_signals
+from common.low_latency import prepare_process
+from common.progress import StatusLine
+from recorder.bc_pb2 import VehicleState
+from recorder.errors import RecordingError
+from recorder.log.derived_log import close_with_tags
+from recorder.log.session_car import built_in, metadata_of
+from recorder.log.writer import LogWriter
+from recorder.sources.eye_pictures import EYE_STEPS, EyeMoment, EyePictures, WhenDue
+from recorder.sources.import_result import Imported
+from recorder.sources.person_pedals import CoursePedals
+from recorder.sources.person_rows import PersonRow, PersonRows
+from recorder.sources.real_time import RealTime
+from recorder.teleop.seat import Control
+from recorder.teleop.wheel import Request, Wheel
+from simulator.driving.recovery_driving import steps_each
+from simulator.driving.simulation import Simulation
+from simulator.driving.vehicle import STEP_S
+from simulator.rendering.camera import HEIGHT_PX, MOUNT_LEFT_M, WIDTH_PX
+from simulator.roads.track import Track
+
+PUT_BACK_S: Final = 1.5
+"""The simulated clock runs on for so long when the car is put back: a gap, behind which another drive begins."""
+STUCK_S: Final = 5.0
+"""A car that is to drive on and does not move for so long is put back."""
+_STUCK_MPH: Final = 0.5
+_EDGE_POINTS: Final = 8  # every so many points of the centre line, 4 m, the map of the road has one
+_STATUS_STEPS: Final = 25
+_WAIT_S: Final = 0.1  # for a picture, before signals are looked at again
+
+
+@dataclass(frozen=True)
+class PersonDrive:
+    """A drive of the built-in simulator by a person."""
+
+    track: str = "lake"
+    laps: float | None = None  # the end of the drive; None: the person ends it
+    speed_mph: float = 10.0  # that the page offers to hold
+    rate_hz: float = 10.0  # recorded rows a second; it divides 50
+
+
+def record_person(
+    drive: PersonDrive,
+    log: Path,
+    *,
+    overwrite: bool = False,
+    simulation: Simulation | None = None,
+    on_wheel: Callable[[Wheel], object] | None = None,
+) -> Imported:
+    """Record what a person drives to `log`, until the page, Ctrl-C or `laps` ends it.
+
+    `on_wheel` gets the wheel, once pages can connect. `simulation` is one of the track that was made before.
+    Raises RecordingError for a track that does not exist, or if not one row was recorded; UserError if `log`
+    exists and `overwrite` is off, or if it cannot be written any further: what was recorded is then kept.
+    """
+    refuse_existing(log, overwrite)
+    cv2.setNumThreads(1)  # rows and pictures for the eye have a thread each
+    try:
+        simulation = simulation or Simulation(drive.track)
+    except ValueError as error:
+        raise RecordingError(f"--track {drive.track}: {error}") from None
+    metadata = {
+        "source": "simulator",
+        "simulator": "built-in",
+        "track": simulation.track.name,
+        "track_fingerprint": simulation.track.fingerprint(),
+        "driver": "human",
+        "drive.rate": f"{drive.rate_hz:g}",
+        **metadata_of(built_in()),
+    }
+    with ExitStack() as stack:
+        stopped = stack.enter_context(stop_signals())
+        about = _about(drive, log, simulation.track)
+        wheel = stack.enter_context(Wheel(f"{log.stem} on {drive.track}", log, about))
+        writer = stack.enter_context(LogWriter(log, metadata, overwrite=overwrite, live=True))
+        if on_wheel is not None:
+            on_wheel(wheel)
+        prepare_process()
+        with (
+            StatusLine() as status,
+            EyePictures(simulation, wheel) as eye,
+            PersonRows(simulation, writer, eye.let_pass) as rows,
+        ):
+            why = _Drive(drive, simulation, wheel, rows, eye, status).run(stopped)
+        if not rows.count:
+            writer.discard()
+            wheel.end({"log": str(log), "rows": 0, "why": f"{why}: nothing was recorded", "takeovers": []})
+            raise RecordingError(f"{log}: nothing was recorded: begin to record on the page, and drive")
+        close_with_tags(writer, rows.tags)
+        wheel.end({"log": str(log), "rows": rows.count, "why": why, "takeovers": []})
+    return Imported(log, rows.count, rows.count * len(MOUNT_LEFT_M), Skipped(), writer.notices)
+
+
+class _Drive:
+    """A person's drive: the simulated clock, the car, and what of it is recorded."""
+
+    def __init__(
+        self,
+        drive: PersonDrive,
+        simulation: Simulation,
+        wheel: Wheel,
+        rows: PersonRows,
+        eye: EyePictures,
+        status: StatusLine,
+    ) -> None:
+        self._drive = drive
+        self._course = simulation.course
+        self._wheel = wheel
+        self._rows = rows
+        self._eye = eye
+        self._status = status
+        self._pedals = CoursePedals(simulation.course)
+        self._real_time = RealTime(STEP_S)
+        self._when_due = WhenDue()
+        self._row_steps = steps_each(drive.rate_hz)
+        self._begin_ns = time.time_ns()
+        self._step = 0
+        self._shift_s = 0.0  # of the log's clock, by the gaps where the car was put back
+        self._stuck_steps = 0
+        self._put_back = 0
+        self._is_recording = False
+        self._gap_why = ""
+
+    def run(self, stopped: StopEvent) -> str:
+        """Drive until the person, a signal or the laps end it; why it has ended."""
+        while not stopped.is_set():
+            for request in self._wheel.requests():
+                if request.kind == "end":
+                    return "ended on the page"
+                self._heed(request)
+            self._advance()
+            if self._drive.laps is not None and self._course.laps >= self._drive.laps:
+                return f"{self._drive.laps:g} laps are driven"
+            self._rows.check()
+            while not self._eye.keeps_up(self._step, _WAIT_S) and not stopped.is_set():
+                pass
+            self._real_time.wait(self._wheel.control_came)
+        return "stopped at the terminal"
+
+    def _heed(self, request: Request) -> None:
+        match request.kind:
+            case "record":
+                self._is_recording = True
+                self._wheel.event("recording")
+            case "pause":
+                self._is_recording = False
+                self._gap_why = self._gap_why or "the person paused"
+                self._wheel.event("recording is paused")
+            case "bad":
+                rows = self._rows.exclude_last(max(1, round(request.seconds * self._drive.rate_hz)))
+                self._wheel.event(f"{counted(rows, 'row')} will not be learnt from")
+            case "put_back":
+                self._put_on_line("the person had the car put back on its line")
+            case "hand_back" | "end":
+                pass  # nobody else drives
+
+    def _advance(self) -> None:
+        control = self._wheel.control()
+        steering = 0.0 if control.is_absent else control.steering
+        throttle = self._pedals.throttle(control)
+        self._course.advance(steering, throttle)
+        self._step += 1
+        if self._step % self._row_steps == 0 and self._is_recording:
+            if control.is_absent:
+                self._gap_why = self._gap_why or "nobody was at the wheel"
+            else:
+                self._record(control, throttle)
+        if self._when_due.is_due(self._step, steering):
+            self._eye.offer(EyeMoment(self._step, self._course.pose, self._state(control, steering, throttle)))
+        if self._step % _STATUS_STEPS == 0:
+            recording = "recording" if self._is_recording else "not recording"
+            self._status.show(
+                f"{recording}: {counted(self._rows.count, 'row')}, {self._course.laps:.2f} laps,"
+                f" {self._real_time.pace:.0%} of real time"
+            )
+        self._watch(throttle)
+
+    def _watch(self, throttle: float) -> None:
+        """Put a car back that has left the road, or that does not move where it is to drive on."""
+        is_still = throttle > 0 and abs(self._course.vehicle.speed_mph) < _STUCK_MPH
+        self._stuck_steps = self._stuck_steps + 1 if is_still else 0
+        if self._course.off_road:
+            self._put_on_line("the car left the road and was put back on its line")
+        elif self._stuck_steps * STEP_S >= STUCK_S:
+            self._put_on_line("the car was stuck and was put back on its line")
+
+    def _put_on_line(self, why: str) -> None:
+        self._course.intervene()
+        self._shift_s += PUT_BACK_S
+        self._stuck_steps = 0
+        self._put_back += 1
+        self._gap_why = why
+        self._wheel.event(why, is_problem=True)
+
+    @property
+    def _time_ns(self) -> int:
+        return self._begin_ns + round((self._course.time_s + self._shift_s) * 1e9)
+
+    def _record(self, control: Control, throttle: float) -> None:
+        time_ns = self._time_ns
+        gap_s = (time_ns - self._rows.last_ns) / 1e9 - 1 / self._drive.rate_hz if self._rows.count else 0.0
+        state = VehicleState(
+            steering=control.steering,
+            throttle=max(0.0, throttle),
+            brake=max(0.0, -throttle),
+            speed_mph=self._course.vehicle.speed_mph,
+            device=control.device.upper() if control.device else None,
+        )
+        is_gap = gap_s > 1e-3
+        why = self._gap_why if is_gap else ""
+        self._rows.add(PersonRow(time_ns, self._course.pose, state, max(0.0, gap_s), why))
+        self._gap_why = ""
+
+    def _state(self, control: Control, steering: float, throttle: float) -> dict[str, object]:
+        car = self._course.vehicle
+        drives = "human" if not control.is_absent else "brake" if abs(car.speed_mph) > _STUCK_MPH else "nobody"
+        return {
+            "time_s": round(self._course.time_s, 3),
+            "control": control.number,
+            "control_time_ms": control.time_ms,
+            "drives": drives,
+            "device": control.device,
+            "steering": steering,
+            "predicted": None,
+            "throttle": throttle,
+            "speed_mph": car.speed_mph,
+            "rows": self._rows.count,
+            "recorded_s": self._rows.count / self._drive.rate_hz,
+            "is_recording": self._is_recording,
+            "pace": round(self._real_time.pace, 3),
+            "x": car.x_m,
+            "y": car.y_m,
+            "heading_rad": car.heading_rad,
+            "laps": self._course.laps,
+            "takeovers": 0,
+            "put_back": self._put_back,
+        }
+
+
+def check_person_drive(drive: PersonDrive) -> None:
+    """Raise RecordingError, naming the flag, for numbers that nobody can drive by."""
+    try:
+        steps_each(drive.rate_hz)
+    except ValueError as error:
+        raise RecordingError(str(error)) from None
+    if not 0 < drive.speed_mph < math.inf:
+        raise RecordingError(f"--speed {drive.speed_mph:g}: a speed above 0 mph was expected")
+    if drive.laps is not None and not 0 < drive.laps < math.inf:
+        raise RecordingError(f"--laps {drive.laps:g}: a number above 0 was expected")
+
+
+def _about(drive: PersonDrive, log: Path, track: Track) -> dict[str, object]:
+    """What a page is told of the drive when it connects."""
+    return {
+        "kind": "record",
+        "session": log.stem,
+        "run": None,
+        "track": track.name,
+        "road": road_edges(track),
+        "rate_hz": drive.rate_hz,
+        "picture_hz": 1 / (EYE_STEPS * STEP_S),
+        "hold_mph": drive.speed_mph,
+        "recorded": [WIDTH_PX, HEIGHT_PX],
+        "car": asdict(built_in()),
+    }
+
+
+def road_edges(track: Track) -> dict[str, object]:
+    """The edges of a track's road from above, as lists of points in metres."""
+    left, right = [], []
+    line = track.line
+    for point in range(0, len(line.points_m), _EDGE_POINTS):
+        place, half_m = line.at(point * line.step_m), float(track.half_width_m[point])
+        to_left = (-math.sin(place.heading_rad) * half_m, math.cos(place.heading_rad) * half_m)
+        left.append([round(place.x_m + to_left[0], 2), round(place.y_m + to_left[1], 2)])
+        right.append([round(place.x_m - to_left[0], 2), round(place.y_m - to_left[1], 2)])
+    return {"left": left, "right": right, "closed": True}

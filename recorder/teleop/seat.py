@@ -1,0 +1,108 @@
+"""The seat: which page holds the wheel, and its controls that are in force."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+from recorder.teleop.messages import ControlMessage, Device
+
+ABSENT_S: Final = 1.0
+"""A person whose page has sent nothing for so long is absent: the car is braked."""
+GIVES_UP_S: Final = 5.0
+"""A page that is silent for so long loses the wheel to the next one that asks."""
+
+
+@dataclass(frozen=True)
+class Control:
+    """What the person does at a moment."""
+
+    steering: float = 0.0  # -1 (left) .. 1 (right)
+    throttle: float = 0.0  # -1 .. 1; below 0 brakes
+    hold_mph: float | None = None  # the speed to hold, in place of the throttle
+    device: Device | None = None
+    is_touching: bool = False  # a key, stick, button or finger is in use, or was since the last look
+    number: int = 0  # of the page's message; 0 before the first
+    time_ms: float = 0.0  # the browser's clock at that message
+    is_absent: bool = True  # nobody is at the wheel: the car is to be braked
+
+
+class Seat:
+    """Times are those of a monotonic clock, in seconds. Pages are any objects. Not to be used by two threads."""
+
+    def __init__(self) -> None:
+        self.holder: object | None = None
+        self.asking: object | None = None
+        """The page that has asked for the wheel, while another one holds it."""
+        self._control = Control()
+        self._last_s = float("-inf")  # the holder's last message
+        self._was_touched = False  # since the last look: a short press counts, however seldom the loop looks
+
+    def enter(self, page: object, now_s: float) -> None:
+        """A page has come: it holds the wheel if no other one does."""
+        if self.holder is None:
+            self._seat(page, now_s)
+
+    def leave(self, page: object, now_s: float) -> None:
+        """A page has gone: what it held is let go at once."""
+        if page is self.asking:
+            self.asking = None
+        if page is self.holder:
+            self.holder = None
+            self._let_go()
+            self._last_s = now_s
+            if self.asking is not None:
+                self._seat(self.asking, now_s)
+
+    def steer(self, page: object, message: ControlMessage, now_s: float) -> bool:
+        """Put a page's controls in force; False if it does not hold the wheel, or has sent later ones before."""
+        if page is not self.holder:
+            return False
+        self._last_s = now_s
+        if message.number <= self._control.number:
+            return False
+        self._control = Control(
+            message.steering,
+            message.throttle,
+            message.hold_mph,
+            message.device,
+            message.touching,
+            message.number,
+            message.time_ms,
+            is_absent=False,
+        )
+        self._was_touched |= message.touching
+        return True
+
+    def ask(self, page: object, now_s: float) -> None:
+        """A page asks for the wheel. It has it at once if nobody holds it, or the holder has gone silent."""
+        if page is self.holder:
+            return
+        if self.holder is None or now_s - self._last_s >= GIVES_UP_S:
+            self._seat(page, now_s)
+        else:
+            self.asking = page
+
+    def give(self, page: object, now_s: float) -> None:
+        """The holder gives the wheel to the page that has asked."""
+        if page is self.holder and self.asking is not None:
+            self._seat(self.asking, now_s)
+
+    def control(self, now_s: float) -> Control:
+        """The controls in force."""
+        was_touched, self._was_touched = self._was_touched, False
+        if now_s - self._last_s < ABSENT_S:
+            return replace(self._control, is_touching=True) if was_touched else self._control
+        return replace(self._control, steering=0.0, throttle=0.0, hold_mph=None, is_touching=False, is_absent=True)
+
+    def _seat(self, page: object, now_s: float) -> None:
+        self.holder = page
+        if self.asking is page:
+            self.asking = None
+        self._let_go()
+        self._control = replace(self._control, number=0)
+        self._last_s = now_s
+
+    def _let_go(self) -> None:
+        self._was_touched = False
+        self._control = replace(self._control, steering=0.0, throttle=0.0, hold_mph=None, is_touching=False)

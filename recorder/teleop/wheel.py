@@ -1,0 +1,301 @@
+"""The wheel of a driving process: pages connect to it, send controls, and are shown frames.
+
+It serves a websocket on this machine only, to bc-web, which has its token and carries the messages of its pages.
+Each page has two threads. The driving loop asks for the newest control, hands over the newest frame, and waits for
+no page.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import http
+import json
+import secrets
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final, Literal, NamedTuple, Self
+
+from websockets.exceptions import ConnectionClosed
+from websockets.frames import CloseCode
+from websockets.http11 import Request as HttpRequest
+from websockets.http11 import Response
+from websockets.sync.server import ServerConnection, serve
+
+from recorder.teleop.messages import (
+    MAX_MESSAGE_BYTES,
+    AskMessage,
+    BadMessage,
+    ControlMessage,
+    EndMessage,
+    GiveMessage,
+    GotMessage,
+    HandBackMessage,
+    Message,
+    PauseMessage,
+    PutBackMessage,
+    RecordMessage,
+    ViewMessage,
+    parse_message,
+)
+from recorder.teleop.open_wheels import OpenWheel, announced, new_key
+from recorder.teleop.seat import Control, Seat
+
+MAX_PAGES: Final = 8
+MAX_PER_S: Final = 500
+"""A page that sends more messages a second is disconnected; one that works sends 60."""
+MAX_REFUSED: Final = 100
+"""A page that has sent so many messages that are none of ours is disconnected."""
+MAX_IN_FLIGHT: Final = 2
+"""Frames that a page has been sent and has not shown yet: one is painted while the next one travels."""
+_MAX_TEXTS: Final = 256  # that a page has not read yet; the oldest go
+_END_S: Final = 2.0  # for the last messages to the pages
+
+RequestKind = Literal["record", "pause", "bad", "hand_back", "put_back", "end"]
+_KINDS: Final[Mapping[type[Message], RequestKind]] = {
+    RecordMessage: "record",
+    PauseMessage: "pause",
+    BadMessage: "bad",
+    HandBackMessage: "hand_back",
+    PutBackMessage: "put_back",
+    EndMessage: "end",
+}
+
+
+class Request(NamedTuple):
+    """What the person asks the driving loop to do."""
+
+    kind: RequestKind
+    seconds: float = 0.0  # of "bad": how much was driven badly
+
+
+class _Frame(NamedTuple):
+    number: int
+    data: bytes
+
+
+class _Page:
+    """A page that is connected."""
+
+    def __init__(self, connection: ServerConnection) -> None:
+        self.connection = connection
+        self.texts: deque[str] = deque(maxlen=_MAX_TEXTS)
+        self.sent = 0  # the number of the last frame
+        self.in_flight: deque[int] = deque()
+        self.wants_recorded = False
+        self.is_over = False
+        self.refused = 0
+        self.second, self.in_second = 0, 0  # for the limit on its rate
+
+
+class Wheel:
+    """A person at the wheel. As a context manager it can be found by `open_wheels` and serves pages."""
+
+    def __init__(self, title: str, log: Path, about: Mapping[str, object]) -> None:
+        """`about` is sent to each page that connects, as the message "hello"."""
+        self._title, self._log = title, log
+        self.key = new_key()
+        self.control_came = threading.Event()
+        """Set while there are controls that the loop has not asked for."""
+        self.refused = 0
+        """Messages that were none of ours, or too many."""
+        self._hello = json.dumps({"type": "hello", "title": title, "log": str(log), **about}, allow_nan=False)
+        self._token = secrets.token_urlsafe(24)
+        self._changed = threading.Condition()
+        self._seat = Seat()
+        self._pages: list[_Page] = []
+        self._requests: deque[Request] = deque(maxlen=64)
+        self._frame: _Frame | None = None
+        self._is_over = False
+
+    @property
+    def pages(self) -> int:
+        """How many pages are connected."""
+        return len(self._pages)
+
+    @property
+    def wants_recorded(self) -> bool:
+        """True if the page that holds the wheel wants the picture as it is recorded."""
+        holder = self._seat.holder
+        return isinstance(holder, _Page) and holder.wants_recorded
+
+    def control(self) -> Control:
+        """The controls in force."""
+        with self._changed:
+            self.control_came.clear()
+            return self._seat.control(time.monotonic())
+
+    def requests(self) -> list[Request]:
+        """What was asked for since the last call."""
+        with self._changed:
+            requests = list(self._requests)
+            self._requests.clear()
+        return requests
+
+    def show(self, state: Mapping[str, object], jpeg: bytes) -> None:
+        """Show a frame to all pages. One that a page has not been sent yet is replaced."""
+        with self._changed:
+            number = 1 if self._frame is None else self._frame.number + 1
+            head = json.dumps({"frame": number, **state}, allow_nan=False).encode()
+            self._frame = _Frame(number, b"".join((struct.pack(">I", len(head)), head, jpeg)))
+            self._changed.notify_all()
+
+    def event(self, text: str, *, is_problem: bool = False) -> None:
+        """Send all pages a line about what happened."""
+        level = "warning" if is_problem else "info"
+        with self._changed:
+            self._to_all(json.dumps({"type": "event", "text": text, "level": level}))
+
+    def end(self, about: Mapping[str, object]) -> None:
+        """Send the last message to all pages, and serve no more."""
+        with self._changed:
+            if self._is_over:
+                return
+            self._to_all(json.dumps({"type": "ended", **about}, allow_nan=False))
+            self._is_over = True
+            self._changed.notify_all()
+            self._changed.wait_for(lambda: not self._pages, _END_S)
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            serving = serve(
+                self._serve,
+                "127.0.0.1",
+                0,
+                process_request=self._check,
+                compression=None,
+                max_size=MAX_MESSAGE_BYTES,
+                origins=[None],  # a browser's page has one; it comes by bc-web
+                open_timeout=5,
+                close_timeout=1,
+                server_header=None,
+            )
+            server = stack.enter_context(serving)
+            threading.Thread(target=server.serve_forever, name="wheel", daemon=True).start()
+            port = server.socket.getsockname()[1]
+            project = str(Path.cwd().absolute())
+            stack.enter_context(
+                announced(OpenWheel(self.key, port, self._token, project, self._title, str(self._log)))
+            )
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end({"why": "the drive has ended"})
+        self._stack.close()
+
+    def _check(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
+        given = request.headers.get("Authorization", "")
+        if not hmac.compare_digest(given.encode(), f"Bearer {self._token}".encode()):
+            return connection.respond(http.HTTPStatus.UNAUTHORIZED, "the token is missing\n")
+        if len(self._pages) >= MAX_PAGES:
+            return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{MAX_PAGES} pages are connected\n")
+        return None
+
+    def _serve(self, connection: ServerConnection) -> None:
+        """Receive what a page sends, until it goes."""
+        page = _Page(connection)
+        with self._changed:
+            page.texts.append(self._hello)
+            self._pages.append(page)
+            self._seat.enter(page, time.monotonic())
+            self._send_seats()
+        sender = threading.Thread(target=self._send, args=(page,), name="wheel's page", daemon=True)
+        sender.start()
+        try:
+            for text in connection:
+                with self._changed:
+                    is_good = self._receive(page, text)
+                if not is_good:
+                    connection.close(CloseCode.POLICY_VIOLATION, "too many messages")
+                    break
+        except ConnectionClosed:  # without a word: the network, or a message that was too long
+            pass
+        finally:
+            with self._changed:
+                page.is_over = True
+                self._seat.leave(page, time.monotonic())
+                self._send_seats()
+                self._changed.notify_all()
+            sender.join()
+            with self._changed:
+                self._pages.remove(page)
+                self._changed.notify_all()
+
+    def _receive(self, page: _Page, text: str | bytes) -> bool:
+        """Heed a page's message; False if the page is to be disconnected."""
+        now_s = time.monotonic()
+        if int(now_s) != page.second:
+            page.second, page.in_second = int(now_s), 0
+        page.in_second += 1
+        if page.in_second > MAX_PER_S:
+            self.refused += 1
+            return False
+        match parse_message(text):
+            case None:
+                self.refused += 1
+                page.refused += 1
+                return page.refused <= MAX_REFUSED
+            case ControlMessage() as message:
+                if self._seat.steer(page, message, now_s):
+                    self.control_came.set()
+            case GotMessage(frame):
+                while page.in_flight and page.in_flight[0] <= frame:
+                    page.in_flight.popleft()
+                self._changed.notify_all()
+            case ViewMessage(recorded):
+                page.wants_recorded = recorded
+            case AskMessage():
+                self._seat.ask(page, now_s)
+                self._send_seats()
+            case GiveMessage():
+                self._seat.give(page, now_s)
+                self._send_seats()
+            case request:
+                if page is self._seat.holder:
+                    seconds = request.seconds if isinstance(request, BadMessage) else 0.0
+                    self._requests.append(Request(_KINDS[type(request)], seconds))
+        return True
+
+    def _send(self, page: _Page) -> None:
+        """Send a page what there is for it, until it has gone or all is over."""
+
+        def new_frame() -> _Frame | None:
+            frame = self._frame
+            is_new = frame is not None and frame.number > page.sent and len(page.in_flight) < MAX_IN_FLIGHT
+            return frame if is_new else None
+
+        with contextlib.suppress(ConnectionClosed):
+            while True:
+                with self._changed:
+                    self._changed.wait_for(lambda: page.texts or page.is_over or self._is_over or new_frame())
+                    if page.is_over or (self._is_over and not page.texts):
+                        break
+                    texts = list(page.texts)
+                    page.texts.clear()
+                    if frame := new_frame():
+                        page.sent = frame.number
+                        page.in_flight.append(frame.number)
+                for text in texts:
+                    page.connection.send(text)
+                if frame:
+                    page.connection.send(frame.data)
+        page.connection.close()
+
+    def _send_seats(self) -> None:
+        for page in self._pages:
+            is_holder = page is self._seat.holder
+            asked = is_holder and self._seat.asking is not None
+            seat = {"type": "wheel", "holder": is_holder, "asked": asked, "free": self._seat.holder is None}
+            page.texts.append(json.dumps(seat))
+        self._changed.notify_all()
+
+    def _to_all(self, text: str) -> None:
+        for page in self._pages:
+            page.texts.append(text)
+        self._changed.notify_all()

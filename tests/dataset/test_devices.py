@@ -1,0 +1,102 @@
+"""The device that a person steers with: in a log's rows, in the index's frames, and in the plan of its labels."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from dataset import build_index
+from logs import START_NS, STEP_NS
+from recorder import Log
+from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.log.log_info import describe
+from recorder.log.writer import LogWriter
+
+Devices = list["VehicleState.Device"]
+
+
+def steered(path: Path, devices: Devices, unfinished: Path | None = None) -> Path:
+    """A log of a row for each device, a tenth of a second apart; a copy of it before its end is `unfinished`."""
+    with LogWriter(path, {"source": "simulator", "driver": "human"}, live=True) as writer:
+        for row, device in enumerate(devices):
+            time_ns = START_NS + row * STEP_NS
+            writer.picture("center", time_ns, row, f"{row}".encode())
+            state = VehicleState(steering=0.1 * (row % 3), throttle=0.5, speed_mph=9.0, device=device)
+            writer.vehicle(time_ns, row, state)
+        if unfinished is not None:
+            shutil.copy(writer.part, unfinished)
+    return path
+
+
+def plan_of(index: Path, session: str) -> dict[str, object]:
+    stored = json.loads(pq.read_schema(index / "samples.parquet").metadata[b"bc.index"])
+    plan: dict[str, object] = stored["labels"][session]["plan"]
+    return plan
+
+
+def test_the_index_has_the_device_of_each_frame(tmp_path: Path) -> None:
+    log = steered(tmp_path / "a.mcap", [VehicleState.KEYBOARD, VehicleState.UNKNOWN, VehicleState.TOUCH])
+    build_index([log], tmp_path / "index")
+    frames = pq.read_table(tmp_path / "index" / "frames" / "a.parquet")
+    assert frames["device"].to_pylist() == ["keyboard", "", "touch"]
+
+
+@pytest.mark.parametrize(
+    ("device", "smooth_s", "shift_s"),
+    [
+        (VehicleState.KEYBOARD, 0.5, 0.2),
+        (VehicleState.MOUSE, 0.5, 0.2),
+        (VehicleState.GAMEPAD, 0.0, 0.0),
+        (VehicleState.TOUCH, 0.0, 0.0),
+    ],
+)
+def test_labels_go_by_the_device_that_is_recorded(
+    tmp_path: Path, device: VehicleState.Device, smooth_s: float, shift_s: float
+) -> None:
+    build_index([steered(tmp_path / "a.mcap", [device] * 100)], tmp_path / "index")
+    plan = plan_of(tmp_path / "index", "a")
+    assert (plan["smooth_s"], plan["shift_s"], plan["without_crashes"]) == (smooth_s, shift_s, True)
+    assert not (tmp_path / "index" / "lags").exists()  # no picture was looked at: these are none
+
+
+def test_labels_go_by_the_device_of_most_rows(tmp_path: Path) -> None:
+    devices = [VehicleState.KEYBOARD] * 40 + [VehicleState.GAMEPAD] * 60 + [VehicleState.UNKNOWN] * 200
+    build_index([steered(tmp_path / "a.mcap", devices)], tmp_path / "index")
+    assert plan_of(tmp_path / "index", "a")["why"] == "gamepad"
+
+
+def test_what_describes_a_log_names_the_device(tmp_path: Path) -> None:
+    info = describe(steered(tmp_path / "a.mcap", [VehicleState.MOUSE] * 100))
+    assert info.driver == "human (mouse)"
+    assert info.labels == "mean of 0.5 s, 0.2 s later (mouse)"
+
+
+def test_an_unfinished_log_names_the_device_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("recorder.log.writer.FLUSH_S", 0.0)
+    steered(tmp_path / "a.mcap", [VehicleState.GAMEPAD] * 20, unfinished=tmp_path / "b.mcap")
+    assert describe(tmp_path / "b.mcap").driver == "human (gamepad)"
+
+
+def test_a_device_of_a_later_version_is_unknown(tmp_path: Path) -> None:
+    log = steered(tmp_path / "a.mcap", [9] * 3)  # type: ignore[list-item]
+    build_index([log], tmp_path / "index")
+    assert pq.read_table(tmp_path / "index" / "frames" / "a.parquet")["device"].to_pylist() == [""] * 3
+    assert describe(log).driver == "human"
+
+
+def test_a_persons_takeover_is_learnt_as_it_was_commanded(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "a.mcap", {"source": "drive"}) as writer:
+        for row, driver in enumerate([PilotCommand.PILOT, PilotCommand.HUMAN]):
+            time_ns = START_NS + row * STEP_NS
+            writer.picture("center", time_ns, row, f"{row}".encode())
+            writer.vehicle(time_ns, row, VehicleState(steering=0.1, throttle=0.5, speed_mph=9.0))
+            writer.command(time_ns, row, PilotCommand(steering=0.6, driver=driver))
+    build_index([tmp_path / "a.mcap"], tmp_path / "index")
+    frames = pq.read_table(tmp_path / "index" / "frames" / "a.parquet")
+    assert frames["steering"].to_pylist() == [0.1, 0.6]
+    with Log(tmp_path / "a.mcap") as log:
+        assert log.vehicle()["steering"].to_pylist() == [0.1, 0.1]

@@ -1,0 +1,214 @@
+"""A person supervises a network: the first touch takes over with the next command, a word hands back."""
+
+from __future__ import annotations
+
+import base64
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drive.config import DriveConfig
+from drive.control.takeover import PILOT_DRIVES
+from drive.drive_flags import with_default_driver
+from drive.drive_server import DriveServer
+from driving import road_jpeg, untrained_run
+from model import load_pilot
+from recorder import Log
+from recorder.bc_pb2 import PilotCommand
+from recorder.log.devices import DEVICES, device_numbers
+from recorder.log.tags import Tag, read_tags
+from recorder.server.telemetry_server import Steer
+from recorder.teleop.wheel import Wheel
+from waiting import wait_until
+from wheel_page import WheelPage
+
+PERSON = 0.625  # what no network here answers
+
+
+@dataclass
+class Supervised:
+    """A drive with a person at its wheel, and a simulator that sends a telemetry when the test says so."""
+
+    server: DriveServer
+    wheel: Wheel
+    page: WheelPage
+    log: Path
+
+    def drive(self, speed_mph: float = 9.0) -> Steer:
+        image = base64.b64encode(road_jpeg(0)).decode()
+        data = {"steering_angle": "0", "throttle": "0", "speed": f"{speed_mph:.4f}", "image": image}
+        answer = self.server.telemetry("simulator", data, time.perf_counter())
+        answer.on_sent(1.0)
+        assert answer.command is not None
+        return answer.command
+
+    def sent(self) -> None:
+        """Wait until what the page has sent is there: the wheel answers in order."""
+        self.page.send("ask")
+        self.page.text("wheel")
+
+    def steer(self, steering: float = PERSON, throttle: float = 0.25, **values: Any) -> int:
+        number = self.page.steer(steering, throttle, **values)
+        self.sent()
+        return number
+
+    def hand_back(self) -> None:
+        self.page.steer(0.0, touching=False)
+        self.page.send("hand_back")
+        self.sent()
+
+
+@pytest.fixture
+def supervised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Supervised]:
+    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    pilot, log = load_pilot(untrained_run(tmp_path / "first")), tmp_path / "run.mcap"
+    with (
+        Wheel("first", log, {"kind": "drive"}) as wheel,
+        DriveServer(pilot, DriveConfig(), log, port=0, wheel=wheel) as server,
+        WheelPage() as page,
+    ):
+        server.connected("simulator")
+        page.text("wheel")
+        yield Supervised(server, wheel, page, log)
+
+
+def rows(log: Path) -> list[tuple[int, float]]:
+    with Log(log) as opened:
+        return [(command.driver, command.steering) for _, command in opened.commands()]
+
+
+def test_the_first_touch_drives_from_the_next_command_on(supervised: Supervised) -> None:
+    networks = supervised.drive().steering
+    supervised.steer()
+    taken = supervised.drive()
+    assert (taken.steering, taken.throttle) == (PERSON, 0.25)
+    supervised.hand_back()
+    assert supervised.drive().steering == networks
+
+
+@pytest.mark.parametrize("times", [50, pytest.param(1000, marks=pytest.mark.long)])
+def test_no_answer_of_the_network_is_sent_after_a_takeover(supervised: Supervised, times: int) -> None:
+    of_the_network = 0
+    for _ in range(times):
+        supervised.drive()
+        supervised.steer()
+        of_the_network += sum(supervised.drive().steering != PERSON for _ in range(3))
+        supervised.hand_back()
+    assert of_the_network == 0
+
+
+def test_a_person_who_only_watches_changes_nothing(supervised: Supervised) -> None:
+    networks = supervised.drive()
+    supervised.steer(touching=False)
+    assert supervised.drive().steering == networks.steering
+
+
+def test_letting_go_of_the_keys_is_not_handing_back(supervised: Supervised) -> None:
+    supervised.steer()
+    supervised.drive()
+    supervised.steer(0.0, 0.0, touching=False)
+    assert supervised.drive().steering == 0.0
+
+
+def test_a_person_who_goes_leaves_the_wheel_to_the_network(supervised: Supervised) -> None:
+    networks = supervised.drive().steering
+    supervised.steer()
+    assert supervised.drive().steering == PERSON
+    supervised.page.socket.close()
+    wait_until(lambda: supervised.drive().steering == networks)
+
+
+def test_the_brake_comes_before_the_speed_that_is_held(supervised: Supervised) -> None:
+    supervised.steer(throttle=-1.0, hold_mph=10)
+    assert supervised.drive().throttle == -1.0
+    supervised.steer(throttle=0.0, hold_mph=30)
+    assert supervised.drive(speed_mph=9.0).throttle > 0.5
+
+
+def test_the_page_hears_who_takes_over_and_that_the_network_drives_again(supervised: Supervised) -> None:
+    supervised.steer()
+    supervised.drive()
+    assert supervised.page.text("event")["text"] == "a person takes over"
+    supervised.hand_back()
+    supervised.drive()
+    assert supervised.page.text("event")["text"] == PILOT_DRIVES
+
+
+def test_a_telemetry_without_a_picture_is_still_the_persons(supervised: Supervised) -> None:
+    supervised.steer()
+    broken = {"steering_angle": "0", "throttle": "0", "speed": "9", "image": "none"}
+    answer = supervised.server.telemetry("simulator", broken, time.perf_counter())
+    assert answer.command is not None
+    assert answer.command.steering == PERSON
+
+
+def test_the_page_sees_who_drives_and_what_the_network_would_steer(supervised: Supervised) -> None:
+    networks = supervised.drive().steering
+    first = supervised.page.frame()
+    assert (first.state["drives"], first.state["device"], first.jpeg) == ("pilot", None, road_jpeg(0))
+    number = supervised.steer(device="gamepad")
+    supervised.drive()
+    state = supervised.page.frame().state
+    assert (state["drives"], state["device"], state["control"]) == ("human", "gamepad", number)
+    assert (state["steering"], state["takeovers"], state["rows"]) == (PERSON, 1, 2)
+    assert state["predicted"] == pytest.approx(networks)
+
+
+def test_the_log_and_the_summary_count_the_persons_takeovers(supervised: Supervised) -> None:
+    networks = supervised.drive().steering
+    for _ in range(2):
+        supervised.steer()
+        supervised.drive()
+        supervised.hand_back()
+        supervised.drive()
+    summary = supervised.server.session.summary
+    assert (summary.manual_stretches, summary.interventions) == (2, 2)
+    with supervised.server:
+        pass  # finishes the log
+    person, network = (PilotCommand.HUMAN, PERSON), (PilotCommand.PILOT, pytest.approx(networks))
+    assert rows(supervised.log) == [network, person, network, person, network]
+    with Log(supervised.log) as log:
+        assert [DEVICES[number] for number in device_numbers(log)] == ["", "keyboard", "", "keyboard", ""]
+    ended = supervised.page.text("ended")
+    assert (ended["rows"], [each["row"] for each in ended["takeovers"]]) == (5, [1, 3])
+
+
+def test_the_last_seconds_are_tagged_as_bad(supervised: Supervised) -> None:
+    """Rows come as fast as the test asks for them: all are of the last minute."""
+    for _ in range(3):
+        supervised.drive()
+    supervised.page.send("bad", seconds=60)
+    supervised.sent()
+    supervised.drive()
+    with supervised.server:
+        pass  # finishes the log
+    with Log(supervised.log) as log:
+        assert read_tags(supervised.log, log.fingerprint) == [Tag(0, 2, "exclude")]
+
+
+def test_the_page_ends_the_drive(supervised: Supervised) -> None:
+    supervised.drive()
+    supervised.page.send("end")
+    supervised.sent()
+    supervised.server.tick()
+    assert supervised.server.session.is_end_asked
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ([], []),
+        (["first", "--takeover"], ["first", "--takeover", "expert"]),
+        (["--takeover", "first"], ["--takeover", "expert", "first"]),
+        (["--takeover", "me"], ["--takeover", "me"]),
+        (["--takeover", "expert", "--laps", "2"], ["--takeover", "expert", "--laps", "2"]),
+    ],
+    ids=str,
+)
+def test_a_bare_takeover_is_the_experts(words: list[str], expected: list[str]) -> None:
+    assert with_default_driver(words) == expected

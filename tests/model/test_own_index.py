@@ -1,0 +1,105 @@
+"""One command trains on a few sessions, or learns from takeovers: it builds the index of its own."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from common.car import Camera
+from driving import one_line_in, road_jpeg
+from logs import START_NS, STEP_NS, write_log
+from model.cli import main
+from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.log.writer import LogWriter
+from udacity import call
+
+SMALL = ("--network", "small", "--epochs", "1")
+TAKEN = range(20, 40)
+"""The rows of the drive that a person drove."""
+
+
+def supervised_drive(path: Path, first: int = 1000) -> Path:
+    """A network drives straight on; a person who takes over steers to the left."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with LogWriter(path, {"source": "drive", "run": "first"}) as writer:
+        for row in range(60):
+            now_ns = START_NS + row * STEP_NS
+            steering = -0.4 if row in TAKEN else 0.0
+            driver = PilotCommand.HUMAN if row in TAKEN else PilotCommand.PILOT
+            writer.picture("center", now_ns, row, road_jpeg(first + row))
+            writer.vehicle(now_ns, row, VehicleState(steering=steering, throttle=0.2, speed_mph=9.0))
+            writer.command(now_ns, row, PilotCommand(driver=driver, steering=steering, throttle=0.2))
+    return path
+
+
+@pytest.fixture
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two sessions that differ, and no index."""
+    monkeypatch.chdir(tmp_path)
+    for name, first in (("lake", 0), ("other", 500)):
+        pictures = [road_jpeg(first + row) for row in range(100)]
+
+        def picture(camera: Camera, row: int, pictures: list[bytes] = pictures) -> bytes:
+            return pictures[row]
+
+        steering = [0.3 * math.sin(row / 5) for row in range(100)]
+        write_log(Path("sessions") / f"{name}.mcap", steering, picture, step_ns=5 * STEP_NS)
+    return tmp_path
+
+
+def sessions_in(index: str) -> dict[str, set[int]]:
+    """The rows of each session that an index trains on."""
+    rows: dict[str, set[int]] = {}
+    for sample in pq.read_table(Path(index) / "samples.parquet").to_pylist():
+        rows.setdefault(sample["session"], set()).add(sample["row"])
+    return rows
+
+
+def test_training_on_one_session_leaves_the_others_out(project: Path) -> None:
+    assert call(main, "--name", "first", "--on", "lake", *SMALL) == 0
+    assert set(sessions_in("index-first")) == {"lake"}
+    assert not Path("index").exists()
+
+
+def test_takeovers_are_learnt_on_top_of_what_a_run_was_trained_on(project: Path) -> None:
+    assert call(main, "--name", "first", "--on", "lake", *SMALL) == 0
+    drive = supervised_drive(Path("drives/run.mcap"))
+    assert call(main, "--name", "second", "--init", "first", "--takeovers", drive, "--epochs", "1") == 0
+    rows = sessions_in("index-second")
+    assert set(rows) == {"lake", "run"}
+    assert rows["run"] <= set(TAKEN)
+    config = json.loads(Path("runs/second/config.json").read_text())
+    assert (config["init"]["run"], config["training"]["network"]) == ("first", "small")
+
+
+def test_what_is_learnt_once_more_has_the_takeovers_of_before(project: Path) -> None:
+    assert call(main, "--name", "first", "--on", "lake", *SMALL) == 0
+    drives = [supervised_drive(Path(f"drives/{name}.mcap"), first) for name, first in (("a", 1000), ("b", 2000))]
+    for name, init, drive in (("second", "first", drives[0]), ("third", "second", drives[1])):
+        assert call(main, "--name", name, "--init", init, "--takeovers", drive, "--epochs", "1") == 0
+    assert set(sessions_in("index-third")) == {"lake", "a", "b"}
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("--takeovers", "drives/run.mcap"), "--init RUN"),
+        (("--init", "first", "--on", "lake", "--takeovers", "drives/run.mcap"), "give one of them"),
+    ],
+)
+def test_flags_that_contradict_each_other_are_refused(
+    project: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], expected: str
+) -> None:
+    assert call(main, *words) == 2
+    assert expected in one_line_in(capsys)
+
+
+def test_an_index_that_is_there_is_not_written_over(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("index-first").mkdir()
+    assert call(main, "--name", "first", "--on", "lake", *SMALL) == 1
+    assert "index-first" in capsys.readouterr().err
+    assert not Path("runs/first").exists()

@@ -1,0 +1,263 @@
+"""As many telemetries are in flight after a command that answered none as before it; no client waits for ever."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from typing import Any
+
+import pytest
+
+from driving import PATIENCE_S
+from recorder.server import in_flight as flight
+from recorder.server import running_clock, telemetry_server
+from recorder.server.running_clock import RunningClock
+from recorder.server.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
+from serving import Book, RawClient, Serving, fields, steered, steering
+from waiting import wait_until
+
+PUSHED = Steer(0.875, 0.125)
+
+
+class Pushing(Book):
+    """Sends a command that answers no telemetry whenever a test wants one; keeps how many are in flight."""
+
+    server: TelemetryServer
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.sid = ""
+        self.in_flight: list[int] = []
+        self._due = threading.Event()
+
+    def push(self) -> None:
+        self._due.set()
+
+    def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
+        self.sid = sid
+        self.in_flight.append(self.server.in_flight(sid))
+        return super().telemetry(sid, data, received_s)
+
+    def tick(self) -> None:
+        super().tick()
+        if self._due.is_set():
+            self._due.clear()
+            self.server.push(self.sid, PUSHED)
+
+
+class Loop:
+    """A simulator that sends telemetries unasked when it begins, and then one for each command."""
+
+    def __init__(self, port: int, in_flight: int) -> None:
+        self.client = at_once(RawClient(port))
+        self.told = 0
+        self.tell(in_flight)
+
+    def tell(self, count: int = 1) -> None:
+        for _ in range(count):
+            self.client.tell(fields(self.told))
+            self.told += 1
+
+    def expect_answer_to(self, number: int) -> None:
+        assert self.client.command() == answer_to(number)
+
+
+def at_once(client: RawClient) -> RawClient:
+    """What it sends is there when it has sent it."""
+    client.stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return client
+
+
+def answer_to(number: int) -> tuple[str, Any]:
+    return steered(Steer(-steering(number), 0.5))
+
+
+def serving(mode: ServerMode, book: Pushing, **options: Any) -> Serving:
+    made = Serving(mode, book, **options)
+    book.server = made.server
+    return made
+
+
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is held is held until the next one comes, however long others have the processor."""
+    for name in ("MIN_HOLD_S", "MAX_HOLD_S", "FIRST_HOLD_S"):
+        monkeypatch.setattr(flight, name, PATIENCE_S)
+
+
+@pytest.mark.usefixtures("patient")
+@pytest.mark.parametrize("in_flight", [1, 2, 3])
+def test_a_pause_leaves_as_many_in_flight_as_before(in_flight: int, mode: ServerMode) -> None:
+    """The simulator pauses with all answers in hand, and is sent one command more."""
+    book = Pushing()
+    with serving(mode, book):
+        loop = Loop(book.server.port, in_flight)
+        for number in range(in_flight):
+            loop.expect_answer_to(number)
+        book.push()
+        assert loop.client.command() == steered(PUSHED)
+        loop.tell(in_flight + 1)  # it goes on
+        for number in range(in_flight + 1, 2 * in_flight + 1):  # all but the first
+            loop.expect_answer_to(number)
+        loop.tell()
+        loop.expect_answer_to(2 * in_flight + 1)
+        loop.client.close()
+    assert book.left == [fields(in_flight)]
+
+
+def test_the_command_that_a_silent_client_needed_costs_it_no_answer(mode: ServerMode) -> None:
+    """It had lost all telemetries: one is in flight again, which is held for a moment, and answered."""
+    book = Pushing()
+    with serving(mode, book):
+        loop = Loop(book.server.port, 2)
+        for number in range(2):
+            loop.expect_answer_to(number)
+        book.push()
+        assert loop.client.command() == steered(PUSHED)
+        for number in range(2, 6):
+            loop.tell()
+            loop.expect_answer_to(number)
+        loop.client.close()
+    assert book.left == []
+
+
+@pytest.mark.usefixtures("patient")
+def test_a_client_that_waits_for_no_answer_misses_one_only(mode: ServerMode) -> None:
+    book = Pushing()
+    with serving(mode, book):
+        loop = Loop(book.server.port, 1)
+        loop.expect_answer_to(0)
+        for _ in range(3):
+            book.push()
+            assert loop.client.command() == steered(PUSHED)
+        loop.tell(20)
+        wait_until(lambda: len(book.answered_ms) + len(book.left) == 21)
+        loop.client.close()
+    assert book.left == [fields(number) for number in (1, 2, 3)]  # one for each command
+
+
+def test_a_client_that_connects_again_owes_nothing(mode: ServerMode) -> None:
+    book = Pushing()
+    with serving(mode, book):
+        loop = Loop(book.server.port, 1)
+        loop.expect_answer_to(0)
+        book.push()
+        assert loop.client.command() == steered(PUSHED)
+        loop.client.vanish()
+        wait_until(lambda: "disconnected" in book.calls)
+        again = Loop(book.server.port, 2)
+        for number in range(2):
+            again.expect_answer_to(number)
+        again.client.close()
+    assert book.left == []
+
+
+@pytest.mark.usefixtures("patient")
+@pytest.mark.parametrize("in_flight", [1, 2])
+def test_a_first_command_is_paid_back_and_reported(
+    in_flight: int, mode: ServerMode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(telemetry_server, "FIRST_COMMAND_S", 0.0)
+    book = Pushing()
+    with serving(mode, book, first_command=PUSHED):
+        loop = Loop(book.server.port, 0)
+        assert loop.client.command() == steered(PUSHED)
+        loop.tell(in_flight + 1)  # its own, which were slow, and that of the command
+        for number in range(1, in_flight + 1):
+            loop.expect_answer_to(number)
+        loop.client.close()
+    assert book.left == [fields(0)]
+    assert book.calls.count("first_command_sent") == 1
+
+
+@pytest.mark.usefixtures("patient")
+def test_the_number_in_flight_is_counted(mode: ServerMode) -> None:
+    """The handler takes its time for the first telemetry: the second one comes before the first is answered."""
+    is_sent = threading.Event()
+
+    class Slow(Pushing):
+        def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
+            assert is_sent.wait(PATIENCE_S)
+            return super().telemetry(sid, data, received_s)
+
+    book = Slow()
+    with serving(mode, book):
+        loop = Loop(book.server.port, 2)
+        is_sent.set()
+        for number in range(2):
+            loop.expect_answer_to(number)
+        book.push()
+        assert loop.client.command() == steered(PUSHED)
+        assert book.server.in_flight(book.sid) == 3
+        loop.tell(3)
+        for number in (3, 4):
+            loop.expect_answer_to(number)
+        assert book.server.in_flight(book.sid) == 2
+        loop.client.close()
+    assert book.in_flight[1:] == [2, 2, 2]
+
+
+def test_the_age_of_a_picture_includes_its_waiting(mode: ServerMode) -> None:
+    """Three telemetries come while one is handled, which takes long: all have waited for as long."""
+    is_handling, goes_on = threading.Event(), threading.Event()
+    handled_s: list[float] = []
+
+    class Slow(Book):
+        def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
+            began_s = time.perf_counter()
+            is_handling.set()
+            assert goes_on.wait(PATIENCE_S)
+            time.sleep(0.0 if handled_s else 0.3)
+            handled_s.append(time.perf_counter() - began_s)
+            return super().telemetry(sid, data, received_s)
+
+    book = Slow()
+    with Serving(mode, book) as running:
+        client = at_once(RawClient(running.port))
+        client.tell(fields(0))
+        assert is_handling.wait(PATIENCE_S)
+        for number in (1, 2, 3):
+            client.tell(fields(number))
+        goes_on.set()
+        for number in range(4):
+            assert client.command() == answer_to(number)
+        wait_until(lambda: len(book.answered_ms) == 4)
+        client.close()
+    assert min(book.answered_ms) >= handled_s[0] * 1e3
+
+
+def test_what_was_sent_and_is_not_read_yet_is_no_silence() -> None:
+    """One thread ticks and reads: it reads before it judges."""
+    unread: list[bool] = []
+    is_ticking, is_sent = threading.Event(), threading.Event()
+
+    class Ticking(Pushing):
+        def tick(self) -> None:
+            super().tick()
+            if self.sid and not unread:
+                unread.append(self.server.has_unread(self.sid))
+                is_ticking.set()
+                assert is_sent.wait(PATIENCE_S)
+                unread.append(self.server.has_unread(self.sid))
+
+    book = Ticking()
+    with serving("eventlet", book):
+        loop = Loop(book.server.port, 1)
+        loop.expect_answer_to(0)
+        assert is_ticking.wait(PATIENCE_S)
+        loop.tell()
+        is_sent.set()
+        loop.expect_answer_to(1)
+        loop.client.close()
+    assert unread == [False, True]
+
+
+def test_a_clock_stands_while_its_process_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = 50.0
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
+    clock = RunningClock()
+    for passed_s in (0.125, 1.5, 3600.0, 0.125):
+        now_s += passed_s
+        clock.tick()
+    assert clock.seconds == 0.25 + 2 * running_clock.MAX_TICK_S

@@ -1,0 +1,371 @@
+"""A person drives the built-in simulator: what the page sends is what is driven and recorded, at any speed of the
+computer."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from common.car import CAMERAS, Camera
+from dataset import build_index
+from driving import Process, command
+from recorder import Imported, Log, RecordingError
+from recorder.cli import main as record_main
+from recorder.log.check import check
+from recorder.log.recover import recover
+from recorder.log.tags import Tag, read_tags
+from recorder.sources import person_rows
+from recorder.sources.eye_pictures import PictureScale, WhenDue
+from recorder.sources.person_pedals import CoursePedals
+from recorder.sources.real_time import RealTime
+from recorder.sources.record_person import PersonDrive, record_person, road_edges
+from recorder.teleop.open_wheels import open_wheels
+from recorder.teleop.seat import Control
+from simulator.driving.course import Course
+from simulator.driving.simulation import Simulation
+from simulator.pose import Pose
+from simulator.rendering.camera import Picture
+from simulator.roads.track import load_track
+from udacity import call
+from waiting import wait_until
+from wheel_page import WheelPage
+
+State = dict[str, Any]
+
+
+class PersonsPage(WheelPage):
+    """A page whose person holds the controls until the drive is in a wanted state."""
+
+    def drive_until(
+        self,
+        condition: Callable[[dict[str, Any]], object],
+        steering: float = 0.0,
+        throttle: float = 0.0,
+        **more: Any,
+    ) -> dict[str, Any]:
+        while True:
+            self.steer(steering, throttle, **more)
+            if condition(state := self.frame().state):
+                return state
+
+
+class Drive:
+    """A drive in a thread; `done` is its result when it has ended."""
+
+    done: Imported
+
+    def __init__(self, log: Path, simulation: Simulation | None = None, **settings: Any) -> None:
+        self.log = log
+        self.error: Exception | None = None
+        self._simulation = simulation or Simulation("lake")
+        self._settings = PersonDrive(**settings)
+        self._is_open = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def end(self, page: WheelPage) -> dict[str, Any]:
+        page.send("end")
+        return page.text("ended")
+
+    def _run(self) -> None:
+        try:
+            self.done = record_person(
+                self._settings, self.log, simulation=self._simulation, on_wheel=lambda _: self._is_open.set()
+            )
+        except Exception as error:
+            self.error = error
+            self._is_open.set()
+
+    @contextmanager
+    def page(self) -> Iterator[PersonsPage]:
+        self._thread.start()
+        self._is_open.wait()
+        with PersonsPage() as page:
+            yield page
+        self._thread.join()
+
+
+@pytest.fixture(autouse=True)
+def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+
+
+def events(path: Path) -> list[str]:
+    with Log(path) as log:
+        return [event.message for _, event in log.decoded("/events")] if "/events" in log.counts else []
+
+
+def test_a_drive_is_a_log_of_three_cameras_that_says_who_steered_and_how(tmp_path: Path) -> None:
+    drive = Drive(tmp_path / "mine.mcap")
+    began_ns = time.time_ns()
+    with drive.page() as page:
+        hello = page.text("hello")
+        page.send("record")
+        page.drive_until(lambda state: state["rows"] >= 4, -0.25, 1.0, device="gamepad")
+        drive.end(page)
+    assert (hello["kind"], hello["session"], hello["track"], hello["hold_mph"]) == ("record", "mine", "lake", 10.0)
+    assert not check(drive.log).findings
+    with Log(drive.log) as log:
+        vehicle = log.vehicle()
+        assert log.metadata["driver"] == "human"
+        assert log.counts["/camera/center"] == log.counts["/camera/left"] == drive.done.rows
+        assert vehicle["steering"].to_pylist()[-1] == -0.25
+        assert vehicle["throttle"].to_pylist()[-1] == 1.0
+        times_ns = vehicle["log_time_ns"].to_numpy()
+        picture = cv2.imdecode(np.frombuffer(log.picture(0), np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    assert picture.shape == (160, 320, 3)
+    assert set(np.diff(times_ns).tolist()) == {100_000_000}
+    assert began_ns < times_ns[0] < time.time_ns()  # the day of the drive
+    frames = build_index([drive.log], tmp_path / "index").frames
+    assert set(frames["device"].to_pylist()) == {"gamepad"}
+
+
+def test_a_held_speed_is_kept_without_the_throttle(tmp_path: Path) -> None:
+    drive = Drive(tmp_path / "a.mcap")
+    with drive.page() as page:
+        page.send("record")
+        state = page.drive_until(lambda state: state["speed_mph"] > 4.9, hold_mph=5.0)
+        page.drive_until(lambda later: later["time_s"] > state["time_s"] + 1.0, hold_mph=5.0)
+        drive.end(page)
+    with Log(drive.log) as log:
+        assert log.vehicle()["speed_mph"].to_pylist()[-1] == pytest.approx(5.0, abs=0.2)
+
+
+def test_the_frame_of_a_control_has_its_number_and_its_time(tmp_path: Path) -> None:
+    drive = Drive(tmp_path / "a.mcap", laps=0.001)
+    with drive.page() as page:
+        number = page.steer(0.5, 1.0, time_ms=1234.5)
+        state = page.frame().state
+        while state["control"] < number:
+            state = page.frame().state
+        assert (state["control_time_ms"], state["steering"], state["drives"]) == (1234.5, 0.5, "human")
+        page.send("record")
+        page.drive_until(lambda state: state["rows"], 0.0, 1.0)
+        drive.end(page)
+
+
+def test_a_car_without_its_person_is_braked_and_nothing_is_recorded(tmp_path: Path) -> None:
+    drive = Drive(tmp_path / "a.mcap")
+    with drive.page() as page:
+        page.send("record")
+        page.drive_until(lambda state: state["speed_mph"] > 3, throttle=1.0)
+        state = page.frame().state
+        while state["drives"] != "nobody":
+            state = page.frame().state
+        alone = state["rows"]
+        for _ in range(10):
+            state = page.frame().state
+        assert state["rows"] == alone
+        assert state["speed_mph"] == pytest.approx(0.0, abs=0.1)
+        page.drive_until(lambda state: state["rows"] > alone, throttle=1.0)
+        drive.end(page)
+    assert any("nobody was at the wheel" in text for text in events(drive.log))
+    assert not check(drive.log).findings
+
+
+@pytest.mark.parametrize("slope_at", [0.1, 0.3, 0.5, 0.7])
+def test_an_absent_persons_car_does_not_roll_away(slope_at: float) -> None:
+    track = load_track("mountain")
+    course = Course(track)
+    course.start(slope_at * track.line.length_m)
+    pedals = CoursePedals(course)
+    begin = course.vehicle
+    for _ in range(500):
+        course.advance(0.0, pedals.throttle(Control()))
+    assert np.hypot(course.vehicle.x_m - begin.x_m, course.vehicle.y_m - begin.y_m) < 0.1
+
+
+def test_a_pause_is_a_gap_that_an_event_explains(tmp_path: Path) -> None:
+    drive = Drive(tmp_path / "a.mcap")
+    with drive.page() as page:
+        page.send("record")
+        state = page.drive_until(lambda state: state["rows"] >= 3, 0.01, hold_mph=5)
+        page.send("pause")
+        page.drive_until(lambda later: later["time_s"] > state["time_s"] + 1.5, 0.02, hold_mph=5)
+        page.send("record")
+        page.drive_until(lambda later: later["rows"] > state["rows"] + 3, 0.03, hold_mph=5)
+        drive.end(page)
+    checked = check(drive.log)
+    assert (len(checked.findings), len(checked.meant_gaps)) == (0, 1)
+    assert any("the person paused" in text for text in events(drive.log))
+
+
+@pytest.mark.parametrize("way", ["asked for", "off the road"])
+def test_a_car_that_is_put_back_begins_another_drive(tmp_path: Path, way: str) -> None:
+    drive = Drive(tmp_path / "a.mcap")
+    with drive.page() as page:
+        page.send("record")
+        page.drive_until(lambda state: state["speed_mph"] > 3, throttle=1.0)
+        if way == "asked for":
+            page.send("put_back")
+        state = page.drive_until(lambda state: state["put_back"], float(way != "asked for"), 1.0)
+        page.drive_until(lambda later: later["rows"] > state["rows"] + 3, 0.01, hold_mph=5)
+        drive.end(page)
+    checked = check(drive.log)
+    assert (len(checked.findings), len(checked.meant_gaps)) == (0, 1)
+    frames = build_index([drive.log], tmp_path / "index").frames
+    assert set(frames["drive"].to_pylist()) == {0, 1}
+
+
+def test_bad_driving_is_tagged_and_never_learnt(tmp_path: Path) -> None:
+    drive = Drive(tmp_path / "a.mcap", rate_hz=25)
+    with drive.page() as page:
+        page.send("record")
+        page.drive_until(lambda state: state["rows"] >= 12, 0.01, hold_mph=5)
+        page.send("bad", seconds=0.2)
+        page.text("event")
+        drive.end(page)
+    with Log(drive.log) as log:
+        (tag,) = read_tags(drive.log, log.fingerprint)
+    assert tag.name == "exclude"
+    assert tag.last_row - tag.first_row + 1 == 5
+    assert f"driven badly: rows {tag.first_row} to {tag.last_row}" in events(drive.log)
+
+
+def test_a_drive_without_a_row_leaves_no_log(tmp_path: Path) -> None:
+    drive = Drive(tmp_path / "a.mcap")
+    with drive.page() as page:
+        page.drive_until(lambda state: state["time_s"] > 0.1)
+        assert drive.end(page)["rows"] == 0
+    assert isinstance(drive.error, RecordingError)
+    assert not list(tmp_path.glob("*.mcap*"))
+
+
+def test_the_laps_that_were_asked_for_end_the_drive(tmp_path: Path) -> None:
+    drive = Drive(tmp_path / "a.mcap", laps=0.002)
+    with drive.page() as page:
+        page.send("record")
+        while True:
+            page.steer(0.0, 1.0)
+            if isinstance(message := page._next(), dict) and message["type"] == "ended":
+                break
+    assert message["why"] == "0.002 laps are driven"
+    assert message["rows"] == drive.done.rows > 0
+
+
+class SlowSimulation(Simulation):
+    """A computer that takes long for a picture."""
+
+    def jpeg(self, camera: Camera = "center", pose: Pose | None = None, scale: float = 1.0) -> bytes:
+        time.sleep(0.04)
+        return super().jpeg(camera, pose, scale)
+
+
+def test_on_a_slow_computer_the_clock_slows_down_and_no_row_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(person_rows, "MAX_WAITING", 3)
+    drive = Drive(tmp_path / "a.mcap", SlowSimulation("lake"), rate_hz=25)
+    with drive.page() as page:
+        page.send("record")
+        state = page.drive_until(lambda state: state["rows"] >= 15, 0.01, 1.0)
+        drive.end(page)
+    assert state["pace"] < 0.6  # 0.12 s for the pictures of every 0.04 s
+    with Log(drive.log) as log:
+        vehicle = log.vehicle()
+        assert vehicle["row"].to_pylist() == list(range(drive.done.rows))
+        assert set(np.diff(vehicle["log_time_ns"].to_numpy()).tolist()) == {40_000_000}
+        speeds = vehicle["speed_mph"].to_numpy()
+        assert {log.counts[f"/camera/{camera}"] for camera in CAMERAS} == {drive.done.rows}
+    assert np.diff(speeds)[2:].std() < 0.02  # even steps at full throttle: none was skipped, none was longer
+    assert not check(drive.log).findings
+
+
+def test_a_killed_drive_is_recovered_with_its_tags(tmp_path: Path) -> None:
+    line = command("bc-record", "mine", "--driver", "me", "--no-page", "--sessions", tmp_path)
+    with Process(line) as process:
+        wait_until(lambda: open_wheels(Path.cwd()))
+        with PersonsPage() as page:
+            page.send("record")
+            page.drive_until(lambda state: state["rows"] >= 8, hold_mph=5)
+            page.send("bad", seconds=0.3)
+            page.text("event")
+            (part,) = tmp_path.glob("*.part")
+            wait_until(lambda: b"driven badly" in part.read_bytes())
+            process.end(signal.SIGKILL)
+    recovered = recover(part, tmp_path / "mine.mcap")
+    assert recovered.rows >= 8
+    with Log(recovered.path) as log:
+        assert log.metadata["driver"] == "human"
+        (tag,) = read_tags(recovered.path, log.fingerprint)
+    assert isinstance(tag, Tag)
+    assert tag.last_row - tag.first_row + 1 == 3
+    assert not check(recovered.path).findings
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("--driver", "me", "--noise", "0.1"), "--noise"),
+        (("--driver", "me", "--rate", "7"), "--rate 7"),
+        (("--driver", "me", "--speed", "10", "20"), "--speed"),
+        (("--driver", "me", "--laps", "0"), "--laps 0"),
+        (("--driver", "me", "--udacity", "folder"), "--udacity"),
+        (("--driver", "me", "--listen", "--track", "mountain"), "--track"),
+        (("--open",), "--open: only with --driver me"),
+        (("--no-page",), "only with --driver me"),
+    ],
+)
+def test_flags_that_are_others_than_a_persons_are_refused(
+    tmp_path: Path, arguments: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(record_main, "x", "--sessions", tmp_path / "sessions", *arguments) == 2
+    assert expected in capsys.readouterr().err
+    assert not (tmp_path / "sessions").exists()
+
+
+def test_pictures_for_the_eye_shrink_where_the_computer_is_slow_and_grow_again() -> None:
+    scale = PictureScale()
+    assert scale.scale == 2.0
+    for _ in range(20):
+        scale.note(0.1)
+    assert scale.scale == 1.0
+    for _ in range(200):
+        scale.note(0.002)
+    assert scale.scale == 2.0
+
+
+def test_a_larger_picture_shows_the_same_view(tmp_path: Path) -> None:
+    simulation = Simulation("lake")
+    small = simulation.picture().astype(np.float32)
+    large: Picture = simulation.picture(scale=2.0)
+    assert large.shape == (320, 640, 3)
+    halved = cv2.resize(large, (320, 160), interpolation=cv2.INTER_AREA).astype(np.float32)
+    shifted = np.abs(np.roll(small, 8, axis=1) - halved).mean()
+    assert np.abs(small - halved).mean() < min(6.0, shifted / 2)
+
+
+def test_the_edges_of_the_road_lie_half_its_width_from_the_line() -> None:
+    track = load_track("lake")
+    road: Any = road_edges(track)
+    left, right = np.array(road["left"]), np.array(road["right"])
+    width = np.hypot(*(left - right).T)
+    assert np.abs(width / 2 - track.half_width_m[::8]).max() < 0.02
+    assert np.abs((left + right) / 2 - track.line.points_m[::8, :2]).max() < 0.3
+
+
+def test_the_first_step_that_steers_another_way_is_shown_at_once() -> None:
+    when_due = WhenDue()
+    steerings = [0, 0, 0, 0, 0, 0.1, 0.2, 0.3, 0.4, 0.4, 0.4, 0.4, 0.3, 0.2, 0.1, 0, 0]
+    due = [when_due.is_due(step, steering) for step, steering in enumerate(steerings)]
+    shown = [step for step, is_due in enumerate(due) if is_due]
+    assert shown == [0, 2, 4, 5, 7, 9, 11, 12, 14, 16]
+
+
+def test_a_step_that_is_wanted_sooner_comes_at_most_its_length_before_its_time() -> None:
+    real_time, wanted = RealTime(0.05), threading.Event()
+    begin_s = time.monotonic()
+    wanted.set()
+    for _ in range(4):
+        real_time.wait(wanted)
+    assert time.monotonic() - begin_s >= 0.15

@@ -1,0 +1,160 @@
+"""A person drives a simulator that connects: the page answers its telemetry, and chooses what is recorded."""
+
+from __future__ import annotations
+
+import base64
+import itertools
+import math
+import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from driving import road_jpeg
+from ports import free_ports
+from recorder import Imported, Log, RecordingError
+from recorder.log.check import check
+from recorder.log.tags import read_tags
+from recorder.server import telemetry_server
+from recorder.sources.listen_settings import ListenSettings
+from recorder.sources.person_of_telemetry import listen_at_the_wheel
+from recorder.sources.person_pedals import throttle_of_telemetry
+from recorder.teleop.seat import Control
+from serving import ModernClient
+from waiting import PATIENCE_S
+from wheel_page import WheelPage
+
+
+class Drive:
+    """A drive in a thread: a simulator, and a page at its wheel."""
+
+    done: Imported
+
+    def __init__(self, log: Path) -> None:
+        self.log = log
+        self.error: Exception | None = None
+        self.state: dict[str, Any] = {}
+        self._pictures = itertools.count()
+        (self._port,) = free_ports(1)
+        self._listens, self._has_ended = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    @contextmanager
+    def running(self) -> Iterator[Drive]:
+        self._thread.start()
+        self._listens.wait()
+        with WheelPage() as self.page, closing(ModernClient(self._port)) as self.simulator:
+            yield self
+        self._has_ended.wait()
+
+    def drive(self, speed_mph: float, steering: float, throttle: float = 0.0) -> dict[str, float]:
+        """The answer to a telemetry, once the page's controls are in force."""
+        number = self.page.steer(steering, throttle, device="mouse")
+        while True:
+            image = base64.b64encode(
+                road_jpeg(next(self._pictures))
+            ).decode()  # never twice: that is a frozen camera
+            telemetry = {"steering_angle": "5.0", "throttle": "0.25", "speed": f"{speed_mph}", "image": image}
+            name, command = self.simulator.tell(telemetry)
+            assert name == "steer"
+            self.state = self.page.frame().state
+            if self.state["control"] >= number:
+                return {field: float(text) for field, text in command.items()}
+
+    def rows(self) -> int:
+        """The rows until now, as the page is shown them."""
+        return int(self.state["rows"])
+
+    @property
+    def is_recording(self) -> bool:
+        return bool(self.state["is_recording"])
+
+    def end(self) -> dict[str, object]:
+        self.page.send("end")
+        return self.page.text("ended")
+
+    def _run(self) -> None:
+        settings = ListenSettings(port=self._port, on_started=lambda _: self._listens.set())
+        try:
+            self.done = listen_at_the_wheel(settings, self.log, 10.0)
+        except RecordingError as error:
+            self.error = error
+        finally:
+            self._has_ended.set()
+
+
+@pytest.fixture(autouse=True)
+def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    # a client that is kept waiting by others is sent nothing unasked
+    monkeypatch.setattr(telemetry_server, "FIRST_COMMAND_S", PATIENCE_S)
+
+
+def test_telemetry_is_answered_by_the_person_and_recorded_as_it_was_steered(tmp_path: Path) -> None:
+    with Drive(tmp_path / "mine.mcap").running() as drive:
+        assert drive.page.text("hello")["kind"] == "listen"
+        assert drive.drive(8.0, -0.5, 0.25) == {"steering_angle": -0.5, "throttle": 0.25}
+        drive.page.send("record")
+        while not (rows := drive.rows()):
+            drive.drive(8.0, 0.5, -0.75)
+        drive.page.send("pause")
+        while drive.rows() > rows or drive.is_recording:
+            rows = drive.rows()
+            drive.drive(8.0, 0.5)
+        drive.drive(0.0, 0.0)
+        drive.end()
+    with Log(drive.log) as log:
+        assert (log.metadata["source"], log.metadata["driver"]) == ("telemetry", "human")
+        states = [state for _, state in log.vehicle_states()]
+    assert {state.steering for state in states} == {0.2}  # of the wheels: 5 of 25 degrees
+    assert {state.Device.Name(state.device) for state in states} == {"MOUSE"}
+    assert 0.75 in {state.brake for state in states}
+    assert not check(drive.log).findings
+
+
+def test_the_last_seconds_can_be_tagged_as_bad(tmp_path: Path) -> None:
+    with Drive(tmp_path / "a.mcap").running() as drive:
+        drive.drive(8.0, 0.0)
+        drive.page.send("record")
+        drive.drive(8.0, 0.1)
+        while drive.rows() < 5:
+            drive.drive(8.0, 0.1)
+        drive.page.send("bad", seconds=60)
+        drive.drive(0.0, 0.1)
+        drive.end()
+    with Log(drive.log) as log:
+        (tag,) = read_tags(drive.log, log.fingerprint)
+    assert (tag.name, tag.first_row) == ("exclude", 0)
+    assert tag.last_row >= 4
+
+
+def test_a_drive_that_recorded_nothing_says_what_to_do(tmp_path: Path) -> None:
+    with Drive(tmp_path / "a.mcap").running() as drive:
+        drive.drive(0.0, 0.0)
+        assert drive.end()["rows"] == 0
+    assert "begin to record on the page" in str(drive.error)
+    assert not list(tmp_path.glob("*.mcap*"))
+
+
+@pytest.mark.parametrize(
+    ("control", "speed_mph", "throttle"),
+    [
+        (Control(throttle=0.3, is_absent=False), 9.0, 0.3),
+        (Control(hold_mph=10.0, is_absent=False), 0.0, 1.0),
+        (Control(hold_mph=10.0, is_absent=False), 10.0, 0.0),
+        (Control(hold_mph=5.0, is_absent=False), 30.0, -1.0),
+        (Control(hold_mph=0.0, is_absent=False), 0.2, 0.0),  # braked any longer, it would reverse
+        (Control(hold_mph=10.0, is_absent=False), math.nan, 0.0),
+        (Control(is_absent=True), 9.0, -1.0),
+        (Control(is_absent=True), 0.2, 0.0),
+        (Control(is_absent=True), math.nan, 0.0),
+    ],
+)
+def test_the_pedals_of_a_car_whose_speed_alone_is_known(
+    control: Control, speed_mph: float, throttle: float
+) -> None:
+    assert throttle_of_telemetry(control, speed_mph) == pytest.approx(throttle)

@@ -1,0 +1,53 @@
+"""Addresses and names that nobody would type: each gets a response of its own, never a bug's."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from driving import road_jpeg
+from logs import write_log
+from web.data.project_folders import key_of
+from workbench import Served, served
+
+NOT_TEXT = os.fsdecode(b"b\xffd.mcap")
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Served]:
+    write_log(tmp_path / "sessions" / "a.mcap", [0.1, 0.2, 0.3], lambda camera, row: road_jpeg(row))
+    (tmp_path / "runs" / "r").mkdir(parents=True)
+    (tmp_path / "runs" / "r" / "config.json").write_text("{}")
+    with served(tmp_path) as found:
+        yield found
+
+
+@pytest.mark.parametrize("number", ["1" * 5000, "-1", "%D9%A1"])
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/sessions/a/pictures/center/{}",
+        "/sessions/a/attention/r/{}",
+        "/runs/r/worst/{}/0.jpg",
+        "/runs/r/worst/0/{}.jpg",
+        "/index.altered/{}/0.jpg",
+        "/index.altered/0/{}.jpg",
+    ],
+)
+def test_what_is_no_number_of_a_picture_is_not_there(bench: Served, path: str, number: str) -> None:
+    answer = bench.get(path.format(number))
+    assert answer.status == 404
+    assert "a number was expected in the address" in answer.json["error"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")
+def test_a_log_whose_name_is_not_utf8_is_shown(bench: Served) -> None:
+    (bench.folder / "sessions" / "a.mcap").rename(bench.folder / "sessions" / NOT_TEXT)
+    at = f"/sessions/{key_of(Path(NOT_TEXT))}"
+    assert bench.get(f"{at}/state").json["rows"] == 3
+    assert "b\\udcffd" in bench.get(at, Accept="text/html").text
+    assert bench.get(f"{at}/pictures/center/0").body == road_jpeg(0)

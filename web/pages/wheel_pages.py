@@ -1,0 +1,166 @@
+"""At the wheel: the form that begins a drive, the page to drive on, and what to do when the drive has ended."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.routing import Route
+
+from common.errors import printable
+from dataset.frames.frames_file import session_name
+from recorder.teleop.open_wheels import open_wheels
+from web.data.project_folders import PLACES, Place, ProjectFolders, key_of
+from web.data.run_origins import origin_of
+from web.data.wheels import (
+    DEFAULTS,
+    RATES_HZ,
+    TRACKS,
+    EndedDrive,
+    ended_drive,
+    free_name,
+    is_training_on,
+    new_drive,
+    place_of,
+    running,
+    takeovers,
+    training,
+)
+from web.errors import WebError
+from web.pages.form_values import form_values
+from web.pages.workbench import Workbench
+from web.server.templates import render
+
+
+def wheel_routes(bench: Workbench) -> list[Route]:
+    def page(request: Request) -> Response:
+        """The form, and the drives that run now."""
+        values = {**DEFAULTS, "name": free_name("drive", bench.folders), **request.query_params}
+        runs = [(key, printable(run.name)) for key, run in bench.folders.run_folders().items()]
+        wheels = open_wheels(Path.cwd())
+        return HTMLResponse(
+            render("wheels.html", values=values, tracks=TRACKS, rates=RATES_HZ, runs=runs, wheels=wheels)
+        )
+
+    def rows(request: Request) -> Response:
+        return HTMLResponse(render("wheel_rows.html", wheels=open_wheels(Path.cwd())))
+
+    async def start(request: Request) -> Response:
+        drive = await run_in_threadpool(new_drive, await form_values(request), bench.folders)
+        after = _after(drive.place, drive.key)
+        job = await run_in_threadpool(bench.jobs.start, drive.words, after)
+        return RedirectResponse(f"/wheel/begin/{job.key}", status_code=303)
+
+    def begin(request: Request) -> Response:
+        """Until the drive of a job can be steered."""
+        job = bench.jobs.get(request.path_params["job"])
+        address = _address(job.about.made, bench.folders) if job.is_running else ""
+        if "hx-request" in request.headers:
+            text = render("wheel_begin_body.html", job=job)
+            return HTMLResponse(text, headers={"HX-Redirect": address} if address else {})
+        if address:
+            return RedirectResponse(address, status_code=303)
+        return HTMLResponse(render("wheel_begin.html", job=job))
+
+    def drive(request: Request) -> Response:
+        """The page of a drive that runs."""
+        wheel = running(request.path_params["key"])
+        place = place_of(wheel, bench.folders)
+        after = _after(*place) if place else ""
+        return HTMLResponse(
+            render("wheel.html", title=printable(wheel.title), at=f"/wheel/{wheel.key}", after=after)
+        )
+
+    def after(request: Request) -> Response:
+        return HTMLResponse(render("wheel_after.html", **_ended(bench, request)))
+
+    def after_body(request: Request) -> Response:
+        return HTMLResponse(render("wheel_after_body.html", **_ended(bench, request)))
+
+    async def train(request: Request) -> Response:
+        """Train a network on a session, or on the takeovers of a drive. The page shows how far it is."""
+        place, ended = _place(request), _ended_drive(bench, request)
+        if ended is None:
+            raise WebError("nothing was recorded to train on", 404)
+        words, run = await run_in_threadpool(training, place, ended.log, bench.folders)
+        await run_in_threadpool(bench.jobs.start, words, f"/runs/{key_of(Path(run))}")
+        return RedirectResponse(_after(place, request.path_params["log"]), status_code=303)
+
+    at = "/wheel/after/{place}/{log}"
+    return [
+        Route("/wheel", page),
+        Route("/wheel", start, methods=["POST"]),
+        Route("/wheel.rows", rows),
+        Route("/wheel/begin/{job}", begin),
+        Route(at, after),
+        Route(f"{at}/body", after_body),
+        Route(f"{at}/train", train, methods=["POST"]),
+        Route("/wheel/{key}", drive),
+    ]
+
+
+def _after(place: Place, key: str) -> str:
+    return f"/wheel/after/{place}/{key}"
+
+
+def _address(made: str, folders: ProjectFolders) -> str:
+    """The address of the drive that is to leave what `made` will show; "" before it can be steered."""
+    for wheel in open_wheels(Path.cwd()):
+        if (place := place_of(wheel, folders)) and _after(*place) == made:
+            return f"/wheel/{wheel.key}"
+    return ""
+
+
+def _place(request: Request) -> Place:
+    for place in PLACES:
+        if place == request.path_params["place"]:
+            return place
+    raise WebError("no such folder of logs", 404)
+
+
+def _ended_drive(bench: Workbench, request: Request) -> EndedDrive | None:
+    return ended_drive(_place(request), request.path_params["log"], bench.folders)
+
+
+def _ended(bench: Workbench, request: Request) -> dict[str, Any]:
+    """What a drive has left, and what can be done with it."""
+    place, key = _place(request), request.path_params["log"]
+    shown: dict[str, Any] = {"at": _after(place, key), "name": key, "log": ""}
+    if (ended := _ended_drive(bench, request)) is None:
+        return shown
+    shown |= {
+        "name": printable(session_name(ended.log)),
+        "log": f"/{place}/{key_of(ended.log)}",
+        "is_growing": ended.is_growing,
+        "is_whole": ended.is_whole,
+    }
+    if ended.is_growing:
+        return shown
+    with bench.logs.open(ended.log) as opened:
+        metadata = opened.log.metadata
+        states = opened.states
+        length_s = float(states.time_ns[-1] - states.time_ns[0]) / 1e9 if len(states.row) else 0.0
+        taken = takeovers(opened.log)
+        rows = len(states.row)
+    runs = bench.folders.run_folders()
+    drove = key_of(Path(metadata["run"])) if metadata.get("run") else ""
+    name = session_name(ended.log)
+    job = next((job for job in bench.jobs.all() if is_training_on(job, ended.log)), None)
+    learnt = [(key, printable(run.name)) for key, run in runs.items() if name in origin_of(run).sessions]
+    return shown | {
+        "rows": rows,
+        "length_s": length_s,
+        "taken": taken,
+        "drove": drove if drove in runs else "",
+        "is_supervised": place == "drives",
+        "job": job,
+        "has_curves": job is not None and job.about.made.rpartition("/")[2] in runs,
+        "learnt": [] if job and job.is_running else learnt,
+        "again": {
+            "simulator": "built-in" if metadata.get("track") else "any",
+            "track": metadata.get("track", "lake"),
+        },
+    }

@@ -1,0 +1,36 @@
+// One control out of all devices: the one whose steering began last steers; throttle and brake come from any.
+
+export class Hands {
+  #devices;
+  #settings;
+  #used;
+  #before = new Map();
+
+  constructor(devices, settings) {
+    this.#devices = devices;
+    this.#settings = settings;
+    this.#used = devices[0];
+  }
+
+  release() {
+    for (const device of this.#devices) device.release();
+  }
+
+  /** The control after so many more seconds, as it is sent. */
+  control(seconds) {
+    for (const device of this.#devices) device.advance(seconds);
+    const begun = (name) => this.#devices.find((device) => device[name] && !this.#before.get(device)?.[name]);
+    this.#used = begun("isSteering") ?? (this.#used.isSteering ? this.#used : (begun("isTouching") ?? this.#used));
+    for (const device of this.#devices) {
+      this.#before.set(device, { isSteering: device.isSteering, isTouching: device.isTouching });
+    }
+    const throttle = this.#devices.find((device) => device.throttle)?.throttle ?? 0;
+    return {
+      steering: this.#used.steering,
+      throttle,
+      hold_mph: this.#settings.holds && !throttle ? this.#settings.hold_mph : null,
+      device: this.#used.device,
+      touching: this.#devices.some((device) => device.isTouching),
+    };
+  }
+}

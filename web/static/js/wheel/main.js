@@ -1,0 +1,290 @@
+// The page at the wheel: devices, the socket, the picture, and the keys and buttons of the page.
+
+import { showStatus } from "../live.js";
+import { Delays } from "./delays.js";
+import { Drag } from "./drag.js";
+import { Gamepads } from "./gamepads.js";
+import { Hands } from "./hands.js";
+import { Keys } from "./keys.js";
+import { Link } from "./link.js";
+import { Panel, write } from "./panel.js";
+import { Picture } from "./picture.js";
+import { loadSettings, saveSetting } from "./settings.js";
+
+const AT_LEAST_EVERY_MS = 100;
+const LONGEST_STEP_S = 0.1; // the steering does not jump after a pause
+const FRAME_MS = 1000 / 60;
+const MAX_EVENTS = 30;
+const BAD_S = 5;
+const STALE_MS = 100; // an event that has changed nothing by then, such as a button that went down
+const ASK_AGAIN = { times: 4, ms: 2000 }; // a connection that broke may hold the wheel for some seconds
+const by = (id) => document.getElementById(id);
+const page = by("wheel");
+
+export const settings = loadSettings();
+export const delays = new Delays();
+const keys = new Keys();
+const mouse = new Drag(by("cockpit"), "mouse", touched);
+const finger = new Drag(by("cockpit"), "touch", touched);
+const pads = new Gamepads(settings, report);
+export const hands = new Hands([keys, mouse, finger, pads], settings);
+const panel = new Panel();
+const picture = new Picture(by("picture"));
+
+let number = 0;
+let sent = {};
+let sent_ms = -Infinity;
+let before_ms = performance.now();
+let event_ms = null; // of the first event that is not sent yet
+let isHolder = false;
+let wasHolder = false;
+let asksLeft = 0;
+let isAsked = false;
+let isFree = false; // nobody holds the wheel
+let isOver = false;
+let isRecording = false;
+
+const link = new Link(`${page.dataset.at}/socket`, { onText: hear, onFrame: show, onChange: connected });
+
+/** A key, a button or a finger has done something. */
+function touched(event) {
+  event_ms ??= event.timeStamp;
+  steer();
+}
+
+/** A key goes down or up: until now, the steering went on as before. What it does within a frame is sent at once. */
+function turn(event, change) {
+  steer();
+  change();
+  event_ms ??= event.timeStamp;
+  steer(FRAME_MS);
+}
+
+/** Send the control of now, or of so much later, if it has changed or the last one was long ago. */
+function steer(ahead_ms = 0) {
+  const now = performance.now();
+  const passed_ms = Math.max(now + ahead_ms - before_ms, 0);
+  const control = hands.control(Math.min(passed_ms, 1000 * LONGEST_STEP_S) / 1000);
+  before_ms += passed_ms;
+  by("stick").value = pads.steering;
+  const hasChanged = Object.entries(control).some(([name, value]) => sent[name] !== value);
+  if (isHolder && isAwake() && (hasChanged || now - sent_ms >= AT_LEAST_EVERY_MS)) send(control, now);
+  else if (isFree && isAwake() && control.touching) askOrGive(); // the first touch takes it
+}
+
+function send(control, now) {
+  if (!link.send({ type: "control", number: number + 1, time_ms: now, ...control })) return;
+  number += 1;
+  if (event_ms !== null && now - event_ms > STALE_MS) event_ms = null;
+  if (event_ms !== null && (control.steering !== sent.steering || control.throttle !== sent.throttle)) {
+    delays.sent(number, event_ms);
+    event_ms = null;
+  }
+  sent = control;
+  sent_ms = now;
+  page.dataset.sent = JSON.stringify({ number, ...control }); // for scripts that wait for it
+}
+
+const isAwake = () => !document.hidden && document.hasFocus() && !by("confirm").open;
+
+/** The page is not seen any more: everything is let go, and that is sent at once. */
+function letGo() {
+  const { device } = hands.control(0);
+  hands.release();
+  delays.forget();
+  event_ms = null;
+  if (!isHolder) return;
+  send({ steering: 0, throttle: 0, hold_mph: settings.holds ? settings.hold_mph : null, device, touching: false }, performance.now());
+}
+
+function connected(isOpen) {
+  if (isOpen) {
+    picture.restart();
+    link.send({ type: "view", recorded: settings.recorded });
+    problem("");
+    return;
+  }
+  wasHolder ||= isHolder;
+  isHolder = isFree = false;
+  hands.release();
+  delays.forget();
+  if (isOver) return;
+  problem("The connection is lost, and all keys are let go. The page connects again by itself.");
+  findOut();
+}
+
+/** Whether the drive goes on. */
+async function findOut() {
+  try {
+    const answer = await fetch(page.dataset.at, { method: "HEAD" });
+    if (answer.status === 404) ended({ why: "its process has ended" });
+  } catch {
+    problem("bc-web does not answer, and all keys are let go. The drive goes on without it, and the page connects again by itself.");
+  }
+}
+
+function hear(message) {
+  if (message.type === "hello") {
+    panel.greet(message);
+    if (settings.hold_of !== page.dataset.at && message.hold_mph) change("hold_mph", message.hold_mph);
+  } else if (message.type === "wheel") seat(message);
+  else if (message.type === "event") report(message.text, message.level);
+  else if (message.type === "ended") ended(message);
+}
+
+/** Who holds the wheel: this page, or another one. */
+function seat({ holder, asked, free }) {
+  isHolder = holder;
+  isAsked = asked;
+  isFree = free;
+  sent = {};
+  page.dataset.holder = holder;
+  if (holder) asksLeft = 0;
+  else if (wasHolder) asksLeft = ASK_AGAIN.times; // it was this page, before the connection was lost
+  wasHolder = false;
+  let [text, action] = ["Another page has the wheel: this one watches.", "Ask for it"];
+  if (free) [text, action] = ["Nobody has the wheel. Steer, and you have it.", "Take the wheel"];
+  if (asked) [text, action] = ["Another page asks for the wheel.", "Give it"];
+  by("seat").hidden = holder && !asked;
+  by("seat").firstElementChild.textContent = text;
+  by("seat").lastElementChild.innerHTML = `${action} <kbd>T</kbd>`;
+  for (const button of document.querySelectorAll(".tools[role=toolbar] button:not(#recorded)")) button.disabled = !holder;
+}
+
+function askOrGive() {
+  if (isAsked) link.send({ type: "give" });
+  else if (!isHolder && link.send({ type: "ask" }) && !isFree) showStatus("You have asked for the wheel. You get it at once if nobody steers.");
+  isFree = false; // asked once
+}
+
+async function show(frame, jpeg) {
+  const isPainted = await picture.paint(frame.frame, jpeg);
+  link.send({ type: "got", frame: frame.frame });
+  if (!isPainted || isOver) return;
+  if (isHolder) delays.painted(frame.control);
+  isRecording = frame.is_recording;
+  panel.show(frame, isHolder, delays.median);
+  page.dataset.frame = frame.frame;
+}
+
+function report(text, level = "warning") {
+  showStatus(text);
+  const line = document.createElement("li");
+  line.textContent = `${new Date().toTimeString().slice(0, 8)} ${text}`;
+  line.className = level;
+  by("events").prepend(line);
+  while (by("events").children.length > MAX_EVENTS) by("events").lastChild.remove();
+}
+
+function problem(text) {
+  by("problem").textContent = text;
+  by("problem").hidden = !text;
+}
+
+function ended({ why }) {
+  if (isOver) return;
+  isOver = true;
+  isHolder = isFree = false;
+  link.close();
+  problem("");
+  for (const id of ["drive", "seat", "help"]) by(id).hidden = true;
+  for (const element of page.querySelectorAll(".tools, details, #driver, #help-button")) element.hidden = true;
+  write("recording", "ended");
+  by("recording").classList.remove("on");
+  write("ended-title", why ? `${why[0].toUpperCase()}${why.slice(1)}` : "The drive has ended");
+  by("ended").hidden = false;
+  if (by("confirm").open) by("confirm").close();
+  if (page.dataset.after) htmx.ajax("GET", `${page.dataset.after}/body`, { target: "#after", swap: "innerHTML" });
+}
+
+const request = (message) => isHolder && link.send(message);
+function confirmEnd() {
+  if (!isHolder || by("confirm").open) return;
+  letGo();
+  by("confirm").returnValue = "";
+  by("confirm").showModal();
+}
+by("confirm").addEventListener("close", () => by("confirm").returnValue === "end" && request({ type: "end" }));
+
+function toggleHelp() {
+  const isHidden = (by("help").hidden = !by("help").hidden);
+  by("help-button").setAttribute("aria-expanded", !isHidden);
+}
+
+function change(name, value) {
+  saveSetting(settings, name, value);
+  if (name === "hold_mph") saveSetting(settings, "hold_of", page.dataset.at);
+  showSettings();
+}
+
+function showSettings() {
+  by("holds").checked = settings.holds;
+  for (const name of ["hold_mph", "dead_zone", "curve", "steer_axis", "throttle_axis", "brake_axis"]) by(name).value = settings[name];
+  by("recorded").setAttribute("aria-pressed", settings.recorded);
+}
+
+function toggleRecorded() {
+  change("recorded", !settings.recorded);
+  link.send({ type: "view", recorded: settings.recorded });
+}
+
+const actions = {
+  r: () => request({ type: isRecording ? "pause" : "record" }),
+  x: () => request({ type: "bad", seconds: BAD_S }),
+  h: () => request({ type: "hand_back" }),
+  b: () => request({ type: "put_back" }),
+  v: toggleRecorded,
+  p: () => change("holds", !settings.holds),
+  t: askOrGive,
+  escape: confirmEnd,
+  "?": toggleHelp,
+};
+const buttons = { record: "r", bad: "x", "hand-back": "h", "put-back-button": "b", recorded: "v", end: "escape", "help-button": "?" };
+for (const [id, key] of Object.entries(buttons)) {
+  by(id).addEventListener("click", (event) => {
+    actions[key]();
+    if (event.detail) by(id).blur(); // the mouse has pressed it: keys are for driving again
+  });
+}
+by("seat").lastElementChild.addEventListener("click", askOrGive);
+by("holds").addEventListener("change", () => change("holds", by("holds").checked));
+for (const name of ["hold_mph", "dead_zone", "curve", "steer_axis", "throttle_axis", "brake_axis"]) {
+  by(name).addEventListener("change", () => change(name, by(name).valueAsNumber));
+}
+
+const isTyping = ({ target }) => target.matches?.("input:not([type=checkbox]), select, textarea");
+document.addEventListener("keydown", (event) => {
+  if (isOver || by("confirm").open) return;
+  if (event.ctrlKey || event.altKey || event.metaKey) return letGo(); // the browser's: a key's end may never be heard
+  if (isTyping(event)) return event.key === "Escape" && event.target.blur();
+  if (Keys.isOne(event.code)) {
+    event.preventDefault(); // the page does not scroll
+    if (!event.repeat) turn(event, () => keys.down(event.code));
+    return;
+  }
+  const action = actions[event.key.toLowerCase()];
+  if (!action || event.repeat) return;
+  event.preventDefault();
+  action();
+});
+document.addEventListener("keyup", (event) => Keys.isOne(event.code) && turn(event, () => keys.up(event.code)));
+document.addEventListener("focusin", (event) => isTyping(event) && letGo());
+addEventListener("blur", letGo);
+addEventListener("pagehide", letGo);
+document.addEventListener("visibilitychange", () => document.hidden && letGo());
+for (const name of ["gamepadconnected", "gamepaddisconnected"]) {
+  addEventListener(name, () => {
+    steer();
+    write("pads", pads.names.join(" · ") || "None is there: press a button of it.");
+  });
+}
+
+showSettings();
+setInterval(steer, AT_LEAST_EVERY_MS);
+setInterval(() => asksLeft-- > 0 && link.send({ type: "ask" }), ASK_AGAIN.ms);
+(function eachFrame() {
+  if (isOver) return;
+  steer();
+  requestAnimationFrame(eachFrame);
+})();
+page.dataset.ready = "true";

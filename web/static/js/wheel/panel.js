@@ -1,0 +1,90 @@
+// What a frame has beside its picture: numbers, the steering wheel, the map, who drives.
+
+import { RoadMap } from "./map.js";
+
+const WHEEL_DEG = 135; // of the steering wheel at full lock
+const SLOW_PACE = 0.97;
+const by = (id) => document.getElementById(id);
+const shows = new Map();
+
+/** Only what has changed is written: a screen reader reads it, and nothing is laid out anew. */
+export function write(id, text) {
+  if (shows.get(id) === text) return;
+  shows.set(id, text);
+  by(id).textContent = text;
+}
+
+export class Panel {
+  #map = new RoadMap(by("map"));
+  #hello = {};
+
+  /** What is the same for the whole drive. */
+  greet(hello) {
+    this.#hello = hello;
+    this.#map.show(hello.road ?? null);
+    for (const element of document.querySelectorAll(".of-network")) element.hidden = hello.kind !== "drive";
+    for (const id of ["laps", "put-back"]) by(id).parentElement.hidden = hello.kind !== "record";
+    by("put-back-button").hidden = hello.kind !== "record"; // other simulators put their car back themselves
+    by("record").hidden = hello.kind === "drive"; // all of it is recorded
+  }
+
+  /** The numbers of a frame; `isHolder` if this page has the wheel, `delay_ms` what was measured here. */
+  show(frame, isHolder, delay_ms) {
+    write("speed", (frame.speed_mph ?? 0).toFixed(1));
+    write("rows", `${frame.rows.toLocaleString("en")} rows`);
+    write("time", clock(frame.recorded_s ?? frame.time_s));
+    write("sent", side(frame.steering ?? 0));
+    write("pedals", pedal(frame.throttle));
+    const wanted = frame.predicted == null ? null : Math.min(Math.max(frame.predicted, -1), 1); // what would be sent
+    write("predicted", wanted === null ? "-" : side(wanted));
+    write("takeovers", String(frame.takeovers ?? 0));
+    write("laps", frame.laps == null ? "-" : frame.laps.toFixed(2));
+    write("put-back", String(frame.put_back ?? 0));
+    const wished_hz = this.#hello.picture_hz ? ` of ${this.#hello.picture_hz.toFixed(0)}` : "";
+    write("rate", `${(frame.picture_hz ?? 0).toFixed(0)}${wished_hz} a second`);
+    write("pace", pace(frame.pace));
+    by("pace").classList.toggle("odd", frame.pace < SLOW_PACE);
+    write("delay", delay_ms == null ? "-" : `${delay_ms.toFixed(0)} ms`);
+    write("recording", frame.is_recording ? "recording" : frame.rows ? "paused" : "not recording yet");
+    write("record-label", frame.is_recording ? "Pause" : "Record");
+    by("recording").classList.toggle("on", Boolean(frame.is_recording));
+    write("driver", this.#driver(frame, isHolder));
+    by("driver").dataset.by = frame.drives;
+    by("in-force").setAttribute("transform", `rotate(${(frame.steering ?? 0) * WHEEL_DEG})`);
+    by("wanted").setAttribute("visibility", wanted === null ? "hidden" : "visible");
+    by("wanted").setAttribute("transform", `rotate(${(wanted ?? 0) * WHEEL_DEG})`);
+    this.#map.move(frame);
+  }
+
+  #driver({ drives, device }, isHolder) {
+    const person = `${isHolder ? "you drive" : "a person drives"}${device ? `: ${device}` : ""}`;
+    const words = {
+      human: person,
+      pilot: `the network drives${this.#hello.run ? `: ${this.#hello.run}` : ""}`,
+      expert: "the expert drives",
+      brake: "nobody is at the wheel: the car is braked",
+      nobody: "nobody drives",
+    };
+    return words[drives] ?? "";
+  }
+}
+
+function side(steering) {
+  const amount = Math.abs(steering).toFixed(2);
+  return amount === "0.00" ? "straight" : `${amount} ${steering < 0 ? "left" : "right"}`;
+}
+
+function pedal(throttle) {
+  const percent = Math.round(100 * Math.abs(throttle ?? 0));
+  return percent ? `${throttle < 0 ? "brake" : "throttle"} ${percent} %` : "rolling";
+}
+
+function pace(value) {
+  if (value == null) return "-";
+  return value < SLOW_PACE ? `${Math.floor(100 * value)} % of real time` : "real time";
+}
+
+function clock(seconds) {
+  const whole = Math.floor(seconds ?? 0);
+  return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}`;
+}

@@ -1,0 +1,70 @@
+"""`bc-web` as `common.wheel_page` starts it: it shows one wheel, and ends with the process that started it."""
+
+from __future__ import annotations
+
+import socket
+import sys
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from common import UserError
+from common.command import INTERRUPTED, run_command
+from common.location_flag import LocationFlag
+from common.parent_process import end_with_parent
+from web.cli import Web, serve
+
+_NAME = "bc-web"
+
+
+@dataclass(frozen=True)
+class WheelPage:
+    """Serve the page of a wheel."""
+
+    key: Annotated[str, tyro.conf.Positional]
+    """The wheel's key."""
+    open: bool = False
+    """Open the page in a browser."""
+    sessions: LocationFlag = Web.sessions
+    """Where sessions are kept."""
+    runs: LocationFlag = Web.runs
+    """Where runs are kept."""
+    drives: LocationFlag = Web.drives
+    """Where drives are kept."""
+
+
+def _show(config: WheelPage) -> int:
+    try:
+        web = Web(
+            port=_free_port(Web.port),
+            open=config.open,
+            sessions=config.sessions,
+            runs=config.runs,
+            drives=config.drives,
+        )
+        return serve(web, page=f"wheel/{config.key}")
+    except KeyboardInterrupt:  # ended by the command that drives
+        return INTERRUPTED
+    except UserError as error:
+        raise UserError(f"{error}; start `bc-web` in this folder, and open its page Drive") from None
+
+
+def _free_port(wanted: int) -> int:
+    """The wanted port, or another one if that is taken."""
+    for port in (wanted, 0):
+        with socket.socket() as probe:
+            if sys.platform != "win32":  # as the server does: a port whose last connection has just ended is free
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+            free: int = probe.getsockname()[1]
+            return free
+    return wanted
+
+
+def main() -> None:
+    end_with_parent()
+    run_command(_NAME, WheelPage, _show)
