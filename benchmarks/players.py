@@ -8,8 +8,7 @@ mountain; two rounds in which a player supervises it for at most five minutes, e
 RUN --takeovers LOG`; and beside it a network of the beginner's recording and as many minutes of more recording.
 
 The players know what the page shows and nothing else (scripted_player.py). FOLDER is kept: each step leaves a file
-in FOLDER/results and is not made again, so that the program can be ended and started at any time. Recording and
-supervising need a machine that does nothing else: in slow motion a player is faster than people are.
+in FOLDER/results and is not made again, so that the program can be ended and started at any time.
 """
 
 from __future__ import annotations

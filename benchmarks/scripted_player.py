@@ -1,7 +1,8 @@
 """A player of the page of a drive: sees what the page shows, reacts as late as people do, has real hands on it.
 
 Keys and mouse are those of the drivers like people (docs/drivers.md), whose road is the page's map. A gamepad's
-stick follows what is wanted 0.2 s late, as a hand does.
+stick follows what is wanted 0.2 s late, as a hand does. Players live by the drive's clock: where a computer drives
+in slow motion, they are as much slower.
 """
 
 from __future__ import annotations
@@ -82,16 +83,20 @@ class Eyes:
         self._page = page
         self.map = RoadMap(page)
         self.seen = page.see()
-        self._before: deque[tuple[float, float]] = deque()  # time, heading
-        self._shift_s = 0.0
+        self._before: deque[tuple[float, float]] = deque()  # the drive's time, heading
+        self._looked_s = time.monotonic()
+        self._time_s = 0.0  # of the drive's clock
 
     def look(self) -> Sight:
         put_back, frame = self.seen.put_back, self.seen.frame
         self.seen = self._page.see()
-        now_s = time.monotonic()
+        looked_s = time.monotonic()
+        self._time_s += (looked_s - self._looked_s) * self.seen.pace
+        self._looked_s = looked_s
         if self.seen.put_back != put_back:
             self._before.clear()
-            self._shift_s += _HANDS_OFF_S
+            self._time_s += _HANDS_OFF_S
+        now_s = self._time_s
         if self.seen.frame != frame or not self._before:
             self._before.append((now_s, self.seen.heading_rad))
         while len(self._before) > 2 and self._before[1][0] < now_s - _TURN_S:
@@ -103,7 +108,7 @@ class Eyes:
         arc_m, offset_m = line.project(seen.x_m, seen.y_m, self.map.arc_m(seen))
         half_m = float(self.map.half_width_m[round(arc_m / line.step_m) % len(line.points_m)])
         car = CarState(seen.x_m, seen.y_m, seen.heading_rad, seen.speed_mph * MPS_PER_MPH, yaw_rate_radps=yaw)
-        return Sight(line, car, arc_m, offset_m, half_m, now_s + self._shift_s)
+        return Sight(line, car, arc_m, offset_m, half_m, now_s)
 
 
 class Hands(ABC):
