@@ -19,3 +19,13 @@ def consecutive(numbers: Sequence[int]) -> list[tuple[int, int]]:
     found = np.array(numbers, np.int64)
     cuts = np.flatnonzero(np.diff(found) != 1) + 1
     return [(int(part[0]), int(part[-1])) for part in np.split(found, cuts) if len(part)]
+
+
+def stretches_within(mask: NDArray[np.bool_], part: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """The same of a mask (N,) whose positions have a number of their part (N,): where that changes, a run ends."""
+    starts = np.flatnonzero(np.diff(part)) + 1
+    return [
+        (first + at, last + at)
+        for at, positions in zip([0, *starts.tolist()], np.split(mask, starts), strict=True)
+        for first, last in stretches(positions)
+    ]

@@ -17,7 +17,6 @@ from common.location import Location, Url, location
 from common.location_flag import LocationFlag
 from common.output import print_result, print_table
 from recorder.log.log_info import LogInfo, describe, logs_in
-from recorder.log.row_quality import ROW_FLAGS
 from recorder.log_report import plain
 
 FOLDERS: Final = (Path("sessions"), Path("drives"))
@@ -82,7 +81,7 @@ def _table(found: Sequence[LogInfo]) -> Table:
         no_wrap = is_number or heading == "begun, UTC"
         table.add_column(heading, justify="right" if is_number else "left", no_wrap=no_wrap, overflow="fold")
     for info in found:
-        odd = sum((info.flags or {}).get(flag, 0) for flag in ROW_FLAGS if flag != "gap")
+        odd = sum(each.last_row - each.first_row + 1 for each in info.odd or ())
         table.add_row(
             plain(location(info.path).name.removesuffix(".mcap")),
             plain(info.start[:16].replace("T", " ")),
@@ -90,7 +89,7 @@ def _table(found: Sequence[LogInfo]) -> Table:
             f"{info.rows:,}",
             f"{info.size_bytes / 1e6:,.0f}",
             plain(info.driver or "-"),
-            f"{odd:,}" if info.flags is not None else "-",
+            f"{odd:,}" if info.odd is not None else "-",
             plain(", ".join(sorted({tag.name for tag in info.tags}))),
         )
     return table

@@ -17,6 +17,7 @@ from recorder.log.devices import device_numbers, most_used_of
 from recorder.log.label_plan import goes_by_lag, plan_labels
 from recorder.log.meant_gaps import NotRecorded, meant_rows
 from recorder.log.reader import Log
+from recorder.log.odd_stretches import OddStretch, odd_in, odd_stretches, odd_summary
 from recorder.log.row_quality import ROW_FLAGS, States, summary
 from recorder.log.session_car import max_steering_deg_of
 from recorder.log.steering_habits import SteeringHabits, SteeringLag, habits_from, steering_habits
@@ -56,6 +57,7 @@ class LogInfo:
     drives: int | None
     flags: dict[str, int] | None  # rows that each flag holds for
     stretches: list[FlaggedRows]  # the first of them
+    odd: list[OddStretch] | None  # what is wrong, the first of them; None: its rows were not measured
     steering: SteeringHabits | None  # None: its rows were not measured, or it has none
     lag: SteeringLag | None  # of the steering; None: not measured, or not to be found in its pictures
     labels: str  # what an index makes of its steering, as far as is known; empty if nothing is
@@ -138,6 +140,7 @@ def describe(place: Location | Log, *, look: bool = False, with_tags: bool = Tru
             drives=_count(quality.get("drives")) if quality else None,
             flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS} if quality else None,
             stretches=_stretches(quality.get("stretches", "")),
+            odd=_odd(log, quality),
             steering=steering,
             lag=lag,
             labels=str(plan_labels(steering, lag, driven_by(log))) if steering else "",
@@ -188,7 +191,16 @@ def _quality(log: Log) -> dict[str, str]:
     not_recorded = NotRecorded()
     for message, event in log.decoded(topics.EVENTS) if topics.EVENTS in log.counts else ():
         not_recorded.add(message.log_time_ns, event.message)
-    return summary(states) | not_recorded.summary(states)
+    return summary(states) | odd_summary(states) | not_recorded.summary(states)
+
+
+def _odd(log: Log, quality: dict[str, str]) -> list[OddStretch] | None:
+    """The stretches that the log's writer has noted; of an earlier version's log, found in its rows."""
+    noted = odd_in(quality)
+    if noted is not None or not quality:
+        return noted
+    states = _states(log) if log.is_ours and log.counts.get(topics.VEHICLE) else None
+    return None if states is None else odd_stretches(states)
 
 
 def _steering(log: Log, quality: dict[str, str]) -> SteeringHabits | None:

@@ -7,6 +7,7 @@ any other exact value for at most 2 s; the simulator writes at least five rows a
 from __future__ import annotations
 
 import json
+import math
 from array import array
 from collections import Counter
 from collections.abc import Sequence
@@ -16,8 +17,10 @@ from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from common.stretches import stretches
+from common.stretches import stretches, stretches_within
+from recorder.log.crashes import crashed_rows, manoeuvring_rows
 from recorder.log.devices import Device, most_used
+from recorder.log.driving_backwards import driven_backwards
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -29,22 +32,19 @@ APART_S: Final = 1000.0  # more than any time over which rows are compared
 STANDING_MPH: Final = 0.5
 SPEED_RANGE_MPH: Final = (-30.0, 300.0)
 """No car reverses faster, and no simulator's that anybody drives goes faster; the real simulator's reaches 30."""
-CRASH_SPEED_SHARE: Final = 1 / 3
-"""Of the speed that is usual in the session, the median: bends are taken at more."""
-CRASH_S: Final = 0.5  # at least; a single row of no speed is a fault of the source
-IMPACT_MPH: Final = 9.0
-IMPACT_S: Final = 0.2
-"""So much speed lost in so short a time is twice what tyres can brake (1 g, 22 mph a second): an impact."""
-IMPACT_LEADS_S: Final = 0.5  # a car bounces, and rolls out, before it is slow
-CRASH_LOCK: Final = 0.5
-CRASH_LOCK_SHARE: Final = 0.25
-"""A wheel at half lock or more in so many of its rows is manoeuvring; to stop and start, it is straight."""
 STUCK_S: Final = 3.0
 STUCK_AT_ZERO_S: Final = 30.0
 MOST_STRETCHES: Final = 100  # listed in a log's summary of its rows; the counts are of all
 
-RowFlag = Literal["gap", "out_of_range", "standing_still", "stuck_steering", "crash"]
+PARKED_S: Final = 5.0
+"""An ordinary start waits for 1.6 to 3.2 s in the recordings of people."""
+
+RowFlag = Literal[
+    "gap", "out_of_range", "standing_still", "stuck_steering", "crash", "backwards", "manoeuvring", "parked"
+]
 ROW_FLAGS: Final[tuple[RowFlag, ...]] = get_args(RowFlag)
+NOT_LEARNT: Final[tuple[RowFlag, ...]] = ("crash", "backwards", "manoeuvring", "parked")
+"""Rows with one of these are left out of training by default; of several, the first counts."""
 
 Values = NDArray[np.float64]
 
@@ -147,10 +147,18 @@ def row_flags(states: States) -> dict[RowFlag, NDArray[np.bool_]]:
 
     `gap`: the first row after a gap in time; `out_of_range`: steering beyond -1..1, pedals beyond 0..1, or no
     number, or a speed beyond `SPEED_RANGE_MPH`; `standing_still`; `stuck_steering`: the very same steering for
-    long while the car moves; `crash`: the car stands at an obstacle, or manoeuvres to get away from it.
+    long while the car moves; `crash`: the car stands at an obstacle, or manoeuvres to get away from it;
+    `backwards`; `manoeuvring`: the second before an impact, and the way out of a crash or from driving backwards;
+    `parked`: the car stands for long, in a session in which it drives.
     """
-    drive = drive_numbers(states.time_ns)
-    standing = states.speed_mph < STANDING_MPH  # False for an unknown speed
+    drive, time_s = drive_numbers(states.time_ns), elapsed_s(states.time_ns)
+    standing = np.abs(states.speed_mph) < STANDING_MPH  # False for an unknown speed
+    usual_mph = usual_speed_mph(states)
+    speed_mph = np.where(np.isfinite(states.speed_mph), np.clip(states.speed_mph, *SPEED_RANGE_MPH), np.nan)
+    backwards = driven_backwards(speed_mph, states.throttle, states.brake, time_s, drive).sure
+    speed_mph = np.abs(speed_mph)
+    crashed = crashed_rows(speed_mph, states.steering, standing, usual_mph, time_s, drive)
+    manoeuvring = manoeuvring_rows(crashed, backwards, speed_mph, states.steering, usual_mph, time_s, drive)
     in_range = np.abs(states.steering) <= 1  # False for NaN too
     for pedal in (states.throttle, states.brake):
         in_range &= (pedal >= 0) & (pedal <= 1)
@@ -161,8 +169,25 @@ def row_flags(states: States) -> dict[RowFlag, NDArray[np.bool_]]:
         "out_of_range": ~in_range,
         "standing_still": standing,
         "stuck_steering": _stuck(states, drive, standing),
-        "crash": _crashed(states, drive, standing),
+        "crash": crashed,
+        "backwards": backwards,
+        "manoeuvring": manoeuvring,
+        "parked": _parked(standing, time_s, drive) & np.isfinite(usual_mph),
     }
+
+
+def usual_speed_mph(states: States) -> float:
+    """The median speed of the rows in which the car moves; NaN without any."""
+    speed_mph = np.abs(np.where(np.isfinite(states.speed_mph), np.clip(states.speed_mph, *SPEED_RANGE_MPH), 0.0))
+    moving = speed_mph[speed_mph >= STANDING_MPH]
+    return float(np.median(moving)) if len(moving) else math.nan
+
+
+def _parked(standing: NDArray[np.bool_], time_s: Values, drive: NDArray[np.int64]) -> NDArray[np.bool_]:
+    parked = np.zeros(len(drive), np.bool_)
+    for first, last in stretches_within(standing, drive):
+        parked[first : last + 1] = time_s[last] - time_s[first] >= PARKED_S
+    return parked
 
 
 def _stuck(states: States, drive: NDArray[np.int64], standing: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -173,39 +198,3 @@ def _stuck(states: States, drive: NDArray[np.int64], standing: NDArray[np.bool_]
     limit_s = np.where(states.steering[first] == 0, STUCK_AT_ZERO_S, STUCK_S)
     held_ns = states.time_ns[last] - states.time_ns[first]
     return np.repeat(~standing[first] & (held_ns >= limit_s * 1e9), last - first + 1)
-
-
-def _crashed(states: States, drive: NDArray[np.int64], standing: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Stretches far below the usual speed in which the car stands, and which an impact began or in which the wheel
-    is turned far for long. One that begins a drive is a start, whatever the wheel does: nothing was driven into.
-
-    A session that is slow throughout has a slow usual speed, and in a hairpin nobody stands.
-    """
-    crashed = np.zeros(len(drive), np.bool_)
-    speed_mph = np.where(np.isfinite(states.speed_mph), np.clip(states.speed_mph, *SPEED_RANGE_MPH), np.nan)
-    moving = speed_mph[speed_mph >= STANDING_MPH]
-    if not len(moving) or not standing.any():
-        return crashed
-    time_s = elapsed_s(states.time_ns)
-    is_hit = np.interp(time_s - IMPACT_S, time_s, speed_mph) - speed_mph >= IMPACT_MPH
-    turned = np.abs(states.steering) >= CRASH_LOCK
-    slow = speed_mph < CRASH_SPEED_SHARE * np.median(moving)
-    for first, last in _within_drives(slow, drive):
-        starts_drive = first == 0 or drive[first - 1] != drive[first]
-        is_brief = time_s[last] - time_s[first] < CRASH_S
-        if starts_drive or is_brief or not standing[first : last + 1].any():
-            continue
-        before = np.searchsorted(time_s, time_s[first] - IMPACT_LEADS_S)  # no earlier drive is so near
-        if is_hit[before : last + 1].any() or turned[first : last + 1].mean() >= CRASH_LOCK_SHARE:
-            crashed[first : last + 1] = True
-    return crashed
-
-
-def _within_drives(mask: NDArray[np.bool_], drive: NDArray[np.int64]) -> list[tuple[int, int]]:
-    """First and last row of every run of True in a mask (N,); where a drive begins, so does a run."""
-    starts = np.flatnonzero(np.diff(drive)) + 1
-    return [
-        (first + at, last + at)
-        for at, part in zip([0, *starts.tolist()], np.split(mask, starts), strict=True)
-        for first, last in stretches(part)
-    ]

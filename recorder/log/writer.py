@@ -33,6 +33,7 @@ from recorder.log import topics
 from recorder.log.compressed_image import image_data, is_image_channel
 from recorder.log.copied_channels import CopiedChannels
 from recorder.log.meant_gaps import NotRecorded
+from recorder.log.odd_stretches import odd_summary
 from recorder.log.row_quality import StatesWritten, summary
 from recorder.log.session_car import UDACITY, car_in
 from recorder.log.split_chunks import SplitChunks
@@ -256,7 +257,7 @@ class LogWriter:
             states = self._states.states()
             habits = steering_habits(states, self._max_steering_deg, self._states.device)
             steering = json.dumps(asdict(habits), allow_nan=False)
-            rows = summary(states) | self._not_recorded.summary(states)
+            rows = summary(states) | odd_summary(states) | self._not_recorded.summary(states)
             self.add_metadata(topics.QUALITY_METADATA, rows | {"steering": steering} | sizes)
         if self.same_as:
             self._to_disk(self._chunks.flush)

@@ -1,0 +1,104 @@
+"""Rows in which a car drives backwards, from speed and pedals alone.
+
+Udacity's simulator records the speed without its sign. Between two stands a car keeps its direction: where the
+speed rises while the brake is held, it drives backwards, from the stand before to the next one. Without a brake
+it may as well roll downhill: that is never sure.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.stretches import stretches_within
+
+Values = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SIGNED_MPH: Final = -0.5
+SURELY_MPH: Final = -1.0
+"""A session with a speed below that has the sign of its speeds; a stretch backwards reaches it, noise does not."""
+TURN_MPH: Final = 2.0
+"""A car that changes its direction has a row slower than that: at 5 rows a second, the simulator's engine changes
+its speed by 2.4 mph from one to the next."""
+PEDAL: Final = 0.05
+FIRM_BRAKE: Final = 0.3
+"""A slope of 12 %, the built-in mountain's, speeds up a car that brakes by a fifth. One that stands, it does not."""
+RISE_MPH: Final = 1.5
+"""A smaller rise with the brake held is rounding, or what a slope adds to a car that begins to brake."""
+ROLL_MPH: Final = 3.0
+IMPACT_MPH_PER_S: Final = 25.0
+"""No pedal takes speed faster than tyres can (22 mph a second): what falls faster has hit something."""
+
+
+class Backwards(NamedTuple):
+    """Masks of the rows (N,)."""
+
+    sure: Mask
+    perhaps: Mask  # backwards, or downhill: it gathers speed without throttle
+
+
+def driven_backwards(
+    speed_mph: Values, throttle: Values, brake: Values, time_s: Values, drive: NDArray[np.int64]
+) -> Backwards:
+    """The rows (N,) in which the car drives backwards; `time_s` is that of `elapsed_s`, `drive` numbers the drives.
+    No numbers raise anything, and an unknown speed, NaN, ends what was known of the direction."""
+    nothing = np.zeros(len(speed_mph), np.bool_)
+    is_known = np.abs(speed_mph) < 1e6  # False for NaN
+    signed_mph = np.where(is_known, speed_mph, 0.0)
+    if (signed_mph < SURELY_MPH).any():
+        return Backwards(_reaching(signed_mph, drive), nothing)
+    if len(speed_mph) < 2:
+        return Backwards(nothing, nothing)
+    mph = np.abs(signed_mph)
+    is_joined = (np.diff(drive) == 0) & is_known[1:] & is_known[:-1]
+    move = _moves(mph, is_joined)
+    rise = np.where(is_joined, np.diff(mph), 0.0)
+    fall = np.where(-rise < IMPACT_MPH_PER_S * np.diff(time_s), -rise, 0.0)
+    throttles, brakes = throttle > PEDAL, brake > PEDAL  # False for NaN
+    brakes &= ~throttles
+    is_braked, is_pushed, is_free = (held[1:] & held[:-1] for held in (brakes, throttles, ~throttles & ~brakes))
+    if not is_pushed.any():  # no throttle was recorded
+        is_free = nothing[1:]
+
+    def total(change_mph: Values, when: Mask) -> Values:
+        """The sum of what is above 0, over each move."""
+        return np.bincount(move, np.where(when, np.maximum(change_mph, 0.0), 0.0))
+
+    first = np.flatnonzero(np.diff(move, prepend=-1))  # of each move
+    from_stand = mph[first] < TURN_MPH
+    is_firm = (brake > FIRM_BRAKE)[1:]
+    rolled = total(rise, is_free)
+    reversed_mph = np.where(from_stand, total(rise, is_braked), total(rise, is_braked & is_firm))
+    reversed_mph += np.minimum(rolled, total(fall, is_pushed))
+    forwards_mph = total(rise, is_pushed) + total(fall, is_braked)
+    is_backwards = (reversed_mph >= RISE_MPH) & (reversed_mph > 2 * forwards_mph)
+    perhaps = ~is_backwards & from_stand & (rolled >= ROLL_MPH) & (rolled > 2 * forwards_mph)
+    return Backwards(_rows(is_backwards[move] & is_joined), _rows(perhaps[move] & is_joined))
+
+
+def _reaching(signed_mph: Values, drive: NDArray[np.int64]) -> Mask:
+    found = np.zeros(len(signed_mph), np.bool_)
+    for first, last in stretches_within(signed_mph < SIGNED_MPH, drive):
+        found[first : last + 1] = signed_mph[first : last + 1].min() < SURELY_MPH
+    return found
+
+
+def _moves(mph: Values, is_joined: Mask) -> NDArray[np.int64]:
+    """Numbers the moves from one stand to the next from 0, for each pair of neighbouring rows (N - 1,)."""
+    is_turn = np.zeros(len(mph), np.bool_)
+    is_turn[1:-1] = (mph[1:-1] < TURN_MPH) & (mph[1:-1] <= mph[:-2]) & (mph[1:-1] < mph[2:])
+    is_first = is_turn[:-1] | ~is_joined  # the pair that begins at that row
+    is_first[1:] |= ~is_joined[:-1]
+    number: NDArray[np.int64] = np.cumsum(is_first)
+    return number - number[0]
+
+
+def _rows(pairs: Mask) -> Mask:
+    """The rows of chosen pairs of neighbours."""
+    rows = np.zeros(len(pairs) + 1, np.bool_)
+    rows[:-1] |= pairs
+    rows[1:] |= pairs
+    return rows

@@ -1,0 +1,176 @@
+"""What is odd in a recording, as far as its numbers show: stretches of rows, each with its cause.
+
+A stretch is the whole of what belongs together: the approach to an impact, the reversing, and the way out are one.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.errors import counted, printable
+from common.location import Location
+from common.stretches import stretches_within
+from common.untrusted_json import json_as
+from recorder.log.crashes import impact_rows
+from recorder.log.driving_backwards import SURELY_MPH, driven_backwards
+from recorder.log.row_quality import (
+    NOT_LEARNT,
+    STANDING_MPH,
+    States,
+    drive_numbers,
+    elapsed_s,
+    row_flags,
+    usual_speed_mph,
+)
+from recorder.log.slow_rows import coasting_rows, creeping_rows
+
+ODD_KINDS: Final[Mapping[str, str]] = {
+    "crash": "crash",
+    "backwards": "driving backwards",
+    "parked": "parked",
+    "out_of_range": "values out of range",
+    "stuck_steering": "steering that never changes",
+    "coasting": "coasting to a halt",
+    "creeping": "creeping",
+}
+"""What each kind is called; of rows that are of several, the first counts."""
+
+ODD: Final = "odd"
+"""Their key in a log's `bc.quality`."""
+MOST_KEPT: Final = 100
+MOST_NAMED: Final = 6
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class OddStretch:
+    """Rows of a log that are odd for one cause; times in seconds from the log's first row."""
+
+    kind: str  # one of ODD_KINDS
+    first_row: int
+    last_row: int
+    begin_s: float
+    end_s: float
+    cause: str
+    is_sure: bool  # nobody should learn from it; else a person has to look
+
+    @property
+    def is_learnt(self) -> bool:
+        """False for what `bc-index` leaves out of training by itself."""
+        return not self.is_sure or self.kind not in NOT_LEARNT
+
+    def command(self, log: Location) -> str:
+        """The command that excludes it."""
+        return f"bc-log tag {shlex.quote(str(log))} exclude --rows {self.first_row} {self.last_row}"
+
+    def __str__(self) -> str:
+        kind = ODD_KINDS.get(self.kind, printable(self.kind))
+        rows = f"row {self.first_row}" if self.first_row == self.last_row else f"rows {self.first_row} to {self.last_row}"
+        return f"{kind}: {rows}, {self.begin_s:.1f} to {self.end_s:.1f} s ({printable(self.cause)})"
+
+
+def odd_stretches(states: States) -> list[OddStretch]:
+    """The odd stretches of a log's vehicle states, in their order; no row is in two of them, and no content of the
+    rows raises anything. Gaps in time, and ordinary stops, are none."""
+    if not len(states.row):
+        return []
+    since_s = (states.time_ns - states.time_ns[0]) / 1e9
+    drive = drive_numbers(states.time_ns)
+    taken = np.zeros(len(drive), np.bool_)
+    found = []
+    for kind, mask, is_sure, cause in _kinds(states, drive):
+        for first, last in stretches_within(mask & ~taken, drive):
+            rows = slice(first, last + 1)
+            taken[rows] = True
+            kind_of_it, why = cause(rows) if callable(cause) else (kind, cause)
+            edges = sorted((int(states.row[first]), int(states.row[last])))
+            found.append(
+                OddStretch(kind_of_it, *edges, float(since_s[first]), float(since_s[last]), why, is_sure)
+            )
+    return sorted(found, key=lambda each: (each.first_row, each.last_row))
+
+
+_Cause = Callable[[slice], tuple[str, str]] | str
+
+
+def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask, bool, _Cause]]:
+    """Of each kind its rows (N,), whether they are sure, and their cause, or the kind and cause of some of them."""
+    flags = row_flags(states)
+    time_s = elapsed_s(states.time_ns)
+    speed_mph = np.abs(np.where(np.isfinite(states.speed_mph), states.speed_mph, np.nan))
+    standing = flags["standing_still"]
+    usual_mph = usual_speed_mph(states)
+    is_hit = impact_rows(speed_mph, time_s)
+
+    def fastest_mph(rows: slice) -> float:
+        return float(np.nanmax(speed_mph[rows], initial=0.0))
+
+    def manoeuvre(rows: slice) -> tuple[str, str]:
+        backwards = flags["backwards"][rows]
+        if not flags["crash"][rows].any():
+            by_sign = (states.speed_mph[rows] < SURELY_MPH).any()
+            why = "its speed is below 0" if by_sign else "its speed rises while the brake is held"
+            return "backwards", f"at up to {float(np.nanmax(speed_mph[rows][backwards])):.0f} mph; {why}"
+        hits = rows.start + np.flatnonzero(is_hit[rows])
+        how = f"hits something at row {states.row[hits[0]]}" if len(hits) else "stands with its wheels turned far"
+        return "crash", how + (f", {counted(int(backwards.sum()), 'row')} backwards" if backwards.any() else "")
+
+    yield "crash", flags["crash"] | flags["backwards"] | flags["manoeuvring"], True, manoeuvre
+    yield "parked", flags["parked"], True, lambda rows: (
+        "parked",
+        f"stands for {time_s[rows][-1] - time_s[rows][0]:.0f} s",
+    )
+    yield "out_of_range", flags["out_of_range"], True, "steering, a pedal or a speed that no car has"
+    perhaps = driven_backwards(speed_mph, states.throttle, states.brake, time_s, drive).perhaps
+    yield "backwards", perhaps, False, lambda rows: (
+        "backwards",
+        f"or downhill? Up to {fastest_mph(rows):.0f} mph from a stand, without throttle",
+    )
+    yield "stuck_steering", flags["stuck_steering"], False, lambda rows: (
+        "stuck_steering",
+        f"at {states.steering[rows][0]:g}",
+    )
+    coasting = coasting_rows(speed_mph, states.throttle, states.brake, standing, usual_mph, time_s, drive)
+    yield "coasting", coasting, False, lambda rows: (
+        "coasting",
+        f"from {fastest_mph(rows):.0f} mph without a pedal",
+    )
+    yield "creeping", creeping_rows(speed_mph, standing, usual_mph, time_s, drive), False, lambda rows: (
+        "creeping",
+        f"at most {fastest_mph(rows):.1f} mph, where {usual_mph:.0f} mph is usual",
+    )
+
+
+def odd_summary(states: States) -> dict[str, str]:
+    """A log's note of the first of them, beside `row_quality.summary`."""
+    return {ODD: json.dumps([asdict(each) for each in odd_stretches(states)[:MOST_KEPT]])}
+
+
+def odd_in(quality: Mapping[str, str]) -> list[OddStretch] | None:
+    """The stretches in a log's note of itself, which somebody else may have written; None where it has none."""
+    return json_as(quality.get(ODD, ""), list[OddStretch])
+
+
+def odd_lines(found: Sequence[OddStretch], log: Location) -> list[str]:
+    """What is odd in a log, and what to do about it, in words; none where nothing is."""
+    if not found:
+        return []
+    lines = [f"odd in {log.name}:"]
+    lines += [f"  {each}" for each in found[:MOST_NAMED]]
+    if len(found) > MOST_NAMED:
+        lines.append(f"  and {counted(len(found) - MOST_NAMED, 'more stretch', 'more stretches')}")
+    place = shlex.quote(str(log))
+    if any(each.is_sure for each in found):
+        what = "of it, bc-index learns none of crashes, driving backwards and parked cars; "
+        lines.append(f"{what}`bc-log tag {place} exclude --odd` excludes all that is sure")
+    if any(not each.is_sure for each in found):
+        lines.append(f"look at the rest, and exclude it: `{next(e for e in found if not e.is_sure).command(log)}`")
+    return lines
