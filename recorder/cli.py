@@ -18,6 +18,8 @@ from common.location_flag import LocationFlag
 from common.output import print_message, print_result
 from common.preview import preview
 from recorder.errors import RecordingError
+from recorder.log.log_info import describe
+from recorder.log.odd_stretches import odd_lines
 from recorder.log.session_car import named_car
 from recorder.log_copy_cli import copy_recording, refuse_copying, refuse_taken_name
 from recorder.log_made_cli import brought_as_they_are
@@ -111,6 +113,8 @@ def record(config: Record) -> int:
     print_result(
         f"{done.path}: {counted(done.rows, 'row')}, {counted(done.pictures, 'picture')}, {size_mb:,.1f} MB"
     )
+    for line in odd_lines(describe(done.path, with_tags=False).odd or (), done.path):
+        print_message(line, heading="odd:", style="yellow")
     return code if config.copy_to is None else max(code, copy_recording(done.path, config.copy_to, config.force))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,11 +78,13 @@ def _is_folder(place: Location) -> bool:
 def _table(found: Sequence[LogInfo]) -> Table:
     table = Table(box=None, pad_edge=False)
     for heading in ("log", "begun, UTC", "min", "rows", "MB", "driven by", "odd", "tags"):
-        is_number = heading in ("min", "rows", "MB", "odd")
+        is_number = heading in ("min", "rows", "MB")
         no_wrap = is_number or heading == "begun, UTC"
         table.add_column(heading, justify="right" if is_number else "left", no_wrap=no_wrap, overflow="fold")
     for info in found:
-        odd = sum(each.last_row - each.first_row + 1 for each in info.odd or ())
+        odd = Counter[str]()
+        for each in info.odd or ():
+            odd[each.kind.replace("_", " ")] += each.last_row - each.first_row + 1
         table.add_row(
             plain(location(info.path).name.removesuffix(".mcap")),
             plain(info.start[:16].replace("T", " ")),
@@ -89,7 +92,7 @@ def _table(found: Sequence[LogInfo]) -> Table:
             f"{info.rows:,}",
             f"{info.size_bytes / 1e6:,.0f}",
             plain(info.driver or "-"),
-            f"{odd:,}" if info.odd is not None else "-",
+            plain(", ".join(f"{rows:,} {kind}" for kind, rows in odd.most_common())) or "-" * (info.odd is None),
             plain(", ".join(sorted({tag.name for tag in info.tags}))),
         )
     return table

@@ -11,10 +11,12 @@ from rich.table import Table
 from common import Skipped
 from common.command import warn, warn_skipped
 from common.errors import counted, printable
+from common.location import location
 from common.output import print_result, print_table
 from recorder.log.check import Checked
 from recorder.log.derived_log import Written
 from recorder.log.log_info import LogInfo
+from recorder.log.odd_stretches import odd_lines
 from recorder.log.steering_report import steering_line
 from recorder.log.tags import Tag
 from recorder.log.topics import VEHICLE
@@ -50,9 +52,9 @@ def print_info(info: LogInfo) -> None:
     _print_more(len(info.tags), "more tag")
 
 
-def _print_more(count: int, noun: str) -> None:
-    if count > MAX_LINES:
-        print_table(f"    and {counted(count - MAX_LINES, noun)} (--json lists them)")
+def _print_more(count: int, noun: str, shown: int = MAX_LINES) -> None:
+    if count > shown:
+        print_table(f"    and {counted(count - shown, noun)} (--json lists them)")
 
 
 def print_checked(checked: Checked) -> None:
@@ -91,22 +93,15 @@ def _print_drives(info: LogInfo) -> None:
         elif info.session.get("source") != "prediction" and not _has_rows(info):
             print_table("  no rows: nothing was driven")
     elif info.drives:
-        odd = ", ".join(
-            f"{counted(count, 'row')} {flag}" for flag, count in info.flags.items() if count and flag != "gap"
-        )
-        print_table(f"  {counted(info.drives, 'drive')}; {odd or 'no odd rows'}")
+        print_table(f"  {counted(info.drives, 'drive')}; {'odd:' if info.odd else 'no odd rows'}")
+        print_result(*(f"    {line}" for line in odd_lines(info.odd or (), location(info.path))))
     if info.meant_gaps:
         print_table(f"  {counted(len(info.meant_gaps), 'gap')} that its events explain, so nothing is lost there")
-    stretches = [each for each in info.stretches if each.flag != "gap" or each.last_row not in info.meant_gaps]
-    for stretch in stretches[:MOST_PLACES]:
-        goes_back = " (time goes back)" if stretch.end_s < stretch.begin_s else ""
-        print_table(
-            f"    {plain(stretch.flag)}: rows {stretch.first_row} to {stretch.last_row},"
-            f" {stretch.begin_s:.1f} to {stretch.end_s:.1f} s{goes_back}"
-        )
-    if len(stretches) > MOST_PLACES:
-        more = counted(len(stretches) - MOST_PLACES, "more stretch", "more stretches")
-        print_table(f"    and {more} (--json lists them)")
+    gaps = [each for each in info.stretches if each.flag == "gap" and each.last_row not in info.meant_gaps]
+    for gap in gaps[:MOST_PLACES]:
+        goes_back = " (time goes back)" if gap.end_s < gap.begin_s else ""
+        print_table(f"    gap: rows {gap.first_row} to {gap.last_row}, {gap.begin_s:.1f} to {gap.end_s:.1f} s{goes_back}")
+    _print_more(len(gaps), "more gap", MOST_PLACES)
 
 
 def _has_rows(info: LogInfo) -> bool:

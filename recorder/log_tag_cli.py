@@ -13,10 +13,14 @@ from common.errors import UsageError, counted, did_you_mean
 from common.location import Location
 from common.location_flag import LocationFlag
 from common.output import ask, print_message, print_result
+from common.stretches import stretches
+from recorder.log.odd_stretches import odd_stretches
 from recorder.log.reader import Log
+from recorder.log.row_condition import rows_where
+from recorder.log.row_quality import States
 from recorder.log.tags import (
     Tag,
-    add_tag,
+    add_tags,
     check_name,
     names_used,
     read_tags,
@@ -24,7 +28,7 @@ from recorder.log.tags import (
     tags_by_content,
     tags_path,
 )
-from recorder.log_report import rows_of
+from recorder.log_report import MAX_LINES, rows_of
 from recorder.log_row_flags import rows_of_flags
 
 LogPlace = Annotated[LocationFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
@@ -32,7 +36,7 @@ LogPlace = Annotated[LocationFlag, tyro.conf.Positional, tyro.conf.arg(metavar="
 
 @dataclass(frozen=True)
 class NameRows:
-    """Name a stretch of a log, or take the name away again. Names are kept beside the log, in NAME.tags.jsonl;
+    """Name stretches of a log, or take the name away again. Names are kept beside the log, in NAME.tags.jsonl;
     rows tagged `exclude` are never trained on. Without a name, the tags are listed."""
 
     log: LogPlace
@@ -45,6 +49,13 @@ class NameRows:
     """Up to this second."""
     rows: tuple[int, int] | None = None
     """The first and the last row, instead of times. The whole log: --start 0."""
+    odd: bool = False
+    """All stretches that `bc-log info` calls odd and is sure of, instead of rows; they are listed first."""
+    where: Annotated[str | None, tyro.conf.arg(metavar="CONDITION")] = None
+    """The rows for which this holds, such as "speed_mph < 2 and throttle = 0": comparisons of row, time_s, steering,
+    throttle, brake, speed_mph, joined by and, or, parentheses. They are listed first."""
+    yes: bool = False
+    """Do not ask before what --odd or --where has found is tagged."""
     remove: bool = False
     """Remove this name: from exactly the rows that are given, or wherever it is."""
 
@@ -67,7 +78,36 @@ class NameRows:
         return code
 
     def _is_everywhere(self) -> bool:
-        return self.start is None and self.end is None and self.rows is None
+        return (self.start, self.end, self.rows, self.where) == (None,) * 4 and not self.odd
+
+    def _chosen(self, name: str) -> list[Tag]:
+        """The stretches that the flags name."""
+        if not self.odd and self.where is None:
+            return [Tag(*rows_of_flags(self.log, self.start, self.end, self.rows), name)]
+        if (self.start, self.end, self.rows) != (None,) * 3 or (self.odd and self.where is not None):
+            raise UsageError("give one of --odd, --where, --rows, or --start and --end")
+        with Log(self.log) as log:
+            states = States.of(log.vehicle())
+        if self.where is not None:
+            edges = stretches(rows_where(states, self.where))
+            chosen = [Tag(int(states.row[first]), int(states.row[last]), name) for first, last in edges]
+            words = [rows_of(tag) for tag in chosen]
+        else:
+            found = [each for each in odd_stretches(states) if each.is_sure]
+            chosen = [Tag(each.first_row, each.last_row, name) for each in found]
+            words = [str(each) for each in found]
+        for line in words[:MAX_LINES]:
+            print_message(line)
+        if len(words) > MAX_LINES:
+            print_message(f"and {counted(len(words) - MAX_LINES, 'more stretch', 'more stretches')}")
+        return chosen
+
+    def _is_confirmed(self, chosen: list[Tag]) -> bool:
+        if self.yes or self.remove or not (self.odd or self.where is not None):
+            return True
+        rows = sum(tag.last_row - tag.first_row + 1 for tag in chosen)
+        in_all = f"{counted(rows, 'row')} in {counted(len(chosen), 'stretch', 'stretches')}"
+        return ask(f"Tag {in_all} {self.tag!r}?") is not False  # without a terminal nobody is asked
 
     def _notice_of_new(self, name: str) -> str:
         """The notice for a name that nobody has used yet; "" for any other. Where it is perhaps mistyped, a person
@@ -87,20 +127,27 @@ class NameRows:
             check_name(name)
         if self._is_everywhere() and not self.remove:
             raise UsageError(
-                f"{name}: which rows? Give --rows FIRST LAST, or --start and --end; --start 0 for all"
+                f"{name}: which rows? Give --rows FIRST LAST, --start and --end (--start 0 for all), --where, or --odd"
             )
         if self._is_everywhere():
             chosen = [tag for tag in tags if tag.name == name]
         else:
-            chosen = [Tag(*rows_of_flags(self.log, self.start, self.end, self.rows), name)]
+            chosen = self._chosen(name)
+        if not chosen and not self.remove:
+            print_message(f"{self.log}: nothing {'odd' if self.odd else 'for which that holds'}; nothing was tagged")
+            return tags
         if self.remove and not set(chosen) & set(tags):
             held = ", ".join(f"{tag.name} ({rows_of(tag)})" for tag in tags) or "none"
             raise UserError(f"{self.log}: no tag {name!r} of exactly these rows; its tags: {held}")
         notice = "" if self.remove else self._notice_of_new(name)
-        for tag in chosen:
-            (remove_tag if self.remove else add_tag)(self.log, fingerprint, tag)
-            if self.remove:
+        if not self._is_confirmed(chosen):
+            raise UserError("nothing was tagged")
+        if self.remove:
+            for tag in sorted(set(chosen) & set(tags)):
+                remove_tag(self.log, fingerprint, tag)
                 print_message(f"removed {tag.name}: {rows_of(tag)}")
+        else:
+            add_tags(self.log, fingerprint, chosen)
         if notice:
             print_message(notice)  # once it is kept
         return read_tags(self.log, fingerprint)

@@ -74,7 +74,8 @@ class OddStretch:
     def __str__(self) -> str:
         kind = ODD_KINDS.get(self.kind, printable(self.kind))
         rows = f"row {self.first_row}" if self.first_row == self.last_row else f"rows {self.first_row} to {self.last_row}"
-        return f"{kind}: {rows}, {self.begin_s:.1f} to {self.end_s:.1f} s ({printable(self.cause)})"
+        perhaps = "" if self.is_sure else "perhaps "
+        return f"{perhaps}{kind}: {rows}, {self.begin_s:.1f} to {self.end_s:.1f} s ({printable(self.cause)})"
 
 
 def odd_stretches(states: States) -> list[OddStretch]:
@@ -161,16 +162,14 @@ def odd_in(quality: Mapping[str, str]) -> list[OddStretch] | None:
 
 def odd_lines(found: Sequence[OddStretch], log: Location) -> list[str]:
     """What is odd in a log, and what to do about it, in words; none where nothing is."""
-    if not found:
-        return []
-    lines = [f"odd in {log.name}:"]
-    lines += [f"  {each}" for each in found[:MOST_NAMED]]
+    lines = [str(each) for each in found[:MOST_NAMED]]
     if len(found) > MOST_NAMED:
-        lines.append(f"  and {counted(len(found) - MOST_NAMED, 'more stretch', 'more stretches')}")
+        lines.append(f"and {counted(len(found) - MOST_NAMED, 'more stretch', 'more stretches')}")
     place = shlex.quote(str(log))
+    if any(not each.is_learnt for each in found):
+        lines.append("bc-index does not learn crashes, driving backwards and parked cars, if a person drove")
     if any(each.is_sure for each in found):
-        what = "of it, bc-index learns none of crashes, driving backwards and parked cars; "
-        lines.append(f"{what}`bc-log tag {place} exclude --odd` excludes all that is sure")
-    if any(not each.is_sure for each in found):
-        lines.append(f"look at the rest, and exclude it: `{next(e for e in found if not e.is_sure).command(log)}`")
+        lines.append(f"`bc-log tag {place} exclude --odd` excludes all that is sure")
+    if unsure := next((each for each in found if not each.is_sure), None):
+        lines.append(f"look at the rest, `bc-play {place}`; `{unsure.command(log)}` excludes it")
     return lines
