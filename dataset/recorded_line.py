@@ -41,14 +41,15 @@ def stretches_to_drive(states: States, is_usable: NDArray[np.bool_]) -> list[Dri
     """The stretches of a log's rows between its borders.
 
     Borders are gaps in time, time that goes backwards, rows that are not `is_usable` (N,), such as those without a
-    picture, or have numbers that cannot be, rows slower than `SLOW_MPH` or of a crash, and the second before and
-    after the car hits something. What is shorter than `SHORTEST_S` is left out.
+    picture, or have numbers that cannot be, rows slower than `SLOW_MPH`, of a crash or backwards, and the second
+    before and after the car hits something. What is shorter than `SHORTEST_S` is left out.
     """
     if not len(states.row):
         return []
     flags = row_flags(states)
     speed = states.speed_mph
-    is_good = is_usable & ~flags["out_of_range"] & ~flags["crash"] & (speed >= SLOW_MPH)  # False if not known
+    is_good = is_usable & ~flags["out_of_range"] & ~flags["crash"] & ~flags["backwards"]
+    is_good &= speed >= SLOW_MPH  # False if not known
     time_s = (states.time_ns - states.time_ns[0]) / 1e9
     step_s = np.diff(time_s)
     lost_mps = -np.diff(speed) * MPS_PER_MPH

@@ -277,6 +277,7 @@ def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, i
 def _index_of(config: Train, *, is_first: bool) -> tuple[Location, int]:
     """The index to train on, built if need be, and the exit code of what had to be printed about it."""
     from dataset import sessions_not_indexed
+    from dataset.index.not_learnt import not_learnt_in
     from dataset.missing_index import missing_index
     from dataset.samples.samples_format import SAMPLES_NAME
 
@@ -302,6 +303,9 @@ def _index_of(config: Train, *, is_first: bool) -> tuple[Location, int]:
         print_message(f"{config.index}: no index yet; building it from {config.sessions}")
         return config.index, _build_index(config)
     is_current_index = is_first and config.resume is None and isinstance(config.index, Path)
+    if is_current_index:
+        for line in not_learnt_in(local_path(config.index)):
+            print_message(line)
     if is_current_index and (absent := sessions_not_indexed(local_path(config.index), config.sessions)):
         print_message(
             f"{config.index}: does not hold {', '.join(absent)}; `bc-index` takes in all of {config.sessions}"

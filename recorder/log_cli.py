@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Annotated
 
 import tyro
@@ -75,6 +75,7 @@ class Check:
             found = [finding._asdict() for finding in checked.findings]
             result = {"path": str(path), "messages": checked.messages, "pictures_decoded": checked.pictures}
             more = {"has_crcs": checked.has_crcs, "meant_gaps": checked.meant_gaps, "findings": found}
+            more |= {"odd": [asdict(each) for each in checked.odd]}
             print_result(json.dumps({**result, **more}))
         else:
             print_checked(checked)

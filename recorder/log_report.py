@@ -14,6 +14,7 @@ from common.errors import counted, printable
 from common.location import location
 from common.output import print_result, print_table
 from recorder.log.check import Checked
+from recorder.log.check_contents import ODD_FINDINGS
 from recorder.log.derived_log import Written
 from recorder.log.log_info import LogInfo
 from recorder.log.odd_stretches import odd_lines
@@ -63,9 +64,11 @@ def print_checked(checked: Checked) -> None:
     print_result(f"{checked.path}: {counted(checked.messages, 'message')}{decoded}: {verdict}")
     found = Skipped()
     for finding in checked.findings:
-        found.add(finding.kind, finding.where)
+        if finding.kind not in ODD_FINDINGS.values():  # those are named with their causes
+            found.add(finding.kind, finding.where)
     for line in found.lines(MOST_PLACES):
         print_result(f"  {line}")
+    print_result(*(f"  {line}" for line in odd_lines(checked.odd, checked.path)))
     meant = Skipped()
     for where in checked.meant_gaps:
         meant.add("gaps in time that its events explain, so nothing is lost", where)
@@ -100,7 +103,9 @@ def _print_drives(info: LogInfo) -> None:
     gaps = [each for each in info.stretches if each.flag == "gap" and each.last_row not in info.meant_gaps]
     for gap in gaps[:MOST_PLACES]:
         goes_back = " (time goes back)" if gap.end_s < gap.begin_s else ""
-        print_table(f"    gap: rows {gap.first_row} to {gap.last_row}, {gap.begin_s:.1f} to {gap.end_s:.1f} s{goes_back}")
+        print_table(
+            f"    gap: rows {gap.first_row} to {gap.last_row}, {gap.begin_s:.1f} to {gap.end_s:.1f} s{goes_back}"
+        )
     _print_more(len(gaps), "more gap", MOST_PLACES)
 
 

@@ -18,6 +18,7 @@ from recorder.log.odd_stretches import odd_stretches
 from recorder.log.reader import Log
 from recorder.log.row_condition import rows_where
 from recorder.log.row_quality import States
+from recorder.log.shown_stretches import shown_stretches
 from recorder.log.tags import (
     Tag,
     add_tags,
@@ -51,9 +52,11 @@ class NameRows:
     """The first and the last row, instead of times. The whole log: --start 0."""
     odd: bool = False
     """All stretches that `bc-log info` calls odd and is sure of, instead of rows; they are listed first."""
+    look: bool = False
+    """With --odd: also those that only the pictures show; all are decoded."""
     where: Annotated[str | None, tyro.conf.arg(metavar="CONDITION")] = None
-    """The rows for which this holds, such as "speed_mph < 2 and throttle = 0": comparisons of row, time_s, steering,
-    throttle, brake, speed_mph, joined by and, or, parentheses. They are listed first."""
+    """The rows for which this holds, such as "speed_mph < 2 and throttle = 0": comparisons of row, time_s,
+    steering, throttle, brake and speed_mph, joined by and, or and parentheses. They are listed first."""
     yes: bool = False
     """Do not ask before what --odd or --where has found is tagged."""
     remove: bool = False
@@ -88,12 +91,13 @@ class NameRows:
             raise UsageError("give one of --odd, --where, --rows, or --start and --end")
         with Log(self.log) as log:
             states = States.of(log.vehicle())
+            shown = shown_stretches(log) if self.look else []
         if self.where is not None:
             edges = stretches(rows_where(states, self.where))
             chosen = [Tag(int(states.row[first]), int(states.row[last]), name) for first, last in edges]
             words = [rows_of(tag) for tag in chosen]
         else:
-            found = [each for each in odd_stretches(states) if each.is_sure]
+            found = [each for each in (*odd_stretches(states), *shown) if each.is_sure]
             chosen = [Tag(each.first_row, each.last_row, name) for each in found]
             words = [str(each) for each in found]
         for line in words[:MAX_LINES]:
@@ -125,16 +129,20 @@ class NameRows:
     def _change(self, name: str, tags: list[Tag], fingerprint: str) -> list[Tag]:
         with usage_errors(ValueError):
             check_name(name)
+        if self.look and not self.odd:
+            raise UsageError("--look: give --odd, too")
         if self._is_everywhere() and not self.remove:
             raise UsageError(
-                f"{name}: which rows? Give --rows FIRST LAST, --start and --end (--start 0 for all), --where, or --odd"
+                f"{name}: which rows? Give --rows FIRST LAST, --start and --end (--start 0 for all), --where, or"
+                " --odd"
             )
         if self._is_everywhere():
             chosen = [tag for tag in tags if tag.name == name]
         else:
             chosen = self._chosen(name)
         if not chosen and not self.remove:
-            print_message(f"{self.log}: nothing {'odd' if self.odd else 'for which that holds'}; nothing was tagged")
+            what = "nothing that is surely odd" if self.odd else "no row for which that holds"
+            print_message(f"{self.log}: {what}; nothing was tagged")
             return tags
         if self.remove and not set(chosen) & set(tags):
             held = ", ".join(f"{tag.name} ({rows_of(tag)})" for tag in tags) or "none"

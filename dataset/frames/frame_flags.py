@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from common.car import Camera
-from recorder.log.row_quality import ROW_FLAGS, RowFlag, States, row_flags
+from recorder.log.row_quality import NOT_LEARNT, ROW_FLAGS, RowFlag, States, row_flags
 from recorder.log.tags import EXCLUDE
 
 PictureFlag = Literal["missing_picture", "broken_picture", "frozen_picture", "steering_against_pictures"]
@@ -112,15 +112,20 @@ def _lists(flags: Mapping[FrameFlag, NDArray[np.bool_]], frames: int) -> pa.List
     return pa.ListArray.from_arrays(offsets, names.cast(pa.string()))
 
 
+def is_not_driving(frames: pa.Table) -> NDArray[np.bool_]:
+    """A mask of the frames with a flag of `NOT_LEARNT`: of crashes, of driving backwards, of a parked car."""
+    return lists_with(frames["flags"], *NOT_LEARNT)
+
+
 def is_excluded(frames: pa.Table) -> NDArray[np.bool_]:
     """A mask of the frames that are tagged `exclude`."""
     return lists_with(frames["tags"], EXCLUDE)
 
 
-def lists_with(lists: pa.ChunkedArray, name: str) -> NDArray[np.bool_]:
-    """A mask of the lists of strings that hold `name`."""
+def lists_with(lists: pa.ChunkedArray, *names: str) -> NDArray[np.bool_]:
+    """A mask of the lists of strings that hold one of these names."""
     combined = lists.combine_chunks()
     mask = np.zeros(len(combined), np.bool_)
-    at = pc.list_parent_indices(combined).filter(pc.equal(pc.list_flatten(combined), name))
+    at = pc.list_parent_indices(combined).filter(pc.is_in(pc.list_flatten(combined), pa.array(names)))
     mask[at.to_numpy()] = True
     return mask

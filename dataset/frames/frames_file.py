@@ -26,7 +26,7 @@ from recorder import Log
 from recorder.log.tags import Tag
 from recorder.log.topics import VEHICLE_COLUMNS
 
-FRAMES_FORMAT: Final = 8
+FRAMES_FORMAT: Final = 9
 
 FRAMES_SCHEMA: Final = pa.schema(
     [

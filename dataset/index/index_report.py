@@ -12,6 +12,7 @@ from common.errors import counted, printable
 from common.location import Location
 from common.output import print_message
 from dataset.index.build import Indexed
+from dataset.index.not_learnt import not_learnt_line
 from dataset.index.sessions import unfinished_recordings
 from dataset.samples.samples_format import COUNT_HEADINGS, Balance, SessionLabels
 from recorder.log.steering_report import STEERING_HEADINGS, steering_cells
@@ -25,10 +26,10 @@ def sessions_table(indexed: Indexed) -> Table:
     """Frames of each session, by what becomes of them; two of them only where there are some."""
     some_piloted = any(counts.not_taken_over for counts in indexed.counts.values())
     some_unlabelled = any(counts.unlabelled for counts in indexed.counts.values())
-    some_crashed = any(counts.crashed for counts in indexed.counts.values())
+    some_odd = any(counts.not_driven for counts in indexed.counts.values())
     columns = ["frames", "training", "validation", "gap", "left out"]
     columns += [COUNT_HEADINGS["not_taken_over"]] * some_piloted + [COUNT_HEADINGS["unlabelled"]] * some_unlabelled
-    columns += [COUNT_HEADINGS["crashed"]] * some_crashed
+    columns += ["not learnt"] * some_odd
     # narrow, for names of sessions stand whole in 80 columns: longer ones are folded, and none is cut off
     table = Table(box=None, pad_edge=False, collapse_padding=True, title="frames", title_justify="left")
     table.add_column("session", overflow="fold")
@@ -40,7 +41,7 @@ def sessions_table(indexed: Indexed) -> Table:
         left_out = counts.excluded + counts.unusable + counts.not_asked_for
         numbers = [counts.frames, counts.training, counts.validation, counts.gap, left_out]
         numbers += [counts.not_taken_over] * some_piloted + [counts.unlabelled] * some_unlabelled
-        numbers += [counts.crashed] * some_crashed
+        numbers += [counts.not_driven] * some_odd
         state = "read" if session in indexed.read else "unchanged"
         table.add_row(escape(session), *(f"{number:,}" for number in numbers), state)
     return table
@@ -83,7 +84,8 @@ def print_log_notices(indexed: Indexed, folder: Location, sessions: Sequence[str
     """Print the notices of an index's logs, and of recordings in `folder` that are not finished (with `sessions`,
     of these only). Returns 3 if there are any, else 0."""
     code = max([DONE, *map(warn, [*indexed.notices, *unfinished_recordings(folder, sessions)])])
-    for remark in [*indexed.remarks, *_shared_rows(indexed.labels), *mixed_sizes(indexed.sizes_px)]:
+    not_learnt = not_learnt_line(indexed.counts)
+    for remark in [*indexed.remarks, *_shared_rows(indexed.labels), *mixed_sizes(indexed.sizes_px), *not_learnt]:
         print_message(remark)
     return code
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from common.car import CAMERAS
 from dataset.config import IndexConfig
 from dataset.frames.drivers import DRIVERS, is_taken
-from dataset.frames.frame_flags import is_excluded, is_unusable
+from dataset.frames.frame_flags import is_excluded, is_unusable, lists_with
 from dataset.frames.frames_file import SPLITS, codes
 from dataset.samples.filter import Condition
 from dataset.samples.labels import planned_labels
@@ -43,10 +43,12 @@ def choose_frames(
     if condition is not None:
         is_selected &= condition.holds(frames)
     is_wanted = is_selected & is_taken(codes(frames["driver"], DRIVERS), config.drives)
-    steering, is_crashed = planned_labels(frames, labels.plan)
+    steering, is_odd = planned_labels(frames, labels.plan)
     usable = is_wanted & ~is_bad & ~is_tagged
     has_label = ~np.isnan(steering)
-    is_left_out = is_crashed & (split == 0)
+    is_left_out = is_odd & (split == 0)
+    is_crashed = lists_with(frames["flags"], "crash", "manoeuvring")
+    is_backwards = lists_with(frames["flags"], "backwards")
     chosen = usable & has_label & (split != 2) & ~is_left_out
     counts = SessionCounts(
         frames=len(frames),
@@ -57,7 +59,9 @@ def choose_frames(
         unusable=int((is_wanted & is_bad & ~is_tagged).sum()),
         unlabelled=int((usable & ~has_label & (split != 2) & ~is_left_out).sum()),
         not_asked_for=int((~is_selected).sum()),
-        crashed=int((usable & is_left_out).sum()),
+        crashed=int((usable & is_left_out & is_crashed).sum()),
         not_taken_over=int((is_selected & ~is_wanted).sum()),
+        backwards=int((usable & is_left_out & is_backwards & ~is_crashed).sum()),
+        parked=int((usable & is_left_out & ~is_backwards & ~is_crashed).sum()),
     )
     return FrameChoice(chosen, split == 0, steering, counts)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dataset.frames.distinct_rows import number_distinct
 from dataset.frames.drivers import DRIVERS
-from dataset.frames.frame_flags import is_excluded, is_unusable, lists_with
+from dataset.frames.frame_flags import is_excluded, is_not_driving, is_unusable
 from dataset.frames.frames_file import SPLITS, codes
 from recorder.log.label_plan import LabelPlan
 from recorder.log.row_quality import GAP_S, SPEED_RANGE_MPH
@@ -33,13 +33,13 @@ Times = NDArray[np.int64]
 
 def planned_labels(frames: pa.Table, plan: LabelPlan) -> tuple[Steering, NDArray[np.bool_]]:
     """The steering to be learnt of each of a session's frames (N,), as `labels_of` gives it, and a mask of those
-    that are left out of training as rows of crashes.
+    that are left out of training: of crashes, of driving backwards, and of a parked car.
 
     No label depends on another driver's steering, on the other side of the split, on frames that cannot be used or
-    are tagged `exclude`, or on a crash that is left out.
+    are tagged `exclude`, or are left out so.
     """
-    is_crashed = _is_crashed(frames, plan)
-    return labels_of(frames, _is_good(frames), _side(frames, is_crashed), plan.smooth_s, plan.shift_s), is_crashed
+    is_odd = _is_odd(frames, plan)
+    return labels_of(frames, _is_good(frames), _side(frames, is_odd), plan.smooth_s, plan.shift_s), is_odd
 
 
 def planned_speed_mph(
@@ -52,7 +52,7 @@ def planned_speed_mph(
     the road may allow more, and there is no label. (The mean of all speeds driven at a place would be too slow on
     straights.)
     """
-    speed_mph = later_speed_mph(frames, _is_good(frames), _side(frames, _is_crashed(frames, plan)), ahead_s)
+    speed_mph = later_speed_mph(frames, _is_good(frames), _side(frames, _is_odd(frames, plan)), ahead_s)
     for set_mph in slower_mph:
         speed_mph[np.abs(speed_mph - set_mph) < HELD_MPH] = np.nan
     return speed_mph
@@ -71,14 +71,14 @@ def _is_good(frames: pa.Table) -> NDArray[np.bool_]:
     return ~is_unusable(frames) & ~is_excluded(frames)
 
 
-def _is_crashed(frames: pa.Table, plan: LabelPlan) -> NDArray[np.bool_]:
-    return lists_with(frames["flags"], "crash") & plan.without_crashes
+def _is_odd(frames: pa.Table, plan: LabelPlan) -> NDArray[np.bool_]:
+    return is_not_driving(frames) & plan.without_crashes
 
 
-def _side(frames: pa.Table, is_crashed: NDArray[np.bool_]) -> NDArray[np.int8]:
-    """A code (N,) of split, driver and crash: no label depends on frames of another code."""
+def _side(frames: pa.Table, is_odd: NDArray[np.bool_]) -> NDArray[np.int8]:
+    """A code (N,) of split, driver, and whether it is left out: no label depends on frames of another code."""
     side: NDArray[np.int8] = codes(frames["split"], SPLITS) + 4 * codes(frames["driver"], DRIVERS)
-    return side + 16 * is_crashed.astype(np.int8)
+    return side + 16 * is_odd.astype(np.int8)
 
 
 def labels_of(

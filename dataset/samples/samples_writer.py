@@ -139,6 +139,8 @@ def nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) -> 
         "unusable": "with a picture that is not whole, or steering beyond -1..1",
         "unlabelled": f"too near the end of a stretch for a label{shift}",
         "crashed": "of a crash",
+        "backwards": "of driving backwards",
+        "parked": "of a parked car",
         "gap": "between training and validation",
     }
     totals = {name: sum(getattr(count, name) for count in counts.values()) for name in reasons}

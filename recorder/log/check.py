@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from common.location import Location
-from common.progress import progress_bar, track
-from common.stretches import stretches
+from common.progress import track
 from recorder.errors import LogError
-from recorder.log.check_contents import Contents, Finding, rows_named
+from recorder.log.check_contents import Contents, Finding, odd_findings
 from recorder.log.check_structure import sound_chunks
 from recorder.log.mcap_file import McapFile
+from recorder.log.odd_stretches import OddStretch
 from recorder.log.reader import Log
 from recorder.log.scan import read_structure
+from recorder.log.shown_stretches import shown_stretches
 from recorder.log.topics import VEHICLE, camera_topic
 
 
@@ -46,6 +45,7 @@ class Checked:
     findings: list[Finding]
     has_crcs: bool  # other programs may do without: damage is then not noticed
     meant_gaps: list[str]  # gaps in time that its events explain; no findings
+    odd: list[OddStretch]  # of its rows, also those that may be meant and are no findings
 
 
 def check(path: Location, *, look: bool = True) -> Checked:
@@ -68,19 +68,12 @@ def check(path: Location, *, look: bool = True) -> Checked:
             contents.finish()
         has_crcs = file.have_crcs(structure.chunks)
     has_rows = contents.counts[VEHICLE] and contents.counts[camera_topic("center")]
+    odd = contents.odd
     if look and has_rows and isinstance(path, Path):
-        findings += _against_pictures(path)
+        shown = []
+        with contextlib.suppress(LogError), Log(path) as log:
+            shown = shown_stretches(log)
+        findings += odd_findings(shown)
+        odd = sorted([*odd, *shown], key=lambda each: each.first_row)
     count = sum(contents.counts.values())
-    return Checked(path, count, contents.pictures, findings, has_crcs, contents.meant_gaps)
-
-
-def _against_pictures(path: Path) -> Iterator[Finding]:
-    """Stretches whose steering contradicts the pictures, as far as the log can be read."""
-    from recorder.log.steering_against_pictures import against_pictures  # OpenCV
-
-    with contextlib.suppress(LogError), Log(path) as log, progress_bar() as bar:
-        row = log.vehicle()["row"].to_numpy()
-        task = bar.add_task("comparing steering with pictures", total=len(row), note="")
-        for first, last in stretches(against_pictures(log, partial(bar.advance, task))):
-            where = rows_named(int(row[first]), int(row[last]))
-            yield Finding("stretches of steering against the pictures", where)
+    return Checked(path, count, contents.pictures, findings, has_crcs, contents.meant_gaps, odd)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from concurrent.futures import Executor
 from typing import Final, NamedTuple
 
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from google.protobuf.message import DecodeError
 
-from common.stretches import consecutive, stretches
+from common.stretches import consecutive
 from recorder.bc_pb2 import VehicleState
 from recorder.log import topics
 from recorder.log.bad_telemetry import read_event
@@ -17,17 +18,22 @@ from recorder.log.compressed_image import image_data
 from recorder.log.mcap_file import StoredMessage
 from recorder.log.meant_gaps import NotRecorded
 from recorder.log.message_index import LAST_TIME_NS
-from recorder.log.row_quality import STANDING_MPH, RowFlag, StatesWritten, row_flags
+from recorder.log.odd_stretches import OddStretch, odd_stretches
+from recorder.log.row_quality import STANDING_MPH, StatesWritten, row_flags
 from recorder.log.scan import Structure
 from recorder.log.topics import CAMERA_TOPICS, LOG_MESSAGE, TOPICS, VEHICLE_STATE, camera_topic
 from recorder.pictures.image_check import ImageCheck, TopicPictures
 from recorder.pictures.picture_size import PictureSizes, width_and_height
 
-_ROW_FINDINGS: Final[dict[RowFlag, str]] = {
-    "gap": "gaps in time",
+ODD_FINDINGS: Final = {
+    "crash": "crashes",
+    "backwards": "stretches of driving backwards",
+    "parked": "stretches of a parked car",
     "stuck_steering": "stretches of stuck steering",
     "out_of_range": "stretches of values out of range",
+    "steering_against_pictures": "stretches of steering against the pictures",
 }
+"""Whoever coasts or creeps may do so: `bc-log info` names it."""
 _MISFIT: Final = "messages that are not what their schema says"
 
 
@@ -64,6 +70,7 @@ class Contents:
         self._sizes = PictureSizes()
         self.counts: Counter[str] = Counter()
         self.meant_gaps: list[str] = []  # the rows behind them
+        self.odd: list[OddStretch] = []
 
     @property
     def pictures(self) -> int:
@@ -130,14 +137,12 @@ class Contents:
         speed_mph = dict(zip(keys, states.speed_mph.tolist(), strict=True))
         for topic in sorted(self._cameras(has_rows=bool(speed_mph))):
             self._check_pictures(topic, self._image_check.pictures.get(topic, TopicPictures()), speed_mph)
-        flags = row_flags(states)
         meant = self._not_recorded.gaps(states)
         self.meant_gaps = [f"before row {row}" for row in states.row[meant].tolist()]
-        flags["gap"] &= ~meant
-        for flag, kind in _ROW_FINDINGS.items():
-            for begin, end in stretches(flags[flag]):
-                where = rows_named(int(states.row[begin]), int(states.row[end]))
-                self._findings.append(Finding(kind, f"before {where}" if flag == "gap" else where))
+        for row in states.row[row_flags(states)["gap"] & ~meant].tolist():
+            self._findings.append(Finding("gaps in time", f"before row {row}"))
+        self.odd = odd_stretches(states)
+        self._findings += odd_findings(self.odd)
 
     def _cameras(self, *, has_rows: bool) -> frozenset[str]:
         """Topics on which every row should have a picture: also a camera that has none at all."""
@@ -161,6 +166,12 @@ class Contents:
         for first, last in pictures.frozen(standing):
             where = rows_named(pictures.rows[first], pictures.rows[last])
             self._findings.append(Finding("stretches of frozen pictures", f"{topic} {where}"))
+
+
+def odd_findings(found: Iterable[OddStretch]) -> list[Finding]:
+    """Those of the odd stretches that are findings."""
+    named = [(ODD_FINDINGS.get(each.kind, ""), rows_named(each.first_row, each.last_row)) for each in found]
+    return [Finding(kind, where) for kind, where in named if kind]
 
 
 def rows_named(first: int, last: int) -> str:

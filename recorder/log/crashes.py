@@ -39,9 +39,9 @@ def impact_rows(speed_mph: Values, time_s: Values) -> Mask:
 def crashed_rows(
     speed_mph: Values, steering: Values, standing: Mask, usual_mph: float, time_s: Values, drive: NDArray[np.int64]
 ) -> Mask:
-    """The rows (N,) of stretches far below the usual speed in which the car stands, and which an impact began or in
-    which the wheel is turned far for long. One that begins a drive is a start, whatever the wheel does: nothing was
-    driven into.
+    """The rows (N,) of stretches far below the usual speed in which the car stands, and which an impact began or
+    in which the wheel is turned far for long. One that begins a drive is a start, whatever the wheel does: nothing
+    was driven into.
 
     Speeds are without a sign, NaN where they are unknown; `time_s` is that of `elapsed_s`, `drive` numbers the
     drives. A session that is slow throughout has a slow usual speed, and in a hairpin nobody stands.

@@ -25,7 +25,7 @@ TURN_MPH: Final = 2.0
 its speed by 2.4 mph from one to the next."""
 PEDAL: Final = 0.05
 FIRM_BRAKE: Final = 0.3
-"""A slope of 12 %, the built-in mountain's, speeds up a car that brakes by a fifth. One that stands, it does not."""
+"""The built-in mountain, 12 % steep, speeds up a car that brakes by a fifth."""
 RISE_MPH: Final = 1.5
 """A smaller rise with the brake held is rounding, or what a slope adds to a car that begins to brake."""
 ROLL_MPH: Final = 3.0
@@ -43,8 +43,8 @@ class Backwards(NamedTuple):
 def driven_backwards(
     speed_mph: Values, throttle: Values, brake: Values, time_s: Values, drive: NDArray[np.int64]
 ) -> Backwards:
-    """The rows (N,) in which the car drives backwards; `time_s` is that of `elapsed_s`, `drive` numbers the drives.
-    No numbers raise anything, and an unknown speed, NaN, ends what was known of the direction."""
+    """The rows (N,) in which the car drives backwards; `time_s` is that of `elapsed_s`, `drive` numbers the
+    drives. No numbers raise anything, and an unknown speed, NaN, ends what was known of the direction."""
     nothing = np.zeros(len(speed_mph), np.bool_)
     is_known = np.abs(speed_mph) < 1e6  # False for NaN
     signed_mph = np.where(is_known, speed_mph, 0.0)
@@ -57,11 +57,10 @@ def driven_backwards(
     move = _moves(mph, is_joined)
     rise = np.where(is_joined, np.diff(mph), 0.0)
     fall = np.where(-rise < IMPACT_MPH_PER_S * np.diff(time_s), -rise, 0.0)
-    throttles, brakes = throttle > PEDAL, brake > PEDAL  # False for NaN
-    brakes &= ~throttles
-    is_braked, is_pushed, is_free = (held[1:] & held[:-1] for held in (brakes, throttles, ~throttles & ~brakes))
-    if not is_pushed.any():  # no throttle was recorded
-        is_free = nothing[1:]
+    is_pushed = _both(throttle > PEDAL)  # False for NaN
+    is_braked = _both((brake > PEDAL) & ~(throttle > PEDAL))
+    is_firm = is_braked & (brake > FIRM_BRAKE)[1:]
+    is_free = _both(~(throttle > PEDAL)) & ~is_firm & is_pushed.any()  # else no throttle was recorded
 
     def total(change_mph: Values, when: Mask) -> Values:
         """The sum of what is above 0, over each move."""
@@ -69,14 +68,17 @@ def driven_backwards(
 
     first = np.flatnonzero(np.diff(move, prepend=-1))  # of each move
     from_stand = mph[first] < TURN_MPH
-    is_firm = (brake > FIRM_BRAKE)[1:]
     rolled = total(rise, is_free)
-    reversed_mph = np.where(from_stand, total(rise, is_braked), total(rise, is_braked & is_firm))
-    reversed_mph += np.minimum(rolled, total(fall, is_pushed))
-    forwards_mph = total(rise, is_pushed) + total(fall, is_braked)
-    is_backwards = (reversed_mph >= RISE_MPH) & (reversed_mph > 2 * forwards_mph)
+    reversed_mph = total(rise, is_firm) + np.minimum(rolled, total(fall, is_pushed))
+    forwards_mph = total(rise, is_pushed) + np.where(from_stand, 0.0, total(fall, is_braked))
+    is_backwards = (reversed_mph >= np.where(from_stand, RISE_MPH, ROLL_MPH)) & (reversed_mph > 2 * forwards_mph)
     perhaps = ~is_backwards & from_stand & (rolled >= ROLL_MPH) & (rolled > 2 * forwards_mph)
     return Backwards(_rows(is_backwards[move] & is_joined), _rows(perhaps[move] & is_joined))
+
+
+def _both(mask: Mask) -> Mask:
+    """Whether it holds for both rows of each pair of neighbours."""
+    return mask[1:] & mask[:-1]
 
 
 def _reaching(signed_mph: Values, drive: NDArray[np.int64]) -> Mask:

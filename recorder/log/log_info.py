@@ -16,8 +16,8 @@ from recorder.log import topics
 from recorder.log.devices import device_numbers, most_used_of
 from recorder.log.label_plan import goes_by_lag, plan_labels
 from recorder.log.meant_gaps import NotRecorded, meant_rows
-from recorder.log.reader import Log
 from recorder.log.odd_stretches import OddStretch, odd_in, odd_stretches, odd_summary
+from recorder.log.reader import Log
 from recorder.log.row_quality import ROW_FLAGS, States, summary
 from recorder.log.session_car import max_steering_deg_of
 from recorder.log.steering_habits import SteeringHabits, SteeringLag, habits_from, steering_habits

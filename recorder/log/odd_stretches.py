@@ -22,7 +22,6 @@ from recorder.log.crashes import impact_rows
 from recorder.log.driving_backwards import SURELY_MPH, driven_backwards
 from recorder.log.row_quality import (
     NOT_LEARNT,
-    STANDING_MPH,
     States,
     drive_numbers,
     elapsed_s,
@@ -37,15 +36,21 @@ ODD_KINDS: Final[Mapping[str, str]] = {
     "parked": "parked",
     "out_of_range": "values out of range",
     "stuck_steering": "steering that never changes",
+    "steering_against_pictures": "steering against the pictures",
     "coasting": "coasting to a halt",
     "creeping": "creeping",
 }
 """What each kind is called; of rows that are of several, the first counts."""
 
+SHOWN: Final = frozenset({"steering_against_pictures"})
+"""Kinds that only pictures show."""
+CRUMB_S: Final = 1.0
 ODD: Final = "odd"
 """Their key in a log's `bc.quality`."""
 MOST_KEPT: Final = 100
 MOST_NAMED: Final = 6
+MOSTLY: Final = 0.6
+"""Of its rows; a crash without an impact in which the car reverses for so long is driving backwards."""
 
 Mask = NDArray[np.bool_]
 
@@ -73,7 +78,11 @@ class OddStretch:
 
     def __str__(self) -> str:
         kind = ODD_KINDS.get(self.kind, printable(self.kind))
-        rows = f"row {self.first_row}" if self.first_row == self.last_row else f"rows {self.first_row} to {self.last_row}"
+        rows = (
+            f"row {self.first_row}"
+            if self.first_row == self.last_row
+            else f"rows {self.first_row} to {self.last_row}"
+        )
         perhaps = "" if self.is_sure else "perhaps "
         return f"{perhaps}{kind}: {rows}, {self.begin_s:.1f} to {self.end_s:.1f} s ({printable(self.cause)})"
 
@@ -83,7 +92,6 @@ def odd_stretches(states: States) -> list[OddStretch]:
     rows raises anything. Gaps in time, and ordinary stops, are none."""
     if not len(states.row):
         return []
-    since_s = (states.time_ns - states.time_ns[0]) / 1e9
     drive = drive_numbers(states.time_ns)
     taken = np.zeros(len(drive), np.bool_)
     found = []
@@ -91,19 +99,25 @@ def odd_stretches(states: States) -> list[OddStretch]:
         for first, last in stretches_within(mask & ~taken, drive):
             rows = slice(first, last + 1)
             taken[rows] = True
+            if not is_sure and states.time_ns[last] - states.time_ns[first] < CRUMB_S * 1e9:
+                continue  # the edge of what is odd for another cause
             kind_of_it, why = cause(rows) if callable(cause) else (kind, cause)
-            edges = sorted((int(states.row[first]), int(states.row[last])))
-            found.append(
-                OddStretch(kind_of_it, *edges, float(since_s[first]), float(since_s[last]), why, is_sure)
-            )
+            found.append(stretch_of(states, first, last, kind_of_it, why, is_sure=is_sure))
     return sorted(found, key=lambda each: (each.first_row, each.last_row))
+
+
+def stretch_of(states: States, first: int, last: int, kind: str, cause: str, *, is_sure: bool) -> OddStretch:
+    """The stretch between two positions in the states of a log."""
+    rows = sorted((int(states.row[first]), int(states.row[last])))
+    begin_s, end_s = ((states.time_ns[[first, last]] - states.time_ns[0]) / 1e9).tolist()
+    return OddStretch(kind, *rows, begin_s, end_s, cause, is_sure)
 
 
 _Cause = Callable[[slice], tuple[str, str]] | str
 
 
 def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask, bool, _Cause]]:
-    """Of each kind its rows (N,), whether they are sure, and their cause, or the kind and cause of some of them."""
+    """Of each kind its rows (N,), whether it is sure, and its cause, or the kind and the cause of some rows."""
     flags = row_flags(states)
     time_s = elapsed_s(states.time_ns)
     speed_mph = np.abs(np.where(np.isfinite(states.speed_mph), states.speed_mph, np.nan))
@@ -115,38 +129,62 @@ def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask
         return float(np.nanmax(speed_mph[rows], initial=0.0))
 
     def manoeuvre(rows: slice) -> tuple[str, str]:
-        backwards = flags["backwards"][rows]
-        if not flags["crash"][rows].any():
+        backwards, hits = flags["backwards"][rows], rows.start + np.flatnonzero(is_hit[rows])
+        if not flags["crash"][rows].any() or (not len(hits) and backwards.mean() > MOSTLY):
             by_sign = (states.speed_mph[rows] < SURELY_MPH).any()
             why = "its speed is below 0" if by_sign else "its speed rises while the brake is held"
             return "backwards", f"at up to {float(np.nanmax(speed_mph[rows][backwards])):.0f} mph; {why}"
-        hits = rows.start + np.flatnonzero(is_hit[rows])
         how = f"hits something at row {states.row[hits[0]]}" if len(hits) else "stands with its wheels turned far"
         return "crash", how + (f", {counted(int(backwards.sum()), 'row')} backwards" if backwards.any() else "")
 
     yield "crash", flags["crash"] | flags["backwards"] | flags["manoeuvring"], True, manoeuvre
-    yield "parked", flags["parked"], True, lambda rows: (
+    yield (
         "parked",
-        f"stands for {time_s[rows][-1] - time_s[rows][0]:.0f} s",
+        flags["parked"],
+        True,
+        lambda rows: (
+            "parked",
+            f"stands for {time_s[rows][-1] - time_s[rows][0]:.0f} s",
+        ),
     )
     yield "out_of_range", flags["out_of_range"], True, "steering, a pedal or a speed that no car has"
     perhaps = driven_backwards(speed_mph, states.throttle, states.brake, time_s, drive).perhaps
-    yield "backwards", perhaps, False, lambda rows: (
+    yield (
         "backwards",
-        f"or downhill? Up to {fastest_mph(rows):.0f} mph from a stand, without throttle",
+        perhaps,
+        False,
+        lambda rows: (
+            "backwards",
+            f"or downhill? Up to {fastest_mph(rows):.0f} mph from a stand, without throttle",
+        ),
     )
-    yield "stuck_steering", flags["stuck_steering"], False, lambda rows: (
+    yield (
         "stuck_steering",
-        f"at {states.steering[rows][0]:g}",
+        flags["stuck_steering"],
+        False,
+        lambda rows: (
+            "stuck_steering",
+            f"at {states.steering[rows][0]:g}",
+        ),
     )
     coasting = coasting_rows(speed_mph, states.throttle, states.brake, standing, usual_mph, time_s, drive)
-    yield "coasting", coasting, False, lambda rows: (
+    yield (
         "coasting",
-        f"from {fastest_mph(rows):.0f} mph without a pedal",
+        coasting,
+        False,
+        lambda rows: (
+            "coasting",
+            f"from {fastest_mph(rows):.0f} mph without a pedal",
+        ),
     )
-    yield "creeping", creeping_rows(speed_mph, standing, usual_mph, time_s, drive), False, lambda rows: (
+    yield (
         "creeping",
-        f"at most {fastest_mph(rows):.1f} mph, where {usual_mph:.0f} mph is usual",
+        creeping_rows(speed_mph, standing, usual_mph, time_s, drive),
+        False,
+        lambda rows: (
+            "creeping",
+            f"at most {fastest_mph(rows):.1f} mph, where {usual_mph:.0f} mph is usual",
+        ),
     )
 
 
@@ -169,7 +207,8 @@ def odd_lines(found: Sequence[OddStretch], log: Location) -> list[str]:
     if any(not each.is_learnt for each in found):
         lines.append("bc-index does not learn crashes, driving backwards and parked cars, if a person drove")
     if any(each.is_sure for each in found):
-        lines.append(f"`bc-log tag {place} exclude --odd` excludes all that is sure")
+        look = " --look" * any(each.is_sure and each.kind in SHOWN for each in found)
+        lines.append(f"`bc-log tag {place} exclude --odd{look}` excludes all that is sure")
     if unsure := next((each for each in found if not each.is_sure), None):
         lines.append(f"look at the rest, `bc-play {place}`; `{unsure.command(log)}` excludes it")
     return lines

@@ -27,14 +27,15 @@ _COMPARE: Final[Mapping[str, Callable[[Any, Any], Any]]] = {
     "==": operator.eq,
     "!=": operator.ne,
 }
-_TOKEN: Final = re.compile(r"\s*(?:(\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+)|([A-Za-z_]\w*)|(<=|>=|==|!=|[<>=()+-])|(\S))", re.ASCII)
+_NUMBER: Final = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
+_TOKEN: Final = re.compile(rf"{_NUMBER.pattern}|[A-Za-z_]\w*|[<>=!]=|\S", re.ASCII)
 _MOST_CHARACTERS: Final = 500
 _MOST_PARENTHESES: Final = 50
 
 
 def rows_where(states: States, condition: str) -> Mask:
-    """The rows (N,) for which a condition holds; no comparison with an unknown number does. Raises UsageError, with
-    what was expected where, for any other text."""
+    """The rows (N,) for which a condition holds; no comparison with an unknown number does. Raises UsageError,
+    with what was expected where, for any other text."""
     if len(condition) > _MOST_CHARACTERS:
         raise UsageError(f"--where: {len(condition):,} characters; at most {_MOST_CHARACTERS} are taken")
     return _Parser(states, condition).parsed()
@@ -47,7 +48,7 @@ class _Parser:
         self._shape = states.row.shape
         self._depth = 0
         self._text = text
-        self._tokens = [match.group(match.lastindex or 0) for match in _TOKEN.finditer(text)]
+        self._tokens: list[str] = _TOKEN.findall(text)
         self._at = 0
 
     def parsed(self) -> Mask:
@@ -92,7 +93,7 @@ class _Parser:
         if token in self._columns:
             self._at += 1
             return self._columns[token] * sign
-        if not token[:1].isdigit() and token[:1] != ".":
+        if not _NUMBER.fullmatch(token):
             raise self._expected(f"a number, or one of {', '.join(COLUMNS)}")
         self._at += 1
         return float(token) * sign

@@ -56,6 +56,7 @@ class UdacityWriter:
         stamp = f"{moment:%Y_%m_%d_%H_%M_%S}_{moment.microsecond // 1000:03d}"
         paths = [self._images / f"{camera}_{stamp}.jpg" for camera in CSV_CAMERAS]
         # C# prints floats with seven significant digits, and exponents as E-05
+        speed_mph = abs(speed_mph)  # the simulator's has no sign
         values = [f"{value:.7g}".replace("e", "E") for value in (steering, throttle, brake, speed_mph)]
         with self._writing():
             for camera, path in zip(CSV_CAMERAS, paths, strict=True):

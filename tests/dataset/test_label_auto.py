@@ -158,11 +158,15 @@ def test_crashes_are_not_learnt_but_measured_and_no_label_depends_on_them(tmp_pa
     assert {row["row"] for row in frames if "crash" in row["flags"]} == crash
     split = {row["row"]: row["split"] for row in frames}
     assert {split[row] for row in crash} == {"train", "validation"}
+    about = {
+        row["row"] for row in frames if "manoeuvring" in row["flags"]
+    }  # a second before it, and a turned wheel
+    assert {*range(291, 300), *range(491, 500)} <= about <= {*range(290, 370), *range(490, 570)} - crash
     samples = {row["row"]: row for row in learnt.samples.to_pylist()}
-    assert not {row for row in crash if split[row] == "train"} & samples.keys()
+    assert not {row for row in crash | about if split[row] == "train"} & samples.keys()
     assert {row for row in crash if split[row] == "validation" and row + 2 in crash} <= samples.keys()
     assert max(abs(row["label"]) for row in samples.values() if row["row"] not in crash) <= 0.6 + 1e-9
-    assert learnt.counts["a"].crashed == sum(split[row] == "train" for row in crash)
+    assert learnt.counts["a"].crashed == sum(split[row] == "train" for row in crash | about)
     everything = indexed(tmp_path, log, validation_share=0.5, seed=1, labels="as-recorded")
     assert {row["row"] for row in everything.samples.to_pylist()} == set(range(ROWS))
     assert everything.counts["a"].crashed == 0
@@ -229,4 +233,5 @@ def test_a_tagged_crash_stays_out_as_before(tmp_path: Path) -> None:
     with Log(log) as opened:
         add_tag(log, opened.fingerprint, Tag(300, 320, "exclude"))
     counts = indexed(tmp_path, log, validation_share=0.0).counts["a"]
-    assert (counts.excluded, counts.crashed) == (21, 59)
+    assert counts.excluded == 21
+    assert 59 < counts.crashed < 59 + 40

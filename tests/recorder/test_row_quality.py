@@ -90,8 +90,8 @@ def test_values_out_of_range(values: dict[str, float], is_out: bool) -> None:
 
 
 def test_standing_still_is_below_half_a_mile_an_hour_and_known() -> None:
-    rows = states(every_tenth(6), speed_mph=[0.0, 0.49, 0.5, 9.0, math.nan, -3.0])
-    assert flagged(rows, "standing_still") == [0, 1, 5]
+    rows = states(every_tenth(7), speed_mph=[0.0, 0.49, 0.5, 9.0, math.nan, -3.0, -0.4])
+    assert flagged(rows, "standing_still") == [0, 1, 6]
 
 
 def test_steering_is_stuck_after_three_seconds_and_straight_on_after_thirty() -> None:

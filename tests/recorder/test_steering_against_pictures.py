@@ -58,7 +58,9 @@ def test_the_check_of_a_log_and_the_report_of_an_index_tell_it(
     log = write_drive(tmp_path / "sessions" / "a.mcap", views(ROWS), wheel)
     ((first, last),) = found_in(log)
     assert call(bc_log, "check", log) == 3
-    assert f"stretches of steering against the pictures: 1 (rows {first} to {last})" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"steering against the pictures: rows {first} to {last}," in said
+    assert f"`bc-log tag {log} exclude --odd --look` excludes all that is sure" in said
     assert call(bc_log, "check", log, "--no-look") == 0
 
     index = tmp_path / "index"

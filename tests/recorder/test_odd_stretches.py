@@ -1,0 +1,152 @@
+"""What is odd in a recording: each kind on a drive that has it, and none on drives that do not."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from common import Skipped
+from recorder import LogWriter
+from recorder.bc_pb2 import VehicleState
+from recorder.log.log_info import describe
+from recorder.log.odd_stretches import OddStretch, odd_lines, odd_stretches
+from recorder.log.row_quality import States
+from recorder.sources.udacity_recording import UdacityRecording
+
+RATE_HZ = 10
+Part = tuple[float, float, float, float, float]
+"""Seconds, steering, pedal (the brake below 0), and the speed at their begin and end."""
+
+CRUISE: Part = (15.0, 0.0, 0.5, 20.0, 20.0)
+STOP: Part = (1.0, 0.0, -1.0, 20.0, 0.0)
+START: Part = (2.0, 0.0, 1.0, 0.0, 20.0)
+
+
+def driven(*parts: Part) -> States:
+    rows = []
+    for seconds, steering, pedal, begin_mph, end_mph in parts:
+        for speed_mph in np.linspace(begin_mph, end_mph, round(seconds * RATE_HZ), endpoint=False):
+            rows.append((steering + 0.01 * math.sin(len(rows)), max(0.0, pedal), max(0.0, -pedal), speed_mph))
+    number = np.arange(len(rows))
+    return States(100 + number, number * 10**9 // RATE_HZ, *np.array(rows).T.copy())
+
+
+def found_in(*parts: Part) -> list[tuple[str, float, float, bool]]:
+    return [(each.kind, each.begin_s, each.end_s, each.is_sure) for each in odd_stretches(driven(*parts))]
+
+
+def test_who_reverses_for_a_while_drives_backwards_until_the_car_stands_again() -> None:
+    back = [STOP, (3.0, 0.1, -1.0, 0.0, 12.0), (1.0, 0.1, 0.5, 12.0, 0.0)]
+    ((kind, begin_s, end_s, is_sure),) = found_in(CRUISE, *back, START, CRUISE)
+    assert (kind, is_sure) == ("backwards", True)
+    assert begin_s == pytest.approx(16.0, abs=0.2)
+    assert 20.0 <= end_s < 21.5  # and until it drives again
+
+
+def test_a_speed_below_zero_needs_no_pedals() -> None:
+    ((kind, begin_s, _, is_sure),) = found_in(CRUISE, STOP, (3.0, 0.1, 0.0, -0.6, -4.0), START, CRUISE)
+    assert (kind, begin_s, is_sure) == ("backwards", 16.0, True)
+    assert found_in(CRUISE, STOP, (1.5, 0.0, 0.0, -0.6, -0.6), START, CRUISE) == []  # noise of a car that stands
+
+
+def test_without_a_brake_it_may_roll_downhill_and_is_not_sure() -> None:
+    ((kind, _, _, is_sure),) = found_in(CRUISE, STOP, (4.0, 0.1, 0.0, 0.0, 9.0), (5.0, 0.1, 0.0, 9.0, 9.0))
+    assert (kind, is_sure) == ("backwards", False)
+
+
+def test_the_approach_the_reversing_and_the_way_out_belong_to_the_crash() -> None:
+    wall = [(1.0, 0.0, 1.0, 0.1, 0.1), (3.0, 1.0, -1.0, 0.0, 6.0), (1.0, 0.0, 1.0, 6.0, 0.0), START]
+    (found,) = odd_stretches(driven(CRUISE, *wall, CRUISE))
+    assert (found.kind, found.is_sure, found.is_learnt) == ("crash", True, False)
+    assert found.begin_s == pytest.approx(14.0, abs=0.1)
+    assert 20.5 <= found.end_s <= 21.5
+    assert "hits something at row 250" in found.cause
+    assert "backwards" in found.cause
+    assert found.command(Path("my logs/a.mcap")) == (
+        f"bc-log tag 'my logs/a.mcap' exclude --rows {found.first_row} {found.last_row}"
+    )
+
+
+def test_a_parked_car_stands_for_long_and_an_ordinary_start_does_not() -> None:
+    ((kind, begin_s, end_s, is_sure),) = found_in(CRUISE, STOP, (8.0, 0.0, 0.0, 0.0, 0.0), START, CRUISE)
+    assert (kind, is_sure) == ("parked", True)
+    assert (begin_s, end_s) == (pytest.approx(16.0, abs=0.1), pytest.approx(24.0, abs=0.1))
+    assert found_in((3.5, 0.0, 0.0, 0.0, 0.0), START, CRUISE) == []
+    assert found_in((60.0, 0.0, 0.0, 0.0, 0.0)) == []  # nobody measures a speed
+
+
+def test_creeping_and_coasting_to_a_halt_are_told_but_not_sure() -> None:
+    creep = [STOP, (4.0, 0.0, 0.1, 0.6, 2.0), START]
+    assert [each[0::3] for each in found_in(CRUISE, *creep, CRUISE)] == [("creeping", False)]
+    coast = [(6.0, 0.0, 0.0, 20.0, 0.0), (1.0, 0.0, 0.0, 0.0, 0.0), START]
+    assert [each[0::3] for each in found_in(CRUISE, *coast, CRUISE)] == [("coasting", False)]
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        pytest.param([START, CRUISE, STOP, (2.0, 0.0, -1.0, 0.0, 0.0), START, CRUISE], id="a stop"),
+        pytest.param([CRUISE, (4.0, 0.0, -0.2, 10.0, 14.0), CRUISE], id="downhill with a light brake"),
+        pytest.param([CRUISE, (4.0, 0.0, 0.0, 10.0, 20.0), CRUISE], id="downhill without a pedal"),
+        pytest.param([(9.0, 0.0, 0.0, 0.0, 20.0), (9.0, 0.0, 0.0, 20.0, 20.0)], id="no pedals were recorded"),
+        pytest.param([START, CRUISE, (3.0, 0.6, 0.2, 7.0, 7.0), CRUISE], id="a hairpin"),
+        pytest.param([START, (5.0, 0.0, 1.0, math.nan, math.nan), CRUISE], id="an unknown speed"),
+    ],
+)
+def test_what_is_ordinary_is_not_odd(parts: list[Part]) -> None:
+    assert found_in(*parts) == []
+
+
+def test_a_log_keeps_what_is_odd_in_it_and_of_an_earlier_version_it_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    states = driven(CRUISE, STOP, (3.0, 0.1, -1.0, 0.0, 12.0), (1.0, 0.1, 0.5, 12.0, 0.0), START, CRUISE)
+
+    def written(name: str) -> list[OddStretch] | None:
+        with LogWriter(tmp_path / name, {"source": "test"}) as writer:
+            for row, time_ns, *values in zip(*vars(states).values(), strict=True):
+                names = ("steering", "throttle", "brake", "speed_mph")
+                state = VehicleState(**dict(zip(names, map(float, values), strict=True)))
+                writer.vehicle(int(time_ns), int(row), state)
+        return describe(tmp_path / name).odd
+
+    expected = odd_stretches(states)
+    assert [each.kind for each in expected] == ["backwards"]
+    assert written("a.mcap") == expected
+    monkeypatch.setattr("recorder.log.writer.odd_summary", lambda states: {})
+    assert written("earlier.mcap") == expected
+    monkeypatch.setattr("recorder.log.writer.odd_summary", lambda states: {"odd": "[{}]"})
+    assert written("foreign.mcap") == expected
+
+
+def test_what_is_odd_ends_with_the_command_that_excludes_it() -> None:
+    sure = OddStretch("crash", 3, 9, 0.3, 0.9, "x", is_sure=True)
+    unsure = OddStretch("creeping", 20, 29, 2.0, 2.9, "\x1b[1m", is_sure=False)
+    lines = odd_lines([sure] * 8 + [unsure], Path("sessions/a b.mcap"))
+    assert lines[0] == "crash: rows 3 to 9, 0.3 to 0.9 s (x)"
+    assert lines[6] == "and 3 more stretches"
+    assert "`bc-log tag 'sessions/a b.mcap' exclude --odd`" in lines[-2]
+    assert "`bc-log tag 'sessions/a b.mcap' exclude --rows 20 29`" in lines[-1]
+    assert "\x1b" not in str(unsure)
+    assert odd_lines([], Path("a.mcap")) == []
+
+
+def test_on_real_recordings_the_crashes_are_found_and_nothing_else(recordings: Path) -> None:
+    """Film strips of all of them were looked at: four walls of the old mountain, two of them one after the other,
+    and the tree at which the jungle ends."""
+    found = {}
+    for name in ("lake_windows", "lake_14hz", "jungle_linux", "mountain_linux"):
+        rows = [row for row, _ in UdacityRecording(recordings / name, Skipped()).rows()]
+        values = [(row.steering, row.throttle, row.brake, row.speed_mph) for row in rows]
+        time_ns = np.array([row.time_ns for row in rows])
+        odd = odd_stretches(States(np.arange(len(rows)), time_ns, *np.array(values).T.copy()))
+        found[name] = [(each.kind, each.first_row, each.last_row) for each in odd]
+    assert found == {
+        "lake_windows": [],
+        "lake_14hz": [],
+        "jungle_linux": [("crash", 1143, 1166)],
+        "mountain_linux": [("crash", 350, 446), ("crash", 1063, 1116), ("crash", 1161, 1211)],
+    }

@@ -1,0 +1,134 @@
+"""`bc-log tag --odd` and `--where`: what was found, or a condition, is listed first, tagged, and undone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from common.errors import UsageError
+from recorder import Log, LogWriter
+from recorder.bc_pb2 import VehicleState
+from recorder.log.row_condition import rows_where
+from recorder.log.row_quality import States
+from recorder.log.tags import read_tags
+from recorder.log_cli import main
+from udacity import call
+
+
+@pytest.fixture
+def parked(tmp_path: Path) -> Path:
+    """Eight seconds of driving, seven of standing, eight of driving."""
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, {"source": "test"}) as writer:
+        for row in range(230):
+            pedal, speed_mph = (0.0, 0.0) if 80 <= row < 150 else (0.5, 8.0)
+            state = VehicleState(steering=row / 1000, throttle=pedal, speed_mph=speed_mph)
+            writer.vehicle(row * 10**8, row, state)
+    return path
+
+
+def tags(path: Path) -> list[tuple[int, int, str]]:
+    with Log(path) as log:
+        return [(tag.first_row, tag.last_row, tag.name) for tag in read_tags(path, log.fingerprint)]
+
+
+def test_what_is_surely_odd_is_listed_tagged_and_taken_back(
+    parked: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(main, "tag", parked, "exclude", "--odd") == 0
+    output = capsys.readouterr()
+    assert output.err.startswith("parked: rows 80 to 149, 8.0 to 14.9 s (stands for 7 s)")
+    assert output.out == "exclude: rows 80 to 149\n"
+    assert tags(parked) == [(80, 149, "exclude")]
+    assert call(main, "tag", parked, "exclude", "--odd", "--remove") == 0
+    assert tags(parked) == []
+
+
+def test_rows_for_which_a_condition_holds_are_tagged_as_stretches(parked: Path) -> None:
+    assert call(main, "tag", parked, "exclude", "--where", "speed_mph > 2 and (time_s < 0.5 or row >= 228)") == 0
+    assert tags(parked) == [(0, 4, "exclude"), (228, 229, "exclude")]
+    assert call(main, "tag", parked, "exclude", "--where", "row >= 228", "--remove") == 0
+    assert tags(parked) == [(0, 4, "exclude")]
+
+
+def test_where_nothing_is_found_nothing_is_tagged(parked: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(main, "tag", parked, "exclude", "--where", "speed_mph > 100") == 0
+    assert "no row for which that holds; nothing was tagged" in capsys.readouterr().err
+    assert tags(parked) == []
+
+
+@pytest.mark.parametrize(("answer", "expected"), [(True, [(80, 149, "exclude")]), (False, [])])
+def test_a_person_is_asked_once_it_is_listed(
+    answer: bool, expected: list[object], parked: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def ask(question: str) -> bool:
+        asked.append(question)
+        return answer
+
+    monkeypatch.setattr("recorder.log_tag_cli.ask", ask)
+    assert call(main, "tag", parked, "exclude", "--odd") == (0 if answer else 1)
+    assert asked == ["Tag 70 rows in 1 stretch 'exclude'?"]
+    assert tags(parked) == expected
+    assert call(main, "tag", parked, "exclude", "--odd", "--yes") == 0
+    assert (len(asked), tags(parked)) == (1, [(80, 149, "exclude")])
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (("--odd", "--rows", 1, 2), "give one of --odd, --where"),
+        (("--where", "row = 1", "--odd"), "give one of --odd, --where"),
+        (("--look", "--rows", 1, 2), "--look: give --odd, too"),
+        (("--where", "speed < 2"), "steering, throttle, brake, speed_mph was expected before 'speed'"),
+    ],
+)
+def test_flags_that_contradict_each_other_are_a_mistake(
+    flags: tuple[object, ...], said: str, parked: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(main, "tag", parked, "exclude", *flags) == 2
+    assert said in capsys.readouterr().err
+    assert tags(parked) == []
+
+
+# The condition
+
+ROWS = States(
+    np.arange(5),
+    np.arange(5) * 10**9,
+    np.array([-0.5, -0.1, 0.0, 0.1, 0.5]),
+    np.array([0.0, 0.0, 1.0, 1.0, 1.0]),
+    np.zeros(5),
+    np.array([0.0, 1.0, 2.0, np.nan, 1e3]),
+)
+
+
+@pytest.mark.parametrize(
+    ("condition", "expected"),
+    [
+        ("speed_mph < 2", [0, 1]),
+        ("2 > speed_mph", [0, 1]),
+        ("speed_mph != 2", [0, 1, 4]),
+        ("steering >= -.1 and steering <= 1e-1", [1, 2, 3]),
+        ("-steering > 0", [0, 1]),
+        ("throttle = 0 or time_s == 4", [0, 1, 4]),
+        ("row = 0 or row = 1 and row = 2", [0]),
+        ("(row = 0 or row = 1) AND throttle=0", [0, 1]),
+        ("brake > throttle", []),
+    ],
+)
+def test_conditions(condition: str, expected: list[int]) -> None:
+    assert np.flatnonzero(rows_where(ROWS, condition)).tolist() == expected
+
+
+@pytest.mark.parametrize(
+    "condition",
+    ["", "row", "row <", "row < 2 and", "row < 2 2", "(row < 2", "row < 2)", "row < 2 < 3", "__import__('os')", "row;1",
+     "row < 2 xor row > 3", "(" * 400, "row < 2 or " * 100, "row < ²", "row < .", "row < nan", "row = 1e"],
+)  # fmt: skip
+def test_anything_else_is_a_mistake(condition: str) -> None:
+    with pytest.raises(UsageError, match="--where"):
+        rows_where(ROWS, condition)
