@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,9 +81,7 @@ def _table(found: Sequence[LogInfo]) -> Table:
         no_wrap = is_number or heading == "begun, UTC"
         table.add_column(heading, justify="right" if is_number else "left", no_wrap=no_wrap, overflow="fold")
     for info in found:
-        odd = Counter[str]()
-        for each in info.odd or ():
-            odd[each.kind.replace("_", " ")] += each.last_row - each.first_row + 1
+        odd = ", ".join(f"{rows:,} {kind.replace('_', ' ')}" for kind, rows in info.odd_rows.items())
         table.add_row(
             plain(location(info.path).name.removesuffix(".mcap")),
             plain(info.start[:16].replace("T", " ")),
@@ -92,7 +89,7 @@ def _table(found: Sequence[LogInfo]) -> Table:
             f"{info.rows:,}",
             f"{info.size_bytes / 1e6:,.0f}",
             plain(info.driver or "-"),
-            plain(", ".join(f"{rows:,} {kind}" for kind, rows in odd.most_common())) or "-" * (info.odd is None),
+            "-" if info.odd is None else plain(odd),
             plain(", ".join(sorted({tag.name for tag in info.tags}))),
         )
     return table

@@ -24,6 +24,7 @@ CRASH_LOCK_SHARE: Final = 0.25
 """A wheel at half lock or more in so many of its rows is manoeuvring; to stop and start, it is straight."""
 APPROACH_S: Final = 1.0
 """Before an impact; somebody who steers 13 m before a wall at 30 mph has not kept off it."""
+_ROUNDING_S: Final = 1e-6  # rows at even times lie on the edge
 WAY_OUT_S: Final = 3.0
 WAY_OUT_SPEED_SHARE: Final = 1 / 2
 BETWEEN_S: Final = 5.0
@@ -86,7 +87,7 @@ def manoeuvring_rows(
         hits = np.flatnonzero(is_hit[np.searchsorted(time_s, time_s[first] - IMPACT_LEADS_S) : last + 1])
         if crashed[first : last + 1].any() and len(hits):
             hit = np.searchsorted(time_s, time_s[first] - IMPACT_LEADS_S) + hits[0]
-            manoeuvring[np.searchsorted(time_s, time_s[min(hit, first)] - APPROACH_S) : first] = True
+            manoeuvring[np.searchsorted(time_s, time_s[min(hit, first)] - APPROACH_S - _ROUNDING_S) : first] = True
         end = np.searchsorted(time_s, time_s[last] + WAY_OUT_S, side="right")
         stays = np.flatnonzero(~is_leaving[last + 1 : end])
         manoeuvring[last + 1 : last + 1 + stays[0] if len(stays) else end] = True

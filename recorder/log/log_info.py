@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+from collections import Counter
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -71,6 +72,14 @@ class LogInfo:
     @property
     def rows(self) -> int:
         return next((topic.messages for topic in self.topics if topic.topic == topics.VEHICLE), 0)
+
+    @property
+    def odd_rows(self) -> dict[str, int]:
+        """The rows of the odd stretches, by their kind: most first."""
+        rows = Counter[str]()
+        for each in self.odd or ():
+            rows[each.kind] += each.last_row - each.first_row + 1
+        return dict(rows.most_common())
 
     @property
     def driver(self) -> str:

@@ -365,7 +365,8 @@ def test_steering_is_drawn_as_recorded_and_as_learnt_and_crashes_are_shaded(tmp_
         learnt = {row["row"]: row["label"] for row in samples.table.to_pylist()}
     assert session.recorded.tolist() == wheel(np.arange(650) / 10).tolist()
     assert {row: float(label) for row, label in enumerate(session.label) if not np.isnan(label)} == learnt
-    assert np.flatnonzero(session.is_crash).tolist() == list(range(100, 140))
+    shaded = np.flatnonzero(session.is_crash).tolist()  # and a second before it, and the way out
+    assert {*range(90, 140)} <= {*shaded} <= {*range(90, 170)}
     with figure_style():
         figure = draw_steering([session])
     course, histogram = figure.axes

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 ROWS = 600
 STUCK = (100, 149)  # the very same steering for five seconds of driving
 STANDING = (300, 339)
+CRASH = (290, 339)  # with its approach: the car stands at once
 GAP_AT = 450  # five seconds pass before this row
 FROZEN = (520, 539)  # the very same picture
 
@@ -124,6 +125,27 @@ def test_the_commands_that_are_shown_do_the_same(browser: Browser, bench: Served
         assert tags(bench) == after
 
 
+def test_all_that_is_sure_and_what_a_condition_says_are_excluded_by_a_button_each(
+    browser: Browser, bench: Served
+) -> None:
+    with opened(browser, bench) as page:
+        page.click("#exclude-odd")
+        wait_until(lambda: tags(bench) == [("exclude", *CRASH)])  # the others a person has to look at
+        wait_until(lambda: page.is_disabled("#exclude-odd"))
+        page.fill("#where", "row < 3 or row >= 598")
+        page.keyboard.press("Enter")
+        wait_until(lambda: "5 rows in 2 stretches" in page.inner_text("#status"))
+        assert len(tags(bench)) == 1  # it is listed first
+        assert page.locator("#where-found li").count() == 2
+        page.click("#exclude-where")
+        wait_until(lambda: tags(bench) == [("exclude", 0, 2), ("exclude", *CRASH), ("exclude", 598, 599)])
+        page.click("#undo")
+        wait_until(lambda: tags(bench) == [("exclude", 0, 2), ("exclude", *CRASH)])
+        page.fill("#where", "speed")
+        page.click("text=Find")
+        wait_until(lambda: "was expected before 'speed'" in page.inner_text("#status"))
+
+
 def test_j_and_k_go_through_the_odd_stretches_and_x_excludes_each(browser: Browser, bench: Served) -> None:
     """Planted faults are found and removed with nine actions."""
     with opened(browser, bench) as page:
@@ -135,7 +157,7 @@ def test_j_and_k_go_through_the_odd_stretches_and_x_excludes_each(browser: Brows
             words = page.inner_text("#selected").split()
             selected.append((int(words[1]), int(words[3])))
             press(page, "x", number + 1)
-        assert selected == [STUCK, STANDING, (GAP_AT - 1, GAP_AT)]
+        assert selected == [STUCK, CRASH, (GAP_AT - 1, GAP_AT)]
         assert tags(bench) == [("exclude", *rows) for rows in selected]
         page.keyboard.press("j")
         wait_until(lambda: "all odd stretches are excluded" in page.inner_text("#status"))
@@ -154,7 +176,7 @@ def test_j_and_k_go_through_the_odd_stretches_and_x_excludes_each(browser: Brows
         press(page, "x", 4)
     line = command("bc-log", "tag", bench.folder / "sessions" / "faulty.mcap")
     done = subprocess.run(line, env=environment(), capture_output=True, text=True, check=True)
-    excluded = (STUCK, STANDING, (GAP_AT - 1, GAP_AT), FROZEN)
+    excluded = (STUCK, CRASH, (GAP_AT - 1, GAP_AT), FROZEN)
     assert done.stdout == "".join(f"exclude: rows {first} to {last}\n" for first, last in excluded)
 
 

@@ -157,16 +157,24 @@ def test_odd_rows_and_pictures_are_told(tmp_path: Path) -> None:
         cameras=["center"],
     )
     with served(tmp_path) as bench:
-        assert bench.get("/sessions/a/state").json["odd"] == [["stuck_steering", 10, 49]]
+        stuck, frozen = ["stuck_steering", 10, 49, "at 0.4", False], ["frozen_picture", 60, 79, "", False]
+        assert bench.get("/sessions/a/state").json["odd"] == [stuck]
         assert bench.ask("POST", "/sessions/a/look", b"").status == 200
         wait_until(lambda: bench.get("/sessions/a/look").json["is_done"])
         looked = bench.get("/sessions/a/state").json
-        assert looked["odd"] == [["stuck_steering", 10, 49], ["frozen_picture", 60, 79]]
+        assert looked["odd"] == [stuck, frozen]
         shutil.rmtree(tmp_path / "cache")
         assert bench.get("/sessions/a/state").json["pictures_checked"] is False
         flags = ("--sessions", log.parent, "--index", tmp_path / "index", "--look", "--block-s", 1, "--gap-s", 0)
         assert call(dataset.cli.main, *flags) == 0
-        assert ["frozen_picture", 60, 79] in bench.get("/sessions/a/state").json["odd"]
+        assert frozen in bench.get("/sessions/a/state").json["odd"]
+
+
+def test_rows_for_which_a_condition_holds_are_found(bench: Served) -> None:
+    found = bench.get("/sessions/a/where?condition=row%20%3C%202%20or%20row%20%3D%204")
+    assert found.json == [[0, 1], [4, 4]]
+    refused = bench.get("/sessions/a/where?condition=import%20os")
+    assert (refused.status, "a number, or one of row" in refused.json["error"]) == (422, True)
 
 
 def test_a_log_that_is_not_finished_is_shown_but_not_tagged(bench: Served) -> None:

@@ -25,7 +25,6 @@ from dataset.index.build_state import FRAMES_FOLDER, BuildState, Sources, Stat, 
 from dataset.parquet_file import read_metadata
 from recorder import Log
 from recorder.log.log_info import LogInfo, describe
-from recorder.log.row_quality import ROW_FLAGS
 from recorder.log.tags import Tag
 from web.data.background import Background
 from web.data.cache_folder import CacheFolder
@@ -95,15 +94,15 @@ class SessionCard:
 
     @cached_property
     def flags(self) -> dict[str, int]:
-        """Rows of each flag that any row has; gaps without those that the recorder meant."""
-        if self.info is None or self.info.flags is None:
+        """The odd rows of each kind; and gaps, without those that the recorder meant."""
+        if self.info is None:
             return {}
-        counts = self.info.flags | {"gap": self.info.flags.get("gap", 0) - len(self.info.meant_gaps)}
-        return {flag: counts[flag] for flag in ROW_FLAGS if counts.get(flag, 0) > 0}
+        gaps = (self.info.flags or {}).get("gap", 0) - len(self.info.meant_gaps)
+        return self.info.odd_rows | ({"gap": gaps} if gaps > 0 else {})
 
     @property
     def odd_rows(self) -> int:
-        return sum(count for flag, count in self.flags.items() if flag != "gap")  # as `bc-log ls` counts them
+        return sum(self.info.odd_rows.values()) if self.info else 0  # as `bc-log ls` counts them
 
 
 class SessionCards:

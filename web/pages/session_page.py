@@ -14,9 +14,11 @@ from common.errors import printable
 from common.files import PART_SUFFIX
 from common.location import Location
 from common.locks import is_being_written
+from common.stretches import stretches
+from recorder.log.row_condition import rows_where
 from recorder.log.tags import EXCLUDE, tags_path
 from recorder.log.topics import camera_topic
-from web.data.odd_stretches import odd_stretches
+from web.data.session_stretches import shown_stretches
 from web.data.open_logs import OpenLog
 from web.data.project_folders import Place
 from web.data.rerun_viewers import command_of
@@ -75,6 +77,12 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
             data = np.concatenate([column.astype("<f8") for column in columns]).tobytes()
             return Response(data, media_type="application/octet-stream")
 
+    def where(request: Request) -> Response:
+        """The stretches of rows for which a condition holds, as [first, last] of their positions."""
+        with bench.logs.open(path_of(request)) as opened:
+            found = stretches(rows_where(opened.states, request.query_params.get("condition", "")))
+        return JSONResponse(found)
+
     def tags(request: Request) -> Response:
         """All tags as [first row, last row, number of the name], and the names."""
         path = path_of(request)
@@ -108,6 +116,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         Route(f"{at}/version", version),
         Route(f"{at}/state", state),
         Route(f"{at}/rows", rows),
+        Route(f"{at}/where", where),
         Route(f"{at}/tags", tags),
         Route(f"{at}/names", known_names),
         Route(f"{at}/tags", change, methods=["POST"]),
@@ -134,9 +143,6 @@ def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
         "rows": len(states.row),
         "cameras": [camera for camera in CAMERAS if len(log.pictures(camera_topic(camera)).sequence)],
         "problem": printable(log.notice),  # tags of what is not finished would be lost with its recovery
-        "odd": [
-            (stretch.flag, stretch.first, stretch.last)
-            for stretch in (odd_stretches(log, states, findings) if len(states.row) else ())
-        ],
+        "odd": shown_stretches(log, states, findings) if len(states.row) else [],
         "pictures_checked": findings is not None and findings.against is not None,
     }

@@ -9,7 +9,13 @@ export function listOdd(element, groups, data, { isLeft, onPick }) {
   fill(element, groups, (group) => [
     button(`${words(group)}`, () => onPick(group), isLeft(group) ? "" : "done"),
     rowsText(data, group),
+    text("span", group.causes.join("; "), "dim"),
   ]);
+}
+
+/** Stretches that are all of one kind. */
+export function listStretches(element, stretches, data, onPick) {
+  fill(element, stretches, (stretch) => [button("show", () => onPick(stretch), "small"), rowsText(data, stretch)]);
 }
 
 export function listTags(element, data, { canChange, onPick, onRemove }) {

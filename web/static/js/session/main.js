@@ -11,6 +11,7 @@ import { ask, LogData } from "./log_data.js";
 import { Predictions } from "./predictions.js";
 import { following, grouped, left, words } from "./odd.js";
 import { Makers } from "./make.js";
+import { Many } from "./many.js";
 import { Pictures } from "./pictures.js";
 import { Player } from "./player.js";
 import { RerunFrame } from "./rerun.js";
@@ -23,6 +24,7 @@ const pictures = new Pictures(document.querySelectorAll("figure[data-camera]"), 
 const curves = new Curves(by("curves"), data, { onMove: point, onSelect: select });
 const player = new Player(data, { onMove: move, onChange: showPlaying });
 const done = new History(data);
+const many = new Many(data, done, { change, onPick: goTo, showStatus });
 const makers = new Makers(by("make"), data);
 const rerun = new RerunFrame(by("rerun"), data, { onChange: showRerun, onProblem: showStatus });
 const predictions = new Predictions(data, { onChange: showPredicted });
@@ -212,6 +214,7 @@ function showTags() {
     onPick: goTo,
     onRemove: (taken) => change(() => done.make("remove", taken.name, taken.rows)),
   });
+  many.show();
   curves.mark({});
   by("look").hidden = data.state.pictures_checked || !data.state.cameras.length;
   page.dataset.tags = data.tags.length; // what is shown now, for scripts that wait for it

@@ -2,16 +2,22 @@
 
 export function grouped(stretches) {
   const groups = [];
-  for (const [flag, first, last] of stretches) {
+  for (const [flag, first, last, cause] of stretches) {
     const before = groups.at(-1);
     if (before && first <= before.last + 1) {
       before.last = Math.max(before.last, last);
       before.flags.add(flag);
+      if (cause) before.causes.push(cause);
     } else {
-      groups.push({ first, last, flags: new Set([flag]) });
+      groups.push({ first, last, flags: new Set([flag]), causes: cause ? [cause] : [] });
     }
   }
   return groups;
+}
+
+/** The stretches that nobody should learn from; the others a person has to look at. */
+export function sure(stretches) {
+  return stretches.filter((stretch) => stretch[4]).map(([, first, last]) => ({ first, last }));
 }
 
 /** Those of which some row is not excluded. */
