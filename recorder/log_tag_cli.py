@@ -18,7 +18,6 @@ from recorder.log.odd_stretches import odd_stretches
 from recorder.log.reader import Log
 from recorder.log.row_condition import rows_where
 from recorder.log.row_quality import States
-from recorder.log.shown_stretches import shown_stretches
 from recorder.log.tags import (
     Tag,
     add_tags,
@@ -91,13 +90,17 @@ class NameRows:
             raise UsageError("give one of --odd, --where, --rows, or --start and --end")
         with Log(self.log) as log:
             states = States.of(log.vehicle())
-            shown = shown_stretches(log) if self.look else []
+            odd = odd_stretches(states) if self.odd else []
+            if self.look:
+                from recorder.log.shown_stretches import with_pictures  # OpenCV
+
+                odd = with_pictures(log, odd)
         if self.where is not None:
             edges = stretches(rows_where(states, self.where))
             chosen = [Tag(int(states.row[first]), int(states.row[last]), name) for first, last in edges]
             words = [rows_of(tag) for tag in chosen]
         else:
-            found = [each for each in (*odd_stretches(states), *shown) if each.is_sure]
+            found = [each for each in odd if each.is_sure]
             chosen = [Tag(each.first_row, each.last_row, name) for each in found]
             words = [str(each) for each in found]
         for line in words[:MAX_LINES]:

@@ -17,7 +17,6 @@ from recorder.log.mcap_file import McapFile
 from recorder.log.odd_stretches import OddStretch
 from recorder.log.reader import Log
 from recorder.log.scan import read_structure
-from recorder.log.shown_stretches import shown_stretches
 from recorder.log.topics import VEHICLE, camera_topic
 
 
@@ -70,10 +69,14 @@ def check(path: Location, *, look: bool = True) -> Checked:
     has_rows = contents.counts[VEHICLE] and contents.counts[camera_topic("center")]
     odd = contents.odd
     if look and has_rows and isinstance(path, Path):
-        shown = []
+        from recorder.log.shown_stretches import with_pictures  # OpenCV
+        from recorder.log.side_cameras import are_swapped
+
         with contextlib.suppress(LogError), Log(path) as log:
-            shown = shown_stretches(log)
-        findings += odd_findings(shown)
-        odd = sorted([*odd, *shown], key=lambda each: each.first_row)
+            odd = with_pictures(log, odd)
+            if are_swapped(log):
+                left_out = "`bc-index --cameras center` leaves them out"
+                findings.append(Finding("side cameras that are swapped", f"left and right; {left_out}"))
+    findings += odd_findings(odd)
     count = sum(contents.counts.values())
     return Checked(path, count, contents.pictures, findings, has_crcs, contents.meant_gaps, odd)

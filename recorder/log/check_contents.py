@@ -142,7 +142,6 @@ class Contents:
         for row in states.row[row_flags(states)["gap"] & ~meant].tolist():
             self._findings.append(Finding("gaps in time", f"before row {row}"))
         self.odd = odd_stretches(states)
-        self._findings += odd_findings(self.odd)
 
     def _cameras(self, *, has_rows: bool) -> frozenset[str]:
         """Topics on which every row should have a picture: also a camera that has none at all."""

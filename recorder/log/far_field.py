@@ -53,8 +53,8 @@ def rows_apart(states: States, time_s: Values, most: int | None = None) -> NDArr
     return chosen
 
 
-class FarField:
-    """The far field of the centre camera's pictures."""
+class CenterPictures:
+    """The centre camera's pictures, by the positions of their rows."""
 
     def __init__(self, log: Log, states: States) -> None:
         self._log = log
@@ -64,8 +64,32 @@ class FarField:
         by_moment = dict(zip(moments, places, strict=True))
         rows = zip(states.row.tolist(), states.time_ns.tolist(), strict=True)
         self._places = [by_moment.get(moment) for moment in rows]
-        self._last: tuple[int, Picture | None] = (-1, None)
         self.decoded_rows = set[int]()
+
+    def gray(self, row: int) -> NDArray[np.uint8] | None:
+        """The picture in half its size; None where there is none that decodes."""
+        place = self._places[row]
+        if place is None:
+            return None
+        try:
+            picture = decode_picture(self._log.read(*place), cv2.IMREAD_REDUCED_GRAYSCALE_2)
+        except LogError:
+            return None
+        if picture is not None:
+            self.decoded_rows.add(row)
+        return picture
+
+
+class FarField:
+    """The far field of the centre camera's pictures."""
+
+    def __init__(self, log: Log, states: States) -> None:
+        self._pictures = CenterPictures(log, states)
+        self._last: tuple[int, Picture | None] = (-1, None)
+
+    @property
+    def decoded_rows(self) -> set[int]:
+        return self._pictures.decoded_rows
 
     def yaw_px(self, first: int, second: int) -> float:
         """The car's turn to the right between two rows, in columns of the picture; NaN if it is unknown."""
@@ -83,16 +107,9 @@ class FarField:
 
     def _decoded(self, row: int) -> Picture | None:
         """Upright edges about the horizon; None of a picture too flat, or too narrow, to show any."""
-        place = self._places[row]
-        if place is None:
-            return None
-        try:
-            picture = decode_picture(self._log.read(*place), cv2.IMREAD_REDUCED_GRAYSCALE_2)
-        except LogError:
-            return None
+        picture = self._pictures.gray(row)
         if picture is None:
             return None
-        self.decoded_rows.add(row)
         top, bottom = (round(share * picture.shape[0]) for share in _FAR)
         far = scaled_to_width(picture[top : max(bottom, top + 1)], WIDTH_PX)
         if far is None:

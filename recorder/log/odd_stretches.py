@@ -42,8 +42,6 @@ ODD_KINDS: Final[Mapping[str, str]] = {
 }
 """What each kind is called; of rows that are of several, the first counts."""
 
-SHOWN: Final = frozenset({"steering_against_pictures"})
-"""Kinds that only pictures show."""
 CRUMB_S: Final = 1.0
 ODD: Final = "odd"
 """Their key in a log's `bc.quality`."""
@@ -66,11 +64,12 @@ class OddStretch:
     end_s: float
     cause: str
     is_sure: bool  # nobody should learn from it; else a person has to look
+    is_shown: bool = False  # by the pictures, and not by the numbers alone
 
     @property
     def is_learnt(self) -> bool:
         """False for what `bc-index` leaves out of training by itself."""
-        return not self.is_sure or self.kind not in NOT_LEARNT
+        return not self.is_sure or self.is_shown or self.kind not in NOT_LEARNT
 
     def command(self, log: Location) -> str:
         """The command that excludes it."""
@@ -207,8 +206,9 @@ def odd_lines(found: Sequence[OddStretch], log: Location) -> list[str]:
     if any(not each.is_learnt for each in found):
         lines.append("bc-index does not learn crashes, driving backwards and parked cars, if a person drove")
     if any(each.is_sure for each in found):
-        look = " --look" * any(each.is_sure and each.kind in SHOWN for each in found)
+        look = " --look" * any(each.is_sure and each.is_shown for each in found)
         lines.append(f"`bc-log tag {place} exclude --odd{look}` excludes all that is sure")
     if unsure := next((each for each in found if not each.is_sure), None):
-        lines.append(f"look at the rest, `bc-play {place}`; `{unsure.command(log)}` excludes it")
+        look = f"`bc-play {place}`, or let `bc-log check {place}` look at its pictures"
+        lines.append(f"look at what is perhaps odd, {look}; `{unsure.command(log)}` excludes it")
     return lines

@@ -8,7 +8,7 @@ cameras' pictures, row by row, gives d / h; neither the road nor the horizon has
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -35,6 +35,7 @@ UDACITY_MPH: Final = 10.0
 
 _MEASURED: Final[tuple[Camera, ...]] = ("center", "left", "right")
 MOMENTS: Final = 60
+_LEAST_MOMENTS: Final = 20  # to call the cameras swapped
 _WIDTH_PX: Final = 320
 _ROWS: Final = (0.4, 0.85)  # of the height: under most horizons, above most bonnets
 _BANDS: Final = 18
@@ -80,20 +81,37 @@ def usual_speed_mph(log: Log) -> float | None:
     return float(np.median(moving)) if len(moving) else None
 
 
-def side_cameras(log: Log) -> SideCameras:
-    """Measure in a log with pictures of all three cameras. Raises RecordingError where that is not possible."""
-    places = [log.pictures(camera_topic(camera)) for camera in _MEASURED]
+def side_cameras(log: Log, cameras: Sequence[Camera] = _MEASURED) -> SideCameras:
+    """Measure in a log with pictures of all three cameras: the centre one, and those at its left and its right.
+    Raises RecordingError where that is not possible."""
+    places = [log.pictures(camera_topic(camera)) for camera in cameras]
     rows = np.array(sorted(set.intersection(*(set(each.sequence.tolist()) for each in places))), np.int64)
     if not len(rows):
         raise RecordingError(f"{log.path}: no moment has pictures of all three cameras")
     chosen = rows[np.unique(np.linspace(0, len(rows) - 1, MOMENTS).round().astype(int))].tolist()
     moments = (
-        [decode_picture(log.picture(row, camera), cv2.IMREAD_GRAYSCALE) for camera in _MEASURED] for row in chosen
+        [decode_picture(log.picture(row, camera), cv2.IMREAD_GRAYSCALE) for camera in cameras] for row in chosen
     )
     try:
         return measure(moments)
     except ValueError as error:
         raise RecordingError(f"{log.path}: {error}") from None
+
+
+def are_swapped(log: Log) -> bool:
+    """True if the left camera's pictures are from the right of the centre one's, and the right one's from its
+    left: they can be measured so, and not as they are called."""
+    places = [log.pictures(camera_topic(camera)) for camera in _MEASURED]
+    if not all(len(each.sequence) for each in places):
+        return False
+    try:
+        side_cameras(log)
+    except RecordingError:
+        try:
+            return side_cameras(log, ("center", "right", "left")).moments >= _LEAST_MOMENTS
+        except RecordingError:
+            return False
+    return False
 
 
 def measure(moments: Iterable[list[Gray | None]]) -> SideCameras:

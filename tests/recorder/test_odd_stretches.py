@@ -129,6 +129,7 @@ def test_what_is_odd_ends_with_the_command_that_excludes_it() -> None:
     assert lines[0] == "crash: rows 3 to 9, 0.3 to 0.9 s (x)"
     assert lines[6] == "and 3 more stretches"
     assert "`bc-log tag 'sessions/a b.mcap' exclude --odd`" in lines[-2]
+    assert "`bc-log check 'sessions/a b.mcap'`" in lines[-1]
     assert "`bc-log tag 'sessions/a b.mcap' exclude --rows 20 29`" in lines[-1]
     assert "\x1b" not in str(unsure)
     assert odd_lines([], Path("a.mcap")) == []

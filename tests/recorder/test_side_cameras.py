@@ -72,6 +72,22 @@ def test_the_size_of_the_pictures_does_not_matter(size: tuple[int, int]) -> None
     assert measure(others).spacing == pytest.approx(0.63, abs=0.02)
 
 
+def test_sides_that_are_swapped_are_found_by_a_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, order in (("sound", CAMERAS), ("swapped", ("center", "right", "left"))):
+        with LogWriter(tmp_path / f"{name}.mcap", {"source": "test"}) as writer:
+            for row, of_place in enumerate(jpegs(6) * 4):
+                by_camera = dict(zip(CAMERAS, of_place, strict=True))
+                for camera, shown in zip(CAMERAS, order, strict=True):
+                    writer.picture(camera, row * 10**8, row, by_camera[shown])
+                writer.vehicle(row * 10**8, row, VehicleState(steering=row / 100, speed_mph=9.0))
+    assert call(log_main, "check", tmp_path / "sound.mcap") == 0
+    assert "swapped" not in capsys.readouterr().out
+    assert call(log_main, "check", tmp_path / "swapped.mcap") == 3
+    assert (
+        "side cameras that are swapped: 1 (left and right; `bc-index --cameras center`" in capsys.readouterr().out
+    )
+
+
 def test_cameras_at_two_distances_have_no_one_correction(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(simulator.rendering.camera.MOUNT_LEFT_M, "right", -0.5)
     with pytest.raises(
