@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -36,9 +36,6 @@ DRIVEN_S: Final = 30.0
 NEAR_S: Final = 4.0
 RATE_HZ: Final = 10
 STEPS_EACH: Final = 5
-
-Rows = Iterator[tuple[float, float]]
-"""Steering and throttle, -1..1, of each row."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +117,7 @@ FAULTS: Final[dict[str, Callable[[Drive], None]]] = {
 }
 
 
-def states_of(rows: list[tuple[float, ...]]) -> States:
+def states_of(rows: Sequence[tuple[float, ...]]) -> States:
     table = np.array(rows, np.float64)
     return States(np.arange(len(rows)), np.rint(table[:, 0] * 1e9).astype(np.int64), *table[:, 1:].T.copy())
 
@@ -188,10 +185,10 @@ def main() -> None:
                 held, false = measure(odd_stretches(states), kind, places)
                 count = results.setdefault(kind, Counter())
                 count.update(rows=len(states.row), faults=len(places), found=held, false=false)
-    for name, count in results.items():
+    for kind, count in results.items():
         missed = count["faults"] - count["found"]
         print(
-            f"| {name} | {count['faults']} | {count['found']} | {missed} | {count['false']} | {count['rows']:,} |"
+            f"| {kind} | {count['faults']} | {count['found']} | {missed} | {count['false']} | {count['rows']:,} |"
         )
 
 

@@ -23,9 +23,8 @@ def consecutive(numbers: Sequence[int]) -> list[tuple[int, int]]:
 
 def stretches_within(mask: NDArray[np.bool_], part: NDArray[np.int64]) -> list[tuple[int, int]]:
     """The same of a mask (N,) whose positions have a number of their part (N,): where that changes, a run ends."""
-    starts = np.flatnonzero(np.diff(part)) + 1
-    return [
-        (first + at, last + at)
-        for at, positions in zip([0, *starts.tolist()], np.split(mask, starts), strict=True)
-        for first, last in stretches(positions)
-    ]
+    edges = np.flatnonzero((mask[1:] != mask[:-1]) | (part[1:] != part[:-1]))
+    first = np.concatenate([[0], edges + 1])[: len(mask)]
+    last = np.append(edges, len(mask) - 1)[: len(mask)]
+    is_run = mask[first]
+    return list(zip(first[is_run].tolist(), last[is_run].tolist(), strict=True))

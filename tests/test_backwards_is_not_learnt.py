@@ -10,6 +10,7 @@ import pytest
 from common.car import CAMERAS
 from dataset import IndexConfig, Samples, build_index
 from dataset.cli import main as bc_index
+from dataset.index.not_learnt import not_learnt_in
 from recorder.cli import main as bc_record
 from recorder.log_cli import main as bc_log
 from simulator.driving.expert import Expert
@@ -68,6 +69,7 @@ def test_it_is_named_at_the_import_and_not_learnt(
     said = capsys.readouterr().err
     assert "not learnt: student (" in said
     assert "of driving backwards" in said
+    assert not_learnt_in(Path("index")) == [line for line in said.splitlines() if line.startswith("not learnt: ")]
 
     def learnt(index: str) -> set[int]:
         with Samples(Path(index)) as samples:

@@ -64,7 +64,7 @@ def driven_backwards(
 
     def total(change_mph: Values, when: Mask) -> Values:
         """The sum of what is above 0, over each move."""
-        return np.bincount(move, np.where(when, np.maximum(change_mph, 0.0), 0.0))
+        return np.bincount(move, np.where(when, np.maximum(change_mph, 0.0), 0.0)).astype(np.float64)
 
     first = np.flatnonzero(np.diff(move, prepend=-1))  # of each move
     from_stand = mph[first] < TURN_MPH
@@ -94,8 +94,8 @@ def _moves(mph: Values, is_joined: Mask) -> NDArray[np.int64]:
     is_turn[1:-1] = (mph[1:-1] < TURN_MPH) & (mph[1:-1] <= mph[:-2]) & (mph[1:-1] < mph[2:])
     is_first = is_turn[:-1] | ~is_joined  # the pair that begins at that row
     is_first[1:] |= ~is_joined[:-1]
-    number: NDArray[np.int64] = np.cumsum(is_first)
-    return number - number[0]
+    number: NDArray[np.int64] = np.cumsum(is_first) - int(is_first[0])
+    return number
 
 
 def _rows(pairs: Mask) -> Mask:

@@ -107,9 +107,9 @@ def odd_stretches(states: States) -> list[OddStretch]:
 
 def stretch_of(states: States, first: int, last: int, kind: str, cause: str, *, is_sure: bool) -> OddStretch:
     """The stretch between two positions in the states of a log."""
-    rows = sorted((int(states.row[first]), int(states.row[last])))
+    first_row, last_row = sorted((int(states.row[first]), int(states.row[last])))
     begin_s, end_s = ((states.time_ns[[first, last]] - states.time_ns[0]) / 1e9).tolist()
-    return OddStretch(kind, *rows, begin_s, end_s, cause, is_sure)
+    return OddStretch(kind, first_row, last_row, begin_s, end_s, cause, is_sure)
 
 
 _Cause = Callable[[slice], tuple[str, str]] | str

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.stretches import stretches
+from common.stretches import stretches, stretches_within
 from logs import START_NS
 from plain_mcap import contents
 from recorder import Log, LogWriter
@@ -195,6 +195,18 @@ def test_stretches_are_the_runs_of_true(mask: list[bool]) -> None:
     found = stretches(np.array(mask, np.bool_))
     assert [i for first, last in found for i in range(first, last + 1)] == [i for i, on in enumerate(mask) if on]
     assert all(later[0] - earlier[1] > 1 for earlier, later in itertools.pairwise(found))
+
+
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 2)), max_size=20))
+def test_stretches_within_parts_are_those_of_each_part(rows: list[tuple[bool, int]]) -> None:
+    mask, part = (np.array([row[at] for row in rows], kind) for at, kind in enumerate((np.bool_, np.int64)))
+    starts = [0, *(np.flatnonzero(np.diff(part)) + 1).tolist(), len(rows)]
+    expected = [
+        (begin + first, begin + last)
+        for begin, end in itertools.pairwise(starts)
+        for first, last in stretches(mask[begin:end])
+    ]
+    assert stretches_within(mask, part) == expected
 
 
 # In a log

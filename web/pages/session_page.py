@@ -18,10 +18,10 @@ from common.stretches import stretches
 from recorder.log.row_condition import rows_where
 from recorder.log.tags import EXCLUDE, tags_path
 from recorder.log.topics import camera_topic
-from web.data.session_stretches import shown_stretches
 from web.data.open_logs import OpenLog
 from web.data.project_folders import Place
 from web.data.rerun_viewers import command_of
+from web.data.session_stretches import shown_stretches
 from web.pages.log_jobs_page import shown_log_jobs
 from web.pages.tagging import change_tags, names_known
 from web.pages.workbench import Workbench

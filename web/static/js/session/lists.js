@@ -8,8 +8,7 @@ const MOST = 200; // of each list; all of them are in the curves
 export function listOdd(element, groups, data, { isLeft, onPick }) {
   fill(element, groups, (group) => [
     button(`${words(group)}`, () => onPick(group), isLeft(group) ? "" : "done"),
-    rowsText(data, group),
-    text("span", group.causes.join("; "), "dim"),
+    rowsText(data, group, group.causes.join("; ")),
   ]);
 }
 
@@ -42,9 +41,10 @@ function fill(element, items, made) {
   element.replaceChildren(...lines);
 }
 
-function rowsText(data, { first, last }) {
+function rowsText(data, { first, last }, why = "") {
   const rows = data.rowsOf({ first, last });
-  return text("span", `rows ${rows[0]} to ${rows[1]}, at ${clock(data.columns.time_s[first])}`, "dim");
+  const where = `rows ${rows[0]} to ${rows[1]}, at ${clock(data.columns.time_s[first])}`;
+  return text("span", why ? `${where}: ${why}` : where, "dim");
 }
 
 function button(label, onClick, kind) {
