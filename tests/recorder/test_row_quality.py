@@ -199,7 +199,8 @@ def test_stretches_are_the_runs_of_true(mask: list[bool]) -> None:
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 2)), max_size=20))
 def test_stretches_within_parts_are_those_of_each_part(rows: list[tuple[bool, int]]) -> None:
-    mask, part = (np.array([row[at] for row in rows], kind) for at, kind in enumerate((np.bool_, np.int64)))
+    mask = np.array([is_on for is_on, _ in rows], np.bool_)
+    part = np.array([number for _, number in rows], np.int64)
     starts = [0, *(np.flatnonzero(np.diff(part)) + 1).tolist(), len(rows)]
     expected = [
         (begin + first, begin + last)
