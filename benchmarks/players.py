@@ -2,10 +2,11 @@
 
 python benchmarks/players.py FOLDER [--only "devices *"] [--kinds record train eval] [--list]
 
-Devices: half a lap of the lake and of the mountain, by keys, mouse and gamepad; a network of each pair by default
-options; full laps of both tracks and of three unseen roads. Supervision: a beginner, from a fifth of a lap of the
-mountain; two rounds in which a player supervises it for at most five minutes, each followed by `bc-train --init
-RUN --takeovers LOG`; and beside it a network of the beginner's recording and as many minutes of more recording.
+Devices: half a lap of the lake and of the mountain, by keys, mouse and gamepad; a network of each pair; full laps
+of both tracks and of three unseen roads. Supervision: a beginner, from a fifth of a lap of the mountain; two
+rounds in which a player supervises it, each followed by `bc-train --init RUN --takeovers LOG`;
+and beside it a network of the beginner's recording and as many minutes of more recording. All train as the page's
+button does.
 
 The players know what the page shows and nothing else (scripted_player.py). FOLDER is kept: each step leaves a file
 in FOLDER/results and is not made again, so that the program can be ended and started at any time.
@@ -31,6 +32,7 @@ from scripted_player import DEVICES, Device, Player, Supervisor
 
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
+from web.data.wheels import EPOCHS_MORE, quick_epochs
 
 RECORDED: Final = ("lake", "mountain")
 DRIVEN: Final = ("lake", "mountain", "random:1", "random:2", "random:3")
@@ -115,9 +117,9 @@ class Study:
                 (before,),
             )
             words = ["--init", run, "--takeovers", log]
+            supervised.append(name)
             learn = self._train_step(f"{start} learn {turn}", new_run, words, seed, (name,))
             yield learn
-            supervised.append(name)
             run, before = new_run, learn.name
         yield from self._evals(f"{start} after", run, BEGINNERS_DRIVEN, before)
         more = [f"more{turn}-{seed}" for turn in (1, 2)]
@@ -133,13 +135,13 @@ class Study:
             f"more-{seed}",
             ["--on", beginner, *more],
             seed,
-            tuple(f"{start} more {turn}" for turn in (1, 2)),
+            (first.name, *(f"{start} more {turn}" for turn in (1, 2))),
         )
         yield train
         yield from self._evals(f"{start} more", f"more-{seed}", BEGINNERS_DRIVEN, train.name)
 
     def _train_step(self, name: str, run: str, words: list[str], seed: int, needs: tuple[str, ...]) -> Step:
-        return Step(name, "train", partial(self._train, run, words, seed), needs)
+        return Step(name, "train", partial(self._train, run, words, seed, needs), needs)
 
     def _evals(self, name: str, run: str, tracks: tuple[str, ...], needs: str) -> Iterator[Step]:
         for track in tracks:
@@ -215,11 +217,13 @@ class Study:
             "drive_s": round(drive_s, 1),
         }
 
-    def _train(self, run: str, words: list[str], seed: int) -> Result:
-        epochs = ["--epochs", self.asked.epochs] if self.asked.epochs else []
+    def _train(self, run: str, words: list[str], seed: int, recordings: tuple[str, ...]) -> Result:
+        """Train as the page's button does."""
+        rows = sum((self.result(name) or {})["rows"] for name in recordings)
+        epochs = EPOCHS_MORE if "--takeovers" in words else quick_epochs(rows)
         self._make_way(run)
-        printed = done(self.folder, "bc-train", "--name", run, "--seed", seed, *words, *epochs)
-        return {"printed": printed[-2000:]}
+        printed = done(self.folder, "bc-train", "--name", run, "--seed", seed, "--epochs", epochs, *words)
+        return {"epochs": epochs, "printed": printed[-2000:]}
 
     def _make_way(self, run: str) -> None:
         """Put aside what a killed training has left."""
@@ -312,7 +316,6 @@ def main() -> int:
     parser.add_argument("--laps", type=float, default=0.5, help="to record; the beginner has 0.4 times as much")
     parser.add_argument("--minutes", type=float, default=5.0, help="of a round of supervision")
     parser.add_argument("--eval-laps", type=float, default=1.0)
-    parser.add_argument("--epochs", type=int, help="by default bc-train's own")
     asked = parser.parse_args()
     folder: Path = asked.folder.absolute()
     (folder / "drives").mkdir(parents=True, exist_ok=True)

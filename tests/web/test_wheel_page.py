@@ -16,7 +16,7 @@ from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.teleop.wheel import Wheel
 from waiting import wait_until
 from web.data.project_folders import ProjectFolders
-from web.data.wheels import new_drive, training
+from web.data.wheels import new_drive, quick_epochs, training
 from web.errors import WebError
 from workbench import Answer, Served, served
 
@@ -92,9 +92,15 @@ def test_a_new_drive_has_a_name_that_no_log_has(tmp_path: Path) -> None:
 def test_training_on_a_session_makes_a_run_of_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     log = write_log(Path("sessions") / "mine.mcap", [0.1])
-    assert training("sessions", log, ProjectFolders()) == (["bc-train", "--name=mine", "--on", "mine"], "mine")
+    words, run = training("sessions", log, ProjectFolders())
+    assert (shlex.join(words), run) == ("bc-train --name=mine --epochs=10 --on mine", "mine")
     untrained_run(Path("runs") / "mine")
     assert training("sessions", log, ProjectFolders())[1] == "mine-2"
+
+
+@pytest.mark.parametrize(("rows", "epochs"), [(0, 10), (600, 10), (1100, 5), (2200, 3), (100_000, 2)])
+def test_the_button_trains_for_about_as_long_whatever_was_driven(rows: int, epochs: int) -> None:
+    assert quick_epochs(rows) == epochs
 
 
 def test_a_drive_is_listed_while_it_runs(bench: Served) -> None:
