@@ -20,7 +20,7 @@ from typing import Final
 ROOT: Final = Path(__file__).resolve().parent.parent
 PAGES: Final = ("README.md", "docs/commands.md", "docs/index-format.md", "docs/log-format.md")
 SHORTER: Final = {
-    "--epochs 10": "--epochs 1",
+    "--epochs 4": "--epochs 1",
     "epochs=10": "epochs=1",
     '"runs/first"), TrainConfig': '"runs/again"), TrainConfig',  # the loop has made runs/first
     "--simulator lake": "--laps 0.1 --simulator lake",
