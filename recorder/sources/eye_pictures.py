@@ -16,7 +16,8 @@ from simulator.driving.vehicle import STEP_S
 from simulator.pose import Pose
 
 EYE_STEPS: Final = 2
-"""Steps of the simulator from one picture to the next: 25 pictures a second."""
+"""Steps of the simulator from one picture to the next."""
+EYE_HZ: Final = 1 / (EYE_STEPS * STEP_S)
 MAX_STEPS_BEHIND: Final = 4
 """So many steps the clock goes on without a new picture; then it waits for one."""
 SCALES: Final = (1.0, 1.5, 2.0)
@@ -52,7 +53,7 @@ class PictureScale:
         """Note how long a picture of this size took."""
         self._pictures += 1
         self._mean_s = seconds if self._mean_s is None else 0.9 * self._mean_s + 0.1 * seconds
-        most_s = EYE_STEPS * STEP_S
+        most_s = 1 / EYE_HZ
         larger = SCALES[min(self._at + 1, len(SCALES) - 1)]
         if self._pictures >= _MIN_SLOW and self._mean_s > _FULL_SHARE * most_s and self._at > 0:
             self._change(-1)

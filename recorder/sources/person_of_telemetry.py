@@ -6,14 +6,12 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
 from common.errors import counted
 from recorder.errors import RecordingError
 from recorder.log.bad_rows import driven_badly
-from recorder.log.session_car import UDACITY
 from recorder.log.tags import EXCLUDE, Tag
 from recorder.server.telemetry import Telemetry
 from recorder.server.telemetry_server import Steer
@@ -21,6 +19,7 @@ from recorder.sources.import_result import Imported
 from recorder.sources.listen_settings import ListenSettings
 from recorder.sources.live_telemetry import listen_for_telemetry
 from recorder.sources.person_pedals import MAX_STANDING_MPH, brake_of_telemetry, throttle_of_telemetry
+from recorder.teleop.hello import hello
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Wheel
 
@@ -173,18 +172,7 @@ def listen_at_the_wheel(
 
     Raises what `listen_for_telemetry` does.
     """
-    about = {
-        "kind": "listen",
-        "session": log.stem,
-        "run": None,
-        "track": None,
-        "road": None,
-        "rate_hz": None,
-        "picture_hz": None,
-        "hold_mph": hold_mph,
-        "recorded": None,
-        "car": asdict(settings.car or UDACITY),
-    }
+    about = hello("listen", log, hold_mph=hold_mph)
     with Wheel(f"{log.stem}, a simulator that connects", log, about) as wheel:
         if on_wheel is not None:
             on_wheel(wheel)

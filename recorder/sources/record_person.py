@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -23,25 +23,24 @@ from recorder.errors import RecordingError
 from recorder.log.derived_log import close_with_tags
 from recorder.log.session_car import built_in, metadata_of
 from recorder.log.writer import LogWriter
-from recorder.sources.eye_pictures import EYE_STEPS, EyeMoment, EyePictures, WhenDue
+from recorder.sources.eye_pictures import EYE_HZ, EyeMoment, EyePictures, WhenDue
 from recorder.sources.import_result import Imported
 from recorder.sources.person_pedals import CoursePedals
 from recorder.sources.person_rows import PersonRow, PersonRows
 from recorder.sources.real_time import RealTime
+from recorder.teleop.hello import hello
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Request, Wheel
 from simulator.driving.recovery_driving import steps_each
 from simulator.driving.simulation import Simulation
 from simulator.driving.vehicle import STEP_S
-from simulator.rendering.camera import HEIGHT_PX, MOUNT_LEFT_M, WIDTH_PX
-from simulator.roads.track import Track
+from simulator.rendering.camera import MOUNT_LEFT_M
 
 PUT_BACK_S: Final = 1.5
 """The simulated clock runs on for so long when the car is put back: a gap, behind which another drive begins."""
 STUCK_S: Final = 5.0
 """A car that is to drive on and does not move for so long is put back."""
 _STUCK_MPH: Final = 0.5
-_EDGE_POINTS: Final = 8  # every so many points of the centre line, 4 m, the map of the road has one
 _STATUS_STEPS: Final = 25
 _WAIT_S: Final = 0.1  # for a picture, before signals are looked at again
 
@@ -87,7 +86,14 @@ def record_person(
     }
     with ExitStack() as stack:
         stopped = stack.enter_context(stop_signals())
-        about = _about(drive, log, simulation.track)
+        about = hello(
+            "record",
+            log,
+            track=simulation.track,
+            rate_hz=drive.rate_hz,
+            picture_hz=EYE_HZ,
+            hold_mph=drive.speed_mph,
+        )
         wheel = stack.enter_context(Wheel(f"{log.stem} on {drive.track}", log, about))
         writer = stack.enter_context(LogWriter(log, metadata, overwrite=overwrite, live=True))
         if on_wheel is not None:
@@ -264,31 +270,3 @@ def check_person_drive(drive: PersonDrive) -> None:
         raise RecordingError(f"--speed {drive.speed_mph:g}: a speed above 0 mph was expected")
     if drive.laps is not None and not 0 < drive.laps < math.inf:
         raise RecordingError(f"--laps {drive.laps:g}: a number above 0 was expected")
-
-
-def _about(drive: PersonDrive, log: Path, track: Track) -> dict[str, object]:
-    """What a page is told of the drive when it connects."""
-    return {
-        "kind": "record",
-        "session": log.stem,
-        "run": None,
-        "track": track.name,
-        "road": road_edges(track),
-        "rate_hz": drive.rate_hz,
-        "picture_hz": 1 / (EYE_STEPS * STEP_S),
-        "hold_mph": drive.speed_mph,
-        "recorded": [WIDTH_PX, HEIGHT_PX],
-        "car": asdict(built_in()),
-    }
-
-
-def road_edges(track: Track) -> dict[str, object]:
-    """The edges of a track's road from above, as lists of points in metres."""
-    left, right = [], []
-    line = track.line
-    for point in range(0, len(line.points_m), _EDGE_POINTS):
-        place, half_m = line.at(point * line.step_m), float(track.half_width_m[point])
-        to_left = (-math.sin(place.heading_rad) * half_m, math.cos(place.heading_rad) * half_m)
-        left.append([round(place.x_m + to_left[0], 2), round(place.y_m + to_left[1], 2)])
-        right.append([round(place.x_m - to_left[0], 2), round(place.y_m - to_left[1], 2)])
-    return {"left": left, "right": right, "closed": True}

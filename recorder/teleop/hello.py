@@ -47,4 +47,4 @@ def road_edges(track: Track) -> dict[str, object]:
     middle, heading = line.points_m[::every, :2], line.heading_rad[::every]
     to_left = np.stack([-np.sin(heading), np.cos(heading)], axis=1) * track.half_width_m[::every, None]
     edges = {"left": middle + to_left, "right": middle - to_left}
-    return {name: points.round(1).tolist() for name, points in edges.items()} | {"closed": True}
+    return {name: points.round(2).tolist() for name, points in edges.items()} | {"closed": True}

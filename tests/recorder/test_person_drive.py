@@ -27,7 +27,8 @@ from recorder.sources import person_rows
 from recorder.sources.eye_pictures import PictureScale, WhenDue
 from recorder.sources.person_pedals import CoursePedals
 from recorder.sources.real_time import RealTime
-from recorder.sources.record_person import PersonDrive, record_person, road_edges
+from recorder.sources.record_person import PersonDrive, record_person
+from recorder.teleop.hello import road_edges
 from recorder.teleop.open_wheels import open_wheels
 from recorder.teleop.seat import Control
 from simulator.driving.course import Course
