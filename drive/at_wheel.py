@@ -58,10 +58,11 @@ class AtWheel:
         if (telemetry := decision.telemetry) is None:
             return
         now_s, world = time.monotonic(), telemetry.world
-        time_s = now_s if world is None or world.time_s is None else world.time_s
+        simulated_s = None if world is None else world.time_s
+        time_s = now_s if simulated_s is None else simulated_s
         if self._began_s is None or time_s < self._began_s:
             self._began_s = time_s
-        self._rates.add(now_s, time_s)
+        self._rates.add(now_s, simulated_s)
         self._rows.append((time_s, row))
         while not 0.0 <= time_s - self._rows[0][0] <= MAX_BAD_S:  # too old, or of another drive
             self._rows.popleft()
@@ -86,7 +87,7 @@ class AtWheel:
             "rows": row + 1,
             "recorded_s": round(time_s - self._began_s, 1),
             "is_recording": True,
-            "pace": round(self._rates.pace, 3),
+            "pace": self._rates.pace,
             "picture_hz": round(self._rates.frames_per_s, 1),
             "x": None if pose is None else round(pose.x_m, 2),
             "y": None if pose is None else round(pose.y_m, 2),

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections import deque
 from dataclasses import dataclass
 from typing import Final, Self
 
 from common.interrupts import leave_signals_to_main_thread
+from recorder.teleop.rate_meter import RateMeter
 from recorder.teleop.wheel import Wheel
 from simulator.driving.simulation import Simulation
 from simulator.driving.vehicle import STEP_S
@@ -25,7 +25,6 @@ SCALES: Final = (1.0, 1.5, 2.0)
 _FULL_SHARE: Final = 0.9  # of the time between two pictures; rendering that takes more is too slow
 _ROOM_SHARE: Final = 0.5  # rendering at the next larger size that would take less has room
 _MIN_SLOW, _MIN_FAST = 5, 50  # pictures of a size before the next smaller, or larger, one is tried
-_RATE_S: Final = 2.0  # pictures a second are those of so long
 
 
 @dataclass(frozen=True)
@@ -94,15 +93,9 @@ class EyePictures:
         self._next: EyeMoment | None = None
         self._rendering: EyeMoment | None = None
         self._is_over = False
-        self._shown_s: deque[float] = deque(maxlen=round(_RATE_S / STEP_S))
+        self._rates = RateMeter()
         self._failure: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="eye", daemon=True)
-
-    @property
-    def rate_hz(self) -> float:
-        """Pictures a second that were shown lately."""
-        since_s = time.monotonic() - _RATE_S
-        return sum(shown_s > since_s for shown_s in tuple(self._shown_s)) / _RATE_S
 
     def offer(self, moment: EyeMoment) -> None:
         """Show a moment, in place of one that still waits; without a page, nothing."""
@@ -158,5 +151,5 @@ class EyePictures:
         else:
             jpeg = self._simulation.jpeg("center", moment.pose, self._scale.scale)
             self._scale.note(time.monotonic() - begin_s)
-        self._shown_s.append(time.monotonic())
-        self._wheel.show(moment.state | {"picture_hz": self.rate_hz}, jpeg)
+        self._rates.add(time.monotonic())
+        self._wheel.show(moment.state | {"picture_hz": self._rates.frames_per_s}, jpeg)

@@ -20,12 +20,12 @@ from recorder.sources.listen_settings import ListenSettings
 from recorder.sources.live_telemetry import listen_for_telemetry
 from recorder.sources.person_pedals import MAX_STANDING_MPH, brake_of_telemetry, throttle_of_telemetry
 from recorder.teleop.hello import hello
+from recorder.teleop.rate_meter import RateMeter
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Wheel
 
 MAX_BRAKING_S: Final = 5.0
 """A simulator whose car does not come to a stand in that time is left alone at the end."""
-_RATE_S: Final = 2.0
 _MAX_ROWS: Final = 6000  # whose times are kept, to tag the last seconds: a minute at 100 a second
 
 
@@ -37,7 +37,7 @@ class PersonOfTelemetry:
         self._control = Control()
         self._sent = Steer(0.0, 0.0)  # is in force at the next telemetry's picture
         self._speed_mph = math.nan
-        self._shown_s: deque[float] = deque(maxlen=200)
+        self._rates = RateMeter()
         self._rows_ns: deque[int] = deque(maxlen=_MAX_ROWS)
         self._first_ns = 0
         self._braking_since_s: float | None = None
@@ -126,15 +126,16 @@ class PersonOfTelemetry:
 
     def _show(self, telemetry: Telemetry) -> None:
         now_s = time.monotonic()
-        self._shown_s.append(now_s)
         world = telemetry.world
+        simulated_s = None if world is None else world.time_s
+        self._rates.add(now_s, simulated_s)
         pose = None if world is None else world.pose
         speed_mph = 0.0 if math.isnan(telemetry.speed_mph) else telemetry.speed_mph
         is_rolling = abs(speed_mph) > MAX_STANDING_MPH
         recorded_s = (self._rows_ns[-1] - self._first_ns) / 1e9 if self._rows_ns else 0.0
         self._wheel.show(
             {
-                "time_s": now_s if world is None or world.time_s is None else world.time_s,
+                "time_s": now_s if simulated_s is None else simulated_s,
                 "control": self._control.number,
                 "control_time_ms": self._control.time_ms,
                 "drives": "human" if not self._control.is_absent else "brake" if is_rolling else "nobody",
@@ -146,8 +147,8 @@ class PersonOfTelemetry:
                 "rows": self.rows,
                 "recorded_s": recorded_s,
                 "is_recording": self._is_recording,
-                "pace": 1.0,
-                "picture_hz": sum(now_s - shown_s < _RATE_S for shown_s in self._shown_s) / _RATE_S,
+                "pace": self._rates.pace,
+                "picture_hz": self._rates.frames_per_s,
                 "x": None if pose is None else pose.x_m,
                 "y": None if pose is None else pose.y_m,
                 "heading_rad": None if pose is None else pose.heading_rad,

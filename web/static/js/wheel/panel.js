@@ -43,7 +43,7 @@ export class Panel {
     const wished_hz = this.#hello.picture_hz ? ` of ${this.#hello.picture_hz.toFixed(0)}` : "";
     write("rate", `${(frame.picture_hz ?? 0).toFixed(0)}${wished_hz} a second`);
     write("pace", pace(frame.pace));
-    by("pace").classList.toggle("odd", frame.pace < SLOW_PACE);
+    by("pace").classList.toggle("odd", frame.pace != null && frame.pace < SLOW_PACE);
     write("delay", delay_ms == null ? "-" : `${delay_ms.toFixed(0)} ms`);
     write("recording", frame.is_recording ? "recording" : frame.rows ? "paused" : "not recording yet");
     write("record-label", frame.is_recording ? "Pause" : "Record");
