@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from pathlib import Path
 from typing import Final
 
-from common.errors import counted
 from drive.config import DriveConfig
 from drive.control.driver import Decision
 from drive.control.person_takeover import PersonTakeover
-from recorder.log.bad_rows import driven_badly
-from recorder.log.tags import EXCLUDE, Tag
-from recorder.teleop.messages import MAX_BAD_S
+from recorder.teleop.frame_state import FrameState
+from recorder.teleop.last_rows import LastRows
 from recorder.teleop.rate_meter import RateMeter
 from recorder.teleop.wheel import Wheel
 
@@ -33,9 +30,7 @@ class AtWheel:
         self._counted = 0
         self._was_human = False
         self._began_s: float | None = None
-        self._rows: deque[tuple[float, int]] = deque()  # of the last seconds: the time and the number of each
-        self.tags: list[Tag] = []
-        """Of rows that were driven badly."""
+        self.last_rows = LastRows(wheel)
 
     def attend(self) -> list[str]:
         """Do what the page asks for; the events of that."""
@@ -48,7 +43,7 @@ class AtWheel:
             elif request.kind == "end":
                 self.is_end_asked = True
             elif request.kind == "bad":
-                events += self._exclude_last(request.seconds)
+                events += self.last_rows.exclude(request.seconds)
             elif request.kind == "put_back":
                 events.append("the page asks to put the car back: only its simulator can")
         return events
@@ -63,49 +58,32 @@ class AtWheel:
         if self._began_s is None or time_s < self._began_s:
             self._began_s = time_s
         self._rates.add(now_s, simulated_s)
-        self._rows.append((time_s, row))
-        while not 0.0 <= time_s - self._rows[0][0] <= MAX_BAD_S:  # too old, or of another drive
-            self._rows.popleft()
+        self.last_rows.add(round(time_s * 1e9), row)
         is_human = decision.driver == "human"
         if is_human and not self._was_human:
             self._counted += 1
             if len(self._takeovers) < MAX_LISTED:
                 self._takeovers.append({"row": row, "time_s": round(time_s - self._began_s, 2)})
         self._was_human = is_human
-        control = self.person.control
-        pose = None if world is None else world.pose
-        state: dict[str, object] = {
-            "time_s": round(time_s - self._began_s, 3),
-            "control": control.number,
-            "control_time_ms": control.time_ms,
-            "drives": decision.driver,
-            "device": decision.device,
-            "steering": decision.steering,
-            "predicted": _finite(decision.predicted_steering),
-            "throttle": decision.throttle,
-            "speed_mph": _finite(telemetry.speed_mph),
-            "rows": row + 1,
-            "recorded_s": round(time_s - self._began_s, 1),
-            "is_recording": True,
-            "pace": self._rates.pace,
-            "picture_hz": round(self._rates.frames_per_s, 1),
-            "x": None if pose is None else round(pose.x_m, 2),
-            "y": None if pose is None else round(pose.y_m, 2),
-            "heading_rad": None if pose is None else round(pose.heading_rad, 3),
-            "laps": None if world is None else world.laps,
-            "takeovers": self._counted,
-            "put_back": 0 if world is None or world.interventions is None else world.interventions,
-        }
-        self._wheel.show(state, telemetry.picture)
-
-    def _exclude_last(self, seconds: float) -> list[str]:
-        """Tag the rows of the last seconds, so that nobody learns from them; the event of that."""
-        rows = [row for time_s, row in self._rows if time_s > self._rows[-1][0] - seconds]
-        if not rows:
-            return []
-        self.tags.append(Tag(rows[0], rows[-1], EXCLUDE))
-        self._wheel.event(f"{counted(len(rows), 'row')} will not be learnt from")
-        return [driven_badly(rows[0], rows[-1])]
+        state = FrameState(
+            time_s=time_s - self._began_s,
+            control=self.person.control,
+            drives=decision.driver,
+            device=decision.device,
+            steering=decision.steering,
+            predicted=decision.predicted_steering,
+            throttle=decision.throttle,
+            speed_mph=telemetry.speed_mph,
+            rows=row + 1,
+            recorded_s=time_s - self._began_s,
+            pace=self._rates.pace,
+            picture_hz=self._rates.frames_per_s,
+            place=None if world is None else world.pose,
+            laps=None if world is None else world.laps,
+            takeovers=self._counted,
+            put_back=0 if world is None or world.interventions is None else world.interventions,
+        )
+        self._wheel.show(state.as_message(), telemetry.picture)
 
     def event(self, text: str, *, is_problem: bool) -> None:
         """Show a line about what happened."""
@@ -116,7 +94,3 @@ class AtWheel:
         self._wheel.end(
             {"log": str(log), "rows": rows, "takeovers": self._takeovers, "why": "the drive has ended"}
         )
-
-
-def _finite(value: float) -> float | None:
-    return value if abs(value) < float("inf") else None

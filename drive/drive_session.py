@@ -216,8 +216,8 @@ class DriveSession:
             self.add_metadata(DRIVE_METADATA, self.summary.as_metadata())
             for record, values in self._metadata.items():
                 self.writer.add_metadata(record, values)
-        if kind is None and self._at_wheel is not None and self._at_wheel.tags:
-            close_with_tags(self.writer, self._at_wheel.tags)
+        if kind is None and self._at_wheel is not None and self._at_wheel.last_rows.tags:
+            close_with_tags(self.writer, self._at_wheel.last_rows.tags)
         self.writer.__exit__(kind)
         if self._at_wheel is not None:
             self._at_wheel.end(self.writer.path, self.log.frames)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Self
 
 from common.interrupts import leave_signals_to_main_thread
+from recorder.teleop.frame_state import FrameState
 from recorder.teleop.rate_meter import RateMeter
 from recorder.teleop.wheel import Wheel
 from simulator.driving.simulation import Simulation
@@ -33,7 +34,7 @@ class EyeMoment:
 
     step: int
     pose: Pose
-    state: dict[str, object]
+    state: FrameState
 
 
 class PictureScale:
@@ -152,4 +153,5 @@ class EyePictures:
             jpeg = self._simulation.jpeg("center", moment.pose, self._scale.scale)
             self._scale.note(time.monotonic() - begin_s)
         self._rates.add(time.monotonic())
-        self._wheel.show(moment.state | {"picture_hz": self._rates.frames_per_s}, jpeg)
+        state = replace(moment.state, picture_hz=self._rates.frames_per_s)
+        self._wheel.show(state.as_message(), jpeg)

@@ -86,7 +86,7 @@ def listen_for_telemetry(
             writer.discard()
             raise RecordingError(f"{log}: {session.why_nothing()}")
         if person is not None:
-            close_with_tags(writer, person.tags)
+            close_with_tags(writer, person.last_rows.tags)
     return Imported(log, session.rows, session.pictures, session.skipped, writer.notices)
 
 
@@ -276,8 +276,8 @@ class _Session:
         self._writer.vehicle(time_ns, self.rows, state)
         if self._person is not None:
             gap_s = (time_ns - self._last_row_ns) / 1e9 - MAX_ROW_S
-            if self.rows and self._person.gap_why and gap_s > 0:
-                self._writer.event(time_ns, not_recorded(gap_s, self._person.gap_why), name="recorder")
+            if self.rows and (why := self._person.recording.gap_why) and gap_s > 0:
+                self._writer.event(time_ns, not_recorded(gap_s, why), name="recorder")
             self._person.has_row(time_ns)
             self._last_row_ns = time_ns
         pose = None if telemetry.world is None else telemetry.world.pose

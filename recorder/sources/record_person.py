@@ -28,7 +28,10 @@ from recorder.sources.import_result import Imported
 from recorder.sources.person_pedals import CoursePedals
 from recorder.sources.person_rows import PersonRow, PersonRows
 from recorder.sources.real_time import RealTime
+from recorder.teleop.frame_state import FrameState, drives_alone
 from recorder.teleop.hello import hello
+from recorder.teleop.last_rows import LastRows
+from recorder.teleop.recording import Recording
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Request, Wheel
 from simulator.driving.recovery_driving import steps_each
@@ -104,12 +107,13 @@ def record_person(
             EyePictures(simulation, wheel) as eye,
             PersonRows(simulation, writer, eye.let_pass) as rows,
         ):
-            why = _Drive(drive, simulation, wheel, rows, eye, status).run(stopped)
+            driving = _Drive(drive, simulation, wheel, rows, eye, status)
+            why = driving.run(stopped)
         if not rows.count:
             writer.discard()
             wheel.end({"log": str(log), "rows": 0, "why": f"{why}: nothing was recorded", "takeovers": []})
             raise RecordingError(f"{log}: nothing was recorded: begin to record on the page, and drive")
-        close_with_tags(writer, rows.tags)
+        close_with_tags(writer, driving.last_rows.tags)
         wheel.end({"log": str(log), "rows": rows.count, "why": why, "takeovers": []})
     return Imported(log, rows.count, rows.count * len(MOUNT_LEFT_M), Skipped(), writer.notices)
 
@@ -141,8 +145,8 @@ class _Drive:
         self._shift_s = 0.0  # of the log's clock, by the gaps where the car was put back
         self._stuck_steps = 0
         self._put_back = 0
-        self._is_recording = False
-        self._gap_why = ""
+        self._recording = Recording(wheel)
+        self.last_rows = LastRows(wheel)
 
     def run(self, stopped: StopEvent) -> str:
         """Drive until the person, a signal or the laps end it; why it has ended."""
@@ -162,16 +166,11 @@ class _Drive:
 
     def _heed(self, request: Request) -> None:
         match request.kind:
-            case "record":
-                self._is_recording = True
-                self._wheel.event("recording")
-            case "pause":
-                self._is_recording = False
-                self._gap_why = self._gap_why or "the person paused"
-                self._wheel.event("recording is paused")
+            case "record" | "pause":
+                self._recording.heed(request)
             case "bad":
-                rows = self._rows.exclude_last(max(1, round(request.seconds * self._drive.rate_hz)))
-                self._wheel.event(f"{counted(rows, 'row')} will not be learnt from")
+                for text in self.last_rows.exclude(request.seconds):
+                    self._rows.event(text)
             case "put_back":
                 self._put_on_line("the person had the car put back on its line")
             case "hand_back" | "end":
@@ -183,15 +182,12 @@ class _Drive:
         throttle = self._pedals.throttle(control)
         self._course.advance(steering, throttle)
         self._step += 1
-        if self._step % self._row_steps == 0 and self._is_recording:
-            if control.is_absent:
-                self._gap_why = self._gap_why or "nobody was at the wheel"
-            else:
-                self._record(control, throttle)
+        if self._step % self._row_steps == 0 and self._recording.takes_row(control):
+            self._record(control, throttle)
         if self._when_due.is_due(self._step, steering):
             self._eye.offer(EyeMoment(self._step, self._course.pose, self._state(control, steering, throttle)))
         if self._step % _STATUS_STEPS == 0:
-            recording = "recording" if self._is_recording else "not recording"
+            recording = "recording" if self._recording.is_on else "not recording"
             self._status.show(
                 f"{recording}: {counted(self._rows.count, 'row')}, {self._course.laps:.2f} laps,"
                 f" {self._real_time.pace:.0%} of real time"
@@ -212,7 +208,7 @@ class _Drive:
         self._shift_s += PUT_BACK_S
         self._stuck_steps = 0
         self._put_back += 1
-        self._gap_why = why
+        self._recording.gap_why = why
         self._wheel.event(why, is_problem=True)
 
     @property
@@ -230,34 +226,29 @@ class _Drive:
             device=control.device.upper() if control.device else None,
         )
         is_gap = gap_s > 1e-3
-        why = self._gap_why if is_gap else ""
+        why = self._recording.gap_why if is_gap else ""
+        self.last_rows.add(round(self._course.time_s * 1e9), self._rows.count)
         self._rows.add(PersonRow(time_ns, self._course.pose, state, max(0.0, gap_s), why))
-        self._gap_why = ""
+        self._recording.gap_why = ""
 
-    def _state(self, control: Control, steering: float, throttle: float) -> dict[str, object]:
+    def _state(self, control: Control, steering: float, throttle: float) -> FrameState:
         car = self._course.vehicle
-        drives = "human" if not control.is_absent else "brake" if abs(car.speed_mph) > _STUCK_MPH else "nobody"
-        return {
-            "time_s": round(self._course.time_s, 3),
-            "control": control.number,
-            "control_time_ms": control.time_ms,
-            "drives": drives,
-            "device": control.device,
-            "steering": steering,
-            "predicted": None,
-            "throttle": throttle,
-            "speed_mph": car.speed_mph,
-            "rows": self._rows.count,
-            "recorded_s": self._rows.count / self._drive.rate_hz,
-            "is_recording": self._is_recording,
-            "pace": round(self._real_time.pace, 3),
-            "x": car.x_m,
-            "y": car.y_m,
-            "heading_rad": car.heading_rad,
-            "laps": self._course.laps,
-            "takeovers": 0,
-            "put_back": self._put_back,
-        }
+        return FrameState(
+            time_s=self._course.time_s,
+            control=control,
+            drives=drives_alone(control, is_rolling=abs(car.speed_mph) > _STUCK_MPH),
+            device=control.device,
+            steering=steering,
+            throttle=throttle,
+            speed_mph=car.speed_mph,
+            rows=self._rows.count,
+            recorded_s=self._rows.count / self._drive.rate_hz,
+            is_recording=self._recording.is_on,
+            pace=self._real_time.pace,
+            place=car,
+            laps=self._course.laps,
+            put_back=self._put_back,
+        )
 
 
 def check_person_drive(drive: PersonDrive) -> None:
