@@ -27,14 +27,14 @@ from drive.config import DriveConfig
 from drive.drive_flags import Drive, refuse_contradictions, with_default_driver
 from drive.errors import DriveError
 
-_LOOKS_EVERY_S: Final = 0.1
-"""How often the drive looks whether the person's page is there."""
-
 if TYPE_CHECKING:
     from drive.drive_session import DriveSession
     from drive.evaluation.aggregation import AggregationRound
     from drive.evaluation.closed_loop import LogFolder
     from recorder.teleop.wheel import Wheel
+
+_LOOKS_EVERY_S: Final = 0.1
+"""How often the drive looks whether the person's page is there."""
 
 
 def drive(config: Drive) -> int:
@@ -115,7 +115,9 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
                     waiting = f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}"
                     _notify(waiting)
                     server.run(stopped=stopped)
-                elif wheel is None or _is_attended(wheel, path, stopped):
+                else:
+                    if wheel is not None:
+                        _wait_for_page(wheel, path, stopped)
                     drive_built_in(server, simulator, stopped, shows_progress=False)
                 if server.session.is_empty:
                     raise DriveError(f"{path}: nothing was driven: {server.no_drive_reason}")
@@ -129,14 +131,13 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
         return code
 
 
-def _is_attended(wheel: Wheel, log: Path, stopped: StopEvent) -> bool:
-    """Wait for the person's page; True once it is there. Raises DriveError if the wait is ended."""
+def _wait_for_page(wheel: Wheel, log: Path, stopped: StopEvent) -> None:
+    """Wait for the person's page. Raises DriveError if the wait is ended."""
     if not wheel.pages:
         _notify("the drive begins when you open the page; Ctrl-C ends it")
     while not wheel.pages:
         if stopped.wait(_LOOKS_EVERY_S):
             raise DriveError(f"{log}: nothing was driven: nobody opened the page")
-    return True
 
 
 @contextlib.contextmanager

@@ -126,25 +126,16 @@ def _record_to(config: Record, log: Path) -> Imported:
             if config.viewer:
                 stack.enter_context(preview(growing, idle_priority=True))
 
-        if config.drive.driver == "me" and not config.listen:
+        settings = ListenSettings(config.host, config.port, config.idle, car, show)
+        if config.drive.driver == "me":
             wheel = AtTheWheel(log, config.open, config.page)
+            if config.listen:
+                return listen_at_the_wheel(settings, config.drive.speed[0], wheel, config.force)
             return record_at_the_wheel(config.drive, config.rate, wheel, config.force)
-        if config.listen and config.drive.driver == "me":
-            settings = ListenSettings(config.host, config.port, config.idle, car, show)
-            wheel = AtTheWheel(log, config.open, config.page)
-            return listen_at_the_wheel(settings, config.drive.speed[0], wheel, config.force)
         if config.listen:
             from recorder.sources.live_telemetry import listen_for_telemetry  # Socket.IO: a second to load
 
-            return listen_for_telemetry(
-                log,
-                host=config.host,
-                port=config.port,
-                idle_s=config.idle,
-                overwrite=config.force,
-                car=car,
-                on_started=show,
-            )
+            return listen_for_telemetry(log, settings, overwrite=config.force)
         if config.environment.gym is not None:
             from recorder.sources.record_gymnasium import record_gymnasium
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -29,6 +28,7 @@ from recorder.server.telemetry import Telemetry, TelemetryError, check_whole_pic
 from recorder.server.telemetry_server import NO_TELEMETRY_S, Answer, Steer, TelemetryServer
 from recorder.server.world import WorldNotices
 from recorder.sources.import_result import Imported
+from recorder.sources.listen_settings import ListenSettings
 from recorder.teleop.messages import Device
 
 if TYPE_CHECKING:
@@ -40,45 +40,43 @@ RATE_S = 1.0  # the rows a second that are shown are those of this last while
 
 def listen_for_telemetry(
     log: Path,
+    settings: ListenSettings,
     *,
-    host: str = "127.0.0.1",
-    port: int = 4567,
-    idle_s: float | None = None,
     overwrite: bool = False,
-    car: Car | None = None,
-    on_started: Callable[[Path], None] | None = None,
     person: PersonOfTelemetry | None = None,
 ) -> Imported:
-    """Record the telemetry of Socket.IO clients on host:port (port 0: a free one) to `log`. Every telemetry is
-    answered by `manual`, which asks for the next one, or by a `person`, who also chooses what is recorded.
+    """Record the telemetry of Socket.IO clients to `log`. Every telemetry is answered by `manual`, which asks for
+    the next one, or by a `person`, who also chooses what is recorded.
 
-    Ends on Ctrl-C or `kill`, or `idle_s` seconds after the last telemetry; outside the main thread, which alone
-    hears signals, only on the latter. `on_started` gets the path of the growing file, once the server listens.
-    `car` is theirs, if that is not Udacity's or the built-in one's.
+    Ends on Ctrl-C or `kill`, or `idle_s` of the settings after the last telemetry; outside the main thread, which
+    alone hears signals, only on the latter.
 
     Raises RecordingError if not one telemetry came that can be used, ListenError if the port is taken, UserError
     if `log` exists and `overwrite` is off, or if it cannot be written any further.
     """
     refuse_existing(log, overwrite)
-    metadata = {"source": "telemetry"} | ({} if person is None else {"driver": "human"})
+    metadata = (
+        {"source": "telemetry"} | ({} if person is None else {"driver": "human"}) | metadata_of(settings.car)
+    )
     with stop_signals() as stopped, contextlib.ExitStack() as writing:
-        writer = writing.enter_context(LogWriter(log, metadata | metadata_of(car), overwrite=overwrite, live=True))
+        writer = writing.enter_context(LogWriter(log, metadata, overwrite=overwrite, live=True))
         with StatusLine() as status:
-            session = _Session(writer, status, car or UDACITY, person)
+            session = _Session(writer, status, settings.car or UDACITY, person)
             first_command: Steer | Literal["manual"] = "manual" if person is None else Steer(0.0, 0.0)
             server = TelemetryServer(
-                session, host=host, port=port, notify=session.warn, first_command=first_command
+                session, host=settings.host, port=settings.port, notify=session.warn, first_command=first_command
             )
 
             def is_over() -> bool:
-                is_ended = stopped.is_set() or (idle_s is not None and session.is_idle_for(idle_s))
+                is_idle = settings.idle_s is not None and session.is_idle_for(settings.idle_s)
+                is_ended = stopped.is_set() or is_idle
                 if person is None:
                     return is_ended
                 return (is_ended or person.is_ended) and person.is_at_rest()
 
-            session.show(f"waiting for a simulator on {host}:{server.port}")
-            if on_started is not None:
-                on_started(writer.part)
+            session.show(f"waiting for a simulator on {settings.host}:{server.port}")
+            if settings.on_started is not None:
+                settings.on_started(writer.part)
             server.run(until=is_over)
         session.finish()
         if not session.rows:

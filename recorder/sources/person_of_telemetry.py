@@ -150,16 +150,7 @@ def listen_at_the_wheel(
         person = PersonOfTelemetry(wheel)
         ended = {"log": str(log), "takeovers": []}
         try:
-            done = listen_for_telemetry(
-                log,
-                host=settings.host,
-                port=settings.port,
-                idle_s=settings.idle_s,
-                overwrite=overwrite,
-                car=settings.car,
-                on_started=settings.on_started,
-                person=person,
-            )
+            done = listen_for_telemetry(log, settings, overwrite=overwrite, person=person)
         except RecordingError:
             wheel.end(ended | {"rows": 0, "why": f"{person.why}: nothing was recorded"})
             raise

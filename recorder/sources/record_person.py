@@ -21,8 +21,8 @@ from common.progress import StatusLine
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.derived_log import close_with_tags
-from recorder.log.session_car import built_in, metadata_of
 from recorder.log.writer import LogWriter
+from recorder.sources.built_in_simulator import simulation_on, simulator_metadata
 from recorder.sources.eye_pictures import EYE_HZ, EyeMoment, EyePictures, WhenDue
 from recorder.sources.import_result import Imported
 from recorder.sources.person_pedals import CoursePedals
@@ -74,19 +74,8 @@ def record_person(
     """
     refuse_existing(log, overwrite)
     cv2.setNumThreads(1)  # rows and pictures for the eye have a thread each
-    try:
-        simulation = simulation or Simulation(drive.track)
-    except ValueError as error:
-        raise RecordingError(f"--track {drive.track}: {error}") from None
-    metadata = {
-        "source": "simulator",
-        "simulator": "built-in",
-        "track": simulation.track.name,
-        "track_fingerprint": simulation.track.fingerprint(),
-        "driver": "human",
-        "drive.rate": f"{drive.rate_hz:g}",
-        **metadata_of(built_in()),
-    }
+    simulation = simulation or simulation_on(drive.track)
+    metadata = simulator_metadata(simulation, "human", rate=f"{drive.rate_hz:g}")
     with ExitStack() as stack:
         stopped = stack.enter_context(stop_signals())
         about = hello(
