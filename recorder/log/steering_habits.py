@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from common.car import MAX_STEERING_DEG
 from common.untrusted_json import json_as
-from recorder.log.devices import Device
+from recorder.log.devices import RowDevice
 from recorder.log.row_quality import (
     States,
     Values,
@@ -69,7 +69,7 @@ class SteeringHabits:
     largest_deg: float | None  # of either side
     ceiling: tuple[float | None, float | None, float | None]  # within each of CEILING_S
     crashes: float | None  # share of the rows in crashes
-    device: Device = ""  # that a person steered most rows with, as recorded; empty if the log names none
+    device: RowDevice = ""  # that a person steered most rows with, as recorded; empty if the log names none
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def habits_from(text: str) -> SteeringHabits | None:
 
 
 def steering_habits(
-    states: States, max_steering_deg: float = MAX_STEERING_DEG, device: Device = ""
+    states: States, max_steering_deg: float = MAX_STEERING_DEG, device: RowDevice = ""
 ) -> SteeringHabits:
     """Measure the habits in the rows of a log, whose wheels turn by `max_steering_deg` at steering 1, and whose
     rows name `device`. No content of the rows raises anything."""

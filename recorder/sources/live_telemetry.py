@@ -18,6 +18,7 @@ from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.bad_telemetry import BadTelemetry
 from recorder.log.derived_log import close_with_tags
+from recorder.log.devices import Device, device_value
 from recorder.log.log_time import LogClock
 from recorder.log.meant_gaps import DISCONNECTED, HUMAN_DRIVES, HUMAN_HAS_STOPPED, not_recorded
 from recorder.log.pose_message import pose_message
@@ -29,7 +30,6 @@ from recorder.server.telemetry_server import NO_TELEMETRY_S, Answer, Steer, Tele
 from recorder.server.world import WorldNotices
 from recorder.sources.import_result import Imported
 from recorder.sources.listen_settings import ListenSettings
-from recorder.teleop.messages import Device
 
 if TYPE_CHECKING:
     from recorder.sources.person_of_telemetry import PersonOfTelemetry
@@ -55,9 +55,8 @@ def listen_for_telemetry(
     if `log` exists and `overwrite` is off, or if it cannot be written any further.
     """
     refuse_existing(log, overwrite)
-    metadata = (
-        {"source": "telemetry"} | ({} if person is None else {"driver": "human"}) | metadata_of(settings.car)
-    )
+    driver = {} if person is None else {"driver": "human"}
+    metadata = {"source": "telemetry", **driver, **metadata_of(settings.car)}
     with stop_signals() as stopped, contextlib.ExitStack() as writing:
         writer = writing.enter_context(LogWriter(log, metadata, overwrite=overwrite, live=True))
         with StatusLine() as status:
@@ -269,7 +268,7 @@ class _Session:
             throttle=telemetry.throttle,
             brake=brake,
             speed_mph=telemetry.speed_mph,
-            device=device.upper() if device else None,
+            device=device_value(device),
         )
         self._writer.vehicle(time_ns, self.rows, state)
         if self._person is not None:

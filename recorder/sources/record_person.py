@@ -21,6 +21,7 @@ from common.progress import StatusLine
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.derived_log import close_with_tags
+from recorder.log.devices import device_value
 from recorder.log.writer import LogWriter
 from recorder.sources.built_in_simulator import simulation_on, simulator_metadata
 from recorder.sources.eye_pictures import EYE_HZ, EyeMoment, EyePictures, WhenDue
@@ -212,7 +213,7 @@ class _Drive:
             throttle=max(0.0, throttle),
             brake=max(0.0, -throttle),
             speed_mph=self._course.vehicle.speed_mph,
-            device=control.device.upper() if control.device else None,
+            device=device_value(control.device),
         )
         is_gap = gap_s > 1e-3
         why = self._recording.gap_why if is_gap else ""
