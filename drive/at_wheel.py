@@ -6,24 +6,31 @@ import time
 from pathlib import Path
 from typing import Final
 
+from common.interrupts import StopEvent
 from drive.config import DriveConfig
 from drive.control.driver import Decision
 from drive.control.person_takeover import PersonTakeover
+from recorder.sources.eye_pictures import EyeMoment, EyePictures
 from recorder.teleop.frame_state import FrameState
 from recorder.teleop.last_rows import LastRows
 from recorder.teleop.rate_meter import RateMeter
 from recorder.teleop.wheel import Wheel
 
 MAX_LISTED: Final = 1000  # takeovers that the page lists at the end
+PUT_BACK: Final = "the person has the car put back on its line"
+_LOOKS_EVERY_S: Final = 0.1  # for the page
 
 
 class AtWheel:
     """The page of a drive. Its methods return at once."""
 
-    def __init__(self, wheel: Wheel, config: DriveConfig) -> None:
+    def __init__(self, wheel: Wheel, config: DriveConfig, eye: EyePictures | None = None) -> None:
+        """`eye` renders what the page is shown, if the simulator is the built-in one."""
         self.person = PersonTakeover(wheel, config.set_speed_mph, config.car)
         self.is_end_asked = False
         """True once the page has asked for the end of the drive."""
+        self._eye = eye
+        self._is_put_back_asked = False
         self._wheel = wheel
         self._rates = RateMeter()
         self._takeovers: list[dict[str, float]] = []
@@ -44,9 +51,25 @@ class AtWheel:
                 self.is_end_asked = True
             elif request.kind == "bad":
                 events += self.last_rows.exclude(request.seconds)
+            elif request.kind == "put_back" and self._eye is not None:
+                self._is_put_back_asked = True
+                events.append(PUT_BACK)
+                self._wheel.event(PUT_BACK)
             elif request.kind == "put_back":
                 events.append("the page asks to put the car back: only its simulator can")
         return events
+
+    def puts_back(self) -> bool:
+        """True if the next command is to put the car back: once each time that the page has asked for it."""
+        is_asked, self._is_put_back_asked = self._is_put_back_asked, False
+        return is_asked
+
+    def wait_for_page(self, stopped: StopEvent) -> bool:
+        """Wait for the person's page; False if the wait is ended."""
+        while not self._wheel.pages:
+            if stopped.wait(_LOOKS_EVERY_S):
+                return False
+        return True
 
     def show(self, decision: Decision, row: int) -> None:
         """Show an answered telemetry, which is that row of the log."""
@@ -65,6 +88,7 @@ class AtWheel:
             if len(self._takeovers) < MAX_LISTED:
                 self._takeovers.append({"row": row, "time_s": round(time_s - self._began_s, 2)})
         self._was_human = is_human
+        pose = None if world is None else world.pose
         state = FrameState(
             time_s=time_s - self._began_s,
             control=self.person.control,
@@ -78,12 +102,15 @@ class AtWheel:
             recorded_s=time_s - self._began_s,
             pace=self._rates.pace,
             picture_hz=self._rates.frames_per_s,
-            place=None if world is None else world.pose,
+            place=pose,
             laps=None if world is None else world.laps,
             takeovers=self._counted,
             put_back=0 if world is None or world.interventions is None else world.interventions,
         )
-        self._wheel.show(state.as_message(), telemetry.picture)
+        if self._eye is None or pose is None:
+            self._wheel.show(state.as_message(), telemetry.picture)
+        else:
+            self._eye.offer(EyeMoment(row, pose, state, telemetry.picture))
 
     def event(self, text: str, *, is_problem: bool) -> None:
         """Show a line about what happened."""

@@ -25,6 +25,7 @@ SCALES: Final = (1.0, 1.5, 2.0)
 """Sizes, by that of recorded pictures: 320x160, 480x240, 640x320."""
 _FULL_SHARE: Final = 0.9  # of the time between two pictures; rendering that takes more is too slow
 _ROOM_SHARE: Final = 0.5  # rendering at the next larger size that would take less has room
+_TRIAL: Final = 10  # of so many pictures as small as the recorded ones, one is rendered to see if there is room
 _MIN_SLOW, _MIN_FAST = 5, 50  # pictures of a size before the next smaller, or larger, one is tried
 
 
@@ -35,6 +36,7 @@ class EyeMoment:
     step: int
     pose: Pose
     state: FrameState
+    recorded: bytes | None = None  # the picture as it is recorded, if it is there already
 
 
 class PictureScale:
@@ -44,10 +46,16 @@ class PictureScale:
         self._at = len(SCALES) - 1
         self._mean_s: float | None = None
         self._pictures = 0
+        self._small = 0
 
     @property
     def scale(self) -> float:
         return SCALES[self._at]
+
+    def is_recorded_enough(self) -> bool:
+        """True if the recorded picture, where it is there, serves in place of the next one."""
+        self._small = 0 if self._at else self._small + 1
+        return self._small % _TRIAL != 0
 
     def note(self, seconds: float) -> None:
         """Note how long a picture of this size took."""
@@ -148,7 +156,9 @@ class EyePictures:
     def _show(self, moment: EyeMoment) -> None:
         begin_s = time.monotonic()
         if self._wheel.wants_recorded:
-            jpeg = self._simulation.jpeg("center", moment.pose)
+            jpeg = moment.recorded or self._simulation.jpeg("center", moment.pose)
+        elif moment.recorded and self._scale.is_recorded_enough():
+            jpeg = moment.recorded
         else:
             jpeg = self._simulation.jpeg("center", moment.pose, self._scale.scale)
             self._scale.note(time.monotonic() - begin_s)

@@ -7,14 +7,9 @@ from typing import Final, Literal
 
 import numpy as np
 
-from simulator.roads.track import Track, load_track
+from simulator.roads.track import Track
 
 _EDGE_EVERY_M: Final = 4.0
-
-
-def track_of(name: str | None) -> Track | None:
-    """The built-in track of that name; None for none. Raises ValueError if there is no such track."""
-    return None if name is None else load_track(name)
 
 
 def hello(

@@ -331,9 +331,11 @@ def test_pictures_for_the_eye_shrink_where_the_computer_is_slow_and_grow_again()
     for _ in range(20):
         scale.note(0.1)
     assert scale.scale == 1.0
+    assert sum(not scale.is_recorded_enough() for _ in range(100)) == 10  # rendered, to see if there is room
     for _ in range(200):
         scale.note(0.002)
     assert scale.scale == 2.0
+    assert not scale.is_recorded_enough()
 
 
 def test_a_larger_picture_shows_the_same_view(tmp_path: Path) -> None:

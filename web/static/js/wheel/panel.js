@@ -23,8 +23,9 @@ export class Panel {
     this.#hello = hello;
     this.#map.show(hello.road ?? null);
     for (const element of document.querySelectorAll(".of-network")) element.hidden = hello.kind !== "drive";
-    for (const id of ["laps", "put-back"]) by(id).parentElement.hidden = hello.kind !== "record";
-    by("put-back-button").hidden = hello.kind !== "record"; // other simulators put their car back themselves
+    const isBuiltIn = Boolean(hello.track); // others put their car back themselves, and have one picture
+    for (const id of ["laps", "put-back"]) by(id).parentElement.hidden = !isBuiltIn;
+    for (const id of ["put-back-button", "recorded"]) by(id).hidden = !isBuiltIn;
     by("record").hidden = hello.kind === "drive"; // all of it is recorded
   }
 
