@@ -71,8 +71,9 @@ class Record:
     all_catalogs: bool = False
     """Take also the catalogues of a DonkeyCar tub that its manifest does not name."""
     rate: float | None = None
-    """Rows a second: of the built-in simulator (10 by default; it must divide 50), of --gym's environment (each
-    step by default), or of a recording whose pictures have no time in their names."""
+    """Rows a second: of the built-in simulator (10 by default; it must divide its 50 steps; with --driver me also
+    20, whose rows are 2 and 3 steps apart), of --gym's environment (each step by default), or of a recording whose
+    pictures have no time in their names."""
     udacity: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Write the built-in simulator's drive also as the real one would, into this new folder."""
     sessions: LocationFlag = Path("sessions")

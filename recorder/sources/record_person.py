@@ -29,13 +29,13 @@ from recorder.sources.import_result import Imported
 from recorder.sources.person_pedals import CoursePedals
 from recorder.sources.person_rows import PersonRow, PersonRows
 from recorder.sources.real_time import RealTime
+from recorder.sources.row_steps import check_row_rate, is_row_step
 from recorder.teleop.frame_state import FrameState, drives_alone
 from recorder.teleop.hello import hello
 from recorder.teleop.last_rows import LastRows
 from recorder.teleop.recording import Recording
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Request, Wheel
-from simulator.driving.recovery_driving import steps_each
 from simulator.driving.simulation import Simulation
 from simulator.driving.vehicle import STEP_S
 from simulator.rendering.camera import MOUNT_LEFT_M
@@ -56,7 +56,7 @@ class PersonDrive:
     track: str = "lake"
     laps: float | None = None  # the end of the drive; None: the person ends it
     speed_mph: float = 10.0  # that the page offers to hold
-    rate_hz: float = 10.0  # recorded rows a second; it divides 50
+    rate_hz: float = 10.0  # recorded rows a second; it divides 100
 
 
 def record_person(
@@ -129,7 +129,6 @@ class _Drive:
         self._pedals = CoursePedals(simulation.course)
         self._real_time = RealTime(STEP_S)
         self._when_due = WhenDue()
-        self._row_steps = steps_each(drive.rate_hz)
         self._begin_ns = time.time_ns()
         self._step = 0
         self._shift_s = 0.0  # of the log's clock, by the gaps where the car was put back
@@ -172,7 +171,7 @@ class _Drive:
         throttle = self._pedals.throttle(control)
         self._course.advance(steering, throttle)
         self._step += 1
-        if self._step % self._row_steps == 0 and self._recording.takes_row(control):
+        if is_row_step(self._step, self._drive.rate_hz) and self._recording.takes_row(control):
             self._record(control, throttle)
         if self._when_due.is_due(self._step, steering):
             self._eye.offer(EyeMoment(self._step, self._course.pose, self._state(control, steering, throttle)))
@@ -215,7 +214,7 @@ class _Drive:
             speed_mph=self._course.vehicle.speed_mph,
             device=device_value(control.device),
         )
-        is_gap = gap_s > 1e-3
+        is_gap = gap_s > 0.5 / self._drive.rate_hz  # more than an uneven step
         why = self._recording.gap_why if is_gap else ""
         self.last_rows.add(round(self._course.time_s * 1e9), self._rows.count)
         self._rows.add(PersonRow(time_ns, self._course.pose, state, max(0.0, gap_s), why))
@@ -243,10 +242,7 @@ class _Drive:
 
 def check_person_drive(drive: PersonDrive) -> None:
     """Raise RecordingError, naming the flag, for numbers that nobody can drive by."""
-    try:
-        steps_each(drive.rate_hz)
-    except ValueError as error:
-        raise RecordingError(str(error)) from None
+    check_row_rate(drive.rate_hz)
     if not 0 < drive.speed_mph < math.inf:
         raise RecordingError(f"--speed {drive.speed_mph:g}: a speed above 0 mph was expected")
     if drive.laps is not None and not 0 < drive.laps < math.inf:

@@ -3,6 +3,7 @@ computer."""
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
 import time
@@ -28,6 +29,7 @@ from recorder.sources.eye_pictures import PictureScale, WhenDue
 from recorder.sources.person_pedals import CoursePedals
 from recorder.sources.real_time import RealTime
 from recorder.sources.record_person import PersonDrive, record_person
+from recorder.sources.row_steps import check_row_rate, is_row_step
 from recorder.teleop.hello import road_edges
 from recorder.teleop.open_wheels import open_wheels
 from recorder.teleop.seat import Control
@@ -129,6 +131,37 @@ def test_a_drive_is_a_log_of_three_cameras_that_says_who_steered_and_how(tmp_pat
     assert began_ns < times_ns[0] < time.time_ns()  # the day of the drive
     frames = build_index([drive.log], tmp_path / "index").frames
     assert set(frames["device"].to_pylist()) == {"gamepad"}
+
+
+def test_20_rows_a_second_fall_on_the_nearest_steps_and_are_no_gaps(tmp_path: Path) -> None:
+    drive = Drive(tmp_path / "a.mcap", rate_hz=20)
+    with drive.page() as page:
+        page.send("record")
+        page.drive_until(lambda state: state["rows"] >= 9, 0.01, 1.0)
+        drive.end(page)
+    checked = check(drive.log)
+    assert (checked.findings, checked.meant_gaps) == ([], [])
+    with Log(drive.log) as log:
+        vehicle = log.vehicle()
+    times_ns, speeds = vehicle["log_time_ns"].to_numpy(), vehicle["speed_mph"].to_numpy()
+    assert set(np.diff(times_ns[::2]).tolist()) == {100_000_000}
+    assert set(np.diff(times_ns).tolist()) == {40_000_000, 60_000_000}
+    gained = np.diff(speeds) / np.diff(times_ns)  # as even as the times are true
+    assert gained[1:] == pytest.approx(gained[-1], rel=0.1)
+
+
+@pytest.mark.parametrize("rate_hz", [1, 5, 10, 12.5, 20, 25, 100 / 3, 50])
+def test_rows_come_at_the_rate_and_never_pile_up(rate_hz: float) -> None:
+    check_row_rate(rate_hz)
+    steps = [step for step in range(1, 5001) if is_row_step(step, rate_hz)]
+    assert len(steps) == round(100 * rate_hz)
+    assert np.ptp(np.diff(steps)) == (0 if (50 / rate_hz).is_integer() else 1)
+
+
+@pytest.mark.parametrize("rate_hz", [0, -10, 7, 40, 100, math.nan, math.inf])
+def test_rates_that_no_steps_can_have_are_refused(rate_hz: float) -> None:
+    with pytest.raises(RecordingError, match="--rate"):
+        check_row_rate(rate_hz)
 
 
 def test_a_held_speed_is_kept_without_the_throttle(tmp_path: Path) -> None:

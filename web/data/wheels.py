@@ -25,8 +25,8 @@ from web.errors import WebError
 TRACKS: Final = ("lake", "mountain", "random", "hairpins")
 SEEDED: Final = ("random", "hairpins")
 """Tracks that are drawn by a seed."""
-RATES_HZ: Final = ("5", "10", "25")
-"""Rows a second; they divide the 50 steps of the simulator's clock."""
+RATES_HZ: Final = ("5", "10", "20", "25")
+"""Rows a second that the form offers."""
 DEFAULTS: Final[Mapping[str, str]] = {
     "simulator": "built-in",
     "track": "lake",
