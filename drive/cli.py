@@ -74,7 +74,8 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
         with usage_errors(DriveError):
             check_laps(config.laps)
         is_real_time = config.real_time or config.takeover == "me"
-        simulator = BuiltInSimulator(config.simulator, config.laps, is_real_time, config.takeover is not None)
+        is_supervised = config.takeover is not None
+        simulator = BuiltInSimulator(config.simulator, config.laps, is_real_time, is_supervised, config.start)
     run = find_run(config.run, config.runs)
     _load_named(config, run)
     settings = _with_car(config, settings, run)
@@ -152,16 +153,16 @@ def _at_wheel(
     about = hello(
         "drive",
         log,
-        track=simulation and simulation.track,
+        track=None if simulation is None else simulation.track,
         run=run,
-        picture_hz=simulation and EYE_HZ,
+        picture_hz=None if simulation is None else EYE_HZ,
         hold_mph=settings.set_speed_mph,
     )
     with Wheel(f"{run} drives {where}", log, about) as wheel, contextlib.ExitStack() as rendering:
         if config.page:
             folders = {"sessions": config.sessions, "runs": config.runs, "drives": log.parent}
             page.enter_context(wheel_page(wheel.key, folders, opens=config.open))
-        eye = simulation and rendering.enter_context(EyePictures(simulation, wheel))
+        eye = None if simulation is None else rendering.enter_context(EyePictures(simulation, wheel))
         yield AtWheel(wheel, settings, eye)
 
 

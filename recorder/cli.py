@@ -222,8 +222,9 @@ def _refuse_contradictions(config: Record) -> None:
         raise UsageError(f"--idle {config.idle:g}: a number of seconds, 0 or more, was expected")
     if config.port:  # 0: a free one
         check_port("--port", config.port)
-    if config.drive.driver != "me" and (flags := flags_given(config, "open", "page")):
-        raise UsageError(f"{flags}: only with --driver me")
+    persons = flags_given(config, "open", "page") or flags_given(config.drive, "start")
+    if config.drive.driver != "me" and persons:
+        raise UsageError(f"{persons}: only with --driver me")
     if config.drive.driver == "me" and config.udacity is not None:
         raise UsageError("--udacity: a simulated driver's, not with --driver me")
     if config.environment.gym is not None:

@@ -48,6 +48,8 @@ class SimulatedDrive:
     laps: float | None = None
     """How far to drive, at each speed, 1 by default; 0.5 records the first half of the track and nothing of the
     second. You (--driver me) drive until you end it."""
+    start: Annotated[float, tyro.conf.arg(metavar="METRES")] = 0.0
+    """With --driver me: where you begin, along the track."""
     speed: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MPH [MPH ...]")] = (10.0,)
     """Set speeds in mph, driven one after the other, each from the start; the driver slows for bends. With
     --driver me the speed that the page holds for you at first."""

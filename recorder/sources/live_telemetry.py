@@ -23,6 +23,7 @@ from recorder.log.log_time import LogClock
 from recorder.log.meant_gaps import DISCONNECTED, HUMAN_DRIVES, HUMAN_HAS_STOPPED, not_recorded
 from recorder.log.pose_message import pose_message
 from recorder.log.session_car import UDACITY, Car, metadata_of
+from recorder.log.topics import PERSON_METADATA
 from recorder.log.writer import EventLevel, LogWriter
 from recorder.server.locale_numbers import POINT
 from recorder.server.telemetry import Telemetry, TelemetryError, check_whole_picture, parse_telemetry
@@ -83,6 +84,7 @@ def listen_for_telemetry(
             writer.discard()
             raise RecordingError(f"{log}: {session.why_nothing()}")
         if person is not None:
+            writer.add_metadata(PERSON_METADATA, {"hold_mph": f"{person.hold_mph:g}"})
             close_with_tags(writer, person.last_rows.tags)
     return Imported(log, session.rows, session.pictures, session.skipped, writer.notices)
 

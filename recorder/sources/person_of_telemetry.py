@@ -30,7 +30,8 @@ MAX_BRAKING_S: Final = 5.0
 class PersonOfTelemetry:
     """A person at the wheel of a simulator that connects: commands, and what is recorded of the drive."""
 
-    def __init__(self, wheel: Wheel) -> None:
+    def __init__(self, wheel: Wheel, hold_mph: float) -> None:
+        """`hold_mph` is the speed that the page offers to hold."""
         self._wheel = wheel
         self._control = Control()
         self._sent = Steer(0.0, 0.0)  # is in force at the next telemetry's picture
@@ -40,6 +41,8 @@ class PersonOfTelemetry:
         self._braking_since_s: float | None = None
         self.recording = Recording(wheel)
         self.last_rows = LastRows(wheel)
+        self.hold_mph = hold_mph
+        """The speed that was held last, or offered."""
         self.rows = 0
         self.why = "stopped at the terminal"
         """Why the drive has ended."""
@@ -62,6 +65,7 @@ class PersonOfTelemetry:
         if telemetry is not None:
             self._show(telemetry)
         self._control = self._wheel.control()
+        self.hold_mph = self._control.hold_mph or self.hold_mph
         if self._braking_since_s is not None:
             self._sent = Steer(0.0, brake_of_telemetry(speed_mph), separator)
         else:
@@ -147,7 +151,7 @@ def listen_at_the_wheel(
     with Wheel(f"{log.stem}, a simulator that connects", log, about) as wheel:
         if on_wheel is not None:
             on_wheel(wheel)
-        person = PersonOfTelemetry(wheel)
+        person = PersonOfTelemetry(wheel, hold_mph)
         ended = {"log": str(log), "takeovers": []}
         try:
             done = listen_for_telemetry(log, settings, overwrite=overwrite, person=person)

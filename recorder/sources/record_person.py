@@ -22,6 +22,7 @@ from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.derived_log import close_with_tags
 from recorder.log.devices import device_value
+from recorder.log.topics import PERSON_METADATA
 from recorder.log.writer import LogWriter
 from recorder.sources.built_in_simulator import simulation_on, simulator_metadata
 from recorder.sources.eye_pictures import EYE_HZ, EyeMoment, EyePictures, WhenDue
@@ -57,6 +58,7 @@ class PersonDrive:
     laps: float | None = None  # the end of the drive; None: the person ends it
     speed_mph: float = 10.0  # that the page offers to hold
     rate_hz: float = 10.0  # recorded rows a second; it divides 100
+    start_m: float = 0.0  # where it begins, along the track
 
 
 def record_person(
@@ -103,6 +105,7 @@ def record_person(
             writer.discard()
             wheel.end({"log": str(log), "rows": 0, "why": f"{why}: nothing was recorded", "takeovers": []})
             raise RecordingError(f"{log}: nothing was recorded: begin to record on the page, and drive")
+        writer.add_metadata(PERSON_METADATA, {"hold_mph": f"{driving.hold_mph:g}"})
         close_with_tags(writer, driving.last_rows.tags)
         wheel.end({"log": str(log), "rows": rows.count, "why": why, "takeovers": []})
     return Imported(log, rows.count, rows.count * len(MOUNT_LEFT_M), Skipped(), writer.notices)
@@ -122,6 +125,7 @@ class _Drive:
     ) -> None:
         self._drive = drive
         self._course = simulation.course
+        self._course.start(drive.start_m)
         self._wheel = wheel
         self._rows = rows
         self._eye = eye
@@ -136,6 +140,8 @@ class _Drive:
         self._put_back = 0
         self._recording = Recording(wheel)
         self.last_rows = LastRows(wheel)
+        self.hold_mph = drive.speed_mph
+        """The speed that was held last, or offered."""
 
     def run(self, stopped: StopEvent) -> str:
         """Drive until the person, a signal or the laps end it; why it has ended."""
@@ -167,6 +173,7 @@ class _Drive:
 
     def _advance(self) -> None:
         control = self._wheel.control()
+        self.hold_mph = control.hold_mph or self.hold_mph
         steering = 0.0 if control.is_absent else control.steering
         throttle = self._pedals.throttle(control)
         self._course.advance(steering, throttle)
@@ -245,5 +252,7 @@ def check_person_drive(drive: PersonDrive) -> None:
     check_row_rate(drive.rate_hz)
     if not 0 < drive.speed_mph < math.inf:
         raise RecordingError(f"--speed {drive.speed_mph:g}: a speed above 0 mph was expected")
+    if not 0 <= drive.start_m < math.inf:
+        raise RecordingError(f"--start {drive.start_m:g}: a number of metres, 0 or more, was expected")
     if drive.laps is not None and not 0 < drive.laps < math.inf:
         raise RecordingError(f"--laps {drive.laps:g}: a number above 0 was expected")

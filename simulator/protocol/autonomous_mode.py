@@ -57,6 +57,7 @@ def drive_autonomously(
     client: SimulatorClient,
     *,
     laps: float,
+    start_m: float = 0.0,
     rate_hz: float,
     real_time: bool = False,
     expert: Expert | None = None,
@@ -64,7 +65,8 @@ def drive_autonomously(
     progress: Callable[[float], None] = lambda laps: None,
     lost: Callable[[], object] = lambda: None,
 ) -> AutonomousDrive:
-    """Drive `laps` from the start, at `rate_hz` telemetries a second of simulated time (it must divide 50).
+    """Drive `laps` from `start_m` along the track, at `rate_hz` telemetries a second of simulated time, which must
+    divide 50.
 
     A car that leaves the road or does not get on is put back on the centre line, and that is counted; with
     `leave_off_road`, only one that has been stuck for `RECOVERY_LIMIT_S`, for its driver may bring it back. So is
@@ -76,7 +78,7 @@ def drive_autonomously(
     Raises WaitTimeoutError where no server answers.
     """
     course = simulation.course
-    course.start()
+    course.start(start_m)
     step_s = 1.0 / rate_hz
     trajectory = hashlib.sha256()
     command = SteerCommand(0.0, 0.0)

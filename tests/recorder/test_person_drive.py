@@ -22,8 +22,10 @@ from driving import Process, command
 from recorder import Imported, Log, RecordingError
 from recorder.cli import main as record_main
 from recorder.log.check import check
+from recorder.log.last_place import last_place_m
 from recorder.log.recover import recover
 from recorder.log.tags import Tag, read_tags
+from recorder.log.usual_step import usual_step
 from recorder.sources import person_rows
 from recorder.sources.eye_pictures import PictureScale, WhenDue
 from recorder.sources.person_pedals import CoursePedals
@@ -144,6 +146,8 @@ def test_20_rows_a_second_fall_on_the_nearest_steps_and_are_no_gaps(tmp_path: Pa
     with Log(drive.log) as log:
         vehicle = log.vehicle()
     times_ns, speeds = vehicle["log_time_ns"].to_numpy(), vehicle["speed_mph"].to_numpy()
+    assert usual_step(np.diff(times_ns[:9])) == pytest.approx(50_000_000)
+    assert usual_step(np.diff(times_ns[:8])) == pytest.approx(50_000_000, rel=0.1)  # one more of a kind
     assert set(np.diff(times_ns[::2]).tolist()) == {100_000_000}
     assert set(np.diff(times_ns).tolist()) == {40_000_000, 60_000_000}
     gained = np.diff(speeds) / np.diff(times_ns)  # as even as the times are true
@@ -162,6 +166,22 @@ def test_rows_come_at_the_rate_and_never_pile_up(rate_hz: float) -> None:
 def test_rates_that_no_steps_can_have_are_refused(rate_hz: float) -> None:
     with pytest.raises(RecordingError, match="--rate"):
         check_row_rate(rate_hz)
+
+
+def test_a_drive_ends_where_the_next_one_can_begin(tmp_path: Path) -> None:
+    ends_m: list[float] = []
+    for name in ("a", "b"):
+        drive = Drive(tmp_path / f"{name}.mcap", start_m=ends_m[-1] if ends_m else 300.0)
+        with drive.page() as page:
+            page.send("record")
+            page.drive_until(lambda state: state["rows"] >= 2, hold_mph=7.0)
+            drive.end(page)
+        with Log(drive.log) as log:
+            place_m = last_place_m(log)
+            assert log.read_metadata("bc.person") == {"hold_mph": "7"}
+        assert place_m is not None
+        ends_m.append(place_m)
+    assert 300 < ends_m[0] < ends_m[1] < 310
 
 
 def test_a_held_speed_is_kept_without_the_throttle(tmp_path: Path) -> None:
@@ -346,6 +366,9 @@ def test_a_killed_drive_is_recovered_with_its_tags(tmp_path: Path) -> None:
         (("--driver", "me", "--laps", "0"), "--laps 0"),
         (("--driver", "me", "--udacity", "folder"), "--udacity"),
         (("--driver", "me", "--listen", "--track", "mountain"), "--track"),
+        (("--driver", "me", "--start", "nan"), "--start nan"),
+        (("--driver", "me", "--listen", "--start", "9"), "--start"),
+        (("--start", "9"), "--start: only with --driver me"),
         (("--open",), "--open: only with --driver me"),
         (("--no-page",), "only with --driver me"),
     ],

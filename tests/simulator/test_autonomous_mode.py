@@ -162,6 +162,13 @@ def test_a_car_that_does_not_get_on_is_put_back_all_the_same(leave_off_road: boo
     assert book.measures.interventions == 1
 
 
+def test_a_drive_can_begin_anywhere_along_the_track() -> None:
+    heard, book = driven(as_the_expert, laps=0.003, start_m=123.0)
+    x_m, y_m = (heard[0]["world"][name] for name in ("x_m", "y_m"))
+    assert LAKE.track.line.project(x_m, y_m)[0] == pytest.approx(123.0 - 1.3, abs=0.1)
+    assert book.measures.laps == pytest.approx(0.003, abs=1e-3)
+
+
 def test_a_command_can_ask_for_the_car_to_be_put_back_once() -> None:
     heard: list[dict[str, Any]] = []
 
@@ -227,6 +234,7 @@ def test_bc_sim_tells_the_world_only_if_it_is_asked_to(capsys: pytest.CaptureFix
         (("--tell-world", "--expert-speed", "nan"), "--expert-speed nan"),
         (("--tell-world", "--expert-speed", "inf"), "--expert-speed inf"),
         (("--tell-world", "--replay", "."), "--tell-world"),
+        (("--start", "-1"), "--start -1"),
         (("--port", "99999"), "--port 99999"),
         (("--port", "-1"), "--port -1"),
         (("--wait", "nan"), "--wait nan"),
