@@ -70,7 +70,7 @@ def check_at_the_wheel(drive: SimulatedDrive, rate: float | None, *, listens: bo
     if len(drive.speed) != 1 or not 0 < drive.speed[0] < math.inf:
         raise UsageError("--speed: with --driver me, one speed above 0 mph is expected, for the page to hold")
     if listens:
-        if flags := flags_given(drive, "track", "laps") or ("--rate" if rate is not None else ""):
+        if flags := flags_given(drive, "track", "laps", "start") or ("--rate" if rate is not None else ""):
             raise UsageError(f"{flags}: the simulator that connects decides; not with --listen --driver me")
         return
     from recorder.sources.record_person import check_person_drive
@@ -82,4 +82,5 @@ def check_at_the_wheel(drive: SimulatedDrive, rate: float | None, *, listens: bo
 def _person_drive(drive: SimulatedDrive, rate: float | None) -> PersonDrive:
     from recorder.sources.record_person import PersonDrive
 
-    return PersonDrive(drive.track, drive.laps, drive.speed[0], drive.rate if rate is None else rate)
+    rate_hz = drive.rate if rate is None else rate
+    return PersonDrive(drive.track, drive.laps, drive.speed[0], rate_hz, drive.start)

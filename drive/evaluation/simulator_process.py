@@ -38,6 +38,8 @@ class BuiltInSimulator:
     """No faster than the clock; otherwise simulated time waits for each answer, and hurries."""
     leave_off_road: bool = False
     """A car that has left the road is left to who takes over, and put back only when it is stuck."""
+    start_m: float = 0.0
+    """Where it begins, along the track."""
 
     def __post_init__(self) -> None:
         """Raises DriveError for a track or laps that cannot be driven."""
@@ -127,7 +129,7 @@ def _process(
     config = server.config
     command = [
         *(sys.executable, "-P", "-m", "simulator.cli", "--json", "--tell-world", "--port", str(server.port)),
-        *("--track", simulator.track, "--laps", str(simulator.laps)),
+        *("--track", simulator.track, "--laps", str(simulator.laps), "--start", str(simulator.start_m)),
         *("--expert-speed", str(config.set_speed_mph)),
         *(["--leave-off-road"] if config.takeover or simulator.leave_off_road else []),
         *(["--real-time"] if simulator.real_time else []),

@@ -18,6 +18,7 @@ from recorder.lerobot.log_episodes import ChosenRows, log_episodes
 from recorder.log.reader import Log
 from recorder.log.session_car import max_steering_deg_of
 from recorder.log.topics import camera_topic
+from recorder.log.usual_step import usual_step
 
 RATES_DIFFER: Final = 1.2
 """Sessions whose rates differ by this factor get a notice: the format has one rate for all."""
@@ -59,10 +60,10 @@ def plan_export(
         its_steps = taken.steps_ns[taken.steps_ns > 0]
         if len(its_steps):
             steps.append(its_steps)
-            rates[path.name] = _rate_hz(its_steps)
+            rates[path.name] = 1e9 / usual_step(its_steps)
         if len(taken.states.row):
             known.append(bool(np.isfinite(taken.states.speed_mph).all()))
-    rate_hz = _rate_hz(np.concatenate(steps)) if rates else 1.0
+    rate_hz = 1e9 / usual_step(np.concatenate(steps)) if rates else 1.0
     if rates and max(rates.values()) > RATES_DIFFER * min(rates.values()):
         listed = ", ".join(f"{rate:.1f} in {name}" for name, rate in rates.items())
         notices.append(
@@ -99,7 +100,3 @@ def _cameras(paths: Sequence[Location], wanted: Sequence[Camera]) -> tuple[tuple
         if names and camera not in cameras
     ]
     return cameras, notices
-
-
-def _rate_hz(steps_ns: np.ndarray[tuple[int], np.dtype[np.int64]]) -> float:
-    return 1e9 / float(np.median(steps_ns))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.stretches import stretches
-from recorder.log.devices import Device, most_used
+from recorder.log.devices import RowDevice, most_used
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -84,7 +84,7 @@ class StatesWritten:
         self._devices[state.device] += 1
 
     @property
-    def device(self) -> Device:
+    def device(self) -> RowDevice:
         """The device that most rows were steered with."""
         return most_used(self._devices)
 

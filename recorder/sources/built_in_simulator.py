@@ -48,6 +48,8 @@ class SimulatedDrive:
     laps: float | None = None
     """How far to drive, at each speed, 1 by default; 0.5 records the first half of the track and nothing of the
     second. You (--driver me) drive until you end it."""
+    start: Annotated[float, tyro.conf.arg(metavar="METRES")] = 0.0
+    """With --driver me: where you begin, along the track."""
     speed: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MPH [MPH ...]")] = (10.0,)
     """Set speeds in mph, driven one after the other, each from the start; the driver slows for bends. With
     --driver me the speed that the page holds for you at first."""
@@ -71,22 +73,15 @@ def record_simulated(
     refuse_existing(log, overwrite)  # before the folder is begun
     check_drive(drive)
     name, laps = _driver_name(drive), 1.0 if drive.laps is None else drive.laps
-    try:
-        simulation = Simulation(drive.track)
-    except ValueError as error:
-        raise RecordingError(f"--track {drive.track}: {error}") from None
-    metadata = {
-        "source": "simulator",
-        "simulator": "built-in",
-        "track": simulation.track.name,
-        "track_fingerprint": simulation.track.fingerprint(),
-        "driver": name,
-        "drive.laps": f"{laps:g}",
-        "drive.speed": " ".join(f"{speed_mph:g}" for speed_mph in drive.speed),
-        **{f"drive.{name}": f"{getattr(drive, name):g}" for name in ("rate", "recovery", "noise")},
-        "drive.seed": str(drive.seed),
-        **metadata_of(built_in()),
-    }
+    simulation = simulation_on(drive.track)
+    metadata = simulator_metadata(
+        simulation,
+        name,
+        laps=f"{laps:g}",
+        speed=" ".join(f"{speed_mph:g}" for speed_mph in drive.speed),
+        **{name: f"{getattr(drive, name):g}" for name in ("rate", "recovery", "noise")},
+        seed=str(drive.seed),
+    )
     length_m = len(drive.speed) * laps * simulation.track.line.length_m
     rows = put_back = 0
     last_s = 0.0
@@ -134,6 +129,27 @@ def record_simulated(
             " as if somebody had stopped recording to drive back"
         )
     return Imported(log, rows, rows * len(MOUNT_LEFT_M), Skipped(), notices)
+
+
+def simulation_on(track: str) -> Simulation:
+    """The built-in simulator on a track. Raises RecordingError for one that does not exist."""
+    try:
+        return Simulation(track)
+    except ValueError as error:
+        raise RecordingError(f"--track {track}: {error}") from None
+
+
+def simulator_metadata(simulation: Simulation, driver: str, **drive: str) -> dict[str, str]:
+    """The metadata of a log of the built-in simulator; `drive` has the settings of the drive."""
+    return {
+        "source": "simulator",
+        "simulator": "built-in",
+        "track": simulation.track.name,
+        "track_fingerprint": simulation.track.fingerprint(),
+        "driver": driver,
+        **{f"drive.{name}": value for name, value in drive.items()},
+        **metadata_of(built_in()),
+    }
 
 
 def _why_not_recorded(step: DriveStep, new_speed_mph: float | None) -> str:

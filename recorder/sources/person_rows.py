@@ -11,10 +11,8 @@ from typing import Final, Self
 
 from common.interrupts import leave_signals_to_main_thread
 from recorder.bc_pb2 import VehicleState
-from recorder.log.bad_rows import driven_badly
 from recorder.log.meant_gaps import not_recorded
 from recorder.log.pose_message import pose_message
-from recorder.log.tags import EXCLUDE, Tag
 from recorder.log.writer import EventLevel, LogWriter
 from simulator.driving.simulation import Simulation
 from simulator.pose import Pose
@@ -53,8 +51,6 @@ class PersonRows:
         self.count = 0
         """Rows until now, also those that wait."""
         self.last_ns = 0
-        self.tags: list[Tag] = []
-        """Of rows that were driven badly."""
 
     def add(self, row: PersonRow) -> None:
         """Add a row; waits while too many wait. Raises what writing has raised."""
@@ -68,15 +64,6 @@ class PersonRows:
         time_ns = self.last_ns
         if self.count:  # the times of a log begin with its rows
             self._put(lambda: self._writer.event(time_ns, text, level, "recorder"))
-
-    def exclude_last(self, rows: int) -> int:
-        """Tag the last rows, so that nobody learns from them; returns how many there are."""
-        tag = Tag(max(0, self.count - rows), self.count - 1, EXCLUDE)
-        if tag.first_row > tag.last_row:
-            return 0
-        self.tags.append(tag)
-        self.event(driven_badly(tag.first_row, tag.last_row))
-        return tag.last_row - tag.first_row + 1
 
     def check(self) -> None:
         """Raise what writing has raised."""
