@@ -30,7 +30,8 @@ from common.errors import UserError, printable
 from common.streams import unescaped
 
 _COMMAND: Final = re.compile(
-    r"(`|--no-python )(bc-(?:record|log|index|train|runs|drive|play|sim|eval|demo|sweep|web)|rerun|torchrun|pip)"
+    r"(`|--no-python |&& )"
+    r"(bc-(?:record|log|index|train|runs|drive|play|sim|eval|demo|sweep|doctor|web)|rerun|torchrun|pip)"
     r"(?![\w-])"
 )
 _shown_as: Final[dict[str, str]] = {}
@@ -53,6 +54,11 @@ def print_message(text: str, *, heading: str = "", style: str = "") -> None:
     start = Text.assemble((heading, style), " ") if heading else Text()
     console = _live_displays[-1] if _live_displays else message_console()  # above a bar, and not behind it
     console.print(start.append(safe_line(text), "" if heading else style), soft_wrap=True)
+
+
+def print_next(command: str, why: str = "") -> None:
+    """Print the last line of a command, on stderr: what to type next, and why."""
+    print_message(f"next: `{command}`{why and f': {why}'}")
 
 
 def ask(question: str) -> bool | None:

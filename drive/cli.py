@@ -19,7 +19,7 @@ from common.errors import UsageError, counted, printable
 from common.files import refuse_existing
 from common.interrupts import stop_signals
 from common.location import Url
-from common.output import print_message, print_result, print_table
+from common.output import print_message, print_next, print_result, print_table
 from common.preview import has_display, preview
 from common.progress import StatusLine
 from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
@@ -121,7 +121,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
                     drive_built_in(server, simulator, stopped, shows_progress=False)
                 if server.session.is_empty:
                     raise DriveError(f"{path}: nothing was driven: {server.no_drive_reason}")
-        code = _print_drives(server.sessions)
+        code = _print_drives(server.sessions, config, run)
         if at_wheel is not None:
             from drive.kept_drive import keep_supervised
 
@@ -218,7 +218,7 @@ def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
             raise DriveError(f"{path}: nothing was driven: stopped before the first step")
     if len(episodes) > 1:
         print_result(f"reward {mean_reward(episodes):,.1f} on average")
-    return _print_drives([session])
+    return _print_drives([session], config, run)
 
 
 def _notify(text: str) -> None:
@@ -236,15 +236,14 @@ def _viewer_target(config: Drive, log: Path) -> str | None:
     return None if config.viewer == "off" else config.viewer
 
 
-def _print_drives(sessions: Sequence[DriveSession]) -> int:
-    """Print the summaries of the drives; the exit code. Raises DriveError if no telemetry could be driven on."""
+def _print_drives(sessions: Sequence[DriveSession], config: Drive, run: Path) -> int:
+    """Print the summaries of a run's drives; the exit code. Raises DriveError if no telemetry could be used."""
     from drive.log.summary_lines import summary_lines
 
     code = DONE
     for session in sessions:
         log, summary = session.writer.path, session.summary
-        hint = f"; look at it with `bc-play {shlex.quote(str(log))}`" if session.log.frames else ""
-        print_result(f"{log}: {counted(session.log.frames, 'frame')}{hint}")
+        print_result(f"{log}: {counted(session.log.frames, 'frame')}")
         for line in summary_lines(summary):
             print_result(f"  {line}")
         if summary.bad or summary.side_problems or summary.without_number:
@@ -256,7 +255,23 @@ def _print_drives(sessions: Sequence[DriveSession]) -> int:
             )
     if all(session.summary.is_all_lost for session in sessions):
         raise DriveError(f"nothing was driven: {sessions[0].summary.no_drive_reason}")
+    _print_next(sessions, config, run)
     return code
+
+
+def _print_next(sessions: Sequence[DriveSession], config: Drive, run: Path) -> None:
+    """Print the command that learns from takeovers, whose pictures are there if a person or an expert stood by; or
+    else the one that shows the last drive."""
+    from model.runs.run_arguments import run_argument
+
+    taken = [each for each in sessions if each.summary.takeovers + each.summary.manual_stretches]
+    if config.takeover is not None and taken:
+        logs = " ".join(shlex.quote(str(each.writer.path)) for each in taken)
+        times = sum(each.summary.takeovers + each.summary.manual_stretches for each in taken)
+        command = f"bc-train --init {run_argument(run)} --takeovers {logs}"
+        print_next(command, f"it learns from {counted(times, 'takeover')}")
+    elif driven := [each for each in sessions if each.log.frames]:
+        print_next(f"bc-play {shlex.quote(str(driven[-1].writer.path))}")
 
 
 def _aggregate(config: Drive, settings: DriveConfig) -> int:
@@ -296,6 +311,8 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     finally:  # what was driven is shown, whatever stops the rest
         if rounds:
             print_table(_rounds_table(rounds))
+            track = f" --simulator {config.simulator}" if config.simulator else ""
+            print_next(f"bc-{'eval' if track else 'drive'} {shlex.quote(rounds[-1].run)}{track}")
     return max(codes)
 
 

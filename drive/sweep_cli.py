@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 import statistics
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -17,8 +18,9 @@ from rich.table import Table
 
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, run_command, warn
 from common.errors import UsageError, counted, printable
+from common.location import Location
 from common.location_flag import LocationFlag
-from common.output import print_message, print_result, print_table
+from common.output import print_message, print_next, print_result, print_table
 from common.progress import track
 from common.random_access import is_there
 from common.tasks import RayAddress, tasks_of
@@ -97,6 +99,7 @@ def sweep(config: Sweep) -> int:
     finally:
         if done and not config.json:
             print_table(_table(plan.name, done))
+            print_next(f"bc-runs --sort interventions{_runs_flag(config.runs)}")
     failed = [swept for swept in done if swept.failure]
     if failed:
         warn(f"{counted(len(failed), 'training')} of {len(done):,} failed; the same command tries them again")
@@ -139,6 +142,10 @@ def _table(name: str, done: Sequence[Swept]) -> Table:
             _spread([_mean(summary) for summary in whole], 1),
         )
     return table
+
+
+def _runs_flag(runs: Location) -> str:
+    return "" if runs == Sweep.runs else f" --runs {shlex.quote(str(runs))}"
 
 
 def _mean(summary: RunSummary) -> float:

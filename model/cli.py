@@ -142,7 +142,8 @@ def _print_outcome(trained: Trained, settings: TrainConfig) -> int:
     from model.runs.history import read_epochs
     from model.runs.run_arguments import run_argument
     from model.runs.run_folder import WEIGHTS
-    from model.runs.training_outcome import verdict
+    from model.runs.run_summary import judge
+    from model.runs.training_outcome import outcome_lines
 
     run, code = trained.run, max([DONE, *map(warn, trained.notices)])
     for remark in trained.remarks:
@@ -154,10 +155,12 @@ def _print_outcome(trained: Trained, settings: TrainConfig) -> int:
     elif not trained.epochs:
         print_result(f"{run}: all its epochs are learnt; give more --epochs to go on")
     best = trained.best_epoch
-    for line in verdict(read_epochs(run), best, settings.keep) if best else ():
+    for line in outcome_lines(read_epochs(run), best, settings.keep) if best else ():
         print_result(line)
     drive = f"bc-drive {run_argument(run)}{_network_flag(run)}"
     print_result(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `{drive}`")
+    if best:
+        print_result(*judge(run).lines)
     return code
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import shlex
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +16,7 @@ from common.errors import UsageError, counted, printable
 from common.files import refuse_existing
 from common.location import Url, local_path
 from common.location_flag import LocationFlag
-from common.output import print_message, print_result
+from common.output import print_message, print_next, print_result
 from common.preview import preview
 from recorder.errors import RecordingError
 from recorder.log.session_car import named_car
@@ -112,7 +113,11 @@ def record(config: Record) -> int:
     print_result(
         f"{done.path}: {counted(done.rows, 'row')}, {counted(done.pictures, 'picture')}, {size_mb:,.1f} MB"
     )
-    return code if config.copy_to is None else max(code, copy_recording(done.path, config.copy_to, config.force))
+    if config.copy_to is not None:
+        code = max(code, copy_recording(done.path, config.copy_to, config.force))
+    folder = done.path.parent
+    print_next(f"bc-index --sessions {shlex.quote(str(folder))}" if folder != Path("sessions") else "bc-index")
+    return code
 
 
 def _record_to(config: Record, log: Path) -> Imported:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -12,9 +13,10 @@ from common.command import DONE, usage_errors, warn
 from common.errors import UsageError, counted, did_you_mean
 from common.location import Location
 from common.location_flag import LocationFlag
-from common.output import ask, print_message, print_result
+from common.output import ask, print_message, print_next, print_result
 from recorder.log.reader import Log
 from recorder.log.tags import (
+    EXCLUDE,
     Tag,
     add_tag,
     check_name,
@@ -64,6 +66,10 @@ class NameRows:
             print_result(f"{tag.name}: {rows_of(tag)}")
         if not tags:
             print_message(f"{self.log}: no tags")
+        if self.tag == EXCLUDE:
+            print_next("bc-index", "training then leaves out the rows that are tagged so, and no others")
+        elif self.tag is not None:
+            print_next(f"bc-play {shlex.quote(str(self.log))}")
         return code
 
     def _is_everywhere(self) -> bool:

@@ -30,11 +30,13 @@ if TYPE_CHECKING:
 BAR_CELLS = 16  # so that a line fits 80 columns
 
 
-def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame]) -> None:
-    """Print the tables; then the commands that show the `worst` frames."""
-    tables = [_measures_table(evaluation), _bins_table(evaluation.measures)]
+def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame], *, bins: bool = False) -> None:
+    """Print the tables, that of steering bins only with `bins`; then the commands that show the `worst` frames."""
+    tables = [_measures_table(evaluation)]
     if evaluation.other_targets:
-        tables.insert(1, _targets_table(evaluation.other_targets))
+        tables.append(_targets_table(evaluation.other_targets))
+    if bins:
+        tables.append(_bins_table(evaluation.measures))
     if len(evaluation.sessions) > 1:
         tables.append(_sessions_table(evaluation.sessions))
     if worst:

@@ -88,6 +88,13 @@ def test_curves_lie_over_each_other_and_settings_beside(bench: Served) -> None:
     assert "checked" in bench.get(f"/runs{chosen}").text
 
 
+def test_a_runs_page_has_its_verdict_and_what_would_help(bench: Served) -> None:
+    text = page(bench, "good")
+    assert "no better than always predicting the mean: on turns" in text
+    assert "has driven 1 track with 2 interventions" in text
+    assert "Next: bc-train --resume" in text
+
+
 def test_a_run_links_to_what_it_learnt_from_and_to_its_worst_frames(bench: Served) -> None:
     text = bench.get("/runs/good").text
     assert 'href="/sessions/sunday"' in text
