@@ -18,8 +18,8 @@ from simulator.driving.simulation import Simulation
 from simulator.pose import Pose
 from simulator.rendering.camera import MOUNT_LEFT_M
 
-MAX_WAITING: Final = 20
-"""Rows that wait to be rendered. With more, the drive waits, and its clock with it: no row is lost."""
+MAX_WAITING: Final = 10
+"""Rows that wait to be rendered: a kill loses them. With more, the drive waits, and its clock with it."""
 MAX_PATIENT: Final = 5
 """With fewer rows that wait, pictures for the eye are rendered first."""
 _PATIENCE_S: Final = 0.05
@@ -50,6 +50,8 @@ class PersonRows:
         self._thread = threading.Thread(target=self._run, name="rows", daemon=True)
         self.count = 0
         """Rows until now, also those that wait."""
+        self.written = 0
+        """Rows that no longer wait."""
         self.last_ns = 0
 
     def add(self, row: PersonRow) -> None:
@@ -98,6 +100,7 @@ class PersonRows:
         if row.gap_why:
             self._writer.event(row.time_ns, not_recorded(row.gap_s, row.gap_why))
         self._writer.pose(row.time_ns, number, pose_message(row.pose, row.time_ns))
+        self.written = number + 1
 
     def _run(self) -> None:
         leave_signals_to_main_thread()

@@ -237,7 +237,7 @@ class _Drive:
             steering=steering,
             throttle=throttle,
             speed_mph=car.speed_mph,
-            rows=self._rows.count,
+            rows=self._rows.written,
             recorded_s=self._rows.count / self._drive.rate_hz,
             is_recording=self._recording.is_on,
             pace=self._real_time.pace,

@@ -216,12 +216,12 @@ def test_a_car_without_its_person_is_braked_and_nothing_is_recorded(tmp_path: Pa
         state = page.frame().state
         while state["drives"] != "nobody":
             state = page.frame().state
-        alone = state["rows"]
+        alone = state["recorded_s"]  # with the rows that still wait to be rendered
         for _ in range(10):
             state = page.frame().state
-        assert state["rows"] == alone
+        assert state["recorded_s"] == alone
         assert state["speed_mph"] == pytest.approx(0.0, abs=0.1)
-        page.drive_until(lambda state: state["rows"] > alone, throttle=1.0)
+        page.drive_until(lambda state: state["recorded_s"] > alone, throttle=1.0)
         drive.end(page)
     assert any("nobody was at the wheel" in text for text in events(drive.log))
     assert not check(drive.log).findings
@@ -247,7 +247,7 @@ def test_a_pause_is_a_gap_that_an_event_explains(tmp_path: Path) -> None:
         page.send("pause")
         page.drive_until(lambda later: later["time_s"] > state["time_s"] + 1.5, 0.02, hold_mph=5)
         page.send("record")
-        page.drive_until(lambda later: later["rows"] > state["rows"] + 3, 0.03, hold_mph=5)
+        page.drive_until(lambda later: later["recorded_s"] > state["recorded_s"] + 0.3, 0.03, hold_mph=5)
         drive.end(page)
     checked = check(drive.log)
     assert (len(checked.findings), len(checked.meant_gaps)) == (0, 1)
@@ -263,7 +263,7 @@ def test_a_car_that_is_put_back_begins_another_drive(tmp_path: Path, way: str) -
         if way == "asked for":
             page.send("put_back")
         state = page.drive_until(lambda state: state["put_back"], float(way != "asked for"), 1.0)
-        page.drive_until(lambda later: later["rows"] > state["rows"] + 3, 0.01, hold_mph=5)
+        page.drive_until(lambda later: later["recorded_s"] > state["recorded_s"] + 0.3, 0.01, hold_mph=5)
         drive.end(page)
     checked = check(drive.log)
     assert (len(checked.findings), len(checked.meant_gaps)) == (0, 1)
