@@ -48,7 +48,9 @@ def stretches_to_drive(states: States, is_usable: NDArray[np.bool_]) -> list[Dri
         return []
     flags = row_flags(states)
     speed = states.speed_mph
-    is_good = is_usable & ~flags["out_of_range"] & ~flags["crash"] & (speed >= SLOW_MPH)  # False if not known
+    is_good = (
+        is_usable & ~flags["out_of_range"] & ~flags["crash"] & ~flags["backwards"] & (speed >= SLOW_MPH)
+    )  # False if not known
     time_s = (states.time_ns - states.time_ns[0]) / 1e9
     step_s = np.diff(time_s)
     lost_mps = -np.diff(speed) * MPS_PER_MPH

@@ -107,7 +107,9 @@ def _draw_course(axes: Axes, session: SteeredSession) -> None:
     axes.plot(at_s, recorded, color=BLUE, linewidth=0.9, label="as recorded")
     axes.plot(at_s, label, color=ORANGE, linewidth=1.4, label="as learnt")
     for begin, end in stretches(session.is_crash[part]):
-        axes.axvspan(time_s[begin], time_s[end], color=GREY, alpha=0.25, linewidth=0, label="crash, not learnt")
+        axes.axvspan(
+            time_s[begin], time_s[end], color=GREY, alpha=0.25, linewidth=0, label="crash or backwards, not learnt"
+        )
     axes.set_title(f"{printable(session.name)}: {words}", loc="left", parse_math=False)  # a $ is part of a name
     axes.set_xlim(0, SHOWN_S)
     axes.set_ylim(-1.05, 1.05)

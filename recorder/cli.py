@@ -22,6 +22,7 @@ from recorder.errors import RecordingError
 from recorder.log.session_car import named_car
 from recorder.log_copy_cli import copy_recording, refuse_copying, refuse_taken_name
 from recorder.log_made_cli import brought_as_they_are
+from recorder.log_report import odd_lines
 from recorder.person_cli import AtTheWheel, check_at_the_wheel, listen_at_the_wheel, record_at_the_wheel
 from recorder.sources.built_in_simulator import SimulatedDrive, check_drive, record_simulated
 from recorder.sources.frame_rate import check_rate
@@ -113,6 +114,8 @@ def record(config: Record) -> int:
     print_result(
         f"{done.path}: {counted(done.rows, 'row')}, {counted(done.pictures, 'picture')}, {size_mb:,.1f} MB"
     )
+    for line in odd_lines(done.path):
+        print_message(line)
     if config.copy_to is not None:
         code = max(code, copy_recording(done.path, config.copy_to, config.force))
     folder = done.path.parent

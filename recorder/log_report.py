@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+from pathlib import Path
 from typing import Any, Final
 
 from rich.markup import escape
@@ -13,11 +15,14 @@ from common.command import warn, warn_skipped
 from common.errors import counted, printable
 from common.output import print_result, print_table
 from recorder.log.check import Checked
+from recorder.log.check_contents import rows_named
 from recorder.log.derived_log import Written
 from recorder.log.log_info import LogInfo
+from recorder.log.reader import Log
+from recorder.log.row_quality import NOT_LEARNT
 from recorder.log.steering_report import steering_line
 from recorder.log.tags import Tag
-from recorder.log.topics import VEHICLE
+from recorder.log.topics import QUALITY_METADATA, VEHICLE
 
 MOST_PLACES: Final = 6
 """So many are named of a kind; --json names all."""
@@ -107,6 +112,32 @@ def _print_drives(info: LogInfo) -> None:
     if len(stretches) > MOST_PLACES:
         more = counted(len(stretches) - MOST_PLACES, "more stretch", "more stretches")
         print_table(f"    and {more} (--json lists them)")
+
+
+_ODD: Final = {
+    "crash": "of crashes",
+    "backwards": "driven backwards",
+    "out_of_range": "with values out of range",
+    "stuck_steering": "with stuck steering",
+}
+
+
+def odd_lines(path: Path) -> list[str]:
+    """What is odd in a finished log of ours, a line a kind, with its first stretches; then what to do about it."""
+    with Log(path) as log:
+        quality = log.read_metadata(QUALITY_METADATA)
+    lines = []
+    for flag, words in _ODD.items():
+        if not (rows := int(quality.get(flag, 0))):
+            continue
+        places = [rows_named(*each[1:3]) for each in json.loads(quality.get("stretches", "[]")) if each[0] == flag]
+        more = ", ..." if len(places) > MOST_PLACES else ""
+        lines.append(f"odd: {counted(rows, 'row')} {words}: {', '.join(places[:MOST_PLACES])}{more}")
+    if any(int(quality.get(flag, 0)) for flag in NOT_LEARNT):
+        lines.append("rows of crashes, or driven backwards, are not learnt by default")
+    if lines:
+        lines.append(f"`bc-log tag {shlex.quote(str(path))} exclude --odd` keeps odd rows out of every training")
+    return lines
 
 
 def _has_rows(info: LogInfo) -> bool:

@@ -6,6 +6,7 @@ import shlex
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
 import tyro
 
 from common import UserError
@@ -14,7 +15,10 @@ from common.errors import UsageError, counted, did_you_mean
 from common.location import Location
 from common.location_flag import LocationFlag
 from common.output import ask, print_message, print_next, print_result
+from common.stretches import stretches
 from recorder.log.reader import Log
+from recorder.log.row_condition import rows_where
+from recorder.log.row_quality import NOT_LEARNT, States, row_flags
 from recorder.log.tags import (
     EXCLUDE,
     Tag,
@@ -29,6 +33,8 @@ from recorder.log.tags import (
 from recorder.log_report import rows_of
 from recorder.log_row_flags import rows_of_flags
 
+SURE_FLAGS = (*NOT_LEARNT, "out_of_range")
+"""Flags of rows that nobody should learn from."""
 LogPlace = Annotated[LocationFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 
 
@@ -47,6 +53,11 @@ class NameRows:
     """Up to this second."""
     rows: tuple[int, int] | None = None
     """The first and the last row, instead of times. The whole log: --start 0."""
+    odd: bool = False
+    """Instead of rows that are given: all rows of crashes, driven backwards, or with values out of range."""
+    where: str | None = None
+    """Instead of rows that are given: all for which this holds, such as "speed_mph < 2 and throttle == 0"; of row,
+    time_s, steering, throttle, brake and speed_mph."""
     remove: bool = False
     """Remove this name: from exactly the rows that are given, or wherever it is."""
 
@@ -73,7 +84,30 @@ class NameRows:
         return code
 
     def _is_everywhere(self) -> bool:
-        return self.start is None and self.end is None and self.rows is None
+        return not self._is_found and self.start is None and self.end is None and self.rows is None
+
+    @property
+    def _is_found(self) -> bool:
+        """Rows are looked for, and not given."""
+        return self.odd or self.where is not None
+
+    def _found(self, name: str) -> list[Tag]:
+        """The stretches that --odd or --where find; listed, and asked about at a terminal."""
+        with Log(self.log) as log:
+            states = States.of(log.vehicle())
+        if self.where is not None:
+            mask = rows_where(states, self.where)
+        else:
+            flags = row_flags(states)
+            mask = np.logical_or.reduce([flags[flag] for flag in SURE_FLAGS])
+        chosen = [Tag(int(states.row[a]), int(states.row[b]), name) for a, b in stretches(mask)]
+        if not chosen:
+            raise UserError(f"{self.log}: no such row")
+        for tag in chosen:
+            print_message(f"{name}: {rows_of(tag)}")
+        if not self.remove and ask(f"Tag these {counted(int(mask.sum()), 'row')} {name!r}?") is False:
+            raise UserError("nothing was tagged")
+        return chosen
 
     def _notice_of_new(self, name: str) -> str:
         """The notice for a name that nobody has used yet; "" for any other. Where it is perhaps mistyped, a person
@@ -93,12 +127,18 @@ class NameRows:
             check_name(name)
         if self._is_everywhere() and not self.remove:
             raise UsageError(
-                f"{name}: which rows? Give --rows FIRST LAST, or --start and --end; --start 0 for all"
+                f"{name}: which rows? Give --rows FIRST LAST, --start and --end (all: --start 0), --odd or --where"
             )
-        if self._is_everywhere():
+        if self._is_found:
+            if (self.odd and self.where is not None) or (self.start, self.end, self.rows) != (None, None, None):
+                raise UsageError("give one of --odd, --where, --rows, and --start with --end")
+            chosen = self._found(name)
+        elif self._is_everywhere():
             chosen = [tag for tag in tags if tag.name == name]
         else:
             chosen = [Tag(*rows_of_flags(self.log, self.start, self.end, self.rows), name)]
+        if self._is_found and self.remove:
+            chosen = [tag for tag in chosen if tag in tags]
         if self.remove and not set(chosen) & set(tags):
             held = ", ".join(f"{tag.name} ({rows_of(tag)})" for tag in tags) or "none"
             raise UserError(f"{self.log}: no tag {name!r} of exactly these rows; its tags: {held}")

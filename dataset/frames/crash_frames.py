@@ -1,4 +1,4 @@
-"""The frames of a log that are from crashes: their steering has nothing to do with the road."""
+"""The frames of a log that are from crashes, or driven backwards: their steering is no answer to the road."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 
 from dataset.frames.pairing import moments
 from recorder import Log
-from recorder.log.row_quality import States, row_flags
+from recorder.log.row_quality import NOT_LEARNT, States, row_flags
 
 
 def in_crashes(frames: pa.Table, log: Log) -> NDArray[np.bool_]:
-    """A mask of the `frames` of a log (N,), by the flag `crash` of its rows, which an index of an earlier version
+    """A mask of the `frames` of a log (N,), by the flags of its rows, which an index of an earlier version
     does not have. `frames` needs the columns row and log_time_ns. Raises LogError for a damaged log."""
     vehicle = log.vehicle()
-    crashed = vehicle.filter(pa.array(row_flags(States.of(vehicle))["crash"]))
+    flags = row_flags(States.of(vehicle))
+    crashed = vehicle.filter(pa.array(np.logical_or.reduce([flags[flag] for flag in NOT_LEARNT])))
     return np.isin(moments(frames), moments(crashed))

@@ -19,7 +19,7 @@ from dataset.frames.drivers import DRIVERS
 from dataset.frames.frame_flags import is_excluded, is_unusable, lists_with
 from dataset.frames.frames_file import SPLITS, codes
 from recorder.log.label_plan import LabelPlan
-from recorder.log.row_quality import GAP_S, SPEED_RANGE_MPH
+from recorder.log.row_quality import GAP_S, NOT_LEARNT, SPEED_RANGE_MPH
 
 _ONE: Final = 1 << 40
 """A steering of 1 as an integer: sums of integers are exact, no rounding carries over from stretch to stretch."""
@@ -33,7 +33,7 @@ Times = NDArray[np.int64]
 
 def planned_labels(frames: pa.Table, plan: LabelPlan) -> tuple[Steering, NDArray[np.bool_]]:
     """The steering to be learnt of each of a session's frames (N,), as `labels_of` gives it, and a mask of those
-    that are left out of training as rows of crashes.
+    that are left out of training as rows of crashes, or driven backwards.
 
     No label depends on another driver's steering, on the other side of the split, on frames that cannot be used or
     are tagged `exclude`, or on a crash that is left out.
@@ -72,7 +72,8 @@ def _is_good(frames: pa.Table) -> NDArray[np.bool_]:
 
 
 def _is_crashed(frames: pa.Table, plan: LabelPlan) -> NDArray[np.bool_]:
-    return lists_with(frames["flags"], "crash") & plan.without_crashes
+    flags = [lists_with(frames["flags"], flag) for flag in NOT_LEARNT]
+    return np.logical_or.reduce(flags) & plan.without_crashes
 
 
 def _side(frames: pa.Table, is_crashed: NDArray[np.bool_]) -> NDArray[np.int8]:

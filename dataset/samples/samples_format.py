@@ -136,14 +136,14 @@ class SessionCounts:
     unusable: int  # steering out of range, or a broken picture
     unlabelled: int  # so near the end of a stretch that --label-shift finds no steering for it
     not_asked_for: int  # another camera, or not what --where chooses
-    crashed: int  # for training otherwise, and left out of it as rows of crashes
+    crashed: int  # for training otherwise, and left out of it as rows of crashes, or driven backwards
     not_taken_over: int  # of a drive, and driven neither by an expert nor by a human, with --drives takeovers
 
 
 COUNT_HEADINGS: Final = {
     "not_asked_for": "not asked for",
     "unlabelled": "no label",
-    "crashed": "crash",
+    "crashed": "crash or backwards",
     "not_taken_over": "not taken over",
 }
 """What counts are called where they are read, if not by their names."""

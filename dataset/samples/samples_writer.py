@@ -138,7 +138,7 @@ def nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) -> 
         "excluded": f"tagged {EXCLUDE}",
         "unusable": "with a picture that is not whole, or steering beyond -1..1",
         "unlabelled": f"too near the end of a stretch for a label{shift}",
-        "crashed": "of a crash",
+        "crashed": "of a crash or driven backwards",
         "gap": "between training and validation",
     }
     totals = {name: sum(getattr(count, name) for count in counts.values()) for name in reasons}

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.stretches import stretches
+from recorder.log.backwards import drives_backwards
 from recorder.log.devices import RowDevice, most_used
 
 if TYPE_CHECKING:
@@ -43,8 +44,10 @@ STUCK_S: Final = 3.0
 STUCK_AT_ZERO_S: Final = 30.0
 MOST_STRETCHES: Final = 100  # listed in a log's summary of its rows; the counts are of all
 
-RowFlag = Literal["gap", "out_of_range", "standing_still", "stuck_steering", "crash"]
+RowFlag = Literal["gap", "out_of_range", "standing_still", "stuck_steering", "crash", "backwards"]
 ROW_FLAGS: Final[tuple[RowFlag, ...]] = get_args(RowFlag)
+NOT_LEARNT: Final[tuple[RowFlag, ...]] = ("crash", "backwards")
+"""The steering of these rows is no answer to the road: the default recipe leaves them out of training."""
 
 Values = NDArray[np.float64]
 
@@ -147,7 +150,8 @@ def row_flags(states: States) -> dict[RowFlag, NDArray[np.bool_]]:
 
     `gap`: the first row after a gap in time; `out_of_range`: steering beyond -1..1, pedals beyond 0..1, or no
     number, or a speed beyond `SPEED_RANGE_MPH`; `standing_still`; `stuck_steering`: the very same steering for
-    long while the car moves; `crash`: the car stands at an obstacle, or manoeuvres to get away from it.
+    long while the car moves; `crash`: the car stands at an obstacle, or manoeuvres to get away from it;
+    `backwards`: it rolls backwards.
     """
     drive = drive_numbers(states.time_ns)
     standing = states.speed_mph < STANDING_MPH  # False for an unknown speed
@@ -162,6 +166,7 @@ def row_flags(states: States) -> dict[RowFlag, NDArray[np.bool_]]:
         "standing_still": standing,
         "stuck_steering": _stuck(states, drive, standing),
         "crash": _crashed(states, drive, standing),
+        "backwards": drives_backwards(drive, states.throttle, states.brake, states.speed_mph),
     }
 
 
