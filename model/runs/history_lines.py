@@ -28,6 +28,8 @@ _MOST_CHARACTERS: Final = 1000  # of a session's name
 
 def parse_epoch(line: bytes) -> Epoch:
     values = json.loads(line)
+    if not isinstance(values, dict):
+        raise TypeError("no object")
     answers, learnt = values.get("answers"), values.get("learnt")  # earlier versions have neither
     return Epoch(
         _count(values["epoch"], least=1),
@@ -40,7 +42,7 @@ def parse_epoch(line: bytes) -> Epoch:
         AnswerScale() if answers is None else _answers(answers),
         None if learnt is None else _errors(learnt),
         tuple(_target_errors(each) for each in values.get("targets", ())),
-        math.nan if learnt is None else _number(learnt.get("driving_error")),  # earlier versions have none
+        _number(learnt.get("driving_error")) if isinstance(learnt, dict) else math.nan,  # earlier: none
     )
 
 

@@ -627,7 +627,7 @@ def test_a_car_that_cannot_be_braked_is_told_and_a_second_ctrl_c_ends_at_once(
         process.popen.send_signal(signal.SIGINT)
         assert process.join() == 0
         client.close()
-    assert process.stderr[-1] == "bc-drive: the car may still roll: it sends nothing any more"
+    assert "bc-drive: the car may still roll: it sends nothing any more" in process.stderr
     assert (tmp_path / "run.mcap").exists()
 
 

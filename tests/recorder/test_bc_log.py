@@ -186,7 +186,7 @@ def test_info_tells_gaps_odd_rows_and_tags(
     capsys.readouterr()
     told = info_of(place(path), capsys)
     assert told["drives"] == 2
-    odd = {"gap": 1, "out_of_range": 0, "standing_still": 10, "stuck_steering": 0, "crash": 0}
+    odd = {"gap": 1, "out_of_range": 0, "standing_still": 10, "stuck_steering": 0, "crash": 0, "backwards": 0}
     assert told["flags"] == odd
     assert {tuple(stretch.values()) for stretch in told["stretches"]} == {
         ("gap", 10, 10, 0.9, 30.0),
