@@ -20,6 +20,7 @@ from common.location_flag import LocationFlag
 from common.output import print_message, print_result
 from common.progress import progress_bar
 from recorder.log.log_info import logs_in
+from recorder.log_flag import named_log
 
 _MOST_NAMED: Final = 8
 
@@ -41,9 +42,8 @@ class CopyLogs:
     def run(self) -> int:
         if len(self.places) < 2:
             raise UsageError("give the logs and where to: `bc-log copy sessions/lake.mcap s3://BUCKET/sessions`")
-        if self.abort:
-            return _abort(self.places[:-1], self.places[-1])
-        return copy_logs(self.places[:-1], self.places[-1], overwrite=self.force)
+        logs, to = [named_log(place) for place in self.places[:-1]], self.places[-1]
+        return _abort(logs, to) if self.abort else copy_logs(logs, to, overwrite=self.force)
 
 
 def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = False, prog: str = "bc-log") -> int:
