@@ -1,4 +1,22 @@
-"""The network: its layers, its training, the run folder that keeps it, and the pilot that steers with it."""
+"""The network: its layers, its training, the run folder that keeps it, and the pilot that steers with it.
+
+    from pathlib import Path
+
+    from dataset import decode
+    from model import TrainConfig, evaluate, load_pilot, train
+
+    train("index", "runs/first", TrainConfig(epochs=10))
+    print(evaluate("runs/first", "index").frames)
+    pilot = load_pilot("runs/first")
+    steering = pilot.predict(pilot.crop(decode(Path("frame.jpg").read_bytes())))  # -1 left .. 1 right
+
+train           trains a network on an index and keeps it as a run; a Listener receives its Steps and Epochs
+evaluate        measures a run on the frames that were held out
+find_run        a run by name, or the newest one
+load_pilot      the Pilot of a run: steering for a picture
+predict_log     what runs would have steered in a log
+export_onnx     a run's network for ONNX Runtime
+"""
 
 from behavioural_cloning_toolkit import refuse_hidden
 

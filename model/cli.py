@@ -22,6 +22,7 @@ from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
 from common.random_access import is_there
 from common.streams import end_process
+from common.versions import package_line
 from model.config import TrainConfig
 from model.epoch_printer import EpochPrinter
 from model.network.names import is_own
@@ -214,7 +215,7 @@ def _network_flag(run: Path) -> str:
 def _listeners(config: Train, run: Path) -> list[Listener]:
     """Raises UserError where what one of them needs is not installed."""
     if config.viewer and find_spec("rerun") is None:
-        raise UserError("--viewer: the viewer is not installed here: `pip install rerun-sdk` brings it")
+        raise UserError(f"--viewer: the viewer is not installed here: `{package_line('rerun-sdk')}` brings it")
     listeners: list[Listener] = [EpochPrinter()]
     if config.tensorboard:
         from model.training.tensorboard import TensorBoard

@@ -21,6 +21,7 @@ from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result
 from common.progress import progress_bar
 from recorder.log.log_info import logs_in
+from recorder.log_flag import named_log
 
 _MOST_NAMED: Final = 8
 
@@ -42,10 +43,10 @@ class CopyLogs:
     def run(self) -> int:
         if len(self.places) < 2:
             raise UsageError("give the logs and where to: `bc-log copy sessions/lake.mcap s3://BUCKET/sessions`")
+        logs, to = [named_log(place) for place in self.places[:-1]], self.places[-1]
         if self.abort:
-            return _abort(self.places[:-1], self.places[-1])
-        to = self.places[-1]
-        code = copy_logs(self.places[:-1], to, overwrite=self.force)
+            return _abort(logs, to)
+        code = copy_logs(logs, to, overwrite=self.force)
         if code != FAILED:
             index = f" --index {shlex.quote(str(to.parent / 'index'))}" if isinstance(to, Url) else ""
             is_log = to.suffix == ".mcap"

@@ -72,6 +72,8 @@ def print_checked(checked: Checked) -> None:
     meant = Skipped()
     for where in checked.meant_gaps:
         meant.add("gaps in time that its events explain, so nothing is lost", where)
+    for where in checked.pauses:
+        meant.add("pauses of the recording, behind each of which a new drive begins", where)
     for line in meant.lines(MOST_PLACES):
         print_result(f"  {line}")
 

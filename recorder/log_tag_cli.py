@@ -13,7 +13,6 @@ from common import UserError
 from common.command import DONE, usage_errors, warn
 from common.errors import UsageError, counted, did_you_mean
 from common.location import Location
-from common.location_flag import LocationFlag
 from common.output import ask, print_message, print_next, print_result
 from common.stretches import stretches
 from recorder.log.reader import Log
@@ -30,12 +29,13 @@ from recorder.log.tags import (
     tags_by_content,
     tags_path,
 )
+from recorder.log_flag import LogFlag
 from recorder.log_report import rows_of
 from recorder.log_row_flags import rows_of_flags
 
 SURE_FLAGS = (*NOT_LEARNT, "out_of_range")
 """Flags of rows that nobody should learn from."""
-LogPlace = Annotated[LocationFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
+LogPlace = Annotated[LogFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 
 
 @dataclass(frozen=True)

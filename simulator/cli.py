@@ -17,6 +17,7 @@ from common.command import DONE, FAILED, check_port, flags_given, run_command, u
 from common.errors import UsageError, counted
 from common.output import print_message, print_result
 from common.progress import progress_bar, track
+from simulator.driving.drive_limits import MAX_LAPS, MAX_SPEED_MPH
 from simulator.protocol.client import NoHostError, SimulatorClient, WaitTimeoutError
 
 
@@ -80,10 +81,13 @@ def _run_drive(config: Sim, client: SimulatorClient) -> int:
     from simulator.driving.simulation import Simulation
     from simulator.protocol.autonomous_mode import GIVE_UP_S, drive_autonomously
 
-    if not 0 < config.expert_speed < math.inf:
-        raise UsageError(f"--expert-speed {config.expert_speed:g}: a set speed is a number of mph above 0")
-    if not 0 < config.laps < math.inf:
-        raise UsageError(f"--laps {config.laps:g}: how far to drive is a number above 0")
+    if not 0 < config.expert_speed <= MAX_SPEED_MPH:
+        raise UsageError(
+            f"--expert-speed {config.expert_speed:g}: a set speed is above 0 mph and up to {MAX_SPEED_MPH} (the"
+            " car reaches 30)"
+        )
+    if not 0 < config.laps <= MAX_LAPS:
+        raise UsageError(f"--laps {config.laps:g}: how far to drive is a number above 0 and up to {MAX_LAPS:,}")
     if not 0 <= config.start < math.inf:
         raise UsageError(f"--start {config.start:g}: where to begin is a number of metres, 0 or more")
     with usage_errors(ValueError):

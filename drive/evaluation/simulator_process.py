@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -19,6 +18,7 @@ from drive.errors import DriveError
 from drive.log.drive_summary import DriveSummary
 from model import Pilot
 from recorder.server.telemetry_server import ServerMode
+from simulator.driving.drive_limits import MAX_LAPS
 from simulator.roads.track import load_track
 
 SIMULATOR_METADATA: Final = "bc.simulator"
@@ -70,8 +70,8 @@ class BuiltInSimulator:
 
 def check_laps(laps: float) -> None:
     """Raises DriveError for a number of laps that cannot be driven."""
-    if not 0 < laps < math.inf:
-        raise DriveError(f"--laps {laps:g}: how far to drive is a number above 0")
+    if not 0 < laps <= MAX_LAPS:
+        raise DriveError(f"--laps {laps:g}: how far to drive is a number above 0 and up to {MAX_LAPS:,}")
 
 
 def drive_and_log(

@@ -44,6 +44,7 @@ from model.runs.run_config import weights_checksum as weights_checksum
 from model.runs.run_files import CONFIG as CONFIG
 from model.runs.run_files import LAST, replaced_file, run_write_errors
 from model.runs.run_files import WEIGHTS as WEIGHTS
+from model.runs.run_lock import is_being_trained
 from model.runs.runs_in_store import bring_run, find_in_store
 
 
@@ -134,6 +135,11 @@ def find_run(name: str | None, runs: Location | str) -> Path:
         if (folder / WEIGHTS).is_file() or is_last_weights(folder):
             return folder
     if (runs / name / CONFIG).is_file():
+        if is_being_trained(runs / name):
+            raise RunError(
+                f"{runs / name}: is being trained, and its first epoch is not finished: wait for it; `bc-runs`"
+                " shows how far it is"
+            )
         resume = f"`bc-train --resume {run_argument(runs / name)}`"
         raise RunError(f"{runs / name}: its first epoch is not finished; {resume}")
     raise RunError(

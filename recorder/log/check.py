@@ -6,7 +6,7 @@ import contextlib
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from common.location import Location
 from common.progress import progress_bar, track
 from common.stretches import stretches
 from recorder.errors import LogError
-from recorder.log.check_contents import Contents, Finding, rows_named
+from recorder.log.check_contents import GAPS, Contents, Finding, rows_named
 from recorder.log.check_structure import sound_chunks
 from recorder.log.mcap_file import McapFile
 from recorder.log.reader import Log
@@ -46,6 +46,7 @@ class Checked:
     findings: list[Finding]
     has_crcs: bool  # other programs may do without: damage is then not noticed
     meant_gaps: list[str]  # gaps in time that its events explain; no findings
+    pauses: list[str] = field(default_factory=list)  # of a recorder that people switch off and on; no findings
 
 
 def check(path: Location, *, look: bool = True) -> Checked:
@@ -70,8 +71,23 @@ def check(path: Location, *, look: bool = True) -> Checked:
     has_rows = contents.counts[VEHICLE] and contents.counts[camera_topic("center")]
     if look and has_rows and isinstance(path, Path):
         findings += _against_pictures(path)
-    count = sum(contents.counts.values())
-    return Checked(path, count, contents.pictures, findings, has_crcs, contents.meant_gaps)
+    pauses = [finding for finding in findings if finding.kind == GAPS and _is_paused_by_people(path)]
+    return Checked(
+        path,
+        sum(contents.counts.values()),
+        contents.pictures,
+        [finding for finding in findings if finding not in pauses],
+        has_crcs,
+        contents.meant_gaps,
+        [finding.where for finding in pauses],
+    )
+
+
+def _is_paused_by_people(path: Location) -> bool:
+    """Whether a log was imported from a recorder that people switch off and on: a gap is then no loss."""
+    with contextlib.suppress(LogError), Log(path, brief=True) as log:
+        return log.metadata.get("source") in ("udacity", "donkeycar", "csv")
+    return False
 
 
 def _against_pictures(path: Path) -> Iterator[Finding]:

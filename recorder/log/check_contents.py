@@ -23,8 +23,9 @@ from recorder.log.topics import CAMERA_TOPICS, LOG_MESSAGE, TOPICS, VEHICLE_STAT
 from recorder.pictures.image_check import ImageCheck, TopicPictures
 from recorder.pictures.picture_size import PictureSizes, width_and_height
 
+GAPS: Final = "gaps in time"
 _ROW_FINDINGS: Final[dict[RowFlag, str]] = {
-    "gap": "gaps in time",
+    "gap": GAPS,
     "stuck_steering": "stretches of stuck steering",
     "out_of_range": "stretches of values out of range",
 }

@@ -8,7 +8,7 @@ import math
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, Final, overload
 
 from common.location import Location, Url
 from common.untrusted_json import json_as
@@ -21,6 +21,8 @@ from recorder.log.row_quality import ROW_FLAGS, States, summary
 from recorder.log.session_car import max_steering_deg_of
 from recorder.log.steering_habits import SteeringHabits, SteeringLag, habits_from, steering_habits
 from recorder.log.tags import Tag, tags_by_content
+
+STARTS_S: Final = 0.5
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class LogInfo:
 
     path: str
     size_bytes: int
-    start: str  # UTC, ISO 8601
+    start: str  # UTC, ISO 8601: of the first message, or of the file where time was simulated; "" if unknown
     duration_s: float  # from the first message to the last
     driven_s: float | None  # of all drives, without what lies between them; None: its rows were not measured
     topics: list[TopicInfo]  # rates over the driven time, if it is known
@@ -69,6 +71,16 @@ class LogInfo:
     @property
     def rows(self) -> int:
         return next((topic.messages for topic in self.topics if topic.topic == topics.VEHICLE), 0)
+
+    @property
+    def odd_rows(self) -> int:
+        """Rows with a flag, without those of a car that stands for a moment before it starts."""
+        starts = (
+            each.last_row + 1 - each.first_row
+            for each in self.stretches
+            if each.flag == "standing_still" and each.begin_s == 0 and each.end_s <= STARTS_S
+        )
+        return sum(count for flag, count in (self.flags or {}).items() if flag != "gap") - sum(starts)
 
     @property
     def driver(self) -> str:
@@ -127,7 +139,7 @@ def describe(place: Location | Log, *, look: bool = False, with_tags: bool = Tru
         return LogInfo(
             path=str(log.path),
             size_bytes=log.size,
-            start=(datetime.fromtimestamp(first_ns // 10**9, UTC)).isoformat() if first_ns < 2**62 else "",
+            start=_start(log, first_ns),
             duration_s=duration_s,
             driven_s=driven_s,
             topics=[
@@ -148,6 +160,18 @@ def describe(place: Location | Log, *, look: bool = False, with_tags: bool = Tru
             is_ours=log.is_ours,
             meant_gaps=meant_rows(quality),
         )
+
+
+def _start(log: Log, first_ns: int) -> str:
+    """When a log was begun. The built-in simulator's recordings all begin at one moment of simulated time."""
+    session = log.metadata
+    is_simulated = session.get("source") == "simulator" and session.get("driver") != "human"
+    seconds = first_ns // 10**9
+    if is_simulated or session.get("source") == "gymnasium":
+        if not isinstance(log.path, Path):
+            return ""
+        seconds = int(log.path.stat().st_mtime)
+    return datetime.fromtimestamp(seconds, UTC).isoformat() if first_ns < 2**62 else ""
 
 
 def driven_by(log: Log) -> str:

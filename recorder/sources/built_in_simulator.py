@@ -22,6 +22,7 @@ from recorder.log.pose_message import pose_message
 from recorder.log.session_car import built_in, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.import_result import Imported
+from simulator.driving.drive_limits import MAX_LAPS, MAX_SPEED_MPH
 from simulator.driving.recovery_driving import MOST_RECOVERY, DriveStep, drive_for_recording, steps_each
 from simulator.driving.simulated_driver import DriverName, make_driver
 from simulator.driving.simulation import Simulation
@@ -31,6 +32,7 @@ from simulator.rendering.camera import MOUNT_LEFT_M
 # Simulated time has no date. This one makes the same drive the same log, byte for byte.
 CLOCK_START_NS: Final = 1_767_225_600 * 10**9  # 2026-01-01T00:00:00Z
 
+_SPEED_EXPECTED: Final = f"a set speed above 0 mph and up to {MAX_SPEED_MPH} (the car reaches 30)"
 BACK_TO_START_S: Final = 2.0
 """The gap in the times of a recording where the car is put back at the start, to be driven at another speed."""
 
@@ -190,8 +192,13 @@ def check_drive(drive: SimulatedDrive) -> None:
     if not drive.speed:
         raise RecordingError("--speed: a set speed in mph was expected, or several")
     for flag, value, is_good, expected in (
-        ("--laps", drive.laps or 0.0, drive.laps is None or 0 < drive.laps < math.inf, "a number above 0"),
-        *(("--speed", mph, 0 < mph < math.inf, "a set speed above 0 mph") for mph in drive.speed),
+        (
+            "--laps",
+            drive.laps or 0.0,
+            drive.laps is None or 0 < drive.laps <= MAX_LAPS,
+            f"a number above 0 and up to {MAX_LAPS:,} (a lap takes some 70 MB)",
+        ),
+        *(("--speed", mph, 0 < mph <= MAX_SPEED_MPH, _SPEED_EXPECTED) for mph in drive.speed),
         ("--recovery", drive.recovery, 0 <= drive.recovery <= MOST_RECOVERY, f"a share of 0 .. {MOST_RECOVERY:g}"),
         ("--noise", drive.noise, 0 <= drive.noise < math.inf, "a standard deviation of the steering, 0 or more"),
         ("--seed", drive.seed, drive.seed >= 0, "a whole number from 0 on"),

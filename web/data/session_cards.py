@@ -103,7 +103,7 @@ class SessionCard:
 
     @property
     def odd_rows(self) -> int:
-        return sum(count for flag, count in self.flags.items() if flag != "gap")  # as `bc-log ls` counts them
+        return self.info.odd_rows if self.info else 0
 
 
 class SessionCards:
