@@ -72,8 +72,10 @@ def _is_good(frames: pa.Table) -> NDArray[np.bool_]:
 
 
 def _is_crashed(frames: pa.Table, plan: LabelPlan) -> NDArray[np.bool_]:
-    flags = [lists_with(frames["flags"], flag) for flag in NOT_LEARNT]
-    return np.logical_or.reduce(flags) & plan.without_crashes
+    is_crashed = np.zeros(len(frames), np.bool_)
+    for flag in NOT_LEARNT if plan.without_crashes else ():
+        is_crashed |= lists_with(frames["flags"], flag)
+    return is_crashed
 
 
 def _side(frames: pa.Table, is_crashed: NDArray[np.bool_]) -> NDArray[np.int8]:
