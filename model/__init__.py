@@ -12,6 +12,7 @@
 
 train           trains a network on an index and keeps it as a run; a Listener receives its Steps and Epochs
 evaluate        measures a run on the frames that were held out
+judge           the Verdict on a run, with its Advice
 find_run        a run by name, or the newest one
 load_pilot      the Pilot of a run: steering for a picture
 predict_log     what runs would have steered in a log
