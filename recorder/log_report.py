@@ -14,12 +14,14 @@ from common import Skipped
 from common.command import warn, warn_skipped
 from common.errors import counted, printable
 from common.output import print_result, print_table
+from common.steering_unit import DEGREES, FULL_LOCK
 from recorder.log.check import Checked
 from recorder.log.check_contents import rows_named
 from recorder.log.derived_log import Written
 from recorder.log.log_info import LogInfo
 from recorder.log.reader import Log
 from recorder.log.row_quality import NOT_LEARNT
+from recorder.log.session_car import is_angle_unknown
 from recorder.log.steering_report import steering_line
 from recorder.log.tags import Tag
 from recorder.log.topics import QUALITY_METADATA, VEHICLE
@@ -46,7 +48,8 @@ def print_info(info: LogInfo) -> None:
     _print_more(len(info.session), "more setting")
     _print_drives(info)
     if info.steering is not None and info.steering.rows:
-        print_table(f"  {steering_line(info.steering, info.lag)}", f"  labels: {info.labels}")
+        unit = FULL_LOCK if is_angle_unknown(info.session) else DEGREES
+        print_table(f"  {steering_line(info.steering, info.lag, unit)}", f"  labels: {info.labels}")
     for topic_name, sizes in list(info.picture_sizes.items())[:MAX_LINES]:
         print_table(f"  pictures of several sizes on {plain(topic_name)}: {plain(sizes)}")
     _print_more(len(info.picture_sizes), "more topic")

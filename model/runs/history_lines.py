@@ -80,7 +80,9 @@ def parse_worst_pictures(line: bytes) -> WorstPictures:
     return WorstPictures(epoch, frames, jpegs, _max_deg(values))
 
 
-def _max_deg(values: Any) -> float:
+def _max_deg(values: Any) -> float | None:
+    if values.get("max_deg", MAX_STEERING_DEG) is None:
+        return None
     found = _number(values.get("max_deg", MAX_STEERING_DEG))
     if not 0 < found < 90:
         raise ValueError("no angle of the wheels")

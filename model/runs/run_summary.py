@@ -13,8 +13,10 @@ from typing import Any, Final
 
 import msgspec
 
+from common.car import MAX_STEERING_DEG
 from common.errors import as_user_error
 from common.location import Location
+from common.steering_unit import SteeringUnit, steering_unit
 from common.store_record import read_record
 from model.errors import RunError
 from model.metrics import Measures
@@ -62,8 +64,8 @@ class _Config(msgspec.Struct):
 
 @dataclass(frozen=True)
 class RunSummary:
-    """A run in short. Errors are of the frames held out after the epoch that was kept, in degrees; NaN where there
-    are none."""
+    """A run in short. Errors are of the frames held out after the epoch that was kept, in degrees (by
+    `assumed_deg`); NaN where there are none."""
 
     name: str
     folder: str
@@ -82,6 +84,7 @@ class RunSummary:
     balanced_rmse_deg: float = math.nan
     mean_balanced_rmse_deg: float = math.nan
     correlation: float = math.nan
+    max_deg: float | None = MAX_STEERING_DEG  # the wheels' angle at steering 1; None: unknown
     split: str = ""  # of its logs, by which frames are held out; networks of one were measured on the same frames
     results: list[KeptResult] = field(default_factory=list)  # the last of each kind that its weights have given
     verdict: Verdict | None = None
@@ -94,6 +97,11 @@ class RunSummary:
     @property
     def balanced_rmse_share(self) -> float:
         return _share(self.balanced_rmse_deg, self.mean_balanced_rmse_deg)
+
+    @property
+    def unit(self) -> SteeringUnit:
+        """The unit in which people read its errors."""
+        return steering_unit(self.max_deg)
 
     @property
     def drives(self) -> list[dict[str, Any]]:
@@ -190,6 +198,7 @@ def _errors(kept: Epoch | None) -> dict[str, Any]:
         "balanced_rmse_deg": measures.balanced_rmse_deg if measures.frames else math.nan,
         "mean_balanced_rmse_deg": measures.mean_balanced_rmse_deg,
         "correlation": measures.network.correlation,
+        "max_deg": measures.max_deg,
     }
 
 

@@ -34,10 +34,10 @@ def outcome_lines(epochs: Sequence[Epoch], kept: int, keep: Keep = "balanced-rms
 def _of_natural_answers(best: Epoch) -> list[str]:
     if best.learnt is None or best.answers == AnswerScale():
         return []
-    return [
-        f"natural answers: {best.answers.in_degrees(best.measures.max_deg)}:"
-        f" RMSE {decimal(best.measures.network.rmse_deg, 2)} instead of {decimal(best.learnt.rmse_deg, 2)} degrees"
-    ]
+    unit = best.measures.unit
+    natural, learnt = (decimal(unit.of(each.rmse_deg), 2) for each in (best.measures.network, best.learnt))
+    formula = best.answers.in_words(best.measures.max_deg)
+    return [f"natural answers: {formula}: RMSE {natural} instead of {learnt} {unit.name}"]
 
 
 def _why_kept(epochs: Sequence[Epoch], best: Epoch, keep: Keep) -> list[str]:
@@ -47,10 +47,15 @@ def _why_kept(epochs: Sequence[Epoch], best: Epoch, keep: Keep) -> list[str]:
     least = min((epoch for epoch in epochs if math.isfinite(rmse_deg(epoch))), key=rmse_deg, default=best)
     if not rmse_deg(least) < rmse_deg(best):
         return []
-    other = f"epoch {least.epoch:,} for its RMSE ({rmse_deg(least):.2f} against {rmse_deg(best):.2f})"
+    shown = best.measures.unit.of
+    other = (
+        f"epoch {least.epoch:,} for its RMSE ({shown(rmse_deg(least)):.2f} against {shown(rmse_deg(best)):.2f})"
+    )
     if keep == "last":
         return [f"epoch {best.epoch:,} is kept as the last one (--keep last) and not {other}"]
     of_best, of_least = (error_to_keep_by(keep, epoch.measures) for epoch in (best, least))
+    if keep == "balanced-rmse":
+        of_best, of_least = shown(of_best), shown(of_least)
     return [
         f"epoch {best.epoch:,} is kept for its {_NAMES[keep]} ({of_best:.2f} against {of_least:.2f})"
         f" and not {other}, which says little about bends where most of the road is straight"

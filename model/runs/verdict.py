@@ -114,10 +114,13 @@ def verdict_of(numbers: RunNumbers) -> Verdict:
 def _beside_the_mean(measured: Measures) -> tuple[BesideTheMean, ...]:
     """Those that are known: there may be no turns, and earlier versions kept no balanced error of the mean."""
     network, mean = measured.network, measured.mean
-    found = [BesideTheMean("on turns", network.turning_mae_deg, mean.turning_mae_deg, " degrees")]
+    unit = measured.unit
+    name = f" {unit.name}"
+    turns = (unit.of(network.turning_mae_deg), unit.of(mean.turning_mae_deg))
+    found = [BesideTheMean("on turns", *turns, name)]
     if measured.mean_balanced_rmse_deg > 0:
         found.append(BesideTheMean("driving error", measured.driving_error, OF_THE_MEAN))
-    found.append(BesideTheMean("RMSE", network.rmse_deg, mean.rmse_deg, " degrees"))
+    found.append(BesideTheMean("RMSE", unit.of(network.rmse_deg), unit.of(mean.rmse_deg), name))
     return tuple(error for error in found if error.mean > 0)
 
 
