@@ -17,7 +17,7 @@ from common.files import short_path
 from common.locks import is_being_written
 from model.runs.advice import Advice
 from recorder.log.log_info import LogInfo, describe, logs_in
-from recorder.log.row_quality import ROW_FLAGS
+from recorder.log.row_quality import ROW_FLAGS, SURE_FLAGS
 
 MOST_COMMANDS: Final = 3
 _MOST_NAMED: Final = 5
@@ -111,7 +111,8 @@ def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], found: Diagnosi
         at = f"; the longest stretch: rows {longest.first_row} to {longest.last_row}" if longest else ""
         found.odd.append(f"{printable(path)}: {counted(rows, 'odd row')} of {info.rows:,} ({flags}){at}")
         if name == "sessions" and rows > _MUCH * info.rows:
-            wanted.look.append(Advice(f"{counted(rows, 'odd row')} of {info.rows:,}", f"bc-log check {path}"))
+            command = f"bc-log tag {path} exclude --odd" if SURE_FLAGS & counts.keys() else f"bc-log check {path}"
+            wanted.look.append(Advice(f"{counted(rows, 'odd row')} of {info.rows:,}", command))
     if len(odd) > _MOST_NAMED:
         found.odd.append(f"and {counted(len(odd) - _MOST_NAMED, 'more log')} in {name}: `bc-log ls {name}`")
 
@@ -127,8 +128,11 @@ def _index(project: Path, found: Diagnosis, wanted: _Wanted, *, has_sessions: bo
 
     index, sessions = project / "index", project / "sessions"
     if not (index / SAMPLES_NAME).exists():
-        found.here.append("index: none")
-        if has_sessions:
+        own = sorted(project.glob(f"index-*/{SAMPLES_NAME}"))  # of `bc-train --on`
+        found.here.append(
+            f"index: {counted(len(own), 'run has its own', 'runs have their own') if own else 'none'}"
+        )
+        if has_sessions and not own:
             wanted.learn.append(Advice("no index yet", "bc-index"))
         return
     counts = (read_metadata(index / SAMPLES_NAME) or {}).get("counts")

@@ -17,7 +17,7 @@ from common.output import ask, print_message, print_next, print_result
 from common.stretches import stretches
 from recorder.log.reader import Log
 from recorder.log.row_condition import rows_where
-from recorder.log.row_quality import NOT_LEARNT, States, row_flags
+from recorder.log.row_quality import SURE_FLAGS, States, row_flags
 from recorder.log.tags import (
     EXCLUDE,
     Tag,
@@ -33,8 +33,6 @@ from recorder.log_flag import LogFlag
 from recorder.log_report import rows_of
 from recorder.log_row_flags import rows_of_flags
 
-SURE_FLAGS = (*NOT_LEARNT, "out_of_range")
-"""Flags of rows that nobody should learn from."""
 LogPlace = Annotated[LogFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 
 

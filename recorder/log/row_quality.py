@@ -48,6 +48,8 @@ RowFlag = Literal["gap", "out_of_range", "standing_still", "stuck_steering", "cr
 ROW_FLAGS: Final[tuple[RowFlag, ...]] = get_args(RowFlag)
 NOT_LEARNT: Final[tuple[RowFlag, ...]] = ("crash", "backwards")
 """The steering of these rows is no answer to the road: the default recipe leaves them out of training."""
+SURE_FLAGS: Final[frozenset[RowFlag]] = frozenset((*NOT_LEARNT, "out_of_range"))
+"""Nobody should learn from these rows."""
 
 Values = NDArray[np.float64]
 

@@ -16,6 +16,7 @@ from drive.doctor_cli import main
 from driving import run_code, untrained_run
 from histories import epoch_line
 from logs import START_NS, write_log
+from recorder.log_cli import main as log_command
 from udacity import call
 
 STEERING = [0.1 * (row % 7 - 3) for row in range(60)]
@@ -88,6 +89,21 @@ def test_odd_rows_are_named_with_their_longest_stretch() -> None:
         "sessions/sunday.mcap: 60 odd rows of 60 (60 stuck_steering); the longest stretch: rows 0 to 59"
     ]
     assert not any("monday" in line for line in examine().odd)
+
+
+@pytest.mark.usefixtures("project")
+def test_rows_that_nobody_should_learn_from_are_excluded_by_the_command_that_it_names() -> None:
+    write_log(Path("sessions") / "sunday.mcap", [3.0] * 30 + STEERING[:30], overwrite=True)
+    assert "bc-log tag sessions/sunday.mcap exclude --odd" in commands()
+    assert call(log_command, "tag", "sessions/sunday.mcap", "exclude", "--odd") == 0
+    assert not any("--odd" in command for command in commands())
+
+
+@pytest.mark.usefixtures("project")
+def test_a_run_with_an_index_of_its_own_needs_no_other() -> None:
+    Path("index").rename("index-first")
+    assert "index: 1 run has its own" in examine().here
+    assert "bc-index" not in commands()
 
 
 @pytest.mark.usefixtures("project")
