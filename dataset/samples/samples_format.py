@@ -149,7 +149,7 @@ class SessionCounts:
 COUNT_HEADINGS: Final = {
     "not_asked_for": "not asked for",
     "unlabelled": "no label",
-    "crashed": "crash",
+    "crashed": "crash or backwards",
     "not_taken_over": "not taken over",
 }
 """What counts are called where they are read, if not by their names."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from common.location import Location
 from common.progress import track
 from recorder.errors import LogError
-from recorder.log.check_contents import Contents, Finding, odd_findings
+from recorder.log.check_contents import GAPS, Contents, Finding, odd_findings
 from recorder.log.check_structure import sound_chunks
 from recorder.log.mcap_file import McapFile
 from recorder.log.odd_stretches import OddStretch
@@ -45,6 +45,7 @@ class Checked:
     has_crcs: bool  # other programs may do without: damage is then not noticed
     meant_gaps: list[str]  # gaps in time that its events explain; no findings
     odd: list[OddStretch]  # of its rows, also those that may be meant and are no findings
+    pauses: list[str] = field(default_factory=list)  # of a recorder that people switch off and on; no findings
 
 
 def check(path: Location, *, look: bool = True) -> Checked:
@@ -78,5 +79,21 @@ def check(path: Location, *, look: bool = True) -> Checked:
                 left_out = "`bc-index --cameras center` leaves them out"
                 findings.append(Finding("side cameras that are swapped", f"left and right; {left_out}"))
     findings += odd_findings(odd)
-    count = sum(contents.counts.values())
-    return Checked(path, count, contents.pictures, findings, has_crcs, contents.meant_gaps, odd)
+    pauses = [finding for finding in findings if finding.kind == GAPS and _is_paused_by_people(path)]
+    return Checked(
+        path,
+        sum(contents.counts.values()),
+        contents.pictures,
+        [finding for finding in findings if finding not in pauses],
+        has_crcs,
+        contents.meant_gaps,
+        odd,
+        [finding.where for finding in pauses],
+    )
+
+
+def _is_paused_by_people(path: Location) -> bool:
+    """Whether a log was imported from a recorder that people switch off and on: a gap is then no loss."""
+    with contextlib.suppress(LogError), Log(path, brief=True) as log:
+        return log.metadata.get("source") in ("udacity", "donkeycar", "csv")
+    return False
