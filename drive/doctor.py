@@ -104,7 +104,7 @@ def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], found: Diagnosi
     odd = [(rows, info) for rows, info in odd if rows > _FEW * info.rows and not info.tags]
     for rows, info in odd[:_MOST_NAMED]:
         path, stretches = _shown(project, Path(info.path)), info.odd or ()
-        kinds = ", ".join(f"{count:,} {ODD_KINDS.get(kind, kind)}" for kind, count in info.odd_rows.items())
+        kinds = ", ".join(f"{ODD_KINDS.get(kind, kind)}: {count:,}" for kind, count in info.odd_rows.items())
         longest = max(stretches, key=lambda each: each.last_row - each.first_row)
         at = f"the longest stretch: rows {longest.first_row} to {longest.last_row}"
         found.odd.append(printable(f"{path}: {counted(rows, 'odd row')} of {info.rows:,} ({kinds}); {at}"))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import tyro
@@ -12,7 +14,7 @@ import tyro
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, run_command, warn
 from common.errors import as_user_error, counted
 from common.location import Location
-from common.output import print_result
+from common.output import print_next, print_result
 from recorder.errors import RecordingError
 from recorder.log.check import check
 from recorder.log.log_info import describe
@@ -48,8 +50,14 @@ class ShowInfo:
             print_result(info.as_json())
         else:
             print_info(info)
+            _next(self.logs, path)
         code = warn_stale(path, info.stale_tags)
         return warn(info.notice) if info.notice else code
+
+
+def _next(logs: tuple[Location, ...], path: Location) -> None:
+    if len(logs) == 1:
+        print_next("bc-index" if path.parent == Path("sessions") else f"bc-play {quote(str(path))}")
 
 
 @dataclass(frozen=True)
@@ -81,6 +89,8 @@ class Check:
         else:
             print_checked(checked)
             remark_crcs(path, checked.has_crcs)
+            if not checked.findings:
+                _next(self.logs, path)
         return DONE_BUT_SKIPPED if checked.findings else DONE
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from shlex import quote
 from typing import Annotated, Any, Final, Literal
 
 import tyro
@@ -13,7 +14,7 @@ from common import UserError
 from common.command import DONE, print_error, warn
 from common.errors import as_user_error
 from common.location import Location, Url, location
-from common.output import print_result, print_table
+from common.output import print_next, print_result, print_table
 from recorder.log.log_info import LogInfo, describe, logs_in
 from recorder.log_flag import FOLDERS, LogFlag
 from recorder.log_report import plain
@@ -50,6 +51,9 @@ class ListLogs:
                 print_result(info.as_json())
         elif found:
             print_table(_table(found))
+            odd = [info for info in found if info.odd_rows and not info.tags]
+            oddest = max(odd, key=lambda info: sum(info.odd_rows.values()), default=None)
+            print_next(f"bc-log check {quote(oddest.path)}" if oddest else "bc-index")
         return max([*codes, *(warn(info.notice) for info in found if info.notice)])
 
     def _logs(self) -> list[Location]:
