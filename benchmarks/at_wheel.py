@@ -46,7 +46,7 @@ EYE_SCALES: Final = (2.0, 1.5, 1.0)
 BARS_MS: Final = {"delay p50": 60.0, "delay p99": 100.0, "between pictures p99": 80.0}
 MIN_PICTURE_HZ: Final = 20.0
 WATCH: Final = """async () => {
-  const { delays } = await import('/static/js/wheel/main.js');
+  const { delays } = await import(document.querySelector('script[src$="/wheel/main.js"]').src);
   const { sent, painted, forget } = delays, channel = new MessageChannel(), shown = [];
   let waiting = [];
   window.measured = { delays: [], pictures: [], forgotten: 0 };
