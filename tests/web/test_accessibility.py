@@ -116,7 +116,7 @@ def test_every_page_is_for_everybody(browser: Browser, bench: Served, host: Host
             if found := page.evaluate(RUN, {"runOnly": ["color-contrast"]}):
                 wrong[f"{path}, dark"] = found
             page.emulate_media(color_scheme="light")
-            for width in (1280, 2560, *([390] if path.startswith("/wheel") else ())):
+            for width in (390, 1280, 2560):
                 page.set_viewport_size({"width": width, "height": width * 9 // 16})
                 wait_until(lambda: page.evaluate("document.documentElement.scrollWidth <= innerWidth"))
     assert wrong == {}

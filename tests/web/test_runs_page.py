@@ -103,7 +103,7 @@ def test_a_run_links_to_what_it_learnt_from_and_to_its_worst_frames(bench: Serve
     assert 'href="/sessions/sunday"' in text
     assert "monday" in text
     assert "/sessions/monday" not in text  # not there
-    assert 'learnt from by <a href="/runs/' in bench.get("/sessions/sunday/links").text
+    assert 'used by run <a href="/runs/' in bench.get("/sessions/sunday/links").text
     assert 'href="/runs/good"' in bench.get("/sessions/sunday/links").text
     assert "another one" in text  # of which there is no index here
     assert "lake" in plain(text)
@@ -147,7 +147,7 @@ def test_a_run_without_an_epoch_tells_how_to_go_on(tmp_path: Path) -> None:
     run = a_run(tmp_path / "runs", "killed", 2.0)
     (run / "metrics.jsonl").unlink()
     with served(tmp_path) as bench:
-        wait_until(lambda: "nothing learnt" in bench.get("/runs/killed/body").text)
+        wait_until(lambda: "no epoch yet" in bench.get("/runs/killed/body").text)
         assert "not measured before the first epoch is finished; bc-train --resume killed" in page(bench, "killed")
 
 

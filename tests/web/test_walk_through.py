@@ -129,7 +129,7 @@ def test_from_a_damaged_session_to_its_drive(
         assert call(model.runs_cli.main, "--runs", tmp_path / "runs", "--json") == 0
         assert '"walked"' in capsys.readouterr().out
 
-        page.click("text=the one that is here")  # from the run to its index, and back
+        page.click("text=this project's")  # from the run to its index, and back
         page.click("a:text('walked')")
 
         start(page, "Drive", run="walked", track="lake", laps="0.005")

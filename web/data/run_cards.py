@@ -50,7 +50,7 @@ class RunCard:
             return "damaged"
         if self.is_training:
             return "training"
-        return "reading" if self.summary is None else "" if self.summary.kept_epoch else "nothing learnt"
+        return "reading" if self.summary is None else "" if self.summary.kept_epoch else "no epoch yet"
 
 
 class RunCards:

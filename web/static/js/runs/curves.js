@@ -3,7 +3,8 @@
 import { showStatus } from "../live.js";
 import uPlot from "../../vendor/uPlot.esm.js";
 
-const HEIGHT = 220;
+const HEIGHT = 240;
+const WHOLE = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000]; // epochs between two ticks
 const COLORS = 8;
 const DASHES = [[], [6, 4], [2, 3]];
 const PLOTS = [
@@ -42,7 +43,7 @@ function draw(runs) {
   section.replaceChildren();
   for (const [title, isOf] of PLOTS) {
     const tables = [];
-    const series = [{ label: "epoch", value: (_, value) => (value === null ? "-" : value.toFixed(2)) }];
+    const series = [{ label: "epoch", value: (_, value) => (value === null ? "" : value.toFixed(2)) }];
     runs.forEach((run) => {
       const names = Object.keys(run.lines).filter(isOf);
       names.forEach((name, at) => {
@@ -57,7 +58,7 @@ function draw(runs) {
           width: 1.5,
           spanGaps: true,
           points: { show: x.length < 2 },
-          value: (_, value) => (value === null || value === undefined ? "-" : value.toPrecision(3)),
+          value: (_, value) => (value === null || value === undefined ? "" : value.toPrecision(3)),
         });
       });
     });
@@ -71,7 +72,7 @@ function draw(runs) {
           width: figure.clientWidth,
           height: HEIGHT,
           scales: { x: { time: false } },
-          axes: [{ ...axis }, { ...axis, size: 56 }],
+          axes: [{ ...axis, incrs: WHOLE, label: "epoch", labelSize: 18, size: 32 }, { ...axis, size: 56 }],
           series,
           cursor: { sync: { key: "runs" } },
         },
