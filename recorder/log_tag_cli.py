@@ -42,22 +42,21 @@ class NameRows:
     rows tagged `exclude` are never trained on. Without a name, the tags are listed."""
 
     log: LogPlace
-    """The log whose rows get a name."""
+    """The log to tag."""
     tag: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[TAG]")] = None
-    """The name: `exclude`, `recovery`, anything."""
+    """The tag: `exclude`, `recovery`, or any name; none: list tags."""
     start: float | None = None
-    """From this second on, counted from the log's first row."""
+    """First second, counted from the log's first row."""
     end: float | None = None
-    """Up to this second."""
+    """Last second."""
     rows: tuple[int, int] | None = None
-    """The first and the last row, instead of times. The whole log: --start 0."""
+    """First and last row, instead of times; the whole log: --start 0."""
     odd: bool = False
-    """Instead of rows that are given: all rows of crashes, driven backwards, or with values out of range."""
+    """Tag all rows of crashes, driving backwards, or values out of range."""
     where: str | None = None
-    """Instead of rows that are given: all for which this holds, such as "speed_mph < 2 and throttle == 0"; of row,
-    time_s, steering, throttle, brake and speed_mph."""
+    """Tag all rows that meet this condition: "speed_mph < 2 and throttle == 0"."""
     remove: bool = False
-    """Remove this name: from exactly the rows that are given, or wherever it is."""
+    """Remove the tag from these rows, or from all."""
 
     def run(self) -> int:
         with Log(self.log) as log:
