@@ -48,24 +48,23 @@ class Index:
     """
 
     sessions: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SESSION ...]")] = ()
-    """Sessions by name, or logs by path; all of the folder by default. The index then holds just these."""
+    """Sessions by name, or logs by path; by default all in the folder."""
     folder: Annotated[LocationFlag, tyro.conf.arg(name="sessions")] = Path("sessions")
-    """Where logs are kept: a folder, or the URL of one (s3://BUCKET/sessions)."""
+    """Folder or URL of the logs."""
     index: LocationFlag = Path("index")
-    """Where the index is written: a folder, or the URL of one in a store, for logs in stores."""
+    """Folder of the index; a URL for logs in stores."""
     look: bool = False
-    """Decode every picture once, on all cores (with --ray, of the cluster), and flag those that do not decode,
-    frozen ones, and steering that contradicts them."""
+    """Decode all pictures; flag broken and frozen ones, and contradicting steering."""
     report: bool = False
-    """List every stretch of odd frames: gaps, stuck steering, standing still and so on, with their times."""
+    """List stretches of odd frames, such as gaps and stuck steering."""
     check: bool = False
-    """Check the split for leaks between training and validation: exit code 1 if there is one."""
+    """Check the split for leaks; exit code 1 if there is one."""
     figures: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Write four figures for a paper: preprocessing, augmentation, balance, and how the sessions were steered."""
+    """Write figures for a paper: preprocessing, augmentation, balance, steering."""
     force: bool = False
-    """Replace figures of the same names."""
+    """Replace existing figures."""
     ray: RayAddress = None
-    """Read the logs on a Ray cluster, one task a log; all of its nodes see these folders by the same paths."""
+    """Read the logs on a Ray cluster whose nodes share these folders."""
     config: tyro.conf.OmitArgPrefixes[IndexConfig] = field(default_factory=IndexConfig)
 
 

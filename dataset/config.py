@@ -28,50 +28,47 @@ class IndexConfig:
     """The values by which the original project worked, and earlier versions of this one without these settings."""
 
     recipe: Recipe = "people"
-    """Defaults: people: what learns best from people (--labels auto); original: as the original project did."""
+    """Defaults that learn best from people, or those of the original project."""
     bins: int = 25
     """Equal steering bins over -1..1."""
     balance: Annotated[bool, arg(help_behavior_hint="(default: balanced)")] = True
-    """Bring all steering bins to the same count; --no-balance takes every sample once."""
+    """Balance the steering bins; --no-balance takes every sample once."""
     per_bin: Annotated[Literal["mean", "median"] | int, arg(metavar="mean|median|N")] = "mean"
-    """What each bin is brought to: the mean or the median of the bins that are not empty, or a number."""
+    """Samples in each bin: mean or median of the non-empty bins, or N."""
     max_uses: int = 10
-    """Cap: how often one picture, and its mirror image, may be used to fill up a bin, itself included."""
+    """Most uses of one picture, and of its mirror image, in a bin."""
     flip: Annotated[bool, arg(help_behavior_hint="(default: with them)")] = True
-    """Mirrored copies of every picture, their steering negated; --no-flip leaves them out."""
+    """Add a mirrored copy of every picture; --no-flip does not."""
     cameras: tuple[Camera, ...] = tuple(CORRECTION_SIGNS)
-    """The cameras to train on."""
+    """Cameras to train on."""
     side_correction: float = 0.2
-    """Added to the steering of the left camera's pictures, taken from that of the right one's."""
+    """Steering added for left-camera pictures, subtracted for right-camera ones."""
     labels: Labels = "auto"
-    """What is learnt of each session: auto smooths and shifts steering that comes in steps or late, by how the
-    session was steered, and leaves rows of crashes, or driven backwards, out of training; as-recorded changes
-    nothing."""
+    """auto: smooth and shift people's steering, leave out crashes; as-recorded: change nothing."""
     label_smooth_s: Annotated[float | None, arg(name="label-smooth", metavar="SECONDS")] = None
-    """For all sessions: the mean of the steering over so many seconds around the frame; 0: no smoothing."""
+    """Average the steering over this time, in all sessions; 0: no smoothing."""
     label_shift_s: Annotated[float | None, arg(name="label-shift", metavar="SECONDS")] = None
-    """For all sessions: the steering so many seconds later, because people react late; 0: at the frame itself."""
+    """Take the steering this much later, in all sessions; 0: no shift."""
     speed_ahead_s: Annotated[float, arg(name="speed-ahead", metavar="SECONDS")] = 0.5
-    """The speed to be learnt, where that is a target of a training, is the one that was driven so much later."""
+    """Learn the speed driven this much later, for --targets speed."""
     alter: tuple[Alteration | Literal["none"], ...] = ("blur", "brightness", "shadow")
-    """What a filling copy may get, each with probability one half; none: copies are repeated as they are."""
+    """Changes to copies that fill bins, each with probability one half."""
     viewpoints: int = 0
-    """How many views from beside the line each picture of the centre camera gives for training, warped, with
-    labels that lead back to it; 0: none."""
+    """Warped views from off the line for each centre picture; 0: none."""
     drives: Drives = "all"
-    """What to take of drives: all frames; or takeovers: only those that an expert or a human drove."""
+    """Frames of drives: all, or only those of takeovers."""
     where: Annotated[str | None, arg(metavar="SQL")] = None
-    """Which frames to use: a condition on the columns of the frames, such as "speed_mph > 5"."""
+    """Condition on the frames to use, such as "speed_mph > 5"."""
     block_s: float = 10.0
-    """Length in seconds of the blocks of time that are split between training and validation."""
+    """Seconds in a block, which is all for training or validation."""
     gap_s: float = 1.0
-    """Seconds of training frames that are left out on either side of a validation block."""
+    """Seconds of frames left out around a validation block."""
     validation_share: float = 0.2
-    """Share of the frames held out for validation, in whole blocks."""
+    """Share of the frames held out, in whole blocks."""
     validation: Annotated[tuple[str, ...], arg(metavar="SESSION [SESSION ...]")] = ()
-    """Hold out these whole sessions for validation, and no blocks of the others."""
+    """Hold out these whole sessions instead of blocks."""
     seed: int = 0
-    """Everything random here is drawn from it: same logs, same seed, same index."""
+    """Same logs and seed, same index."""
 
     @classmethod
     def of(cls, recipe: Recipe) -> IndexConfig:

@@ -26,15 +26,15 @@ class ExportIndex:
     index: LocationFlag = Path("index")
     """The index."""
     sessions: LocationFlag = Path("sessions")
-    """Where logs are kept, for an index of logs elsewhere that was not built here."""
+    """Folder of the logs, for an index that was built elsewhere."""
     where: str | None = None
-    """Only rows that fulfil this condition, too: SQL on the index's columns."""
+    """Only rows that meet this SQL condition on the index's columns."""
     task: str = "Drive along the road."
-    """What was done, in words: LeRobot gives it to networks that read."""
+    """The task in words, for networks that read it."""
     license: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
-    """Licence of the recordings, as Hugging Face names it (cc-by-4.0); without one, the card says to ask you."""
+    """Licence of the recordings, by its Hugging Face name, such as cc-by-4.0."""
     video: bool = False
-    """Encode the pictures anew, as videos: a third smaller, and no longer the original pictures. Needs PyAV."""
+    """Encode pictures as videos: a third smaller, but lossy. Needs PyAV."""
 
 
 def export(config: ExportIndex) -> int:

@@ -1,4 +1,4 @@
-"""Writes the tables of flags in docs/commands.md from each command's own `--help` (`make docs`)."""
+"""Writes the lists of flags in docs/commands.md from each command's own `--help` (`make docs`)."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def main() -> None:
 
 def generated_page(shown: dict[str, str] | None = None) -> str:
     """docs/commands.md as it should be, of what `commands` has found."""
-    tables = {name: _table(text) for name, text in (shown or commands()).items()}
-    return with_blocks(PAGE.read_text(encoding="utf-8"), tables)
+    lists = {name: _list(text) for name, text in (shown or commands()).items()}
+    return with_blocks(PAGE.read_text(encoding="utf-8"), lists)
 
 
 def commands(help_of: Callable[[str], str] | None = None) -> dict[str, str]:
@@ -79,11 +79,11 @@ def _argument(invocation: str, meaning: str) -> Argument:
     return Argument(_REPEATED.sub(r"\1 ...", invocation), meaning, default)
 
 
-def _table(help_text: str) -> str:
-    lines = ["| argument | meaning | default |", "|---|---|---|"]
+def _list(help_text: str) -> str:
+    lines = []
     for argument in arguments(help_text):
-        cells = [f"`{argument.invocation}`", argument.meaning, f"`{argument.default}`" if argument.default else ""]
-        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+        default = f" Default: `{argument.default}`." if argument.default else ""
+        lines.append(f"- `{argument.invocation}`: {argument.meaning}{default}")
     return "\n".join(lines) + "\n"
 
 

@@ -35,16 +35,15 @@ class Demo:
     """
 
     folder: Path | None = None
-    """A folder to work in, new or without a project's folders; by default demo/DATE."""
+    """Folder to work in, without a project; by default demo/DATE."""
     quick: bool = False
-    """Record a seventh of a lap, train a small network on it, and drive that stretch: two minutes on a slow
-    machine."""
+    """Only a seventh of a lap and a small network: two minutes."""
     epochs: int = 4
     """Epochs of training; more drive better."""
     laps: float = 1.0
-    """How far the trained network drives on each track."""
+    """Laps that the network drives on each track."""
     share: float = 0.5
-    """How much of each track's lap is recorded."""
+    """Share of each track's lap that is recorded."""
 
 
 _MADE: Final = ("sessions", "index", "runs", "drives")

@@ -28,9 +28,9 @@ class Doctor:
     """
 
     project: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="[PATH]")] = Path()
-    """The folder that holds sessions, index, runs and drives."""
+    """Folder of the project."""
     json: bool = False
-    """One JSON object instead."""
+    """Print one JSON object."""
 
 
 def doctor(config: Doctor) -> int:

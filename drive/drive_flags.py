@@ -28,67 +28,60 @@ class Drive:
     """
 
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
-    """The run that drives, by name or folder; the newest one by default."""
+    """The run that drives, by name or folder; by default the newest."""
     network: str | None = None
-    """Code that a run's network is of, for a run of your own network: FILE.py:CLASS or package.module:CLASS."""
+    """Code of your own network: FILE.py:CLASS or package.module:CLASS."""
     log: LocationFlag | None = None
-    """Where the drive is logged; by default DATE.mcap in --drives. With a URL (s3://BUCKET/drives/NAME.mcap) it is
-    logged as drives/NAME.mcap, and copied when it is finished."""
+    """The drive's log; by default DATE.mcap in --drives."""
     drives: LocationFlag = Path("drives")
-    """Folder for the drive's log, or with --aggregate for all of them; with a URL (s3://BUCKET/drives) logs are
-    made in drives/, and copied there."""
+    """Folder of the drives' logs; finished logs are copied to a URL."""
     simulator: Annotated[str | None, tyro.conf.arg(metavar="TRACK")] = None
-    """Start the built-in simulator on a track (lake, mountain, random:SEED, hairpins:SEED), and end when it has
-    driven."""
+    """Drive the built-in simulator: lake, mountain, random:SEED, or hairpins:SEED."""
     laps: float = 1.0
-    """Laps of the built-in simulator; with --aggregate, of each round of any simulator that reports its laps."""
+    """Laps in the built-in simulator, or in each round of --aggregate."""
     start: Annotated[float, tyro.conf.arg(metavar="METRES")] = 0.0
-    """Where the built-in simulator's car begins, along the track."""
+    """Start in the built-in simulator, along the track."""
     real_time: bool = False
-    """The built-in simulator goes no faster than the clock; otherwise it hurries from answer to answer."""
+    """Run the built-in simulator no faster than the clock."""
     takeover: Annotated[Literal["expert", "me"] | None, tyro.conf.arg(metavar="[expert|me]")] = None
-    """Who takes over from the network. me: you, on a page of bc-web, by the first touch of a key, stick or wheel.
-    expert: the simulator's, where the network leaves the lane, if the simulator sends its commands as the built-in
-    one does. `bc-train --init RUN --takeovers LOG` learns from both."""
+    """Who takes over: the simulator's expert outside the lane, or you, in a browser."""
     open: bool = False
     """With --takeover me: open the page in a browser."""
     page: bool = True
-    """With --takeover me: serve the page. A drive that a bc-web has started needs none of its own."""
+    """With --takeover me: serve the page; --no-page if a bc-web started this."""
     aggregate: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: not)")] = None
-    """So often, train on what the expert did where it took over, and drive again (dataset aggregation). Without
-    --simulator, each round drives the simulator that connects."""
+    """Drive, train on the expert's takeovers, and drive again, N times."""
     epochs: int = 5
     """Epochs of each training of --aggregate."""
     sessions: LocationFlag = Path("sessions")
-    """Folder of the logs that the run was trained on, for --aggregate, and for the page of --takeover me."""
+    """Folder of the run's sessions, for --aggregate and --takeover me."""
     speed: float = 10.0
     """Set speed in mph."""
     slow_in_curves: bool = False
-    """Drive slower where the steering is far from straight."""
+    """Drive slower in curves."""
     smooth: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 0.0
-    """Smooth the steering with this time constant; 0 sends what the network gives."""
+    """Smooth the steering with this time constant; 0: not at all."""
     steering_rate: float = 0.0
-    """The most that the steering (-1..1) may change in a second; 0: as fast as the network wants."""
+    """Largest change of the steering (-1..1) in a second; 0: no limit."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """The network's arithmetic; auto takes what is fastest on this processor."""
+    """The network's arithmetic; auto: the fastest on this processor."""
     viewer: Annotated[str, tyro.conf.arg(metavar="auto|window|web|ADDRESS|FILE.rrd|off")] = "auto"
-    """Show the drive while it goes on: in a window, in a browser, in a viewer that runs already, or in a file.
-    auto: in a window where there is a display."""
+    """Show the drive in Rerun; auto: in a window if there is a display."""
     server: Literal["eventlet", "threading"] = "eventlet"
-    """The server that the simulator connects to."""
+    """Server for the simulator."""
     host: str = "127.0.0.1"
-    """Address to listen on; other machines are let in by 0.0.0.0."""
+    """Address to listen on; 0.0.0.0 lets other machines connect."""
     port: int = 4567
-    """Port to listen on; the simulator connects to 4567."""
+    """Port to listen on; Udacity's simulator connects to 4567."""
     car: Annotated[str | None, tyro.conf.arg(metavar="udacity|built-in|FILE.toml")] = None
-    """The car that is driven, as in bc-record; by default the one of the run's sessions."""
+    """The driven car, as in bc-record; by default that of the run's sessions."""
     environment: tyro.conf.OmitArgPrefixes[GymFlags] = field(default_factory=GymFlags)
     seed: int = 0
-    """Seed of the first reset of --gym's environment."""
+    """Seed of --gym's first episode."""
     runs: LocationFlag = Path("runs")
-    """Where runs are kept; those that --aggregate trains are made in runs/ and copied there, if that is a URL."""
+    """Folder or URL of the runs."""
     force: bool = False
-    """Replace a log of the same name, and the file of --viewer."""
+    """Replace an existing log, and the file of --viewer."""
 
 
 def with_default_driver(words: Sequence[str]) -> list[str]:

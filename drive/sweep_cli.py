@@ -49,23 +49,21 @@ class Sweep:
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE.toml")]
-    """The plan of the sweep: varied settings, seeds, drives."""
+    """The plan: varied settings, seeds, drives."""
     index: LocationFlag = Path("index")
-    """The index to train on: a folder, or the URL of one in a store."""
+    """Folder or URL of the index."""
     runs: LocationFlag = Path("runs")
-    """Where runs are kept. With a URL (s3://BUCKET/runs) each is made in runs/, and copied there: what one machine
-    has done, no other one does again."""
+    """Folder of the runs; copied to a URL, which several machines may share."""
     logs: LocationFlag = Path("drives")
-    """Folder for the drives' logs; with a URL (s3://BUCKET/drives) they are made in drives/, and copied there."""
+    """Folder of the drives' logs; finished logs are copied to a URL."""
     ray: RayAddress = None
-    """Train and drive on a Ray cluster, each training with its drives as a task; all of its nodes see these
-    folders by the same paths."""
+    """Train and drive on a Ray cluster whose nodes share these folders."""
     cpus: float = 1.0
-    """Processors of a node that each task takes, with --ray."""
+    """Processors for each task of --ray."""
     gpus: float = 0.0
-    """GPUs that each task takes, with --ray."""
+    """GPUs for each task of --ray."""
     json: bool = False
-    """One JSON object a training, as they come, and no table."""
+    """Print one JSON object a training."""
 
 
 def sweep(config: Sweep) -> int:

@@ -41,55 +41,49 @@ class TrainConfig:
     """Settings of the original project, and of earlier versions of this one, which lacked these fields."""
 
     recipe: Recipe = "people"
-    """Defaults: people: what learns best from people (--average-steps, --answers, --keep); original: as the
-    original project did."""
+    """Defaults that learn best from people, or those of the original project."""
     network: str = "original"
-    """original, pilotnet, small, resnet18, or one of your own: FILE.py:CLASS or package.module:CLASS."""
+    """original, pilotnet, small, resnet18, or your own: FILE.py:CLASS or package.module:CLASS."""
     network_args: tuple[str, ...] = ()
-    """Arguments of a network of your own: NAME=VALUE."""
+    """Arguments of your own network: NAME=VALUE."""
     targets: tuple[TargetName, ...] = STEERING_ONLY
-    """What the network learns to answer: steering; and speed, which is then driven, never above bc-drive's
-    --speed, or throttle, which is sent as it is."""
+    """What the network learns and drives: steering, and speed or throttle."""
     target_weights: tuple[float, ...] = ()
-    """How much the squared error of each target counts; by default, each 1. 1 of speed is 30 mph."""
+    """Weight of each target's squared error, 1 by default (speed in 30 mph)."""
     picture_px: tuple[int, int] | None = None
-    """Width and height of what the network sees; by default, its own: 128 128 for the original."""
+    """Width and height of the network's picture; by default its own."""
     crop_rows: tuple[int, int] | None = None
-    """Rows cut off the top and the bottom of a picture of 160 rows, of others the same share; by default 50 20."""
+    """Rows of 160 cut off at top and bottom; by default 50 20."""
     channels: Literal["BGR", "RGB", "YUV"] | None = None
-    """Order of the colours that the network sees; by default, its own: BGR for the original."""
+    """Colours of the network's picture; by default its own."""
     epochs: int = 10
-    """Passes over the balanced training samples."""
+    """Passes over the balanced samples."""
     batch: int = 256
-    """Samples in one step of the optimizer."""
+    """Samples in a step of the optimizer."""
     rate: float = 1e-4
     """Learning rate of Adam."""
     average_steps: int = 100
-    """The weights that are measured, kept, and drive are the mean over about so many steps; 1: the latest."""
+    """Keep weights averaged over about this many steps; 1: no average."""
     answers: Answers = "natural"
-    """natural: undo in the network's answers that hard steering was balanced up; as-learnt: leave them so."""
+    """natural: undo the balancing's effect on answers; as-learnt: do not."""
     keep: Keep = "driving-error"
-    """The epoch that is kept, and drives: that of the smallest error on the frames held out, where every steering
-    bin counts alike (driving-error: with the correlation, which predicts best how a network drives) or every frame
-    does; or the last one."""
+    """Keep the epoch with the smallest held-out error of this kind, or the last."""
     dropout: float = 0.5
-    """Share of the activations that dropout sets to zero, before each of the two widest layers."""
+    """Share of activations that dropout zeroes."""
     seed: int = 0
-    """Weights, dropout and the order of samples are drawn from it."""
+    """Seed of weights, dropout and the order of samples."""
     patience: int = 0
-    """Stop when so many epochs in a row have not bettered the best one; 0: train all epochs."""
+    """Stop after this many epochs without improvement; 0: never."""
     device: Device = "auto"
-    """Where to compute; auto: on the GPU if there is one."""
+    """Where to compute; auto: on a GPU if there is one."""
     precision: Precision = "auto"
-    """Arithmetic of the forward and backward pass; auto: bfloat16 where the device has it."""
+    """Arithmetic of training; auto: bfloat16 where the device has it."""
     micro_batch: int = 0
-    """Samples that go through the network at once, for the same result but for rounding; 0: 128 on a processor
-    with AMX, 64 on another, on a GPU all."""
+    """Samples in the network at once; 0: chosen for the device."""
     threads: int = 0
-    """Processor threads; 0: as many as there are cores. Beside other programs one may be three times as fast as
-    two."""
+    """Processor threads; 0: one a core. Fewer are faster on a busy machine."""
     picture_memory_mb: int = 1024
-    """Memory for decoded pictures; those beyond it are decoded anew in each epoch."""
+    """Memory for decoded pictures; the rest are decoded in every epoch."""
 
     @classmethod
     def of(cls, recipe: Recipe) -> TrainConfig:

@@ -27,20 +27,19 @@ class Export:
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """The run, by name or folder."""
     onnx: Annotated[tuple[()] | tuple[Path] | None, tyro.conf.arg(metavar="[FILE]")] = None
-    """The ONNX file to write; without a name, NAME.onnx in the run's folder, or here if the run is in a
-    store."""
+    """Write an ONNX file; by default NAME.onnx in the run's folder."""
     donkeycar: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Where to write NAME.onnx, which takes the camera's picture, and donkeycar_part.py, for DonkeyCar's loop."""
+    """Write NAME.onnx and donkeycar_part.py to this folder, for DonkeyCar's loop."""
     hub: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """The new folder to write for the hub; nothing is uploaded."""
+    """Write a new folder for the hub; upload nothing."""
     license: str | None = None
-    """The licence that the hub's card names, such as mit or cc-by-4.0; without, the card has none."""
+    """Licence on the hub's card, such as mit or cc-by-4.0."""
     network: str | None = None
-    """Code that a run's network is of, for a run of your own network: FILE.py:CLASS or package.module:CLASS."""
+    """Code of your own network: FILE.py:CLASS or package.module:CLASS."""
     runs: LocationFlag = RUNS
-    """Where runs are kept."""
+    """Folder or URL of the runs."""
     force: bool = False
-    """Replace a file of the same name."""
+    """Replace an existing file."""
 
 
 def export(config: Export) -> int:

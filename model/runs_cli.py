@@ -50,12 +50,11 @@ class Runs:
     """
 
     runs: LocationFlag = Path("runs")
-    """Where runs are kept."""
+    """Folder or URL of the runs."""
     sort: Literal["newest", "name", "rmse", "balanced-rmse", "correlation", "interventions"] = "newest"
-    """By what to order them, the best first; errors as shares of those of always predicting the mean, those on the
-    same held-out frames together."""
+    """Order of the list, best first; runs with the same held-out frames together."""
     json: bool = False
-    """One JSON object a run, with every kept result, and no table."""
+    """Print one JSON object a run, with every kept result."""
 
 
 def list_runs(config: Runs) -> int:

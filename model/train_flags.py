@@ -32,42 +32,37 @@ class Train:
     """
 
     name: str = ""
-    """Name of the run; by default the date, the time and six random digits."""
+    """Name of the run; by default date, time and six random digits."""
     resume: str | None = None
-    """Go on with this run where it was stopped or killed; more --epochs make it longer. One in a store (s3://...)
-    is brought to runs/, and copied there as it goes on."""
+    """Resume this run; more --epochs make it longer."""
     init: str | None = None
-    """Start from the weights of this run, instead of random ones."""
+    """Start from this run's weights."""
     on: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SESSION [SESSION ...]")] = ()
-    """Train on these sessions alone. Their index is built beside --index, as index-NAME."""
+    """Train on these sessions alone; builds index-NAME next to --index."""
     takeovers: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = ()
-    """Learn from the rows of these drives in which a person or an expert took over, and from what the run of
-    --init was trained on. Their index is built beside --index, as index-NAME."""
+    """Add these drives' takeovers to what the run of --init learnt from."""
     like: str | None = None
-    """Repeat this run: its settings, and the index that it was trained on. Other flags change what they name."""
+    """Repeat this run: its settings and index, except for other flags."""
     tensorboard: bool = False
-    """Write the curves for TensorBoard, too."""
+    """Also write the curves for TensorBoard."""
     listener: str | None = None
-    """Code of your own that receives the progress, for MLflow and the like: FILE.py:CLASS or
-    package.module:CLASS."""
+    """Your code that receives the progress: FILE.py:CLASS or package.module:CLASS."""
     viewer: bool = False
-    """Show the curves in the Rerun viewer while they grow."""
+    """Show the curves in Rerun."""
     ray: Annotated[
         tuple[str, ...] | None, tyro.conf.arg(metavar="N [ADDRESS]", help_behavior_hint="(default: none)")
     ] = None
-    """Train on N workers of a Ray cluster, which go on from the checkpoint where one dies; all of its nodes see
-    these folders by the same paths."""
+    """Train on N workers of a Ray cluster whose nodes share these folders."""
     index: LocationFlag = Path("index")
-    """The index to train on: a folder, or the URL of a copy of one in a store."""
+    """Folder or URL of the index."""
     sessions: LocationFlag = Path("sessions")
-    """Where logs are kept, for an index that has to be built."""
+    """Folder or URL of the logs, if the index must be built."""
     drives: LocationFlag = Path("drives")
-    """Where drives are kept, for --takeovers of a run that has learnt from drives before."""
+    """Folder or URL of the drives that --init's run learnt from."""
     runs: LocationFlag = RUNS
-    """Where runs are kept. With a URL (s3://BUCKET/runs) the run is made in runs/, and copied there while it is
-    trained, and when that ends."""
+    """Folder of the runs; a run is copied to a URL as it grows."""
     copy_to: Annotated[LocationFlag | None, tyro.conf.arg(metavar="URL")] = None
-    """Copy the run to this folder in a store as well, if runs are kept here."""
+    """Also copy the run to this folder in a store."""
     config: tyro.conf.OmitArgPrefixes[TrainConfig] = field(default_factory=TrainConfig)
 
 

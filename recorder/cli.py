@@ -48,54 +48,46 @@ class Record:
     """
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
-    """Name of the session: a plain name, without folders or ending."""
+    """Name of the session, without folder or ending."""
     source: Annotated[LocationFlag | None, tyro.conf.arg(name="from", metavar="SOURCE")] = None
-    """What has been recorded: a folder of the Udacity simulator (driving_log.csv and IMG/), a DonkeyCar tub,
-    another program's log (.mcap, or its URL), a ROS 2 bag, a LeRobot dataset, pictures with a csv (--columns)."""
+    """Import a Udacity folder, DonkeyCar tub, .mcap, ROS 2 bag, LeRobot dataset, or csv."""
     watch: bool = False
-    """Follow the folder given to --from while the simulator writes it, also if it is not there yet."""
+    """Follow the folder of --from while the simulator writes it."""
     listen: bool = False
-    """Record the telemetry that a simulator sends, or any Socket.IO client that sends the same."""
+    """Record the telemetry of a simulator that connects."""
     idle: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
-    """End --watch or --listen when nothing new has come for so long, once something has; else Ctrl-C ends it."""
+    """End --watch or --listen after this long without new data; otherwise, Ctrl-C ends them."""
     viewer: bool = False
-    """Show in Rerun what --watch or --listen records, while it does."""
+    """Show what --watch or --listen records, in Rerun."""
     host: str = "127.0.0.1"
-    """Address that --listen listens on; other machines are let in by 0.0.0.0."""
+    """Address for --listen; 0.0.0.0 lets other machines connect."""
     port: int = 4567
-    """Port that --listen listens on; the simulator connects to 4567."""
+    """Port for --listen; Udacity's simulator connects to 4567."""
     car: Annotated[str | None, tyro.conf.arg(metavar="udacity|built-in|FILE.toml")] = None
-    """The car that is recorded: how far its wheels turn, where its cameras stand, the unit of its speeds; kept in
-    the log. By default Udacity's, and the built-in simulator's own."""
+    """The recorded car: steering angle, cameras, unit of speed. By default Udacity's."""
     topics: tyro.conf.OmitArgPrefixes[Topics] = field(default_factory=Topics)
     columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHAT=COLUMN [WHAT=COLUMN ...]")] = ()
-    """Columns of the csv of any folder of pictures that --from names: image=frame steering=angle; also left,
-    right, throttle, brake, speed_mph, and time_s, time_ms, time_us or time_ns. Without times, --rate is needed."""
+    """Columns of a csv next to pictures: image=frame steering=angle, and more."""
     all_catalogs: bool = False
-    """Take also the catalogues of a DonkeyCar tub that its manifest does not name."""
+    """Also import a tub's catalogues that its manifest does not name."""
     rate: float | None = None
-    """Rows a second: of the built-in simulator (10 by default; it must divide its 50 steps; with --driver me also
-    20, whose rows are 2 and 3 steps apart), of --gym's environment (each step by default), or of a recording whose
-    pictures have no time in their names."""
+    """Rows a second; the built-in simulator's rate (10 by default) must divide 50."""
     udacity: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Write the built-in simulator's drive also as the real one would, into this new folder."""
+    """Also write the simulated drive as a Udacity recording, to a new folder."""
     sessions: LocationFlag = Path("sessions")
-    """Where logs are kept. With a URL (s3://BUCKET/FOLDER) the log is made in sessions/, and copied there once it
-    is finished."""
+    """Folder of the logs; finished logs are copied to a URL."""
     force: bool = False
     """Replace a session of the same name."""
     copy_to: Annotated[LocationFlag | None, tyro.conf.arg(metavar="URL")] = None
-    """Copy the log there (s3://BUCKET/FOLDER) as well once it is finished, if logs are kept here, and list those
-    that are not there yet."""
+    """Also copy the finished log there (s3://BUCKET/FOLDER)."""
     open: bool = False
-    """With --driver me: open the page in the browser."""
+    """With --driver me: open the page in a browser."""
     page: bool = True
-    """With --driver me: serve the page; --no-page where a bc-web that runs in this folder has it."""
+    """With --driver me: serve the page; --no-page if a bc-web runs here."""
     drive: tyro.conf.OmitArgPrefixes[SimulatedDrive] = field(default_factory=SimulatedDrive)
     environment: tyro.conf.OmitArgPrefixes[GymFlags] = field(default_factory=GymFlags)
     wander: float = 0.0
-    """With --gym: what is sent wanders about the expert's steering by this standard deviation (0.1), so that he
-    has something to correct; what he wanted is recorded."""
+    """With --gym: disturb the expert's steering by this standard deviation, such as 0.1."""
 
 
 def record(config: Record) -> int:

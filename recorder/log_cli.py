@@ -37,9 +37,9 @@ class ShowInfo:
     logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to describe."""
     look: bool = False
-    """Measure the lag of the steering, too, in up to 1,500 pictures."""
+    """Also measure the lag of the steering, in up to 1,500 pictures."""
     json: bool = False
-    """One JSON object a log, and no table."""
+    """Print one JSON object a log."""
 
     def run(self) -> int:
         return _each(self.logs, self._one)
@@ -67,12 +67,11 @@ class Check:
     3 if something was found."""
 
     logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
-    """The logs to look through."""
+    """The logs to check."""
     look: bool = True
-    """Decode every picture, and compare them with the steering; --no-look leaves that out and is several times
-    faster."""
+    """Decode every picture; --no-look does not, and is several times faster."""
     json: bool = False
-    """One JSON object a log, with every finding."""
+    """Print one JSON object a log, with every finding."""
 
     def run(self) -> int:
         return _each(self.logs, self._one)

@@ -33,12 +33,11 @@ class CopyLogs:
     nothing is replaced unasked."""
 
     places: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...] TO")]
-    """The logs, or folders of them, and at last where to: s3://BUCKET/FOLDER, a folder here, or a name that ends
-    in .mcap for a single log."""
+    """Logs or folders of logs, then the target: a folder, a URL, or a new name."""
     force: bool = False
     """Replace logs and tags of the same names."""
     abort: bool = False
-    """Copy nothing: remove from the store what copies of these logs have left there that were stopped."""
+    """Copy nothing; remove the uploaded parts of copies that were stopped."""
 
     def run(self) -> int:
         if len(self.places) < 2:

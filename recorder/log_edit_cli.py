@@ -36,9 +36,9 @@ class Recover(MakesLogsOfOne):
     log: LogPlace
     """The unfinished or damaged log."""
     to: LocationFlag | None = None
-    """The new log; by default NAME.mcap for NAME.mcap.XXXXXX.part, else NAME.recovered.mcap."""
+    """The new log; by default NAME.mcap or NAME.recovered.mcap."""
     force: bool = False
-    """Replace a file of the new log's name."""
+    """Replace an existing file."""
 
     def target(self) -> Location:
         return recovered_name(self.log) if self.to is None else _named(self.to)
@@ -62,17 +62,17 @@ class Trim(MakesLogsOfOne):
     """Write a part of a log to a new one. Rows keep their numbers."""
 
     log: LogPlace
-    """The log to take a part of."""
+    """The log to trim."""
     to: LocationFlag
     """The new log."""
     start: float | None = None
-    """From this second on, counted from the log's first row."""
+    """First second, counted from the log's first row."""
     end: float | None = None
-    """Up to this second."""
+    """Last second."""
     rows: tuple[int, int] | None = None
-    """The first and the last row to take, instead of times."""
+    """First and last row, instead of times."""
     force: bool = False
-    """Replace a file of the new log's name."""
+    """Replace an existing file."""
 
     def target(self) -> Location:
         return _named(self.to)
@@ -95,7 +95,7 @@ class Merge(MakesLogs):
     to: LocationFlag
     """The new log."""
     force: bool = False
-    """Replace a file of the new log's name."""
+    """Replace an existing file."""
 
     def originals(self) -> Sequence[Location]:
         return some_logs(self.logs, 2)
@@ -114,11 +114,11 @@ class Rewrite(MakesLogsOfOne):
     are read without them. Pictures, rows, times and tags stay as they are, and runs recognise it."""
 
     log: LogPlace
-    """The log to write anew."""
+    """The log to rewrite."""
     to: LocationFlag
     """The new log."""
     force: bool = False
-    """Replace a file of the new log's name."""
+    """Replace an existing file."""
 
     def target(self) -> Location:
         return _named(self.to)
@@ -137,9 +137,9 @@ class Split(MakesLogsOfOne):
     log: LogPlace
     """The log to split."""
     to: LocationFlag | None = None
-    """Folder for the new logs; by default that of the log."""
+    """Folder of the new logs; by default that of the log."""
     force: bool = False
-    """Replace files of the new logs' names."""
+    """Replace existing files."""
 
     def target(self) -> Location:
         return self.log.parent if self.to is None else self.to

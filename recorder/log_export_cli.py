@@ -27,11 +27,11 @@ class ExportLogs:
     lerobot: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """The new folder of the dataset."""
     task: str = "Drive along the road."
-    """What was done, in words: LeRobot gives it to networks that read."""
+    """The task in words, for networks that read it."""
     license: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
-    """Licence of the recordings, as Hugging Face names it (cc-by-4.0); without one, the card says to ask you."""
+    """Licence of the recordings, by its Hugging Face name, such as cc-by-4.0."""
     video: bool = False
-    """Encode the pictures anew, as videos: a third smaller, and no longer the original pictures. Needs PyAV."""
+    """Encode pictures as videos: a third smaller, but lossy. Needs PyAV."""
 
     def run(self) -> int:
         from recorder.lerobot.export import export_lerobot  # OpenCV and Arrow

@@ -32,11 +32,11 @@ class ListLogs:
     """List sessions and drives, the newest first: when, how long, how many rows, who drove, what is odd."""
 
     places: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FOLDER|LOG ...]")] = ()
-    """Folders of logs, or logs; by default those in sessions and drives."""
+    """Logs or folders; by default sessions and drives."""
     sort: Literal["newest", "name", "rows", "duration"] = "newest"
-    """By what to order them; most first."""
+    """Order of the list, largest first."""
     json: bool = False
-    """One JSON object a log, as `bc-log info --json` has it, and no table."""
+    """Print one JSON object a log, as `bc-log info --json` does."""
 
     def run(self) -> int:
         found, codes = [], [DONE]

@@ -42,26 +42,25 @@ class NameRows:
     rows tagged `exclude` are never trained on. Without a name, the tags are listed."""
 
     log: LogPlace
-    """The log whose rows get a name."""
+    """The log to tag."""
     tag: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[TAG]")] = None
-    """The name: `exclude`, `recovery`, anything."""
+    """The tag: `exclude`, `recovery`, or any name; none: list tags."""
     start: float | None = None
-    """From this second on, counted from the log's first row."""
+    """First second, counted from the log's first row."""
     end: float | None = None
-    """Up to this second."""
+    """Last second."""
     rows: tuple[int, int] | None = None
-    """The first and the last row, instead of times. The whole log: --start 0."""
+    """First and last row, instead of times; the whole log: --start 0."""
     odd: bool = False
-    """All stretches that `bc-log info` calls odd and is sure of, instead of rows; they are listed first."""
+    """Tag all stretches that are surely odd; they are listed first."""
     look: bool = False
-    """With --odd: also those that only the pictures show; all are decoded."""
+    """With --odd: also those that only the pictures show."""
     where: Annotated[str | None, tyro.conf.arg(metavar="CONDITION")] = None
-    """The rows for which this holds, such as "speed_mph < 2 and throttle = 0": comparisons of row, time_s,
-    steering, throttle, brake and speed_mph, joined by and, or and parentheses. They are listed first."""
+    """Tag all rows that meet this condition: "speed_mph < 2 and throttle = 0"."""
     yes: bool = False
-    """Do not ask before what --odd or --where has found is tagged."""
+    """Tag what --odd or --where finds without asking."""
     remove: bool = False
-    """Remove this name: from exactly the rows that are given, or wherever it is."""
+    """Remove the tag from these rows, or from all."""
 
     def run(self) -> int:
         with Log(self.log) as log:

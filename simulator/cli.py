@@ -29,31 +29,31 @@ class Sim:
     """
 
     track: str = "lake"
-    """The track: lake, mountain, random:SEED, or hairpins:SEED."""
+    """lake, mountain, random:SEED, or hairpins:SEED."""
     laps: float = 1.0
-    """How far to drive."""
+    """Laps to drive."""
     start: float = 0.0
-    """Where to begin, in metres along the track."""
+    """Start, in metres along the track."""
     rate: float = 25.0
     """Telemetries a second of simulated time; it must divide 50."""
     real_time: bool = False
-    """Let simulated time pass no faster than the clock. Otherwise it waits for each answer, and hurries."""
+    """Run no faster than the clock; otherwise only answers limit the speed."""
     tell_world: bool = False
-    """Send with each telemetry what the real simulator does not: time, place, laps, the expert's command."""
+    """Also send the clock, place, laps and the expert's command."""
     expert_speed: float = 10.0
-    """Set speed in mph of the expert whose commands --tell-world sends."""
+    """The expert's set speed in mph, for --tell-world."""
     leave_off_road: bool = False
-    """Leave a car that is off the road to its driver; put it back only after 15 s without progress."""
+    """Leave the car off the road; put it back after 15 s without progress."""
     replay: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """A recording of the Udacity simulator: the pictures of its centre camera are sent in their order."""
+    """Send the centre pictures of this Udacity recording, in order."""
     count: int | None = None
-    """How many pictures of --replay to send; all of them by default."""
+    """Pictures of --replay to send; all by default."""
     host: str = "127.0.0.1"
-    """Where bc-drive listens."""
+    """Address of bc-drive."""
     port: int = 4567
-    """Where bc-drive listens."""
+    """Port of bc-drive."""
     wait: float = 60.0
-    """Seconds to wait for bc-drive before giving up."""
+    """Seconds to wait for bc-drive."""
     json: bool = False
     """Print the result as one line of JSON."""
 

@@ -29,45 +29,43 @@ class Play:
     """
 
     places: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
-    """The log to open, by file or name, finished or not, or several to compare, or the folder of a run
-    (runs/NAME). Of a log in a store (s3://BUCKET/LOG), a copy comes to this machine while it is shown; of a run
-    there (s3://BUCKET/runs/NAME), its curves."""
+    """The log to show, by name or path, several to compare, or a run's folder."""
     at: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: at its start)")] = (
         None
     )
-    """Open it so many seconds after its start."""
+    """Open at this time."""
     by: Literal["time", "place"] = "time"
-    """Compare logs by time since each one's start, or by place along the way of the first one (needs poses)."""
+    """Compare logs by time, or by place on the first one's way."""
     follow: bool = False
-    """Show a log that is being written, or a run that is being trained, as it grows."""
+    """Show a growing log, or a run in training."""
     save: Path | None = None
-    """Write an .rrd file for the Rerun viewer, and open nothing."""
+    """Write an .rrd file for Rerun; open nothing."""
     connect: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[ADDRESS]")] = None
-    """Show it in a viewer that runs: at HOST:PORT or PORT; without an address, on Rerun's own port here."""
+    """Use a running viewer, at HOST:PORT or PORT; by default Rerun's own."""
     web: bool = False
-    """Serve the viewer to browsers on this machine, also where there is a display."""
+    """Serve the viewer to browsers on this machine."""
     web_port: int = 9090
     """Port of the page."""
     port: int = 9876
-    """Port from which the page gets its data."""
+    """Port of the page's data."""
     video: Path | None = None
-    """Write the centre camera's pictures as a video, an .mp4, and open nothing."""
+    """Write an .mp4 of the centre camera; open nothing."""
     speed: float = 1.0
-    """Speed of the video, as a multiple of that of the drive."""
+    """Speed of the video, as a multiple of the drive's."""
     overlay: bool = False
-    """Put a steering wheel, speed, pedals, clock and who drives below the video's pictures."""
+    """Draw instruments below the video: wheel, speed, pedals, clock, driver."""
     run: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="RUN")] = ()
-    """Show what the network of this run would have steered, by name or folder; give it again for another run."""
+    """Show what this run's network would have steered."""
     network: tuple[str, ...] = ()
-    """Code that a run's network is of, for a run of your own network: FILE.py:CLASS or package.module:CLASS."""
+    """Code of your own network: FILE.py:CLASS or package.module:CLASS."""
     attention: bool = False
-    """Show where these networks look, over what they see (VisualBackProp)."""
+    """Show where these networks look (VisualBackProp)."""
     write: Path | None = None
-    """Keep the predictions of these networks as a new log, and open nothing."""
+    """Write the predictions to a new log; open nothing."""
     runs: LocationFlag = Path("runs")
-    """Where runs are kept, for --run."""
+    """Folder or URL of the runs."""
     force: bool = False
-    """Replace the file given to --save, --video or --write."""
+    """Replace the file of --save, --video or --write."""
 
     @property
     def logs(self) -> tuple[Path, ...]:

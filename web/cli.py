@@ -25,20 +25,19 @@ class Web:
     """
 
     port: int = 8080
-    """The port of the address to open."""
+    """Port of the workbench."""
     host: str = "127.0.0.1"
-    """Where to listen. Where others can reach it, everything needs the token that is printed with the address; the
-    connection is not encrypted."""
+    """Address to listen on; beyond this machine, a token is needed (no encryption)."""
     open: bool = False
     """Open the browser."""
     sessions: LocationFlag = Path("sessions")
-    """Where sessions are kept."""
+    """Folder or URL of the sessions."""
     index: LocationFlag = Path("index")
-    """Where the index is kept."""
+    """Folder or URL of the index."""
     runs: LocationFlag = Path("runs")
-    """Where runs are kept."""
+    """Folder or URL of the runs."""
     drives: LocationFlag = Path("drives")
-    """Where drives are kept."""
+    """Folder or URL of the drives."""
 
 
 def serve(config: Web, page: str = "") -> int:

@@ -32,55 +32,51 @@ class Eval:
     """
 
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
-    """The run, by name or folder; the newest one by default."""
+    """The run, by name or folder; by default the newest."""
     network: tuple[str, ...] = ()
-    """Code that a run's network is of, for a run of your own network: FILE.py:CLASS or package.module:CLASS."""
+    """Code of your own network: FILE.py:CLASS or package.module:CLASS."""
     compare: Annotated[tuple[str, str] | None, _default("A B", "none")] = None
-    """Compare run B with run A instead, on the same frames, or by driving with --simulator. Exit code 1 if B is
-    worse: more than chance and --tolerance explain."""
+    """Compare B with A on the same frames or tracks; exit code 1: worse."""
     tolerance: Annotated[float | None, _default("SHARE", "0, and 0.02 with --simulator")] = None
-    """How much worse B may be, for --compare: a share of A's error; of 1 for the correlation and the offset, of
-    100 for autonomy."""
+    """How much worse B may be, as a share of A's error."""
     index: Annotated[LocationFlag | None, _default("PATH|URL", "the one that the run was trained on")] = None
-    """The index whose frames are measured."""
+    """Folder or URL of the index to measure on."""
     split: Annotated[Literal["validation", "train"] | None, _default("{validation,train}", "validation")] = None
-    """Which of its frames: those that were held out, or those for training."""
+    """Frames held out, or those for training."""
     session: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
-    """Measure all of these sessions instead, by name, or logs by path; no index is needed."""
+    """Measure on these whole sessions, by name or path, without an index."""
     sessions: Annotated[LocationFlag | None, _default("PATH|URL", "sessions")] = None
-    """Where logs are kept, for --session and --on, and for an index of logs elsewhere that was not built here."""
+    """Folder or URL of the logs, for --session, --on and foreign indexes."""
     bins: bool = False
-    """Show the errors in each bin of the recorded steering, too."""
+    """Also show the errors in each steering bin."""
     worst: Annotated[int | None, _default("INT", "none; 10 with --json")] = None
-    """How many of the worst frames to list, at most one for each second of a session."""
+    """Worst frames to list, at most one a second."""
     on: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
-    """Let it drive these recordings instead, as fast as they were driven: it sees their pictures, warped to where
-    it has steered the car."""
+    """Drive these recordings: their pictures are warped to where the network steers."""
     departure: Annotated[float | None, _default("METRES", "1")] = None
-    """Distance from the recorded line from which on the car is put back, which is an intervention."""
+    """Distance from the recorded line that counts as an intervention."""
     car: Annotated[str | None, _default("udacity|built-in|FILE.toml", "the one in the log")] = None
-    """The car that a recording is of: where its cameras stand, and how it turns."""
+    """The recording's car: cameras and turning."""
     simulator: Annotated[tuple[str, ...] | None, _default("TRACK [TRACK ...]", "none")] = None
-    """Let it drive these tracks instead: lake, mountain, random:SEED, hairpins:SEED; the same run gives the same
-    numbers."""
+    """Drive these tracks: lake, mountain, random:SEED, hairpins:SEED."""
     laps: Annotated[float | None, _default("FLOAT", "1")] = None
-    """How far to drive on each."""
+    """Laps on each track."""
     speed: Annotated[tuple[float, ...] | None, _default("MPH [MPH ...]", "10")] = None
-    """Set speeds in mph; every track is driven at each."""
+    """Set speeds in mph, each on every track."""
     precision: Annotated[
         Literal["auto", "float32", "bfloat16"] | None, _default("{auto,float32,bfloat16}", "auto")
     ] = None
-    """The arithmetic of a network that drives; auto takes what is fastest on this processor, as bc-drive does."""
+    """Arithmetic of a driving network; auto: the fastest on this processor."""
     logs: Annotated[LocationFlag | None, _default("PATH|URL", "drives")] = None
-    """Folder for the drives' logs. With a URL (s3://BUCKET/drives) they are made in drives/, and copied there."""
+    """Folder of the drives' logs; finished logs are copied to a URL."""
     force: bool = False
-    """Replace logs of the same names."""
+    """Replace existing logs."""
     ray: RayAddress = None
-    """Make the drives on a Ray cluster, each as a task; all of its nodes see these folders by the same paths."""
+    """Drive on a Ray cluster whose nodes share these folders."""
     runs: LocationFlag = Path("runs")
-    """Where runs are kept; what was measured of one in a store (s3://BUCKET/runs) is kept there, too."""
+    """Folder or URL of the runs."""
     json: bool = False
-    """Print JSON and no table: one object, or with --simulator alone one a drive."""
+    """Print JSON: one object, or one a drive with --simulator."""
 
 
 RECORDED: Final = "recorded frames"

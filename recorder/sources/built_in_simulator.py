@@ -42,27 +42,23 @@ class SimulatedDrive:
     """A drive of the built-in simulator: its driver, track and settings."""
 
     track: str = "lake"
-    """The track of the built-in simulator: lake, mountain, random:SEED, or hairpins:SEED."""
+    """Track of the built-in simulator: lake, mountain, random:SEED, or hairpins:SEED."""
     driver: DriverName | Literal["me"] = "expert"
-    """Who drives: the expert, who steers smoothly and in time; somebody like a person, late and only when the
-    car strays: at a keyboard in short presses of a key, with a mouse by dragging it aside for a second; or me: you
-    drive, on a page in the browser."""
+    """Who drives: the expert, a simulated person at keyboard or mouse, or you (me)."""
     laps: float | None = None
-    """How far to drive, at each speed, 1 by default; 0.5 records the first half of the track and nothing of the
-    second. You (--driver me) drive until you end it."""
+    """Laps at each speed, 1 by default; 0.5: half the track."""
     start: Annotated[float, tyro.conf.arg(metavar="METRES")] = 0.0
-    """With --driver me: where you begin, along the track."""
+    """With --driver me: start, along the track."""
     speed: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MPH [MPH ...]")] = (10.0,)
-    """Set speeds in mph, driven one after the other, each from the start; the driver slows for bends. With
-    --driver me the speed that the page holds for you at first."""
+    """Set speeds in mph, one drive each; the driver slows for bends."""
     rate: Annotated[float, tyro.conf.Suppress] = 10.0  # bc-record has a --rate of its own
     """Recorded rows a second; it must divide 50."""
     recovery: float = 0.35
-    """Share of the rows in which the car, pushed off its line, comes back; the push itself is not recorded."""
+    """Share of the rows in which the car returns after an unrecorded push."""
     noise: float = 0.03
-    """How unsteady the driver's hand is; 0 is a machine's, 0.03 a calm person's."""
+    """Unsteadiness of the steering; 0: a machine's, 0.03: a calm person's."""
     seed: int = 0
-    """Pushes, noise and a person's whims are drawn from it: same seed, same log. Of --gym's first episode."""
+    """Same seed, same log; also the seed of --gym's first episode."""
 
 
 def record_simulated(

@@ -28,11 +28,11 @@ class Topics:
     """The topics of another program's log, or features of a dataset, that are the pictures and the steering."""
 
     image: Annotated[str | None, tyro.conf.arg(metavar="TOPIC")] = None
-    """Topic of the pictures in another program's log that --from names; their feature in a LeRobot dataset."""
+    """Topic of the pictures in --from; in a LeRobot dataset, their feature."""
     steering: Annotated[str | None, tyro.conf.arg(metavar="TOPIC.FIELD")] = None
-    """Topic and field of the steering, such as /cmd_vel.angular.z; feature and name, such as action.steering."""
+    """Topic and field of the steering: /cmd_vel.angular.z; of LeRobot: action.steering."""
     steering_scale: float = 1.0
-    """What makes -1 (left) .. 1 (right) of that field; ROS counts left as positive: a negative scale."""
+    """Factor to -1 (left) .. 1 (right); negative for ROS."""
 
 
 def import_recording(
