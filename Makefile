@@ -11,7 +11,7 @@ PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-
 # compiled once, and not by each of the hundreds of processes that tests start, whatever the environment says
 test test-long coverage: export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install demo test test-long coverage check docs site pictures proto foxglove-reader azurite lerobot-reader clean
+.PHONY: install demo test test-long coverage check docs site pictures proto foxglove-reader azurite lerobot-reader donkeycar clean
 
 install: $(VENV)/installed
 
@@ -85,6 +85,12 @@ lerobot-reader:
 	$(PYTHON) -m venv build/lerobot
 	build/lerobot/bin/pip install --quiet "torch<2.12" "torchvision<0.27" --index-url $(TORCH_INDEX)
 	build/lerobot/bin/pip install --quiet "lerobot[training]==0.6.*"
+
+# DonkeyCar in an environment of its own, in whose loop tests/model/test_donkeycar_itself.py drives; needs Python 3.11
+donkeycar: DONKEYCAR_PYTHON ?= python3.11
+donkeycar:
+	$(DONKEYCAR_PYTHON) -m venv build/donkeycar
+	build/donkeycar/bin/pip install --quiet "donkeycar==5.*" onnxruntime
 
 clean:
 	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache .hypothesis *.egg-info

@@ -106,6 +106,7 @@ bc_runs = _command("bc-runs", "model.runs_cli")
 bc_eval = _command("bc-eval", "drive.evaluation.eval_cli")
 bc_sweep = _command("bc-sweep", "drive.sweep_cli")
 bc_demo = _command("bc-demo", "drive.demo")
+bc_doctor = _command("bc-doctor", "drive.doctor_cli")
 bc_web = _command("bc-web", "web.cli")
 
 

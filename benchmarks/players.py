@@ -2,13 +2,15 @@
 
 python benchmarks/players.py FOLDER [--only "devices *"] [--kinds record train eval] [--list]
 
-Devices: half a lap of the lake and of the mountain, by keys, mouse and gamepad; a network of each pair by default
-options; full laps of both tracks and of three unseen roads. Supervision: a beginner, from a fifth of a lap of the
-mountain; two rounds in which a player supervises it for at most five minutes, each followed by `bc-train --init
-RUN --takeovers LOG`; and beside it a network of the beginner's recording and as many minutes of more recording.
+Devices: half a lap of the lake and of the mountain, by keys, mouse and gamepad; a network of each pair; full laps
+of both tracks and of three unseen roads. Supervision: a beginner, from a fifth of a lap of the mountain; two
+rounds in which a player supervises it, on a road each that it is not measured on, each followed by `bc-train
+--init RUN --takeovers LOG`; and beside it a network of its recording and of as many minutes of recording
+on these roads. All train as the page's button does.
 
 The players know what the page shows and nothing else (scripted_player.py). FOLDER is kept: each step leaves a file
-in FOLDER/results and is not made again, so that the program can be ended and started at any time.
+in FOLDER/results and is not made again, so that the program can be ended and started at any time. Steps in
+benchmarks/players.json were made on another machine.
 """
 
 from __future__ import annotations
@@ -31,14 +33,18 @@ from scripted_player import DEVICES, Device, Player, Supervisor
 
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
+from web.data.wheels import EPOCHS_MORE, quick_epochs
 
 RECORDED: Final = ("lake", "mountain")
 DRIVEN: Final = ("lake", "mountain", "random:1", "random:2", "random:3")
 BEGINNERS: Final = "mountain"
+SUPERVISED: Final = ("random:6", "random:7")
+"""A road a round. On the mountain, of which it saw a fifth, the first beginner never erred."""
 BEGINNERS_DRIVEN: Final = ("mountain", *(f"random:{seed}" for seed in range(1, 6)))
 KINDS: Final = {"record": 150.0, "supervise": 330.0, "train": 180.0, "eval": 60.0}
 """With the seconds that a step takes where none has been made."""
 MPH: Final = 10.0
+MADE: Final = Path(__file__).with_suffix(".json")
 
 Result = dict[str, Any]
 
@@ -59,6 +65,7 @@ class Study:
     def __init__(self, folder: Path, asked: argparse.Namespace) -> None:
         self.folder = folder
         self.asked = asked
+        self._made: dict[str, Result] = json.loads(MADE.read_text()) if MADE.exists() else {}
 
     def steps(self) -> Iterator[Step]:
         for seed in self.asked.seeds:
@@ -69,7 +76,7 @@ class Study:
 
     def result(self, name: str) -> Result | None:
         path = self._path(name)
-        return json.loads(path.read_text()) if path.exists() else None
+        return json.loads(path.read_text()) if path.exists() else self._made.get(name)
 
     def keep(self, name: str, result: Result) -> None:
         path = self._path(name)
@@ -105,27 +112,27 @@ class Study:
         yield train
         yield from self._evals(f"{start} before", beginner, BEGINNERS_DRIVEN, train.name)
         supervised, run, before = [], beginner, train.name
-        for turn in (1, 2):
+        for turn, road in enumerate(SUPERVISED, 1):
             log = f"drives/supervised{turn}-{seed}.mcap"
             name, new_run = f"{start} supervise {turn}", f"supervised{turn}-{seed}"
             yield Step(
                 name,
                 "supervise",
-                partial(self._supervise, run, log, device, 10 * seed + turn),
+                partial(self._supervise, run, road, log, device, 10 * seed + turn),
                 (before,),
             )
             words = ["--init", run, "--takeovers", log]
+            supervised.append(name)
             learn = self._train_step(f"{start} learn {turn}", new_run, words, seed, (name,))
             yield learn
-            supervised.append(name)
             run, before = new_run, learn.name
         yield from self._evals(f"{start} after", run, BEGINNERS_DRIVEN, before)
         more = [f"more{turn}-{seed}" for turn in (1, 2)]
-        for turn, (session, name) in enumerate(zip(more, supervised, strict=True), 1):
+        for turn, (session, name, road) in enumerate(zip(more, supervised, SUPERVISED, strict=True), 1):
             yield Step(
                 f"{start} more {turn}",
                 "record",
-                partial(self._more, session, name, device, 10 * seed + turn),
+                partial(self._more, session, road, name, device, 10 * seed + turn),
                 (name,),
             )
         train = self._train_step(
@@ -133,13 +140,13 @@ class Study:
             f"more-{seed}",
             ["--on", beginner, *more],
             seed,
-            tuple(f"{start} more {turn}" for turn in (1, 2)),
+            (first.name, *(f"{start} more {turn}" for turn in (1, 2))),
         )
         yield train
         yield from self._evals(f"{start} more", f"more-{seed}", BEGINNERS_DRIVEN, train.name)
 
     def _train_step(self, name: str, run: str, words: list[str], seed: int, needs: tuple[str, ...]) -> Step:
-        return Step(name, "train", partial(self._train, run, words, seed), needs)
+        return Step(name, "train", partial(self._train, run, words, seed, needs), needs)
 
     def _evals(self, name: str, run: str, tracks: tuple[str, ...], needs: str) -> Iterator[Step]:
         for track in tracks:
@@ -180,14 +187,14 @@ class Study:
             "drive_s": round(time.monotonic() - begin_s, 1),
         }
 
-    def _more(self, session: str, supervised: str, device: Device, seed: int) -> Result:
+    def _more(self, session: str, road: str, supervised: str, device: Device, seed: int) -> Result:
         """As many minutes of recording as a supervised drive had."""
         result = self.result(supervised)
         assert result is not None  # noqa: S101  # it was needed
-        return self._record(session, BEGINNERS, device, seed, seconds=result["drive_s"])
+        return self._record(session, road, device, seed, seconds=result["drive_s"])
 
-    def _supervise(self, run: str, log: str, device: Device, seed: int) -> Result:
-        words = ["--simulator", BEGINNERS, "--laps", "100", "--takeover", "me", "--no-page", "--viewer", "off"]
+    def _supervise(self, run: str, road: str, log: str, device: Device, seed: int) -> Result:
+        words = ["--simulator", road, "--laps", "100", "--takeover", "me", "--no-page", "--viewer", "off"]
         with (
             workbench(self.folder) as (_, address),
             running(self.folder, "bc-drive", run, *words, "--log", log, "--force") as drive,
@@ -215,11 +222,13 @@ class Study:
             "drive_s": round(drive_s, 1),
         }
 
-    def _train(self, run: str, words: list[str], seed: int) -> Result:
-        epochs = ["--epochs", self.asked.epochs] if self.asked.epochs else []
+    def _train(self, run: str, words: list[str], seed: int, recordings: tuple[str, ...]) -> Result:
+        """Train as the page's button does."""
+        rows = sum((self.result(name) or {})["rows"] for name in recordings)
+        epochs = EPOCHS_MORE if "--takeovers" in words else quick_epochs(rows)
         self._make_way(run)
-        printed = done(self.folder, "bc-train", "--name", run, "--seed", seed, *words, *epochs)
-        return {"printed": printed[-2000:]}
+        printed = done(self.folder, "bc-train", "--name", run, "--seed", seed, "--epochs", epochs, *words)
+        return {"epochs": epochs, "printed": printed[-2000:]}
 
     def _make_way(self, run: str) -> None:
         """Put aside what a killed training has left."""
@@ -312,7 +321,6 @@ def main() -> int:
     parser.add_argument("--laps", type=float, default=0.5, help="to record; the beginner has 0.4 times as much")
     parser.add_argument("--minutes", type=float, default=5.0, help="of a round of supervision")
     parser.add_argument("--eval-laps", type=float, default=1.0)
-    parser.add_argument("--epochs", type=int, help="by default bc-train's own")
     asked = parser.parse_args()
     folder: Path = asked.folder.absolute()
     (folder / "drives").mkdir(parents=True, exist_ok=True)

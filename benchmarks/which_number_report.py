@@ -13,6 +13,7 @@ then correlated.
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import sys
@@ -30,6 +31,7 @@ from common.car import MAX_STEERING_DEG
 from common.files import atomic_file
 from dataset.figure_style import BLUE, ORANGE, figure_style, new_figure
 from model.metrics import measure
+from model.runs.enough_to_drive import EDGES, Hand, wilson_interval
 
 Floats = NDArray[np.float64]
 
@@ -37,6 +39,8 @@ KNOWN: Final = ("lake", "mountain")
 OUTCOMES: Final = ("interventions a lap", "mean offset", "autonomy lost, %")
 DRAWS: Final = 500
 DATA: Final = "which_number.parquet"
+HANDS: Final[dict[Hand, str]] = {"keys": "people", "smooth": "expert"}
+"""Whose recordings an error is of: "people" have a keyboard."""
 
 
 def write(folder: Path) -> None:
@@ -62,7 +66,7 @@ def tell(rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
     """Write FOLDER/which_number.md and .png of these measures; print the tables."""
     wide = pivot(rows)
     table = correlations(wide)
-    text = "\n".join([*driving_of_recipes(rows), "", *markdown(wide, table)]) + "\n"
+    text = "\n".join([*driving_of_recipes(rows), "", *staying(rows, wide), "", *markdown(wide, table)]) + "\n"
     with atomic_file(folder / "which_number.md", overwrite=True) as part:
         part.write_text(text)
     print(text)
@@ -237,6 +241,27 @@ def driving_of_recipes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
             cells.append(mean_and_range(sums["interventions"] / sums["laps"].clip(lower=0.01)))
             cells.append(mean_and_range(part[part["measure"] == "mean_offset"].groupby("seed")["value"].mean()))
         lines.append(f"| {recipe} | {seeds} | {' | '.join(cells)} |")
+    return lines
+
+
+def staying(rows: Sequence[Mapping[str, Any]], wide: pd.DataFrame) -> list[str]:
+    """A table: the networks of each driving error, and how many of them needed no intervention on any road. The
+    counts are those of `model.runs.enough_to_drive.STUDY`."""
+    long = pd.DataFrame(rows)
+    driven = long[(long["kind"] == "driven") & (long["measure"] == "interventions")]
+    has_stayed = wide["network"].map(driven.groupby("network")["value"].sum()).to_numpy() == 0
+    lines = ["| recordings | driving error | networks | stayed on the road | share, 95 % |", "|---" * 5 + "|"]
+    for hand, people in HANDS.items():
+        error = wide[f"balanced RMSE and correlation ({people})"].to_numpy(np.float64)
+        bounds = (0.0, *EDGES[hand], math.inf)
+        for low, high in itertools.pairwise(bounds):
+            stayed = has_stayed[(low <= error) & (error < high)]
+            least, most = wilson_interval(int(stayed.sum()), len(stayed))
+            words = (
+                f"{low:g} and more" if high == math.inf else f"{low:g} to {high:g}" if low else f"below {high:g}"
+            )
+            share = f"{100 * stayed.mean():.0f} % ({100 * least:.0f} to {100 * most:.0f})"
+            lines.append(f"| {hand} | {words} | {len(stayed)} | {stayed.sum()} | {share} |")
     return lines
 
 

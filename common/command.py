@@ -21,6 +21,7 @@ from typing import Any, Final, NoReturn, TypeVar
 import tyro
 
 from common.errors import Skipped, UsageError, UserError
+from common.flag_errors import flag_errors_in_one_line
 from common.interrupts import GracefulStop, handle_signals
 from common.location import refuse_collapsed
 from common.output import MessageHandler, clear_live_displays, print_message, print_result
@@ -147,7 +148,8 @@ def _run(
             print_result(f"{prog} {version_of()}")
             return DONE
         flags = (tyro.conf.FlagCreatePairsOff,)
-        given_flags = tyro.cli(config, prog=prog, description=about, config=flags, **given)
+        with flag_errors_in_one_line(config):
+            given_flags = tyro.cli(config, prog=prog, description=about, config=flags, **given)
         _refuse_urls(given_flags)
         return action(given_flags)
     except UserError as error:

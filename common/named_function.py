@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from common.errors import UsageError, UserError, did_you_mean, printable
+from common.versions import package_line
 
 
 def load_function(flag: str, name: str) -> Callable[..., Any]:
@@ -43,6 +44,8 @@ def _names_of_file(flag: str, name: str, path: Path) -> dict[str, Any]:
         raise UserError(f"{flag} {name}: there is no file {path}; {meant or f'give its path from {Path.cwd()}'}")
     try:
         return runpy.run_path(str(path))
+    except ModuleNotFoundError as error:
+        raise _missing(f"{flag} {name}: {path}", error) from None
     except (Exception, SystemExit) as error:
         raise UserError(f"{flag} {name}: {path} cannot be run ({in_one_line(error)})") from None
 
@@ -52,5 +55,15 @@ def _names_of_module(flag: str, name: str, place: str) -> dict[str, Any]:
         sys.path.append(here)  # behind all others: it hides nothing
     try:
         return vars(importlib.import_module(place))
+    except ModuleNotFoundError as error:
+        if error.name is not None and place.startswith(error.name):  # the module itself
+            raise UserError(f"{flag} {name}: {place} cannot be imported ({in_one_line(error)})") from None
+        raise _missing(f"{flag} {name}: {place}", error) from None
     except (Exception, SystemExit) as error:
         raise UserError(f"{flag} {name}: {place} cannot be imported ({in_one_line(error)})") from None
+
+
+def _missing(where: str, error: ModuleNotFoundError) -> UserError:
+    """The error of code that imports what is not installed; most packages are named as their module."""
+    module = printable((error.name or "").partition(".")[0])
+    return UserError(f"{where} needs the module {module}, which is not installed: `{package_line(module)}`")

@@ -24,17 +24,20 @@ from rich.control import Control
 from rich.markup import escape
 from rich.prompt import Confirm
 from rich.segment import ControlType, Segment
+from rich.table import Table
 from rich.text import Text
 
 from common.errors import UserError, printable
 from common.streams import unescaped
 
 _COMMAND: Final = re.compile(
-    r"(`|--no-python )(bc-(?:record|log|index|train|runs|drive|play|sim|eval|demo|sweep|web)|rerun|torchrun|pip)"
+    r"(`|--no-python |&& )"
+    r"(bc-(?:record|log|index|train|runs|drive|play|sim|eval|demo|sweep|doctor|web)|rerun|torchrun|pip)"
     r"(?![\w-])"
 )
 _shown_as: Final[dict[str, str]] = {}
 _live_displays: Final[list[Console]] = []  # those with a progress bar on the terminal; the last one is drawn now
+_UNLIMITED: Final = 100_000  # columns
 _WITHOUT_BAR: Final = Control(  # the line of a progress bar that was not ended, which has hidden the cursor
     ControlType.CARRIAGE_RETURN, (ControlType.ERASE_IN_LINE, 2), ControlType.SHOW_CURSOR
 )
@@ -55,6 +58,11 @@ def print_message(text: str, *, heading: str = "", style: str = "") -> None:
     console.print(start.append(safe_line(text), "" if heading else style), soft_wrap=True)
 
 
+def print_next(command: str, why: str = "") -> None:
+    """Print the last line of a command, on stderr: what to type next, and why."""
+    print_message(f"next: `{command}`{why and f': {why}'}")
+
+
 def ask(question: str) -> bool | None:
     """Ask a person at a terminal: yes or no; None where there is no terminal. Enter alone is no."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
@@ -63,11 +71,29 @@ def ask(question: str) -> bool | None:
 
 
 def print_table(*parts: RenderableType) -> None:
-    """Print tables and the lines between them, on stdout. Untrusted text in them is `escape(printable(...))`."""
+    """Print tables and the lines between them, on stdout. Untrusted text in them is `escape(printable(...))`.
+
+    Nothing in them is cut: a terminal gets cells that are folded, a pipe or a file lines as long as they are."""
     # `:car:` in a name is no emoji
     console = _SafeConsole(file=unescaped(sys.stdout), highlight=False, emoji=False)
+    is_free = not sys.stdout.isatty() and "COLUMNS" not in os.environ
     for part in parts:
-        console.print(part)
+        if isinstance(part, Table):
+            if is_free:
+                console.width = console.measure(part, options=console.options.update(max_width=_UNLIMITED)).maximum
+            fits = _least_width(part, console) <= console.width
+            for column in part.columns:
+                column.overflow, column.no_wrap = "fold", column.no_wrap and fits
+        console.print(part, soft_wrap=is_free and isinstance(part, str))
+
+
+def _least_width(table: Table, console: Console) -> int:
+    """The width of the columns that are not to be folded, and of one character for each other."""
+    return sum(
+        (3 if table.box else 1)
+        + max([console.measure(cell).maximum for cell in (column.header, *column.cells) if column.no_wrap] or [1])
+        for column in table.columns
+    )
 
 
 @contextlib.contextmanager

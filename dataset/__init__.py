@@ -1,4 +1,19 @@
-"""The way from logs to training: preprocessing, the index, steering bins and balance, and the loader."""
+"""The way from logs to training: preprocessing, the index, steering bins and balance, and the loader.
+
+    from dataset import IndexConfig, build_index, find_logs, load
+
+    build_index(find_logs([], "sessions"), "index", IndexConfig(cameras=("center",)))
+    with load("index", "train", batch=256) as loader:
+        for batch in loader.epoch(0):
+            print(batch.pictures.shape, batch.steering)
+
+find_logs               the logs of a folder, or of sessions by name
+build_index             brings an index of logs up to date
+sessions_not_indexed    which logs an index does not hold yet
+load                    a split of an index in batches; SamplesDataset is the same for PyTorch's DataLoader
+Samples                 the samples of an index as a table, and their pictures
+decode, preprocess      a JPEG's picture, and what the network sees of it
+"""
 
 from behavioural_cloning_toolkit import refuse_hidden
 

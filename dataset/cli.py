@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -16,7 +17,7 @@ from common.command import FAILED, run_command, usage_errors, warn
 from common.errors import UsageError, counted, printable
 from common.location import Location, Url
 from common.location_flag import LocationFlag
-from common.output import print_message, print_result, print_table
+from common.output import print_message, print_next, print_result, print_table
 from common.recipe import recipe_given
 from common.tasks import RayAddress, tasks_of
 from dataset.config import IndexConfig
@@ -123,6 +124,9 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
             print_message(leak)
         print_result("no leak between training and validation" if not leaks else counted(len(leaks), "leak"))
         code = FAILED if leaks else code
+    if code != FAILED and any(count.training for count in indexed.counts.values()):
+        flag = "" if config.index == Index.index else f" --index {shlex.quote(str(config.index))}"
+        print_next(f"bc-train{flag}")
     return code
 
 

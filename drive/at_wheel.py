@@ -3,39 +3,41 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from pathlib import Path
 from typing import Final
 
-from common.errors import counted
+from common.interrupts import StopEvent
 from drive.config import DriveConfig
 from drive.control.driver import Decision
 from drive.control.person_takeover import PersonTakeover
-from recorder.log.bad_rows import driven_badly
-from recorder.log.tags import EXCLUDE, Tag
-from recorder.teleop.messages import MAX_BAD_S
+from recorder.sources.eye_pictures import EyeMoment, EyePictures
+from recorder.teleop.frame_state import FrameState
+from recorder.teleop.last_rows import LastRows
 from recorder.teleop.rate_meter import RateMeter
 from recorder.teleop.wheel import Wheel
 
 MAX_LISTED: Final = 1000  # takeovers that the page lists at the end
+PUT_BACK: Final = "the person has the car put back on its line"
+_LOOKS_EVERY_S: Final = 0.1  # for the page
 
 
 class AtWheel:
     """The page of a drive. Its methods return at once."""
 
-    def __init__(self, wheel: Wheel, config: DriveConfig) -> None:
+    def __init__(self, wheel: Wheel, config: DriveConfig, eye: EyePictures | None = None) -> None:
+        """`eye` renders what the page is shown, if the simulator is the built-in one."""
         self.person = PersonTakeover(wheel, config.set_speed_mph, config.car)
         self.is_end_asked = False
         """True once the page has asked for the end of the drive."""
+        self._eye = eye
+        self._is_put_back_asked = False
         self._wheel = wheel
         self._rates = RateMeter()
         self._takeovers: list[dict[str, float]] = []
         self._counted = 0
         self._was_human = False
         self._began_s: float | None = None
-        self._rows: deque[tuple[float, int]] = deque()  # of the last seconds: the time and the number of each
-        self.tags: list[Tag] = []
-        """Of rows that were driven badly."""
+        self.last_rows = LastRows(wheel)
 
     def attend(self) -> list[str]:
         """Do what the page asks for; the events of that."""
@@ -48,63 +50,67 @@ class AtWheel:
             elif request.kind == "end":
                 self.is_end_asked = True
             elif request.kind == "bad":
-                events += self._exclude_last(request.seconds)
+                events += self.last_rows.exclude(request.seconds)
+            elif request.kind == "put_back" and self._eye is not None:
+                self._is_put_back_asked = True
+                events.append(PUT_BACK)
+                self._wheel.event(PUT_BACK)
             elif request.kind == "put_back":
                 events.append("the page asks to put the car back: only its simulator can")
         return events
+
+    def puts_back(self) -> bool:
+        """True if the next command is to put the car back: once each time that the page has asked for it."""
+        is_asked, self._is_put_back_asked = self._is_put_back_asked, False
+        return is_asked
+
+    def wait_for_page(self, stopped: StopEvent) -> bool:
+        """Wait for the person's page; False if the wait is ended."""
+        while not self._wheel.pages:
+            if stopped.wait(_LOOKS_EVERY_S):
+                return False
+        return True
 
     def show(self, decision: Decision, row: int) -> None:
         """Show an answered telemetry, which is that row of the log."""
         if (telemetry := decision.telemetry) is None:
             return
         now_s, world = time.monotonic(), telemetry.world
-        time_s = now_s if world is None or world.time_s is None else world.time_s
+        simulated_s = None if world is None else world.time_s
+        time_s = now_s if simulated_s is None else simulated_s
         if self._began_s is None or time_s < self._began_s:
             self._began_s = time_s
-        self._rates.add(now_s, time_s)
-        self._rows.append((time_s, row))
-        while not 0.0 <= time_s - self._rows[0][0] <= MAX_BAD_S:  # too old, or of another drive
-            self._rows.popleft()
+        self._rates.add(now_s, simulated_s)
+        self.last_rows.add(round(time_s * 1e9), row)
         is_human = decision.driver == "human"
         if is_human and not self._was_human:
             self._counted += 1
             if len(self._takeovers) < MAX_LISTED:
                 self._takeovers.append({"row": row, "time_s": round(time_s - self._began_s, 2)})
         self._was_human = is_human
-        control = self.person.control
         pose = None if world is None else world.pose
-        state: dict[str, object] = {
-            "time_s": round(time_s - self._began_s, 3),
-            "control": control.number,
-            "control_time_ms": control.time_ms,
-            "drives": decision.driver,
-            "device": decision.device,
-            "steering": decision.steering,
-            "predicted": _finite(decision.predicted_steering),
-            "throttle": decision.throttle,
-            "speed_mph": _finite(telemetry.speed_mph),
-            "rows": row + 1,
-            "recorded_s": round(time_s - self._began_s, 1),
-            "is_recording": True,
-            "pace": round(self._rates.pace, 3),
-            "picture_hz": round(self._rates.frames_per_s, 1),
-            "x": None if pose is None else round(pose.x_m, 2),
-            "y": None if pose is None else round(pose.y_m, 2),
-            "heading_rad": None if pose is None else round(pose.heading_rad, 3),
-            "laps": None if world is None else world.laps,
-            "takeovers": self._counted,
-            "put_back": 0 if world is None or world.interventions is None else world.interventions,
-        }
-        self._wheel.show(state, telemetry.picture)
-
-    def _exclude_last(self, seconds: float) -> list[str]:
-        """Tag the rows of the last seconds, so that nobody learns from them; the event of that."""
-        rows = [row for time_s, row in self._rows if time_s > self._rows[-1][0] - seconds]
-        if not rows:
-            return []
-        self.tags.append(Tag(rows[0], rows[-1], EXCLUDE))
-        self._wheel.event(f"{counted(len(rows), 'row')} will not be learnt from")
-        return [driven_badly(rows[0], rows[-1])]
+        state = FrameState(
+            time_s=time_s - self._began_s,
+            control=self.person.control,
+            drives=decision.driver,
+            device=decision.device,
+            steering=decision.steering,
+            predicted=decision.predicted_steering,
+            throttle=decision.throttle,
+            speed_mph=telemetry.speed_mph,
+            rows=row + 1,
+            recorded_s=time_s - self._began_s,
+            pace=self._rates.pace,
+            picture_hz=self._rates.frames_per_s,
+            place=pose,
+            laps=None if world is None else world.laps,
+            takeovers=self._counted,
+            put_back=0 if world is None or world.interventions is None else world.interventions,
+        )
+        if self._eye is None or pose is None:
+            self._wheel.show(state.as_message(), telemetry.picture)
+        else:
+            self._eye.offer(EyeMoment(row, pose, state, telemetry.picture))
 
     def event(self, text: str, *, is_problem: bool) -> None:
         """Show a line about what happened."""
@@ -115,7 +121,3 @@ class AtWheel:
         self._wheel.end(
             {"log": str(log), "rows": rows, "takeovers": self._takeovers, "why": "the drive has ended"}
         )
-
-
-def _finite(value: float) -> float | None:
-    return value if abs(value) < float("inf") else None

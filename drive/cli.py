@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from rich.markup import escape
 from rich.table import Table
@@ -17,9 +17,9 @@ from rich.table import Table
 from common.command import DONE, DONE_BUT_SKIPPED, run_command, usage_errors, warn
 from common.errors import UsageError, counted, printable
 from common.files import refuse_existing
-from common.interrupts import StopEvent, stop_signals
+from common.interrupts import stop_signals
 from common.location import Url
-from common.output import print_message, print_result, print_table
+from common.output import print_message, print_next, print_result, print_table
 from common.preview import has_display, preview
 from common.progress import StatusLine
 from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
@@ -27,14 +27,11 @@ from drive.config import DriveConfig
 from drive.drive_flags import Drive, refuse_contradictions, with_default_driver
 from drive.errors import DriveError
 
-_LOOKS_EVERY_S: Final = 0.1
-"""How often the drive looks whether the person's page is there."""
-
 if TYPE_CHECKING:
+    from drive.at_wheel import AtWheel
     from drive.drive_session import DriveSession
     from drive.evaluation.aggregation import AggregationRound
     from drive.evaluation.closed_loop import LogFolder
-    from recorder.teleop.wheel import Wheel
 
 
 def drive(config: Drive) -> int:
@@ -77,7 +74,8 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
         with usage_errors(DriveError):
             check_laps(config.laps)
         is_real_time = config.real_time or config.takeover == "me"
-        simulator = BuiltInSimulator(config.simulator, config.laps, is_real_time, config.takeover is not None)
+        is_supervised = config.takeover is not None
+        simulator = BuiltInSimulator(config.simulator, config.laps, is_real_time, is_supervised, config.start)
     run = find_run(config.run, config.runs)
     _load_named(config, run)
     settings = _with_car(config, settings, run)
@@ -88,7 +86,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
         with (
             StatusLine() as status,
             stop_signals(max_signals=2) as stopped,
-            _wheel(config, path, pilot.run, settings, page) as wheel,
+            _at_wheel(config, path, pilot.run, settings, page) as at_wheel,
         ):
             server = DriveServer(
                 pilot,
@@ -100,7 +98,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
                 mode=config.server,
                 is_built_in=simulator is not None,
                 track=config.simulator,
-                wheel=wheel,
+                at_wheel=at_wheel,
                 notify=_notify,
                 show_status=status.show,
             )
@@ -115,12 +113,16 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
                     waiting = f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}"
                     _notify(waiting)
                     server.run(stopped=stopped)
-                elif wheel is None or _is_attended(wheel, path, stopped):
+                else:
+                    if at_wheel is not None:
+                        _notify("the drive begins when you open the page; Ctrl-C ends it")
+                        if not at_wheel.wait_for_page(stopped):
+                            raise DriveError(f"{path}: nothing was driven: nobody opened the page")
                     drive_built_in(server, simulator, stopped, shows_progress=False)
                 if server.session.is_empty:
                     raise DriveError(f"{path}: nothing was driven: {server.no_drive_reason}")
-        code = _print_drives(server.sessions)
-        if wheel is not None:
+        code = _print_drives(server.sessions, config, run)
+        if at_wheel is not None:
             from drive.kept_drive import keep_supervised
 
             code = max(code, keep_supervised(run, settings, config.simulator, server.session))
@@ -129,36 +131,39 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
         return code
 
 
-def _is_attended(wheel: Wheel, log: Path, stopped: StopEvent) -> bool:
-    """Wait for the person's page; True once it is there. Raises DriveError if the wait is ended."""
-    if not wheel.pages:
-        _notify("the drive begins when you open the page; Ctrl-C ends it")
-    while not wheel.pages:
-        if stopped.wait(_LOOKS_EVERY_S):
-            raise DriveError(f"{log}: nothing was driven: nobody opened the page")
-    return True
-
-
 @contextlib.contextmanager
-def _wheel(
+def _at_wheel(
     config: Drive, log: Path, run: str, settings: DriveConfig, page: contextlib.ExitStack
-) -> Iterator[Wheel | None]:
+) -> Iterator[AtWheel | None]:
     """The wheel of a person who supervises the network, None without one; its page lasts as long as `page`."""
     if config.takeover != "me":
         yield None
         return
-    from recorder.teleop.hello import hello, track_of
+    from drive.at_wheel import AtWheel
+    from recorder.sources.eye_pictures import EYE_HZ, EyePictures
+    from recorder.teleop.hello import hello
     from recorder.teleop.wheel import Wheel
+    from simulator.driving.simulation import Simulation
 
     if config.page:
         check_wheel_page()
     where = config.simulator or f"the simulator that connects to {config.host}:{config.port}"
-    about = hello("drive", log, track=track_of(config.simulator), run=run, hold_mph=settings.set_speed_mph)
-    with Wheel(f"{run} drives {where}", log, about) as wheel:
+    # the simulator sends small pictures, and where its car is: the page's are rendered here
+    simulation = None if config.simulator is None else Simulation(config.simulator)
+    about = hello(
+        "drive",
+        log,
+        track=None if simulation is None else simulation.track,
+        run=run,
+        picture_hz=None if simulation is None else EYE_HZ,
+        hold_mph=settings.set_speed_mph,
+    )
+    with Wheel(f"{run} drives {where}", log, about) as wheel, contextlib.ExitStack() as rendering:
         if config.page:
             folders = {"sessions": config.sessions, "runs": config.runs, "drives": log.parent}
             page.enter_context(wheel_page(wheel.key, folders, opens=config.open))
-        yield wheel
+        eye = None if simulation is None else rendering.enter_context(EyePictures(simulation, wheel))
+        yield AtWheel(wheel, settings, eye)
 
 
 def _with_car(config: Drive, settings: DriveConfig, run: Path) -> DriveConfig:
@@ -213,7 +218,7 @@ def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
             raise DriveError(f"{path}: nothing was driven: stopped before the first step")
     if len(episodes) > 1:
         print_result(f"reward {mean_reward(episodes):,.1f} on average")
-    return _print_drives([session])
+    return _print_drives([session], config, run)
 
 
 def _notify(text: str) -> None:
@@ -231,15 +236,14 @@ def _viewer_target(config: Drive, log: Path) -> str | None:
     return None if config.viewer == "off" else config.viewer
 
 
-def _print_drives(sessions: Sequence[DriveSession]) -> int:
-    """Print the summaries of the drives; the exit code. Raises DriveError if no telemetry could be driven on."""
+def _print_drives(sessions: Sequence[DriveSession], config: Drive, run: Path) -> int:
+    """Print the summaries of a run's drives; the exit code. Raises DriveError if no telemetry could be used."""
     from drive.log.summary_lines import summary_lines
 
     code = DONE
     for session in sessions:
         log, summary = session.writer.path, session.summary
-        hint = f"; look at it with `bc-play {shlex.quote(str(log))}`" if session.log.frames else ""
-        print_result(f"{log}: {counted(session.log.frames, 'frame')}{hint}")
+        print_result(f"{log}: {counted(session.log.frames, 'frame')}")
         for line in summary_lines(summary):
             print_result(f"  {line}")
         if summary.bad or summary.side_problems or summary.without_number:
@@ -251,7 +255,23 @@ def _print_drives(sessions: Sequence[DriveSession]) -> int:
             )
     if all(session.summary.is_all_lost for session in sessions):
         raise DriveError(f"nothing was driven: {sessions[0].summary.no_drive_reason}")
+    _print_next(sessions, config, run)
     return code
+
+
+def _print_next(sessions: Sequence[DriveSession], config: Drive, run: Path) -> None:
+    """Print the command that learns from takeovers, whose pictures are there if a person or an expert stood by; or
+    else the one that shows the last drive."""
+    from model.runs.run_arguments import run_argument
+
+    taken = [each for each in sessions if each.summary.takeovers + each.summary.manual_stretches]
+    if config.takeover is not None and taken:
+        logs = " ".join(shlex.quote(str(each.writer.path)) for each in taken)
+        times = sum(each.summary.takeovers + each.summary.manual_stretches for each in taken)
+        command = f"bc-train --init {run_argument(run)} --takeovers {logs}"
+        print_next(command, f"it learns from {counted(times, 'takeover')}")
+    elif driven := [each for each in sessions if each.log.frames]:
+        print_next(f"bc-play {shlex.quote(str(driven[-1].writer.path))}")
 
 
 def _aggregate(config: Drive, settings: DriveConfig) -> int:
@@ -291,6 +311,8 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     finally:  # what was driven is shown, whatever stops the rest
         if rounds:
             print_table(_rounds_table(rounds))
+            track = f" --simulator {config.simulator}" if config.simulator else ""
+            print_next(f"bc-{'eval' if track else 'drive'} {shlex.quote(rounds[-1].run)}{track}")
     return max(codes)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from drive.errors import DriveError
 from recorder.log.session_car import Car
+from simulator.driving.drive_limits import MAX_SPEED_MPH
 
 
 @dataclass(frozen=True)
@@ -21,10 +22,9 @@ class DriveConfig:
     car: Car | None = None  # that is driven; None: unknown, and taken for Udacity's
 
     def __post_init__(self) -> None:
-        if not 0 < self.set_speed_mph <= 100:
-            raise DriveError(
-                f"--speed {self.set_speed_mph:g}: give a speed above 0 mph and up to 100 (the car reaches 30)"
-            )
+        if not 0 < self.set_speed_mph <= MAX_SPEED_MPH:
+            expected = f"give a speed above 0 mph and up to {MAX_SPEED_MPH} (the car reaches 30)"
+            raise DriveError(f"--speed {self.set_speed_mph:g}: {expected}")
         if not 0 <= self.smooth_s < math.inf:
             raise DriveError(f"--smooth {self.smooth_s:g}: give a time constant in seconds; 0 is off")
         if not 0 <= self.max_steering_per_s < math.inf:

@@ -3,34 +3,42 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import shlex
 import shutil
 import subprocess
 import sys
 import sysconfig
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Final
 
 from common import UserError
-from common.command import DONE, DONE_BUT_SKIPPED, run_command
+from common.command import DONE, DONE_BUT_SKIPPED, flags_given, run_command
 from common.errors import UsageError
+from common.files import atomic_file
 from common.output import print_message, print_result, shell_command
 from common.progress import duration_text
 from common.streams import drain
+from common.untrusted import read_bounded
+from common.untrusted_json import json_as
 
 
 @dataclass(frozen=True)
 class Demo:
     """Record half a lap of each track, index, train, and drive a full lap of both.
 
-    Every command is printed before it runs. Takes about 5 minutes on two idle cores, and 0.9 GB of disk.
+    Every command is printed before it runs. Takes about 5 minutes on two idle cores, and 0.9 GB of disk. The same
+    command goes on with one that was stopped.
     """
 
     folder: Path | None = None
     """A folder to work in, new or without a project's folders; by default demo/DATE."""
+    quick: bool = False
+    """Record a seventh of a lap, train a small network on it, and drive that stretch: two minutes on a slow
+    machine."""
     epochs: int = 4
     """Epochs of training; more drive better."""
     laps: float = 1.0
@@ -41,6 +49,16 @@ class Demo:
 
 _MADE: Final = ("sessions", "index", "runs", "drives")
 """The folders that its commands make."""
+_STATE: Final = "demo.json"
+_MAX_STATE_BYTES: Final = 10_000
+
+
+@dataclass
+class _State:
+    """What is kept in the folder, so that the same command can go on there."""
+
+    settings: dict[str, bool | int | float]
+    done: int = 0  # steps
 
 
 @dataclass(frozen=True)
@@ -48,47 +66,85 @@ class DemoStep:
     command: str
     seconds: float
     """Measured on two cores; on another machine, all steps are slower or faster alike."""
+    made: str = ""
+    """What is there once the step has begun, if it then needs another command."""
+    again: str = ""
+    """That command: by default the same with --force."""
+
+    def command_in(self, folder: Path) -> str:
+        has_begun = bool(self.made) and (folder / self.made).exists()
+        return (self.again or f"{self.command} --force") if has_begun else self.command
 
 
 def steps_of(config: Demo) -> list[DemoStep]:
     """The steps of the demo, in their order."""
-    share = config.share
+    tracks: tuple[str, ...] = ("lake", "mountain")
+    share, laps, epochs = config.share, config.laps, config.epochs
+    network, epoch_s = "", 48.0
+    if config.quick:
+        tracks, share, laps, epochs = ("lake",), 0.15, 0.15, 5
+        network, epoch_s = " --network small", 15.0
+    drive = f"drives/demo-{tracks[-1]}-10mph"
     return [
-        DemoStep(f"bc-record lake --track lake --laps {share:g}", 3 + 60 * share),
-        DemoStep(f"bc-record mountain --track mountain --laps {share:g}", 3 + 66 * share),
+        *(
+            DemoStep(
+                f"bc-record {track} --track {track} --laps {share:g}", 3 + 63 * share, f"sessions/{track}.mcap"
+            )
+            for track in tracks
+        ),
         DemoStep("bc-index", 3),
-        DemoStep(f"bc-train --name demo --epochs {config.epochs}", 10 + 48 * share * config.epochs),
-        DemoStep(f"bc-eval demo --simulator lake mountain --laps {config.laps:g}", 10 + 85 * config.laps),
-        DemoStep("bc-play drives/demo-mountain-10mph.mcap --save drives/demo-mountain-10mph.rrd", 6),
+        DemoStep(
+            f"bc-train --name demo{network} --epochs {epochs}",
+            10 + epoch_s * share * epochs,
+            "runs/demo",
+            "bc-train --resume demo",
+        ),
+        DemoStep(
+            f"bc-eval demo --simulator {' '.join(tracks)} --laps {laps:g}", 10 + 42 * len(tracks) * laps, "drives"
+        ),
+        DemoStep(f"bc-play {drive}.mcap --save {drive}.rrd", 6, f"{drive}.rrd"),
     ]
 
 
 def demo(config: Demo) -> int:
-    folder = config.folder or Path("demo") / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}"
-    _refuse_unusable_settings(config, folder)
+    folder, begun = _begun(config)
+    _refuse_unusable_settings(config, folder, is_begun=begun is not None)
+    state = begun or _State(_settings(config))
     is_new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
+    _keep(state, folder)
     steps = steps_of(config)
-    seconds = sum(step.seconds for step in steps)
-    print_result(f"working in {folder}; all takes about {duration_text(seconds)} on two idle cores")
+    seconds = sum(step.seconds for step in steps[state.done :])
+    goes_on = f"going on in {folder}" if state.done else f"working in {folder}"
+    print_result(f"{goes_on}; all takes about {duration_text(seconds)} on two idle cores")
     if (activate := _activation_command()) is not None:
         print_result(f"to type these commands yourself, there: {activate}")
-    start_s, code = time.monotonic(), DONE
-    for number, step in enumerate(steps):
-        done = sum(each.seconds for each in steps[:number])
-        elapsed_s = time.monotonic() - start_s
-        left = f", about {duration_text((seconds - done) * elapsed_s / done)} left" if number else ""
-        print_result("", f"{number + 1} of {len(steps)}{left}", f"$ {step.command}")
+    start_s, begun_s, code = time.monotonic(), sum(step.seconds for step in steps[: state.done]), DONE
+    for number, step in list(enumerate(steps))[state.done :]:
+        begin_s = time.monotonic()
+        done_s = sum(each.seconds for each in steps[:number]) - begun_s
+        slower = (begin_s - start_s) / done_s if done_s else 1.0
+        left = f", about {duration_text((seconds - done_s) * slower)} left" if done_s else ""
+        takes = f"about {duration_text(step.seconds * slower)}"
+        command = step.command_in(folder)
+        print_result("", f"{number + 1} of {len(steps)}, {takes}{left}", f"$ {command}")
         try:
-            code = max(code, _run(step.command, folder))
+            code = max(code, _run(command, folder))
         except KeyboardInterrupt:
             if any((folder / name).exists() for name in _MADE):
                 there = f"`cd {shlex.quote(str(folder))}`"
-                print_message(f"bc-demo: what was made is in {folder}; type its commands there: {there}")
+                print_message(
+                    f"bc-demo: what was made is in {folder}; the same command goes on there, or type its commands"
+                    f" yourself: {there}"
+                )
             elif is_new:
+                (folder / _STATE).unlink()
                 folder.rmdir()
             raise
-    log = folder / "drives" / "demo-mountain-10mph.mcap"
+        state.done = number + 1
+        _keep(state, folder)
+        print_result(f"took {duration_text(time.monotonic() - begin_s)}")
+    log = folder / shlex.split(steps[-1].command)[1]
     print_result(
         "",
         f"Done in {duration_text(time.monotonic() - start_s)}. Watch the drive:",
@@ -99,9 +155,34 @@ def demo(config: Demo) -> int:
     return code
 
 
-def _refuse_unusable_settings(config: Demo, folder: Path) -> None:
+def _begun(config: Demo) -> tuple[Path, _State | None]:
+    """The folder to work in, and how far a demo of these settings has come there that was stopped, if one was."""
+    folders = sorted(Path("demo").glob("*/"), reverse=True) if config.folder is None else [config.folder]
+    for folder in folders:
+        with contextlib.suppress(OSError):
+            state = json_as(read_bounded(folder / _STATE, _MAX_STATE_BYTES), _State)
+            if state and state.settings == _settings(config) and 0 <= state.done < len(steps_of(config)):
+                return folder, state
+    default = Path("demo") / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}"
+    while default.exists():  # begun in the same second
+        default = default.with_name(f"{default.name}-2")
+    return config.folder or default, None
+
+
+def _settings(config: Demo) -> dict[str, bool | int | float]:
+    return {name: value for name, value in asdict(config).items() if name != "folder"}
+
+
+def _keep(state: _State, folder: Path) -> None:
+    with atomic_file(folder / _STATE, overwrite=True) as part:
+        part.write_text(json.dumps(asdict(state)))
+
+
+def _refuse_unusable_settings(config: Demo, folder: Path, *, is_begun: bool) -> None:
     """Raise UserError, or UsageError, now for settings that a later step would refuse, after minutes."""
-    if there := [name for name in _MADE if (folder / name).exists()]:
+    if config.quick and (flags := flags_given(config, "epochs", "laps", "share")):
+        raise UsageError(f"{flags}: --quick has its own: give one or the other")
+    if not is_begun and (there := [name for name in _MADE if (folder / name).exists()]):
         raise UserError(f"{folder}: has {', '.join(there)} already; give another --folder")
     if folder.exists() and not folder.is_dir():
         raise UserError(f"{folder}: a file, no folder to work in; give another --folder")
@@ -129,7 +210,7 @@ def _program(name: str) -> str:
     # beside this Python first: its virtual environment need not be active
     found = shutil.which(name, path=sysconfig.get_path("scripts")) or shutil.which(name)
     if found is None:
-        raise UserError(f"{name}: not installed beside {sys.executable}; install the toolkit with `pip install .`")
+        raise UserError(f"{name}: not beside {sys.executable}; install the toolkit again")
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -41,6 +42,8 @@ class Drive:
     driven."""
     laps: float = 1.0
     """Laps of the built-in simulator; with --aggregate, of each round of any simulator that reports its laps."""
+    start: Annotated[float, tyro.conf.arg(metavar="METRES")] = 0.0
+    """Where the built-in simulator's car begins, along the track."""
     real_time: bool = False
     """The built-in simulator goes no faster than the clock; otherwise it hurries from answer to answer."""
     takeover: Annotated[Literal["expert", "me"] | None, tyro.conf.arg(metavar="[expert|me]")] = None
@@ -102,7 +105,7 @@ def refuse_contradictions(config: Drive) -> None:
     if config.log is not None and (flags := flags_given(config, "drives")):
         raise UsageError(f"{flags}: is for a log that --log does not name: give one of both")
     if config.environment.gym is not None:
-        others = ("simulator", "laps", "real_time", "takeover", "aggregate", "server", "host", "port")
+        others = ("simulator", "laps", "start", "real_time", "takeover", "aggregate", "server", "host", "port")
         if flags := flags_given(config, *others, "epochs", "sessions"):
             raise UsageError(
                 f"{flags}: not with --gym, which neither connects to a port nor knows where its car is"
@@ -121,7 +124,11 @@ def refuse_contradictions(config: Drive) -> None:
             "--aggregate: drives by itself; with --takeover me, drive first, and then `bc-train --init RUN"
             " --takeovers LOG`"
         )
-    if config.simulator is None and (flags := flags_given(config, "real_time")):
+    if not 0 <= config.start < math.inf:
+        raise UsageError(f"--start {config.start:g}: a number of metres, 0 or more, was expected")
+    if config.aggregate is not None and (flags := flags_given(config, "start")):
+        raise UsageError(f"{flags}: not with --aggregate, whose rounds begin at the start")
+    if config.simulator is None and (flags := flags_given(config, "real_time", "start")):
         raise UsageError(f"{flags}: only with the built-in simulator: give --simulator TRACK as well")
     if config.simulator is None and config.aggregate is None and (flags := flags_given(config, "laps")):
         raise UsageError(f"{flags}: only with --simulator TRACK or --aggregate N: else it drives until Ctrl-C")

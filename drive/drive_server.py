@@ -15,6 +15,7 @@ from common import UserError
 from common.errors import counted
 from common.interrupts import StopEvent, force_quit_announced
 from dataset.picture_spec import metadata_of
+from drive.at_wheel import AtWheel
 from drive.config import DriveConfig
 from drive.drive_session import DriveSession
 from model import Pilot
@@ -22,7 +23,6 @@ from recorder import LogWriter
 from recorder.log.session_car import built_in
 from recorder.log.session_car import metadata_of as car_metadata
 from recorder.server.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
-from recorder.teleop.wheel import Wheel
 
 NO_TELEMETRY_S: Final = 3.0
 """A client that has connected and sends no telemetry for so long is in its menu, or no simulator."""
@@ -55,7 +55,7 @@ class DriveServer:
         mode: ServerMode = "eventlet",
         is_built_in: bool = False,
         track: str | None = None,
-        wheel: Wheel | None = None,
+        at_wheel: AtWheel | None = None,
         notify: Callable[[str], None] = lambda text: None,
         show_status: Callable[[str], None] = lambda text: None,
     ) -> None:
@@ -63,8 +63,8 @@ class DriveServer:
 
         `notify` gets a line for each thing that happens, `show_status` ten times a second the status of the drive.
         `is_built_in`: the simulator is the built-in one, on `track`. Its silence is no fault, for it loses no
-        telemetry; it does not come back. A person at `wheel` takes over from the network, in the first simulator
-        that connects.
+        telemetry; it does not come back. A person takes over from the network `at_wheel`, in the first
+        simulator that connects.
         Raises UserError if `log` exists and may not be overwritten, ListenError if the port is taken.
         """
         self._pilot = pilot
@@ -72,7 +72,7 @@ class DriveServer:
         self._log = log
         self._is_built_in = is_built_in
         self._track = track
-        self._wheel = wheel
+        self._at_wheel = at_wheel
         self.notify = notify
         self._show_status = show_status
         self._notified: set[str] = set()
@@ -271,8 +271,8 @@ class DriveServer:
         road = {} if self._track is None else {"track": self._track}
         metadata = drive_metadata(self._pilot, self.config) | road
         writer = LogWriter(path, metadata, overwrite=overwrite, live=True)
-        wheel = None if self.sessions else self._wheel
-        session = self._stack.enter_context(DriveSession(self._pilot, self.config, writer, self.notify, wheel))
+        at_wheel = None if self.sessions else self._at_wheel
+        session = self._stack.enter_context(DriveSession(self._pilot, self.config, writer, self.notify, at_wheel))
         self.sessions.append(session)
         return session
 

@@ -21,7 +21,6 @@ from recorder.log.derived_log import close_with_tags
 from recorder.log.topics import DRIVE_METADATA
 from recorder.server.running_clock import RunningClock
 from recorder.server.telemetry_server import Answer, Steer
-from recorder.teleop.wheel import Wheel
 
 WATCHDOG_S: Final = 1.0
 """The silence after which a command is sent: the real simulator sends no more telemetry once all of it is lost,
@@ -52,9 +51,9 @@ class DriveSession:
         config: DriveConfig,
         writer: LogWriter,
         notify: Callable[[str], None] = lambda text: None,
-        wheel: Wheel | None = None,
+        at_wheel: AtWheel | None = None,
     ) -> None:
-        """`wheel`: a person at it takes over from the network."""
+        """`at_wheel`: a person takes over from the network there."""
         self._notify = notify
         self.writer = writer
         self.log = DriveLog(writer)
@@ -62,7 +61,7 @@ class DriveSession:
         self._status = LiveStatus(self.summary)
         self._pilot = pilot
         self._config = config
-        self._at_wheel = None if wheel is None else AtWheel(wheel, config)
+        self._at_wheel = at_wheel
         self._driver = self._new_driver()
         self._metadata: dict[str, dict[str, str]] = {}
         self._last_steer = _NEUTRAL
@@ -112,7 +111,10 @@ class DriveSession:
         if self._is_stopping:
             self._update_standstill(decision)
         self._last_steer = Steer(decision.steering, decision.throttle, decision.decimal_separator)
-        return Answer(self._last_steer, lambda total_ms: self._record(decision, total_ms))
+        puts_back = self._at_wheel is not None and self._at_wheel.puts_back()
+        return Answer(
+            replace(self._last_steer, puts_back=puts_back), lambda total_ms: self._record(decision, total_ms)
+        )
 
     def unanswered(self, in_flight: int) -> None:
         """Note a telemetry that is left unanswered; `in_flight` are without it."""
@@ -216,8 +218,8 @@ class DriveSession:
             self.add_metadata(DRIVE_METADATA, self.summary.as_metadata())
             for record, values in self._metadata.items():
                 self.writer.add_metadata(record, values)
-        if kind is None and self._at_wheel is not None and self._at_wheel.tags:
-            close_with_tags(self.writer, self._at_wheel.tags)
+        if kind is None and self._at_wheel is not None and self._at_wheel.last_rows.tags:
+            close_with_tags(self.writer, self._at_wheel.last_rows.tags)
         self.writer.__exit__(kind)
         if self._at_wheel is not None:
             self._at_wheel.end(self.writer.path, self.log.frames)

@@ -7,7 +7,7 @@ from pathlib import Path
 from common.car import MAX_STEERING_DEG
 from common.stored_settings import settings_from
 from drive.errors import DriveError
-from model.runs.car_of_run import car_settings_of_run, max_steering_deg_of_run
+from model.runs.car_of_run import car_settings_of_run, known_max_steering_deg_of_run, max_steering_deg_of_run
 from recorder.log.session_car import UDACITY, Car, built_in, named_car
 
 
@@ -31,7 +31,9 @@ def driven_car(run: Path, named: str | None) -> Car | None:
 
 
 def other_steering(run: Path, car: Car | None) -> str:
-    """A line about a run in which steering 1 is another angle than in the car; empty where it is the same."""
+    """A line about a run in which steering 1 is an unknown angle, or another one than in the car; else empty."""
+    if known_max_steering_deg_of_run(run) is None:
+        return f"{run} learnt from a car that does not say how far its wheels turn: its steering is sent as it is"
     learnt_deg, driven_deg = max_steering_deg_of_run(run), (car or UDACITY).max_steering_deg
     if learnt_deg == driven_deg:
         return ""

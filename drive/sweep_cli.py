@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 import statistics
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -17,10 +18,12 @@ from rich.table import Table
 
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, run_command, warn
 from common.errors import UsageError, counted, printable
+from common.location import Location
 from common.location_flag import LocationFlag
-from common.output import print_message, print_result, print_table
+from common.output import print_message, print_next, print_result, print_table
 from common.progress import track
 from common.random_access import is_there
+from common.steering_unit import DEGREES
 from common.tasks import RayAddress, tasks_of
 from model.runs.run_files import without_nan
 
@@ -97,6 +100,7 @@ def sweep(config: Sweep) -> int:
     finally:
         if done and not config.json:
             print_table(_table(plan.name, done))
+            print_next(f"bc-runs --sort interventions{_runs_flag(config.runs)}")
     failed = [swept for swept in done if swept.failure]
     if failed:
         warn(f"{counted(len(failed), 'training')} of {len(done):,} failed; the same command tries them again")
@@ -117,12 +121,14 @@ def _print_one(swept: Swept, *, as_json: bool) -> None:
     elif not swept.failure and swept.summary is not None:
         drives = swept.summary.drives
         driven = f", autonomy {_mean(swept.summary):.1f} % in {counted(len(drives), 'drive')}" if drives else ""
-        print_message(f"bc-sweep: {run}: RMSE {swept.summary.rmse_deg:.2f} degrees{driven}")
+        unit = swept.summary.unit
+        print_message(f"bc-sweep: {run}: RMSE {unit.of(swept.summary.rmse_deg):.2f} {unit.name}{driven}")
 
 
 def _table(name: str, done: Sequence[Swept]) -> Table:
     """A row for each setting: the mean over its seeds, and the least and the largest."""
-    title = f"{printable(name)}: means over the seeds (least to largest); RMSE of frames held out, in degrees"
+    unit = next((swept.summary.unit for swept in done if swept.summary is not None), DEGREES)
+    title = f"{printable(name)}: means over the seeds (least to largest); RMSE of frames held out, in {unit.name}"
     table = Table(title=title, box=None, pad_edge=False)
     for heading in ("settings", "seeds", "failed", "RMSE", "interventions/km", "autonomy, %"):
         table.add_column(heading, justify="left" if heading == "settings" else "right")
@@ -134,11 +140,15 @@ def _table(name: str, done: Sequence[Swept]) -> Table:
             escape(printable(varied or "all the same")),
             f"{len(of_setting):,}",
             f"{sum(bool(swept.failure) for swept in of_setting):,}" if len(whole) < len(of_setting) else "",
-            _spread([summary.rmse_deg for summary in whole], 2),
+            _spread([unit.of(summary.rmse_deg) for summary in whole], 2),
             _spread([summary.interventions_per_km for summary in whole], 2),
             _spread([_mean(summary) for summary in whole], 1),
         )
     return table
+
+
+def _runs_flag(runs: Location) -> str:
+    return "" if runs == Sweep.runs else f" --runs {shlex.quote(str(runs))}"
 
 
 def _mean(summary: RunSummary) -> float:

@@ -1,5 +1,6 @@
 """The settings and curves of trainings in MLflow.
 
+    pip install mlflow        # or mlflow-skinny, without its web page
     bc-train --name first --listener examples/mlflow_listener.py:MlflowListener
     mlflow ui
 

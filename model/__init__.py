@@ -1,4 +1,23 @@
-"""The network: its layers, its training, the run folder that keeps it, and the pilot that steers with it."""
+"""The network: its layers, its training, the run folder that keeps it, and the pilot that steers with it.
+
+    from pathlib import Path
+
+    from dataset import decode
+    from model import TrainConfig, evaluate, load_pilot, train
+
+    train("index", "runs/first", TrainConfig(epochs=10))
+    print(evaluate("runs/first", "index").frames)
+    pilot = load_pilot("runs/first")
+    steering = pilot.predict(pilot.crop(decode(Path("frame.jpg").read_bytes())))  # -1 left .. 1 right
+
+train           trains a network on an index and keeps it as a run; a Listener receives its Steps and Epochs
+evaluate        measures a run on the frames that were held out
+judge           the Verdict on a run, with its Advice
+find_run        a run by name, or the newest one
+load_pilot      the Pilot of a run: steering for a picture
+predict_log     what runs would have steered in a log
+export_onnx     a run's network for ONNX Runtime
+"""
 
 from behavioural_cloning_toolkit import refuse_hidden
 
@@ -17,11 +36,15 @@ if TYPE_CHECKING:
     from model.evaluation.predict_log import predict_log
     from model.onnx_export import export_onnx
     from model.pilot import Pilot, load_pilot
+    from model.runs.advice import Advice
     from model.runs.run_folder import find_run
+    from model.runs.run_summary import judge
     from model.runs.training_progress import Epoch, Listener, Step
+    from model.runs.verdict import Verdict
     from model.training.trainer import Trained, train
 
 __all__ = [
+    "Advice",
     "Epoch",
     "Evaluation",
     "Listener",
@@ -31,9 +54,11 @@ __all__ = [
     "Step",
     "TrainConfig",
     "Trained",
+    "Verdict",
     "evaluate",
     "export_onnx",
     "find_run",
+    "judge",
     "load_pilot",
     "predict_log",
     "train",
@@ -42,6 +67,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        "Advice": "model.runs.advice",
         "Epoch": "model.runs.training_progress",
         "Evaluation": "model.evaluation.evaluate",
         "Listener": "model.runs.training_progress",
@@ -51,9 +77,11 @@ __getattr__, __dir__ = lazy_names(
         "Step": "model.runs.training_progress",
         "TrainConfig": "model.config",
         "Trained": "model.training.trainer",
+        "Verdict": "model.runs.verdict",
         "evaluate": "model.evaluation.evaluate",
         "export_onnx": "model.onnx_export",
         "find_run": "model.runs.run_folder",
+        "judge": "model.runs.run_summary",
         "load_pilot": "model.pilot",
         "predict_log": "model.evaluation.predict_log",
         "train": "model.training.trainer",

@@ -6,6 +6,7 @@ import contextlib
 import os
 import shlex
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,11 +16,13 @@ from common import UserError
 from common.allowed_places import allow_places
 from common.command import DONE, FAILED, run_command, warn, warn_skipped
 from common.errors import counted, printable
+from common.files import refuse_existing
 from common.location import Location, Url, absolute, is_in_store, local_path, location
 from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
 from common.random_access import is_there
 from common.streams import end_process
+from common.versions import package_line
 from model.config import TrainConfig
 from model.epoch_printer import EpochPrinter
 from model.network.names import is_own
@@ -27,6 +30,7 @@ from model.runs.run_arguments import RUNS, new_run_name
 from model.train_flags import Train, defaults, refuse_contradictions, workers_of
 
 if TYPE_CHECKING:
+    from dataset import IndexConfig
     from model.runs.training_progress import Listener
     from model.training.trainer import Trained
 
@@ -139,7 +143,8 @@ def _print_outcome(trained: Trained, settings: TrainConfig) -> int:
     from model.runs.history import read_epochs
     from model.runs.run_arguments import run_argument
     from model.runs.run_folder import WEIGHTS
-    from model.runs.training_outcome import verdict
+    from model.runs.run_summary import judge
+    from model.runs.training_outcome import outcome_lines
 
     run, code = trained.run, max([DONE, *map(warn, trained.notices)])
     for remark in trained.remarks:
@@ -151,10 +156,12 @@ def _print_outcome(trained: Trained, settings: TrainConfig) -> int:
     elif not trained.epochs:
         print_result(f"{run}: all its epochs are learnt; give more --epochs to go on")
     best = trained.best_epoch
-    for line in verdict(read_epochs(run), best, settings.keep) if best else ():
+    for line in outcome_lines(read_epochs(run), best, settings.keep) if best else ():
         print_result(line)
     drive = f"bc-drive {run_argument(run)}{_network_flag(run)}"
     print_result(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `{drive}`")
+    if best:
+        print_result(*judge(run).lines)
     return code
 
 
@@ -208,7 +215,7 @@ def _network_flag(run: Path) -> str:
 def _listeners(config: Train, run: Path) -> list[Listener]:
     """Raises UserError where what one of them needs is not installed."""
     if config.viewer and find_spec("rerun") is None:
-        raise UserError("--viewer: the viewer is not installed here: `pip install rerun-sdk` brings it")
+        raise UserError(f"--viewer: the viewer is not installed here: `{package_line('rerun-sdk')}` brings it")
     listeners: list[Listener] = [EpochPrinter()]
     if config.tensorboard:
         from model.training.tensorboard import TensorBoard
@@ -261,22 +268,22 @@ def _here(resumed: str) -> str:
 def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, int]:
     """The index of --on or --takeovers, built, and the exit code of what had to be printed about it."""
     from dataset import IndexConfig, find_logs
-    from model.runs.own_index import build_own_index, logs_with_takeovers
+    from dataset.frames.frames_file import session_name
+    from model.runs.own_index import logs_with_takeovers
 
-    codes = [DONE]
     index = local_path(config.index).with_name(f"index-{run.name}")
+    refuse_existing(index, overwrite=False)
     if init is not None and config.takeovers:
         logs, settings = logs_with_takeovers(init, config.takeovers, config.sessions, config.drives)
     else:
         logs, settings = find_logs(config.on, config.sessions), IndexConfig.of(config.config.recipe)
     print_message(f"{index}: built of {counted(len(logs), 'session')}")
-    build_own_index(logs, index, settings, lambda notice: codes.append(warn(notice)))
-    return index, max(codes)
+    return index, _build_index(logs, index, settings, config.sessions, [session_name(log) for log in logs])
 
 
 def _index_of(config: Train, *, is_first: bool) -> tuple[Location, int]:
     """The index to train on, built if need be, and the exit code of what had to be printed about it."""
-    from dataset import sessions_not_indexed
+    from dataset import IndexConfig, find_logs, sessions_not_indexed
     from dataset.index.not_learnt import not_learnt_in
     from dataset.missing_index import missing_index
     from dataset.samples.samples_format import SAMPLES_NAME
@@ -301,7 +308,8 @@ def _index_of(config: Train, *, is_first: bool) -> tuple[Location, int]:
         if "WORLD_SIZE" in os.environ:
             raise UserError(f"{config.index}: no index yet; build it with `bc-index` before torchrun")
         print_message(f"{config.index}: no index yet; building it from {config.sessions}")
-        return config.index, _build_index(config)
+        logs, settings = find_logs((), config.sessions), IndexConfig.of(config.config.recipe)
+        return config.index, _build_index(logs, local_path(config.index), settings, config.sessions)
     is_current_index = is_first and config.resume is None and isinstance(config.index, Path)
     if is_current_index:
         for line in not_learnt_in(local_path(config.index)):
@@ -318,15 +326,15 @@ def _is_built_unasked(index: Location) -> bool:
     return isinstance(index, Path) and index.name == Train.index.name and index.parent.is_dir()
 
 
-def _build_index(config: Train) -> int:
-    """Build the index as `bc-index` does: leave out and print what cannot be read. Returns the exit code."""
-    from dataset import IndexConfig, build_index, find_logs
+def _build_index(
+    logs: Sequence[Location], index: Path, settings: IndexConfig, folder: Location, sessions: Sequence[str] = ()
+) -> int:
+    """Build an index as `bc-index` does: leave out and print what cannot be read. Returns the exit code."""
+    from dataset import build_index
     from dataset.index.index_report import print_log_notices
 
-    settings = IndexConfig.of(config.config.recipe)
-    logs, index = find_logs((), config.sessions), local_path(config.index)
     indexed = build_index(logs, index, settings, leave_out_unreadable=True)
-    return print_log_notices(indexed, config.sessions)
+    return print_log_notices(indexed, folder, sessions)
 
 
 def main() -> None:

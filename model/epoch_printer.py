@@ -21,15 +21,16 @@ class EpochPrinter:
         """The bar shows it."""
 
     def epoch(self, epoch: Epoch) -> None:
-        measures = epoch.measures
+        measures, unit = epoch.measures, epoch.measures.unit
         if measures.frames and not self._has_begun:
             print_result(
-                f"errors of {counted(measures.frames, 'frame')} held out, in degrees; always the mean: RMSE"
-                f" {measures.mean.rmse_deg:.2f}, always zero: {measures.zero.rmse_deg:.2f}"
+                f"errors of {counted(measures.frames, 'frame')} held out, in {unit.name}; always the mean: RMSE"
+                f" {unit.of(measures.mean.rmse_deg):.2f}, always zero: {unit.of(measures.zero.rmse_deg):.2f}"
             )
         self._has_begun = True
         validation = (
-            f" RMSE {decimal(measures.network.rmse_deg, 2)}, balanced {decimal(measures.balanced_rmse_deg, 2)},"
+            f" RMSE {decimal(unit.of(measures.network.rmse_deg), 2)}, balanced"
+            f" {decimal(unit.of(measures.balanced_rmse_deg), 2)},"
             f" correlation {measures.network.correlation:.2f},"
             if measures.frames
             else " nothing held out,"

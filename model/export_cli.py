@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import sys
 from dataclasses import dataclass
@@ -20,14 +21,16 @@ from model.runs.run_arguments import RUNS
 
 @dataclass(frozen=True)
 class Export:
-    """Give a run's network to others: --onnx writes one file, checked in ONNX Runtime; --hub a folder for the
-    Hugging Face hub, with its weights, its settings, that file, and a card."""
+    """Give a run's network to others: --onnx writes one file, checked in ONNX Runtime; --donkeycar that file for a
+    DonkeyCar, and the part that drives; --hub a folder for the Hugging Face hub."""
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """The run, by name or folder."""
     onnx: Annotated[tuple[()] | tuple[Path] | None, tyro.conf.arg(metavar="[FILE]")] = None
     """The ONNX file to write; without a name, NAME.onnx in the run's folder, or here if the run is in a
     store."""
+    donkeycar: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """Where to write NAME.onnx, which takes the camera's picture, and donkeycar_part.py, for DonkeyCar's loop."""
     hub: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """The new folder to write for the hub; nothing is uploaded."""
     license: str | None = None
@@ -48,13 +51,17 @@ def export(config: Export) -> int:
     run = find_run(config.run, config.runs)
     if config.network is not None:
         load_named([config.network], [load_config(run)])
-    return _export_to_hub(run, config.hub, config.license) if config.hub is not None else _export_onnx(run, config)
+    if config.hub is not None:
+        return _export_to_hub(run, config.hub, config.license)
+    if config.donkeycar is not None:
+        return _export_to_donkeycar(run, config.donkeycar, overwrite=config.force)
+    return _export_onnx(run, config)
 
 
 def _refuse_contradictions(config: Export) -> None:
     """Raise UsageError for flags that do not go together."""
-    if (config.onnx is None) == (config.hub is None):
-        raise UsageError("give --onnx for a file, or --hub FOLDER for a folder that has it, too")
+    if [config.onnx, config.donkeycar, config.hub].count(None) != 2:
+        raise UsageError("give --onnx for a file, --donkeycar FOLDER for a DonkeyCar, or --hub FOLDER for the hub")
     if config.hub is None and config.license is not None:
         raise UsageError("--license: only of a folder for the hub: give --hub FOLDER as well")
     if config.hub is not None and config.force:
@@ -62,14 +69,45 @@ def _refuse_contradictions(config: Export) -> None:
 
 
 def _export_onnx(run: Path, config: Export) -> int:
-    from model.onnx_export import export_onnx
-    from model.runs.run_folder import config_folder, run_name
+    from model.onnx_export import example, export_onnx, input_line
+    from model.runs.run_folder import config_folder, picture_of_run, run_name
 
     folder = Path() if cached_from(config_folder(run)) else run
     path = config.onnx[0] if config.onnx else folder / f"{run_name(run)}.onnx"
     difference = export_onnx(run, path, overwrite=config.force)
-    print_result(f"{path}: written; steering in ONNX Runtime and in PyTorch: largest difference {difference:.1g}")
+    picture = picture_of_run(run)
+    print_result(_written(path, difference), f"input {input_line(picture)}")
+    print_message("to run it with onnxruntime and opencv-python-headless alone:")
+    _print_code(example(picture, json.dumps(str(path)), '"picture.jpg"'))
     return DONE
+
+
+def _export_to_donkeycar(run: Path, folder: Path, *, overwrite: bool) -> int:
+    from model.donkeycar_export import PART, export_to_donkeycar
+    from model.onnx_export import input_line
+    from model.runs.run_folder import picture_of_run, targets_of_run
+
+    path, difference = export_to_donkeycar(run, folder, overwrite=overwrite)
+    print_result(_written(path, difference), f"input {input_line(picture_of_run(run), of_camera=True)}")
+    print_message("on the car, `env/bin/pip install onnxruntime`; copy both files to it:")
+    _print_code(f"scp {shlex.join(map(str, (path, folder / PART.name)))} pi@donkeypi.local:mycar/")
+    print_message("and add to its manage.py, above `aiLauncher = AiLaunch(` (docs/donkeycar.md):")
+    throttle = "" if "throttle" in targets_of_run(run) else ", throttle=0.2"
+    _print_code(
+        "    from donkeycar_part import OnnxPilot\n"
+        f'    V.add(OnnxPilot({json.dumps(path.name)}{throttle}), inputs=["cam/image_array"],\n'
+        '          outputs=["pilot/angle", "pilot/throttle"], run_condition="run_pilot")\n'
+    )
+    return DONE
+
+
+def _written(path: Path, difference: float) -> str:
+    return f"{path}: written; steering in ONNX Runtime and in PyTorch: largest difference {difference:.1g}"
+
+
+def _print_code(code: str) -> None:
+    for line in code.splitlines():
+        print_message(f"    {line}")
 
 
 def _export_to_hub(run: Path, folder: Path, licence: str | None) -> int:

@@ -19,7 +19,7 @@ from model.model_card import ModelCard, card
 from model.network.names import is_own
 from model.network.own_code import named_code
 from model.onnx_export import example, export_onnx, require_onnx
-from model.runs.car_of_run import max_steering_deg_of_run
+from model.runs.car_of_run import known_max_steering_deg_of_run
 from model.runs.history import read_epochs
 from model.runs.network_of_run import NETWORK_FILE, stored_network
 from model.runs.run_files import run_write_errors
@@ -81,7 +81,7 @@ def export_to_hub(run: Path | str, folder: Path | str, *, licence: str | None = 
             config=config,
             parameters=sum(weight.numel() for weight in network.parameters()),
             targets=targets_of_run(run),
-            max_steering_deg=max_steering_deg_of_run(run),
+            max_steering_deg=known_max_steering_deg_of_run(run),
             epoch=epochs[-1] if epochs else None,
             results=results,
             licence=licence,

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from common.steering_unit import SteeringUnit, assumed_deg, steering_unit
 from dataset import MAX_STEERING_DEG
 from dataset.steering_bins import bin_of
 
@@ -24,7 +25,7 @@ Floats = NDArray[np.float32] | NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors in degrees of wheel angle; NaN where there is nothing to measure."""
+    """Errors in degrees of wheel angle, by `assumed_deg`; NaN where there is nothing to measure."""
 
     mae_deg: float
     rmse_deg: float
@@ -55,7 +56,12 @@ class Measures:
     mean: Errors  # of always predicting those frames' own mean: no constant does better
     bins: tuple[BinErrors, ...]
     mean_balanced_rmse_deg: float = math.nan  # of always predicting that mean; NaN where it is not known
-    max_deg: float = MAX_STEERING_DEG  # the wheels' angle at steering 1
+    max_deg: float | None = MAX_STEERING_DEG  # the wheels' angle at steering 1; None: unknown
+
+    @property
+    def unit(self) -> SteeringUnit:
+        """The unit in which people read these errors."""
+        return steering_unit(self.max_deg)
 
     @property
     def balanced_rmse_deg(self) -> float:
@@ -75,10 +81,10 @@ class Measures:
 
 
 def measure(
-    predicted: Floats, recorded: Floats, bins: int = BINS, *, max_deg: float = MAX_STEERING_DEG
+    predicted: Floats, recorded: Floats, bins: int = BINS, *, max_deg: float | None = MAX_STEERING_DEG
 ) -> Measures:
     """Compare two steering arrays (N,), -1..1, also within `bins` equal bins of the recorded steering. `max_deg`
-    is the wheels' angle at steering 1."""
+    is the wheels' angle at steering 1, None if it is unknown."""
     mean = float(np.mean(recorded)) if len(recorded) else float("nan")
     return Measures(
         len(recorded),
@@ -91,7 +97,7 @@ def measure(
     )
 
 
-def errors(predicted: Floats, recorded: Floats, max_deg: float = MAX_STEERING_DEG) -> Errors:
+def errors(predicted: Floats, recorded: Floats, max_deg: float | None = MAX_STEERING_DEG) -> Errors:
     """Compare two steering arrays (N,), -1..1."""
     nan = float("nan")
     if not len(recorded):
@@ -107,7 +113,7 @@ def errors(predicted: Floats, recorded: Floats, max_deg: float = MAX_STEERING_DE
     )
 
 
-def constant_errors(value: float, recorded: Floats, max_deg: float = MAX_STEERING_DEG) -> Errors:
+def constant_errors(value: float, recorded: Floats, max_deg: float | None = MAX_STEERING_DEG) -> Errors:
     """The errors of always predicting `value`."""
     return errors(np.full(len(recorded), value), recorded, max_deg)
 
@@ -116,11 +122,11 @@ def _balanced_rmse_deg(bins: Sequence[BinErrors]) -> float:
     return math.sqrt(sum(part.rmse_deg**2 for part in bins) / len(bins)) if bins else math.nan
 
 
-def _off_deg(predicted: Floats, recorded: Floats, max_deg: float) -> NDArray[np.float64]:
-    return max_deg * (predicted.astype(np.float64) - recorded.astype(np.float64))
+def _off_deg(predicted: Floats, recorded: Floats, max_deg: float | None) -> NDArray[np.float64]:
+    return assumed_deg(max_deg) * (predicted.astype(np.float64) - recorded.astype(np.float64))
 
 
-def _bin_errors(predicted: Floats, recorded: Floats, bins: int, max_deg: float) -> list[BinErrors]:
+def _bin_errors(predicted: Floats, recorded: Floats, bins: int, max_deg: float | None) -> list[BinErrors]:
     off = _off_deg(predicted, recorded, max_deg)
     exact: NDArray[np.float64] = recorded.astype(np.float64)
     bin_index = bin_of(np.round(exact, 6), bins)  # in float32, a value on an edge is beside it

@@ -13,6 +13,7 @@ import msgspec
 
 from common.errors import counted, printable
 from common.markdown import as_markdown
+from common.steering_unit import assumed_deg
 from common.versions import TOOLKIT, version_of
 from dataset.prediction_targets import TARGETS, TargetName
 from model.runs.kept_results import KeptResult
@@ -30,7 +31,7 @@ class ModelCard:
     config: Mapping[str, Any]  # of the run; checked as far as driving needs it
     parameters: int
     targets: Sequence[TargetName]
-    max_steering_deg: float
+    max_steering_deg: float | None  # None: unknown
     epoch: Epoch | None  # of these weights; None: how well it learnt is unknown
     results: Sequence[KeptResult]  # the last of each kind that these weights have given
     licence: str | None
@@ -122,11 +123,12 @@ def _front_matter(of: ModelCard) -> Iterator[str]:
 def _metrics(epoch: Epoch) -> list[tuple[str, str, float]]:
     measures = epoch.measures
     found = [
-        ("rmse", "RMSE of the steering in degrees", measures.network.rmse_deg),
-        ("rmse", "balanced RMSE of the steering in degrees", measures.balanced_rmse_deg),
-        ("mae", "MAE of the steering in degrees", measures.network.mae_deg),
+        ("rmse", "RMSE of the steering", measures.network.rmse_deg),
+        ("rmse", "balanced RMSE of the steering", measures.balanced_rmse_deg),
+        ("mae", "MAE of the steering", measures.network.mae_deg),
     ]
-    return [metric for metric in found if math.isfinite(metric[2])]
+    unit = measures.unit
+    return [(kind, f"{name} in {unit.name}", unit.of(deg)) for kind, name, deg in found if math.isfinite(deg)]
 
 
 def _network(of: ModelCard) -> str:
@@ -136,7 +138,9 @@ def _network(of: ModelCard) -> str:
 
 
 def _answers(of: ModelCard) -> str:
-    degrees = f"{of.max_steering_deg:g} degrees of the wheels"
+    degrees = f"{assumed_deg(of.max_steering_deg):g} degrees of the wheels"
+    if of.max_steering_deg is None:
+        degrees = "full lock, an unknown angle"
     others = [f"{name} ({TARGETS[name].unit or '-1 to 1'})" for name in of.targets[1:]]
     answers = ", and the ".join([f"steering, -1 (left) to 1 (right), where 1 is {degrees}", *others])
     return f"It answers the {answers}; nothing is clamped."
@@ -179,9 +183,10 @@ def _measures(of: ModelCard) -> Iterator[str]:
         yield ""
         return
     measures = of.epoch.measures
+    unit = "degrees of the wheels" if measures.max_deg is not None else measures.unit.name
     yield (
-        f"Errors on {counted(measures.frames, 'frame')} held out, whole stretches of time, in degrees of the"
-        " wheels, beside those of predictors that know nothing:"
+        f"Errors on {counted(measures.frames, 'frame')} held out, whole stretches of time, in {unit},"
+        " beside those of predictors that know nothing:"
     )
     yield ""
     yield "| | MAE | RMSE | balanced RMSE: every bin of steering alike | MAE where it turns | correlation |"
@@ -192,7 +197,8 @@ def _measures(of: ModelCard) -> Iterator[str]:
         ("always straight on", measures.zero, math.nan),
     ]
     for name, errors, balanced in rows:
-        numbers = (errors.mae_deg, errors.rmse_deg, balanced, errors.turning_mae_deg, errors.correlation)
+        angles = (errors.mae_deg, errors.rmse_deg, balanced, errors.turning_mae_deg)
+        numbers = (*map(measures.unit.of, angles), errors.correlation)
         yield f"| {name} | {' | '.join(map(_number, numbers))} |"
     if not measures.network.rmse_deg < measures.mean.rmse_deg:
         yield ""

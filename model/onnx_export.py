@@ -11,8 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -23,11 +24,13 @@ from common.files import refuse_existing
 from common.versions import TOOLKIT, install_line, version_of
 from dataset.picture_spec import PictureSpec, metadata_of
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
+from dataset.preprocess import as_bgr, preprocess
 from model.errors import RunError
 from model.evaluation.predict import as_input
 from model.network.picture_network import PictureNetwork
+from model.onnx_camera import CROP, LARGEST_DIFFERENCE, PICTURE
 from model.onnx_graph import onnx_graph
-from model.runs.car_of_run import max_steering_deg_of_run
+from model.runs.car_of_run import known_max_steering_deg_of_run
 from model.runs.run_files import run_write_errors
 from model.runs.run_folder import (
     load_answer_scale,
@@ -46,16 +49,19 @@ _ABOUT: Final = {
     "speed": "the speed in mph that it wants to be driven a little later, not clamped",
     "throttle": "-1 (full brake) .. 1 (full throttle), not clamped",
 }
+_CAMERA_PX: Final = ((320, 160), (160, 120), (640, 480), (128, 128), (97, 61), (224, 224), (40, 30), (320, 240))
+"""Widths and heights of the cameras' pictures with which a file with preprocessing is compared."""
 MOST_DIFFERENCE: Final = 1e-4  # of steering -1..1: 0.0025 degrees; float32 leaves about 1e-6
 
 
-def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -> float:
+def export_onnx(run: Path | str, path: Path | str, *, of_camera: bool = False, overwrite: bool = False) -> float:
     """Write the network of a run folder to `path`; the largest difference of its steering between ONNX Runtime and
     PyTorch on a few pictures.
 
     In: "pictures", uint8 (N, height, width, 3), in the network's order of colours. Out: "steering", float32 (N,),
-    not clamped, -1 (left) .. 1 (right); of other targets "speed_mph" and "throttle". The file's metadata describe
-    its use. Same run: the same bytes.
+    not clamped, -1 (left) .. 1 (right); of other targets "speed_mph" and "throttle". `of_camera` puts the
+    preprocessing into the file: in is one "picture", uint8 RGB (height, width, 3) of any size, N is 1, and the
+    "crop" comes out, too. The file's metadata describe its use. Same run: the same bytes.
 
     Raises RunError if the run is incomplete, damaged or of another version, if its network cannot be written or
     its steering differs, if ONNX or ONNX Runtime is not installed, or if the disk is full; UserError if `path`
@@ -66,10 +72,11 @@ def export_onnx(run: Path | str, path: Path | str, *, overwrite: bool = False) -
     refuse_existing(path, overwrite)
     picture, network = picture_of_run(run), load_network(run)
     targets = targets_of_run(run)
-    model = _model(run, network, picture, targets)
+    model = _model(run, network, picture, targets, of_camera)
     with run_write_errors(path), atomic_file(path, overwrite=overwrite) as part:
         part.write_bytes(model.SerializeToString())
-        difference = _largest_difference(part, network, picture, targets)
+        compare = _largest_difference_of_camera if of_camera else _largest_difference
+        difference = compare(part, network, picture, targets)
         if not difference < MOST_DIFFERENCE:  # not a number, too
             raise RunError(
                 f"{path}: not written: ONNX Runtime steers {difference:.1g} off PyTorch, less than"
@@ -98,43 +105,63 @@ def example(spec: PictureSpec, network: str, picture: str) -> str:
         "import cv2, onnxruntime\n"
         f'network = onnxruntime.InferenceSession({network}, providers=["CPUExecutionProvider"])\n'
         f"picture = cv2.imread({picture})\n"
-        "height = len(picture)\n"
-        f"cropped = picture[round(height * {top}) : height - round(height * {bottom})]\n"
-        f"crop = cv2.resize(cropped, ({spec.width_px}, {spec.height_px}),"
-        f" interpolation=cv2.INTER_LINEAR)\n{convert}"
+        f"rows = picture[round(len(picture) * {top}) : len(picture) - round(len(picture) * {bottom})]\n"
+        f"crop = cv2.resize(rows, ({spec.width_px}, {spec.height_px}))\n{convert}"
         '(steering,) = network.run(["steering"], {"pictures": crop[None]})[0]\n'
         "print(steering)\n"
     )
 
 
-def description(run: Path, picture: PictureSpec, targets: Sequence[TargetName] = STEERING_ONLY) -> dict[str, str]:
+def description(
+    run: Path, picture: PictureSpec, targets: Sequence[TargetName] = STEERING_ONLY, of_camera: bool = False
+) -> dict[str, str]:
     """The metadata of the file: its input, its outputs, and the run it is of."""
     top, bottom = picture.description["crop_top"], picture.description["crop_bottom"]
-    max_deg = max_steering_deg_of_run(run)
     size = f"{picture.width_px}x{picture.height_px}"
     colours = "" if picture.channels == "BGR" else f" Then from BGR to {picture.channels} (cv2.cvtColor)."
+    preprocessing = (
+        f"A camera picture as BGR, uint8, (height, width, 3). Cut round(height * {top}) rows off its top and"
+        f" round(height * {bottom}) off its bottom. Resize to {size}, bilinear (OpenCV's"
+        f" INTER_LINEAR).{colours} Nothing else: the network scales by itself."
+    )
+    code = "import sys\n" + example(picture, "sys.argv[1]", "sys.argv[2]")
     return {
-        "preprocessing": (
-            f"A camera picture as BGR, uint8, (height, width, 3). Cut round(height * {top}) rows off its top and"
-            f" round(height * {bottom}) off its bottom. Resize to {size}, bilinear (OpenCV's"
-            f" INTER_LINEAR).{colours} Nothing else: the network scales by itself."
-        ),
+        "input": input_line(picture, of_camera),
+        "preprocessing": "In the graph." if of_camera else preprocessing,
         **metadata_of(picture),
-        "steering": f"-1 (left) .. 1 (right), not clamped; 1 is {max_deg:g} degrees",
-        "steering.degrees_per_unit": f"{max_deg:g}",
+        **_steering(known_max_steering_deg_of_run(run)),
         **{TARGETS[name].answer_name: _ABOUT[name] for name in targets[1:]},
-        "example": "import sys\n" + example(picture, "sys.argv[1]", "sys.argv[2]"),
+        **({} if of_camera else {"example": code}),
         "run": printable(run_name(run)),
         "weights_sha256": weights_checksum(run),
         "toolkit": f"{TOOLKIT} {version_of()}",
     }
 
 
-def _model(run: Path, network: PictureNetwork, picture: PictureSpec, targets: Sequence[TargetName]) -> ModelProto:
+def input_line(picture: PictureSpec, of_camera: bool = False) -> str:
+    """The size, the order and the range of a file's input, in a line."""
+    if of_camera:
+        return "picture: uint8 (height, width, 3), RGB, 0..255, of any size, as the camera gives it"
+    height, width, _ = picture.shape
+    return f"pictures: uint8 (N, {height}, {width}, 3), {picture.channels}, 0..255, cropped and resized"
+
+
+def _steering(max_deg: float | None) -> dict[str, str]:
+    if max_deg is None:
+        return {"steering": "-1 (left) .. 1 (right), not clamped; 1 is full lock, an unknown angle"}
+    return {
+        "steering": f"-1 (left) .. 1 (right), not clamped; 1 is {max_deg:g} degrees",
+        "steering.degrees_per_unit": f"{max_deg:g}",
+    }
+
+
+def _model(
+    run: Path, network: PictureNetwork, picture: PictureSpec, targets: Sequence[TargetName], of_camera: bool
+) -> ModelProto:
     from onnx import checker, helper
 
     try:
-        graph = onnx_graph(network, load_answer_scale(run), picture, targets)
+        graph = onnx_graph(network, load_answer_scale(run), picture, targets, of_camera=of_camera)
     except RunError as error:
         raise RunError(f"{run}: {error}") from None
     model = helper.make_model(
@@ -144,7 +171,7 @@ def _model(run: Path, network: PictureNetwork, picture: PictureSpec, targets: Se
         opset_imports=[helper.make_opsetid("", OPSET)],
         ir_version=IR_VERSION,
     )
-    helper.set_model_props(model, description(run, picture, targets))
+    helper.set_model_props(model, description(run, picture, targets, of_camera))
     checker.check_model(model, full_check=True)
     return model
 
@@ -154,19 +181,50 @@ def _largest_difference(
     path: Path, network: PictureNetwork, picture: PictureSpec, targets: Sequence[TargetName]
 ) -> float:
     """Between the file in ONNX Runtime and the network in PyTorch, in a batch of one picture and one of seven."""
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1  # a pool of threads complains on stderr where it may not choose its cores
-    session = onnxruntime.InferenceSession(path.read_bytes(), options, providers=["CPUExecutionProvider"])
+    session = _session(path)
     pictures = _pictures(picture)
     batches = [pictures[:1], pictures[1:]]
     names = [TARGETS[name].answer_name for name in targets]
     exported = np.concatenate([np.stack(session.run(names, {"pictures": batch}), axis=1) for batch in batches])
-    exported /= [1.0 if name == "steering" else TARGETS[name].per_unit for name in targets]
-    expected = np.concatenate([network(as_input(batch)).numpy() for batch in batches]).reshape(exported.shape)
+    expected = np.concatenate([network(as_input(batch)).numpy() for batch in batches])
+    return _difference(exported, expected, targets)
+
+
+@torch.inference_mode()
+def _largest_difference_of_camera(
+    path: Path, network: PictureNetwork, picture: PictureSpec, targets: Sequence[TargetName]
+) -> float:
+    """As `_largest_difference`, for the crops that the file makes. Raises RunError for crops other than those of
+    training."""
+    session = _session(path)
+    names = [TARGETS[name].answer_name for name in targets]
+    differences = []
+    for size, crop in zip(_CAMERA_PX, _pictures(picture), strict=True):
+        bgr = cv2.resize(as_bgr(crop, picture), size).astype(np.uint8, copy=False)
+        *answers, seen = session.run([*names, CROP], {PICTURE: np.ascontiguousarray(bgr[..., ::-1])})
+        off = int(np.abs(seen.astype(np.int16) - preprocess(bgr, picture)).max())
+        if off > LARGEST_DIFFERENCE[picture.channels]:
+            raise RunError(f"{path}: not written: its crop is {off} levels off the crop of training")
+        expected = network(as_input(seen[None])).numpy()
+        differences.append(_difference(np.stack(answers, axis=1), expected, targets))
+    return float(np.max(differences))  # not a number if one is not
+
+
+def _session(path: Path) -> Any:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1  # a pool of threads complains on stderr where it may not choose its cores
+    return onnxruntime.InferenceSession(path.read_bytes(), options, providers=["CPUExecutionProvider"])
+
+
+def _difference(
+    exported: NDArray[np.float32], expected: NDArray[np.float32], targets: Sequence[TargetName]
+) -> float:
+    """Of answers (N, K) in their units from those learnt."""
+    learnt = exported / [1.0 if name == "steering" else TARGETS[name].per_unit for name in targets]
     with np.errstate(invalid="ignore"):  # weights that are no numbers: the difference is none either
-        return float(np.abs(exported - expected).max())
+        return float(np.abs(learnt - expected.reshape(learnt.shape)).max())
 
 
 def _pictures(picture: PictureSpec) -> NDArray[np.uint8]:

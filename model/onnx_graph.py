@@ -22,6 +22,7 @@ from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 from model.errors import RunError
 from model.network.picture_network import PictureNetwork
 from model.network.pooling import sides
+from model.onnx_camera import CROP, PICTURE, add_preprocessing
 from model.runs.answer_scale import AnswerScale
 
 if TYPE_CHECKING:
@@ -57,14 +58,25 @@ def onnx_graph(
     answers: AnswerScale,
     picture: PictureSpec,
     targets: Sequence[TargetName] = STEERING_ONLY,
+    *,
+    of_camera: bool = False,
 ) -> GraphProto:
-    """In: "pictures", uint8 (N, height, width, 3); out, each float32 (N,): "steering", and other targets in their
-    unit. Raises RunError for a network that has no graph."""
+    """In: "pictures", uint8 (N, height, width, 3), or `of_camera` one "picture", uint8 RGB of any size; out, each
+    float32 (N,): "steering", and other targets in their unit; `of_camera` also the "crop", uint8 (height, width,
+    3). Raises RunError for a network that has no graph."""
     from onnx import TensorProto, helper, numpy_helper
 
-    graph = _Graph(network)
-    value = graph.add("Transpose", "planes", "pictures", perm=[0, 3, 1, 2])
-    value = graph.add("Cast", "levels", value, to=TensorProto.FLOAT)
+    graph = Graph(network)
+    height, width, _ = picture.shape
+    if of_camera:
+        inputs = helper.make_tensor_value_info(PICTURE, TensorProto.UINT8, ["height", "width", 3])
+        crops = [helper.make_tensor_value_info(CROP, TensorProto.UINT8, [height, width, 3])]
+        value = add_preprocessing(graph, picture)
+    else:
+        inputs = helper.make_tensor_value_info("pictures", TensorProto.UINT8, ["N", height, width, 3])
+        crops = []
+        value = graph.add("Transpose", "planes", "pictures", perm=[0, 3, 1, 2])
+        value = graph.add("Cast", "levels", value, to=TensorProto.FLOAT)
     value = graph.add("Div", "halves", value, graph.constant("half_of_levels", np.array(127.5, np.float32)))
     value = graph.add("Sub", "scaled", value, graph.constant("one", np.array(1, np.float32)))
     value = graph.follow(value)
@@ -85,17 +97,18 @@ def onnx_graph(
         graph.add("Squeeze", "steering", value, graph.constant("axis", np.array([1], np.int64)))
     else:
         graph.add("Identity", "steering", value)
-    height, width, _ = picture.shape
+    count = 1 if of_camera else "N"
+    names = [TARGETS[name].answer_name for name in targets]
     return helper.make_graph(
         graph.nodes,
         "steering",
-        [helper.make_tensor_value_info("pictures", TensorProto.UINT8, ["N", height, width, 3])],
-        [helper.make_tensor_value_info(TARGETS[name].answer_name, TensorProto.FLOAT, ["N"]) for name in targets],
+        [inputs],
+        [*(helper.make_tensor_value_info(name, TensorProto.FLOAT, [count]) for name in names), *crops],
         [numpy_helper.from_array(array, name) for name, array in graph.constants.items()],
     )
 
 
-class _Graph:
+class Graph:
     """The nodes and constants of a graph that is being written."""
 
     def __init__(self, network: PictureNetwork) -> None:
@@ -112,6 +125,9 @@ class _Graph:
     def constant(self, name: str, array: NDArray[Any]) -> str:
         self.constants[name] = array
         return name
+
+    def integers(self, name: str, *numbers: int) -> str:
+        return self.constant(name, np.array(numbers, np.int64))
 
     def column(self, output: str, value: str, number: int) -> str:
         """(N,) out of (N, K)."""

@@ -20,7 +20,7 @@ from common.command import DONE, run_command, warn
 from common.errors import decimal, printable
 from common.location import Url
 from common.location_flag import LocationFlag
-from common.output import print_message, print_result, print_table
+from common.output import print_message, print_next, print_result, print_table
 
 if TYPE_CHECKING:
     from model.runs.run_summary import RunSummary
@@ -75,6 +75,8 @@ def list_runs(config: Runs) -> int:
         print_table(_table(runs))
         if notice := different_frames(runs):
             print_message(notice)
+        if (verdict := in_order(runs, "newest")[0].verdict) is not None:
+            print_next(verdict.advice.command, verdict.advice.why)
     return max([DONE, *(warn(run.problem) for run in found if run.problem)])
 
 
@@ -141,8 +143,8 @@ def _table(runs: Sequence[RunSummary]) -> Table:
     has_driven = any(run.drives or run.supervised for run in runs)
     marks = marks_of_splits(runs)
     headings = ("run", "network", "sessions", "recipe", "epoch", *(("frames",) if marks else ()))
-    for heading in (*headings, "RMSE", "balanced", "r", *(("interventions",) if has_driven else ())):
-        is_text = heading in ("run", "network", "recipe", "frames", "interventions")
+    for heading in (*headings, "RMSE", "balanced", "r", "verdict", *(("interventions",) if has_driven else ())):
+        is_text = heading in ("run", "network", "recipe", "frames", "interventions", "verdict")
         is_name = heading == "run"  # of any length; no other heading is broken up for it
         least = None if is_name else len(heading)
         table.add_column(heading, justify="left" if is_text else "right", overflow="fold", min_width=least)
@@ -157,6 +159,7 @@ def _table(runs: Sequence[RunSummary]) -> Table:
             decimal(run.rmse_share, 2),
             decimal(run.balanced_rmse_share, 2),
             decimal(run.correlation, 2),
+            run.verdict.in_short if run.verdict else "-",
             *([escape(printable(driven_words(run.drives, run.supervised)))] if has_driven else []),
         )
     return table

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
+from common.steering_unit import SteeringUnit, assumed_deg
 from dataset import MAX_STEERING_DEG
 
 _APART_NS: Final = 1_000_000_000
@@ -25,8 +26,15 @@ class WorstFrame:
     recorded_deg: float
     error_deg: float  # predicted - recorded: positive is too far to the right
 
+    def in_words(self, unit: SteeringUnit) -> str:
+        """ "3.2 degrees too far to the left: -1.2 predicted, 2.0 recorded"."""
+        error, predicted, recorded = map(unit.of, (self.error_deg, self.predicted_deg, self.recorded_deg))
+        side = "right" if error > 0 else "left"
+        off = f"{abs(error):.1f} {unit.name} too far to the {side}"
+        return f"{off}: {predicted:z.1f} predicted, {recorded:z.1f} recorded"
 
-def worst_frames(frames: pa.Table, count: int, max_deg: float = MAX_STEERING_DEG) -> list[WorstFrame]:
+
+def worst_frames(frames: pa.Table, count: int, max_deg: float | None = MAX_STEERING_DEG) -> list[WorstFrame]:
     """The `count` frames with the largest errors, the largest first; those of a session at least a second apart,
     so that they are different moments. `frames` has the columns of `Evaluation.frames`. `max_deg` is the
     wheels' angle at steering 1."""
@@ -42,7 +50,7 @@ def worst_frames(frames: pa.Table, count: int, max_deg: float = MAX_STEERING_DEG
         near = (taken.get((drive, now_ns // _APART_NS + step)) for step in (-1, 0, 1))
         if all(other is None or abs(other - now_ns) >= _APART_NS for other in near):
             taken[drive, now_ns // _APART_NS] = now_ns
-            predicted_deg, recorded_deg = (max_deg * float(of[at]) for of in (predicted, recorded))
+            predicted_deg, recorded_deg = (assumed_deg(max_deg) * float(of[at]) for of in (predicted, recorded))
             found.append(
                 WorstFrame(
                     frames["session"][at].as_py(),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import shlex
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +16,7 @@ from common.errors import UsageError, counted, printable
 from common.files import refuse_existing
 from common.location import Url, local_path
 from common.location_flag import LocationFlag
-from common.output import print_message, print_result
+from common.output import print_message, print_next, print_result
 from common.preview import preview
 from recorder.errors import RecordingError
 from recorder.log.log_info import describe
@@ -73,8 +74,9 @@ class Record:
     all_catalogs: bool = False
     """Take also the catalogues of a DonkeyCar tub that its manifest does not name."""
     rate: float | None = None
-    """Rows a second: of the built-in simulator (10 by default; it must divide 50), of --gym's environment (each
-    step by default), or of a recording whose pictures have no time in their names."""
+    """Rows a second: of the built-in simulator (10 by default; it must divide its 50 steps; with --driver me also
+    20, whose rows are 2 and 3 steps apart), of --gym's environment (each step by default), or of a recording whose
+    pictures have no time in their names."""
     udacity: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Write the built-in simulator's drive also as the real one would, into this new folder."""
     sessions: LocationFlag = Path("sessions")
@@ -115,7 +117,11 @@ def record(config: Record) -> int:
     )
     for line in odd_lines(describe(done.path, with_tags=False).odd or (), done.path):
         print_message(line, heading="odd:", style="yellow")
-    return code if config.copy_to is None else max(code, copy_recording(done.path, config.copy_to, config.force))
+    if config.copy_to is not None:
+        code = max(code, copy_recording(done.path, config.copy_to, config.force))
+    folder = done.path.parent
+    print_next(f"bc-index --sessions {shlex.quote(str(folder))}" if folder != Path("sessions") else "bc-index")
+    return code
 
 
 def _record_to(config: Record, log: Path) -> Imported:
@@ -130,25 +136,16 @@ def _record_to(config: Record, log: Path) -> Imported:
             if config.viewer:
                 stack.enter_context(preview(growing, idle_priority=True))
 
-        if config.drive.driver == "me" and not config.listen:
+        settings = ListenSettings(config.host, config.port, config.idle, car, show)
+        if config.drive.driver == "me":
             wheel = AtTheWheel(log, config.open, config.page)
+            if config.listen:
+                return listen_at_the_wheel(settings, config.drive.speed[0], wheel, config.force)
             return record_at_the_wheel(config.drive, config.rate, wheel, config.force)
-        if config.listen and config.drive.driver == "me":
-            settings = ListenSettings(config.host, config.port, config.idle, car, show)
-            wheel = AtTheWheel(log, config.open, config.page)
-            return listen_at_the_wheel(settings, config.drive.speed[0], wheel, config.force)
         if config.listen:
             from recorder.sources.live_telemetry import listen_for_telemetry  # Socket.IO: a second to load
 
-            return listen_for_telemetry(
-                log,
-                host=config.host,
-                port=config.port,
-                idle_s=config.idle,
-                overwrite=config.force,
-                car=car,
-                on_started=show,
-            )
+            return listen_for_telemetry(log, settings, overwrite=config.force)
         if config.environment.gym is not None:
             from recorder.sources.record_gymnasium import record_gymnasium
 
@@ -234,8 +231,9 @@ def _refuse_contradictions(config: Record) -> None:
         raise UsageError(f"--idle {config.idle:g}: a number of seconds, 0 or more, was expected")
     if config.port:  # 0: a free one
         check_port("--port", config.port)
-    if config.drive.driver != "me" and (flags := flags_given(config, "open", "page")):
-        raise UsageError(f"{flags}: only with --driver me")
+    persons = flags_given(config, "open", "page") or flags_given(config.drive, "start")
+    if config.drive.driver != "me" and persons:
+        raise UsageError(f"{persons}: only with --driver me")
     if config.drive.driver == "me" and config.udacity is not None:
         raise UsageError("--udacity: a simulated driver's, not with --driver me")
     if config.environment.gym is not None:

@@ -12,7 +12,6 @@ import tyro
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, run_command, warn
 from common.errors import as_user_error, counted
 from common.location import Location
-from common.location_flag import LocationFlag
 from common.output import print_result
 from recorder.errors import RecordingError
 from recorder.log.check import check
@@ -22,6 +21,7 @@ from recorder.log.session_car import UDACITY, car_of
 from recorder.log_copy_cli import CopyLogs
 from recorder.log_edit_cli import Merge, Recover, Rewrite, Split, Trim, noted, remark_crcs, some_logs
 from recorder.log_export_cli import ExportLogs
+from recorder.log_flag import LogFlag
 from recorder.log_list_cli import ListLogs
 from recorder.log_report import print_checked, print_info
 from recorder.log_tag_cli import NameRows, warn_stale
@@ -32,7 +32,7 @@ class ShowInfo:
     """What a log holds, where it comes from, and how it was steered; reads its end only, so it is quick however
     long the log is."""
 
-    logs: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
+    logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to describe."""
     look: bool = False
     """Measure the lag of the steering, too, in up to 1,500 pictures."""
@@ -58,7 +58,7 @@ class Check:
     rows without one, gaps, stuck steering, steering that contradicts the pictures, values out of range. Exit code
     3 if something was found."""
 
-    logs: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
+    logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to look through."""
     look: bool = True
     """Decode every picture, and compare them with the steering; --no-look leaves that out and is several times
@@ -74,7 +74,8 @@ class Check:
         if self.json:
             found = [finding._asdict() for finding in checked.findings]
             result = {"path": str(path), "messages": checked.messages, "pictures_decoded": checked.pictures}
-            more = {"has_crcs": checked.has_crcs, "meant_gaps": checked.meant_gaps, "findings": found}
+            gaps = {"meant_gaps": checked.meant_gaps, "pauses": checked.pauses}
+            more = {"has_crcs": checked.has_crcs, **gaps, "findings": found}
             more |= {"odd": [asdict(each) for each in checked.odd]}
             print_result(json.dumps({**result, **more}))
         else:
@@ -88,7 +89,7 @@ class Cameras:
     """How far the side cameras are from the centre one, measured in their pictures, and the `bc-index
     --side-correction` that goes with it: 0.2 is that of Udacity's."""
 
-    logs: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
+    logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """Logs with pictures of all three cameras."""
 
     def run(self) -> int:
@@ -144,11 +145,12 @@ def _each(logs: tuple[Location, ...], action: Callable[[Location], int]) -> int:
 
 ABOUT = """Look after logs: what is in one, is it sound, make new ones of it, name stretches of it.
 
-Nothing edits a log in place.
+Nothing edits a log in place. A log is named by its file or URL, or as a session or drive: lake is
+sessions/lake.mcap.
 
     bc-log ls
-    bc-log info sessions/lake.mcap
-    bc-log tag sessions/lake.mcap exclude --start 12 --end 15
+    bc-log info lake
+    bc-log tag lake exclude --start 12 --end 15
 """
 
 

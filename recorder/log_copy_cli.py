@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -17,9 +18,10 @@ from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, warn
 from common.errors import StoreError, UsageError, as_user_error, counted, printable
 from common.location import Location, Url
 from common.location_flag import LocationFlag
-from common.output import print_message, print_result
+from common.output import print_message, print_next, print_result
 from common.progress import progress_bar
 from recorder.log.log_info import logs_in
+from recorder.log_flag import named_log
 
 _MOST_NAMED: Final = 8
 
@@ -41,9 +43,17 @@ class CopyLogs:
     def run(self) -> int:
         if len(self.places) < 2:
             raise UsageError("give the logs and where to: `bc-log copy sessions/lake.mcap s3://BUCKET/sessions`")
+        logs, to = [named_log(place) for place in self.places[:-1]], self.places[-1]
         if self.abort:
-            return _abort(self.places[:-1], self.places[-1])
-        return copy_logs(self.places[:-1], self.places[-1], overwrite=self.force)
+            return _abort(logs, to)
+        code = copy_logs(logs, to, overwrite=self.force)
+        if code != FAILED:
+            index = f" --index {shlex.quote(str(to.parent / 'index'))}" if isinstance(to, Url) else ""
+            is_log = to.suffix == ".mcap"
+            print_next(
+                f"bc-{'log check' if is_log else 'index --sessions'} {shlex.quote(str(to))}{index * (not is_log)}"
+            )
+        return code
 
 
 def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = False, prog: str = "bc-log") -> int:

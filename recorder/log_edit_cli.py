@@ -20,6 +20,7 @@ from recorder.log.edit import merge, rewrite, split, trim, trim_times
 from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.reader import Log
 from recorder.log.recover import recover, recovered_name
+from recorder.log_flag import LogFlag
 from recorder.log_made_cli import MakesLogs, MakesLogsOfOne
 from recorder.log_report import print_written
 from recorder.log_row_flags import rows_of_flags, times_of_flags
@@ -89,7 +90,7 @@ class Trim(MakesLogsOfOne):
 class Merge(MakesLogs):
     """Write several logs into one new log, in the order given; its rows are numbered anew."""
 
-    logs: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG LOG [LOG ...]")]
+    logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG LOG [LOG ...]")]
     """The logs to merge."""
     to: LocationFlag
     """The new log."""

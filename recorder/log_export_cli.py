@@ -10,8 +10,8 @@ import tyro
 
 from common.command import warn_skipped
 from common.errors import UsageError, counted
-from common.location_flag import LocationFlag
 from common.output import print_message, print_result
+from recorder.log_flag import LogFlag
 
 if TYPE_CHECKING:
     from recorder.lerobot.export import Exported
@@ -22,7 +22,7 @@ class ExportLogs:
     """Write logs as a LeRobot dataset (v3.0), an episode a drive: the original JPEGs, steering, times. Rows tagged
     `exclude` stay out."""
 
-    logs: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
+    logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to export."""
     lerobot: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """The new folder of the dataset."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import tyro
@@ -14,12 +13,10 @@ from common import UserError
 from common.command import DONE, print_error, warn
 from common.errors import as_user_error
 from common.location import Location, Url, location
-from common.location_flag import LocationFlag
 from common.output import print_result, print_table
 from recorder.log.log_info import LogInfo, describe, logs_in
+from recorder.log_flag import FOLDERS, LogFlag
 from recorder.log_report import plain
-
-FOLDERS: Final = (Path("sessions"), Path("drives"))
 
 SORTED_BY: Final[dict[str, Callable[[LogInfo], Any]]] = {
     "newest": lambda info: tuple(-ord(character) for character in info.start),
@@ -33,9 +30,7 @@ SORTED_BY: Final[dict[str, Callable[[LogInfo], Any]]] = {
 class ListLogs:
     """List sessions and drives, the newest first: when, how long, how many rows, who drove, what is odd."""
 
-    places: Annotated[
-        tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FOLDER|LOG ...]")
-    ] = ()
+    places: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FOLDER|LOG ...]")] = ()
     """Folders of logs, or logs; by default those in sessions and drives."""
     sort: Literal["newest", "name", "rows", "duration"] = "newest"
     """By what to order them; most first."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 import shutil
 import tempfile
 from abc import ABC, abstractmethod
@@ -14,7 +15,7 @@ from common.command import FAILED
 from common.errors import UsageError
 from common.files import refuse_existing
 from common.location import Location, Url, local_path
-from common.output import print_message, shown_as
+from common.output import print_message, print_next, shown_as
 from common.progress import progress_bar
 from recorder.errors import LogError
 from recorder.log_copy_cli import copy_logs, refuse_taken_name, size_of
@@ -26,7 +27,11 @@ class MakesLogs(ABC):
     force: bool
 
     def run(self) -> int:
-        return make_logs(self)
+        code, to = make_logs(self), self.target()
+        is_made = isinstance(to, Url) or to.exists()
+        if code != FAILED and is_made:
+            print_next(f"bc-log {'check' if to.suffix == '.mcap' else 'ls'} {shlex.quote(str(to))}")
+        return code
 
     @abstractmethod
     def originals(self) -> Sequence[Location]:

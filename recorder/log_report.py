@@ -13,11 +13,13 @@ from common.command import warn, warn_skipped
 from common.errors import counted, printable
 from common.location import location
 from common.output import print_result, print_table
+from common.steering_unit import DEGREES, FULL_LOCK
 from recorder.log.check import Checked
 from recorder.log.check_contents import ODD_FINDINGS
 from recorder.log.derived_log import Written
 from recorder.log.log_info import LogInfo
 from recorder.log.odd_stretches import odd_lines
+from recorder.log.session_car import is_angle_unknown
 from recorder.log.steering_report import steering_line
 from recorder.log.tags import Tag
 from recorder.log.topics import VEHICLE
@@ -44,7 +46,8 @@ def print_info(info: LogInfo) -> None:
     _print_more(len(info.session), "more setting")
     _print_drives(info)
     if info.steering is not None and info.steering.rows:
-        print_table(f"  {steering_line(info.steering, info.lag)}", f"  labels: {info.labels}")
+        unit = FULL_LOCK if is_angle_unknown(info.session) else DEGREES
+        print_table(f"  {steering_line(info.steering, info.lag, unit)}", f"  labels: {info.labels}")
     for topic_name, sizes in list(info.picture_sizes.items())[:MAX_LINES]:
         print_table(f"  pictures of several sizes on {plain(topic_name)}: {plain(sizes)}")
     _print_more(len(info.picture_sizes), "more topic")
@@ -72,6 +75,8 @@ def print_checked(checked: Checked) -> None:
     meant = Skipped()
     for where in checked.meant_gaps:
         meant.add("gaps in time that its events explain, so nothing is lost", where)
+    for where in checked.pauses:
+        meant.add("pauses of the recording, behind each of which a new drive begins", where)
     for line in meant.lines(MOST_PLACES):
         print_result(f"  {line}")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -11,14 +12,14 @@ from common import UserError
 from common.command import DONE, usage_errors, warn
 from common.errors import UsageError, counted, did_you_mean
 from common.location import Location
-from common.location_flag import LocationFlag
-from common.output import ask, print_message, print_result
+from common.output import ask, print_message, print_next, print_result
 from common.stretches import stretches
 from recorder.log.odd_stretches import odd_stretches
 from recorder.log.reader import Log
 from recorder.log.row_condition import rows_where
 from recorder.log.row_quality import States
 from recorder.log.tags import (
+    EXCLUDE,
     Tag,
     add_tags,
     check_name,
@@ -28,10 +29,11 @@ from recorder.log.tags import (
     tags_by_content,
     tags_path,
 )
+from recorder.log_flag import LogFlag
 from recorder.log_report import MAX_LINES, rows_of
 from recorder.log_row_flags import rows_of_flags
 
-LogPlace = Annotated[LocationFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
+LogPlace = Annotated[LogFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,12 @@ class NameRows:
             print_result(f"{tag.name}: {rows_of(tag)}")
         if not tags:
             print_message(f"{self.log}: no tags")
+        if not self.remove and self.tag not in {tag.name for tag in tags}:
+            return code  # nothing was tagged
+        if self.tag == EXCLUDE:
+            print_next("bc-index", "training then leaves out the rows that are tagged so, and no others")
+        else:
+            print_next(f"bc-play {shlex.quote(str(self.log))}")
         return code
 
     def _is_everywhere(self) -> bool:
@@ -144,8 +152,9 @@ class NameRows:
         else:
             chosen = self._chosen(name)
         if not chosen and not self.remove:
-            what = "nothing that is surely odd" if self.odd else "no row for which that holds"
-            print_message(f"{self.log}: {what}; nothing was tagged")
+            if self.where is not None:
+                raise UserError(f"{self.log}: no row for which that holds; nothing was tagged")
+            print_message(f"{self.log}: nothing that is surely odd; nothing was tagged")
             return tags
         if self.remove and not set(chosen) & set(tags):
             held = ", ".join(f"{tag.name} ({rows_of(tag)})" for tag in tags) or "none"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
 from recorder.errors import RecordingError
 from recorder.sources.built_in_simulator import SimulatedDrive
 from recorder.sources.import_result import Imported
+from simulator.driving.drive_limits import MAX_SPEED_MPH
 
 if TYPE_CHECKING:
     from recorder.sources.listen_settings import ListenSettings
@@ -67,10 +67,13 @@ def check_at_the_wheel(drive: SimulatedDrive, rate: float | None, *, listens: bo
     """Raise UsageError for flags that are others' than a person's."""
     if flags := flags_given(drive, "recovery", "noise", "seed"):
         raise UsageError(f"{flags}: a simulated driver's, not with --driver me")
-    if len(drive.speed) != 1 or not 0 < drive.speed[0] < math.inf:
-        raise UsageError("--speed: with --driver me, one speed above 0 mph is expected, for the page to hold")
+    if len(drive.speed) != 1 or not 0 < drive.speed[0] <= MAX_SPEED_MPH:
+        raise UsageError(
+            f"--speed: with --driver me, one speed above 0 mph and up to {MAX_SPEED_MPH} is expected, for the page"
+            " to hold"
+        )
     if listens:
-        if flags := flags_given(drive, "track", "laps") or ("--rate" if rate is not None else ""):
+        if flags := flags_given(drive, "track", "laps", "start") or ("--rate" if rate is not None else ""):
             raise UsageError(f"{flags}: the simulator that connects decides; not with --listen --driver me")
         return
     from recorder.sources.record_person import check_person_drive
@@ -82,4 +85,5 @@ def check_at_the_wheel(drive: SimulatedDrive, rate: float | None, *, listens: bo
 def _person_drive(drive: SimulatedDrive, rate: float | None) -> PersonDrive:
     from recorder.sources.record_person import PersonDrive
 
-    return PersonDrive(drive.track, drive.laps, drive.speed[0], drive.rate if rate is None else rate)
+    rate_hz = drive.rate if rate is None else rate
+    return PersonDrive(drive.track, drive.laps, drive.speed[0], rate_hz, drive.start)

@@ -17,6 +17,7 @@ from common.command import DONE, FAILED, check_port, flags_given, run_command, u
 from common.errors import UsageError, counted
 from common.output import print_message, print_result
 from common.progress import progress_bar, track
+from simulator.driving.drive_limits import MAX_LAPS, MAX_SPEED_MPH
 from simulator.protocol.client import NoHostError, SimulatorClient, WaitTimeoutError
 
 
@@ -31,6 +32,8 @@ class Sim:
     """The track: lake, mountain, random:SEED, or hairpins:SEED."""
     laps: float = 1.0
     """How far to drive."""
+    start: float = 0.0
+    """Where to begin, in metres along the track."""
     rate: float = 25.0
     """Telemetries a second of simulated time; it must divide 50."""
     real_time: bool = False
@@ -78,10 +81,15 @@ def _run_drive(config: Sim, client: SimulatorClient) -> int:
     from simulator.driving.simulation import Simulation
     from simulator.protocol.autonomous_mode import GIVE_UP_S, drive_autonomously
 
-    if not 0 < config.expert_speed < math.inf:
-        raise UsageError(f"--expert-speed {config.expert_speed:g}: a set speed is a number of mph above 0")
-    if not 0 < config.laps < math.inf:
-        raise UsageError(f"--laps {config.laps:g}: how far to drive is a number above 0")
+    if not 0 < config.expert_speed <= MAX_SPEED_MPH:
+        raise UsageError(
+            f"--expert-speed {config.expert_speed:g}: a set speed is above 0 mph and up to {MAX_SPEED_MPH} (the"
+            " car reaches 30)"
+        )
+    if not 0 < config.laps <= MAX_LAPS:
+        raise UsageError(f"--laps {config.laps:g}: how far to drive is a number above 0 and up to {MAX_LAPS:,}")
+    if not 0 <= config.start < math.inf:
+        raise UsageError(f"--start {config.start:g}: where to begin is a number of metres, 0 or more")
     with usage_errors(ValueError):
         steps_each(config.rate)
     cv2.setNumThreads(1)  # the network that drives needs the other cores more
@@ -103,6 +111,7 @@ def _run_drive(config: Sim, client: SimulatorClient) -> int:
             simulation,
             client,
             laps=config.laps,
+            start_m=config.start,
             rate_hz=config.rate,
             real_time=config.real_time,
             expert=expert,
@@ -131,7 +140,7 @@ def _run_replay(config: Sim, client: SimulatorClient) -> int:
     assert config.replay is not None  # noqa: S101
     if config.tell_world:
         raise UsageError("--tell-world: nobody knows the world of --replay's pictures; leave one of them out")
-    driven = ("track", "laps", "rate", "real_time", "leave_off_road", "expert_speed")
+    driven = ("track", "laps", "start", "rate", "real_time", "leave_off_road", "expert_speed")
     if flags := flags_given(config, *driven):
         raise UsageError(f"{flags}: of driving, and --replay only sends pictures; leave them out")
     pictures = pictures_of(config.replay)[: config.count]

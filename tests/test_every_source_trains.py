@@ -87,7 +87,8 @@ def test_tubs_of_both_versions_a_bag_and_an_environment_are_trained_on(
         assert call(bc_record, name, *write(tmp_path / name)) == 0
         said = capsys.readouterr()
         assert re.fullmatch(
-            "" if name != "race" else r"1 episode driven to the end, with a reward of .*\n", said.err
+            ("" if name != "race" else r"1 episode driven to the end, with a reward of .*\n") + "next: .*\n",
+            said.err,
         )
         assert f"{PICTURES} rows, {PICTURES} pictures" in said.out
     # some seconds of driving: the usual blocks, and the margin around them, would leave nothing to train on

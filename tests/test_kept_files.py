@@ -19,8 +19,8 @@ from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT
 from kept_files import DATA, ROWS
 from model import load_pilot
 from model.runs.checkpoint import FORMAT as CHECKPOINT_FORMAT
-from model.runs.run_folder import DRIVABLE
-from model.runs.run_folder import FORMAT as RUN_FORMAT
+from model.runs.run_config import DRIVABLE
+from model.runs.run_config import FORMAT as RUN_FORMAT
 from model.runs.run_summary import summarize_run
 from recorder import Log
 from recorder.log.check import check

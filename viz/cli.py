@@ -16,6 +16,7 @@ from common.errors import UsageError, counted
 from common.files import refuse_existing
 from common.location import Url
 from common.output import print_message, print_result
+from common.versions import package_line
 from viz.config import Play, check_files, check_video_flags, check_viewer_flags
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def play(config: Play) -> int:
 
 def _prepare_rerun() -> None:
     if find_spec("rerun") is None or find_spec("rerun_cli") is None:
-        raise UserError("the viewer is not installed here: `pip install rerun-sdk` brings it")
+        raise UserError(f"the viewer is not installed here: `{package_line('rerun-sdk')}` brings it")
     from viz.viewer_process import SENDER_LOG
 
     os.environ.setdefault("RUST_LOG", SENDER_LOG)  # read when Rerun starts

@@ -17,6 +17,7 @@ from common.errors import UsageError
 from common.location import local_path
 from common.location_flag import LocationFlag
 from common.untrusted import real_path
+from recorder.log_flag import LogFlag
 
 
 @dataclass(frozen=True)
@@ -27,10 +28,10 @@ class Play:
     Without a display, the viewer is served to browsers on this machine.
     """
 
-    places: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
-    """The log to open, finished or not, or several to compare, or the folder of a run (runs/NAME). Of a log in a
-    store (s3://BUCKET/LOG), a copy comes to this machine while it is shown; of a run there (s3://BUCKET/runs/NAME),
-    its curves."""
+    places: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
+    """The log to open, by file or name, finished or not, or several to compare, or the folder of a run
+    (runs/NAME). Of a log in a store (s3://BUCKET/LOG), a copy comes to this machine while it is shown; of a run
+    there (s3://BUCKET/runs/NAME), its curves."""
     at: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: at its start)")] = (
         None
     )

@@ -15,6 +15,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from common import UserError
+from common.steering_unit import DEGREES, SteeringUnit, assumed_deg
 from common.untrusted import real_path
 from dataset.prediction_targets import TARGETS, TargetName
 from model.metrics import Errors, Measures
@@ -49,7 +50,7 @@ class _Line:
 
 def _squared(errors: Errors, of: Measures) -> float:
     """The mean squared error of steering (-1..1) for a root in degrees."""
-    return (errors.rmse_deg / of.max_deg) ** 2
+    return (errors.rmse_deg / assumed_deg(of.max_deg)) ** 2
 
 
 _LINES: Final = (
@@ -154,18 +155,20 @@ def follow_training(run: Path, url: str, viewer: Viewer | None) -> int:
     return feed_viewer(_TrainingFeed(run, url), viewer)
 
 
-def training_layout(*, has_errors: bool, targets: Sequence[TargetName] = ()) -> rrb.Blueprint:
+def training_layout(
+    *, has_errors: bool, targets: Sequence[TargetName] = (), unit: SteeringUnit = DEGREES
+) -> rrb.Blueprint:
     """The layout for a training, with a view for each of `targets` besides steering; where nothing was held out,
     there is no view for errors."""
     of = f"errors of steering, {', '.join(targets)}, summed up" if targets else "error of steering -1 .. 1"
     loss = _plot("/loss", f"loss: mean squared {of}")
     errors = (
-        _plot("/rmse_deg", "frames held out: RMSE, degrees"),
-        _plot("/turning_mae_deg", "turning frames held out: MAE, degrees"),
+        _plot("/rmse_deg", f"frames held out: RMSE, {unit.name}"),
+        _plot("/turning_mae_deg", f"turning frames held out: MAE, {unit.name}"),
         *(_plot(f"/{name}_rmse", f"frames held out: RMSE of {_with_unit(name)}") for name in targets),
     )
     bins = (
-        rrb.BarChartView(origin="/bins/rmse_deg", name="RMSE in degrees by steering, -1 left .. 1 right"),
+        rrb.BarChartView(origin="/bins/rmse_deg", name=f"RMSE in {unit.name} by steering, -1 left .. 1 right"),
         rrb.BarChartView(origin="/bins/frames", name="frames held out by steering"),
     )
     details = rrb.Vertical(*bins, worst_views(), row_shares=[1, 1, 2])
@@ -183,7 +186,8 @@ class TrainingSender:
 
     def __init__(self, recording: rr.RecordingStream) -> None:
         self._recording = recording
-        self._laid_out: tuple[bool, tuple[TargetName, ...]] | None = None  # has errors, of which other targets
+        # has errors, of which other targets, in which unit
+        self._laid_out: tuple[bool, tuple[TargetName, ...], SteeringUnit] | None = None
         self._lines: tuple[_Line, ...] = ()
         self._has_epochs = False
         self._ends: dict[int, int] = {}  # of each epoch, in samples
@@ -193,9 +197,10 @@ class TrainingSender:
         has_errors = not history.epochs or any(epoch.measures.bins for epoch in history.epochs)
         targets = tuple(of.target for epoch in history.epochs[:1] for of in epoch.targets)
         # The first epoch decides; a later one must not undo the user's changes of the layout.
-        if self._laid_out is None or (not self._has_epochs and (has_errors, targets) != self._laid_out):
+        layout = has_errors, targets, history.epochs[0].measures.unit if history.epochs else DEGREES
+        if self._laid_out is None or (not self._has_epochs and layout != self._laid_out):
             self._lines = _lines_of(targets)
-            self._prepare(has_errors, targets)
+            self._prepare(*layout)
         self._has_epochs = self._has_epochs or bool(history.epochs)
         self._send_steps(history.steps)
         self._ends.update((step.epoch, step.samples) for step in history.steps)
@@ -206,8 +211,8 @@ class TrainingSender:
                 self._recording, worst, [(SAMPLES, self._ends.get(worst.epoch, worst.epoch)), (EPOCH, worst.epoch)]
             )
 
-    def _prepare(self, has_errors: bool, targets: tuple[TargetName, ...]) -> None:
-        self._laid_out = has_errors, targets
+    def _prepare(self, has_errors: bool, targets: tuple[TargetName, ...], unit: SteeringUnit) -> None:
+        self._laid_out = has_errors, targets, unit
         for line in self._lines:
             style = rr.SeriesLines(names=line.name, colors=[line.color], widths=1.5)
             self._recording.log(line.entity, style, static=True)
@@ -215,7 +220,7 @@ class TrainingSender:
         self._recording.log(_STEPS, steps, static=True)
         best = rr.SeriesPoints(names="best so far", colors=[GREEN], markers="circle", marker_sizes=4.0)
         self._recording.log(_BEST, best, static=True)
-        self._recording.send_blueprint(training_layout(has_errors=has_errors, targets=targets))
+        self._recording.send_blueprint(training_layout(has_errors=has_errors, targets=targets, unit=unit))
 
     def _send_steps(self, steps: Iterable[Step]) -> None:
         found = [(step.samples, step.training_loss) for step in steps if math.isfinite(step.training_loss)]
@@ -234,7 +239,11 @@ class TrainingSender:
             self._send_bins(at, epoch)
 
     def _send_line(self, line: _Line, placed: Iterable[tuple[int, Epoch]]) -> None:
-        points = [(at, epoch.epoch, line.value(epoch)) for at, epoch in placed]
+        is_angle = "_deg" in line.entity
+        points = [
+            (at, epoch.epoch, line.value(epoch) * (epoch.measures.unit.per_deg if is_angle else 1))
+            for at, epoch in placed
+        ]
         points = [point for point in points if math.isfinite(point[2])]
         if points:
             samples, epochs, values = zip(*points, strict=True)
@@ -248,7 +257,7 @@ class TrainingSender:
         middles = np.array([(part.low + part.high) / 2 for part in bins])
         widths = np.array([0.9 * (part.high - part.low) for part in bins], np.float32)
         for name, values in (
-            ("rmse_deg", np.array([part.rmse_deg for part in bins])),
+            ("rmse_deg", np.array([epoch.measures.unit.of(part.rmse_deg) for part in bins])),
             ("frames", np.array([part.frames for part in bins])),
         ):
             chart = rr.BarChart(

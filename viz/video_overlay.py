@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.car import MAX_STEERING_DEG
+from common.steering_unit import assumed_deg, steering_unit
 
 Image = NDArray[np.uint8]
 Color = tuple[int, int, int]  # BGR
@@ -60,9 +61,10 @@ class Reading:
 class Panel:
     """Draws readings on panels of one width, which are a quarter as high."""
 
-    def __init__(self, width: int, top_mph: float, max_steering_deg: float = MAX_STEERING_DEG) -> None:
+    def __init__(self, width: int, top_mph: float, max_steering_deg: float | None = MAX_STEERING_DEG) -> None:
         """`top_mph` is where the bar of the speed ends, `max_steering_deg` the wheels' angle at steering 1."""
-        self._max_steering_deg = max_steering_deg
+        self._unit = steering_unit(max_steering_deg)
+        self._full = self._unit.of(assumed_deg(max_steering_deg))
         self.width, self.height = width, max(2, width * _HEIGHT // _WIDTH // 2 * 2)
         self._top_mph = top_mph
         self._scale = width / _WIDTH
@@ -142,7 +144,7 @@ class Panel:
             ("network", reading.predicted_steering, 133, PREDICTED),
         ):
             if math.isfinite(steering):
-                text = f"{word} {self._max_steering_deg * _clamped(steering):+z.1f} deg"
+                text = f"{word} {self._full * _clamped(steering):+z.1f} {self._unit.short}"
                 self._text(text, right, y, 15, color, is_right=True)
 
     def _text(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.row_quality import GAP_S
-from recorder.log.session_car import max_steering_deg_of
+from recorder.log.session_car import known_max_steering_deg
 from recorder.log.topics import DRIVE_METADATA
 from viz.video_overlay import Driver, Reading
 
@@ -38,8 +38,8 @@ class Readings:
             values = command.predicted_steering, command.set_speed_mph, command.driver
             self._commands.add(message.log_time_ns, *values)
         # a session of the built-in simulator; in a drive, each command names the driver
-        self.max_steering_deg = max_steering_deg_of(log)
-        """The wheels' angle at steering 1."""
+        self.max_steering_deg = known_max_steering_deg(log)
+        """The wheels' angle at steering 1; None: unknown."""
         self._driver: Driver | None = "expert" if log.metadata.get("driver") == "expert" else None
         self._autonomy_percent = _percent(log.read_metadata(DRIVE_METADATA).get("autonomy_percent", ""))
 

@@ -9,6 +9,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from common.steering_unit import SteeringUnit, assumed_deg, steering_unit
 from dataset.preprocess import decode
 from model.runs.worst_pictures import WORST_COUNT, WorstPictures
 from model.worst_moments import WorstFrame
@@ -38,18 +39,17 @@ def send_worst(recording: rr.RecordingStream, worst: WorstPictures, times: Seque
         recording.log(entity, rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
         height, width = decode(jpeg).shape[:2]
         for name, color, radius in _ARCS:
-            steering = np.array([getattr(frame, f"{name}_deg") / worst.max_deg])
+            steering = np.array([getattr(frame, f"{name}_deg") / assumed_deg(worst.max_deg)])
             arc = arcs(steering, (width, height))
             recording.log(f"{entity}/{name}", rr.LineStrips2D(arc, colors=[color], radii=[-radius]))
     for number in range(len(worst.frames) + 1, WORST_COUNT + 1):  # of the epoch before
         recording.log(f"{WORST}/{number}", rr.Clear(recursive=True))
-    words = "\n".join(f"{number}. {_in_words(frame)}" for number, frame in enumerate(worst.frames, 1))
+    words = "\n".join(
+        f"{number}. {_in_words(frame, steering_unit(worst.max_deg))}"
+        for number, frame in enumerate(worst.frames, 1)
+    )
     recording.log(f"{WORST}/words", rr.TextDocument(f"epoch {worst.epoch}\n{words}"))
 
 
-def _in_words(frame: WorstFrame) -> str:
-    side = "right" if frame.error_deg > 0 else "left"
-    return (
-        f"{frame.session} row {frame.row}: {abs(frame.error_deg):.1f} degrees too far to the {side}:"
-        f" {frame.predicted_deg:z.1f} predicted, {frame.recorded_deg:z.1f} recorded"
-    )
+def _in_words(frame: WorstFrame, unit: SteeringUnit) -> str:
+    return f"{frame.session} row {frame.row}: {frame.in_words(unit)}"

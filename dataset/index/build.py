@@ -22,6 +22,7 @@ from common.allowed_places import folders_of, remember_places
 from common.car import MAX_STEERING_DEG
 from common.location import Location, location
 from common.progress import track
+from common.steering_unit import assumed_deg
 from common.tasks import Tasks, one_by_one
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, SessionError, index_write_errors
@@ -173,10 +174,11 @@ def _refuse_different_steering(held: Mapping[str, BuiltLog]) -> None:
     """Raise DatasetError where the same number would be another angle of the wheels."""
     (first, one), *others = held.items()
     for name, other in others:
-        if other.max_steering_deg != one.max_steering_deg:
+        one_deg, other_deg = assumed_deg(one.max_steering_deg), assumed_deg(other.max_steering_deg)
+        if other_deg != one_deg:
             raise DatasetError(
-                f"sessions {first} and {name}: steering 1 is {one.max_steering_deg:g} degrees in one and"
-                f" {other.max_steering_deg:g} in the other; give each kind an index of its own (`bc-index"
+                f"sessions {first} and {name}: steering 1 is {one_deg:g} degrees in one and"
+                f" {other_deg:g} in the other; give each kind an index of its own (`bc-index"
                 f" {name} ... --index PATH`)"
             )
 

@@ -30,12 +30,14 @@ def sessions_table(indexed: Indexed) -> Table:
     columns = ["frames", "training", "validation", "gap", "left out"]
     columns += [COUNT_HEADINGS["not_taken_over"]] * some_piloted + [COUNT_HEADINGS["unlabelled"]] * some_unlabelled
     columns += ["not learnt"] * some_odd
-    # narrow, for names of sessions stand whole in 80 columns: longer ones are folded, and none is cut off
-    table = Table(box=None, pad_edge=False, collapse_padding=True, title="frames", title_justify="left")
-    table.add_column("session", overflow="fold")
+    # narrow, so that names of sessions stand whole in 80 columns
+    table = Table(
+        box=None, pad_edge=False, collapse_padding=True, title="frames, one a picture", title_justify="left"
+    )
+    table.add_column("session")
     for heading in columns:
         table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("", no_wrap=True)
+    table.add_column("log", no_wrap=True)
     for session in indexed.sessions:
         counts = indexed.counts[session]
         left_out = counts.excluded + counts.unusable + counts.not_asked_for
@@ -51,7 +53,7 @@ def labels_table(labels: Mapping[str, SessionLabels]) -> Table:
     """The table of each session's steering habits, and of its labels."""
     table = Table(box=None, pad_edge=False, title="steering", title_justify="left")
     for heading in ("session", *STEERING_HEADINGS, "labels"):
-        table.add_column(heading, no_wrap=heading in STEERING_HEADINGS, overflow="fold")
+        table.add_column(heading, no_wrap=heading in STEERING_HEADINGS)
     for session, of_session in labels.items():
         cells = steering_cells(of_session.habits, of_session.lag)
         table.add_row(escape(session), *cells, str(of_session.plan))
@@ -59,18 +61,23 @@ def labels_table(labels: Mapping[str, SessionLabels]) -> Table:
 
 
 def balance_table(balance: Balance) -> Table:
-    """The training split's steering, bin by bin."""
+    """The training split's steering, bin by bin; of bins that are the same to both sides, each once."""
+    bins = len(balance.before)
     target = f"; each bin brought to {balance.per_bin:,}" if balance.per_bin else "; not balanced"
-    table = Table("steering", "before", "", "after", "", "", title=f"training samples{target}")
-    if len(balance.before) > MOST_BINS:
+    is_mirrored = all((counts == counts[::-1]).all() for counts in (balance.before, balance.after))
+    sides = ", to each side" if is_mirrored else ""
+    table = Table("|steering|" if is_mirrored else "steering", title=f"training samples{sides}{target}")
+    for heading in ("before", "", "after", "", "note"):
+        table.add_column(heading)
+    if bins > MOST_BINS:
         return table
     widest = max(1, int(balance.before.max()), int(balance.after.max()))
-    bins = len(balance.before)
-    for i, (before, after) in enumerate(zip(balance.before.tolist(), balance.after.tolist(), strict=True)):
+    for i in range(bins // 2 if is_mirrored else 0, bins):
+        before, after = int(balance.before[i]), int(balance.after[i])
         low, high = -1 + 2 * i / bins, -1 + 2 * (i + 1) / bins
         note = f"{balance.short[i]:,} short" if i in balance.short else "" if before else "empty"
         table.add_row(
-            f"{low:+.2f} .. {high:+.2f}",
+            f"{max(low, 0):.2f} .. {high:.2f}" if is_mirrored else f"{low:+.2f} .. {high:+.2f}",
             f"{before:,}",
             _bar(before, widest),
             f"{after:,}",

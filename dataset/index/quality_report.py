@@ -27,7 +27,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 @dataclass(frozen=True)
 class FlaggedFrames:
-    """Neighbouring rows of a session whose frames have a flag; a gap begins at the row before it."""
+    """Neighbouring rows of a session of which some frame has a flag; a gap begins at the row before it."""
 
     session: str
     flag: str
@@ -36,7 +36,8 @@ class FlaggedFrames:
     begin_s: float  # from the session's first row
     end_s: float
     begin_utc: str  # ISO 8601, to the millisecond
-    frames: int  # that have the flag
+    frames: int  # that have the flag: of up to three cameras in each row
+    rows: int
 
 
 def find_flagged_frames(index: Path | str) -> list[FlaggedFrames]:
@@ -53,22 +54,22 @@ def find_flagged_frames(index: Path | str) -> list[FlaggedFrames]:
 
 
 def print_quality_report(reported: Sequence[FlaggedFrames]) -> None:
-    """Print the stretches as a table, then how many frames each flag has."""
+    """Print the stretches as a table, then how many rows each flag has."""
     if not reported:
         print_table("no frame has a flag")
         return
     table = Table(box=None, pad_edge=False)
     for name in ("session", "flag", "rows", "seconds", "begins (UTC)"):
-        table.add_column(name, no_wrap=True)
-    frames: dict[str, int] = {}
+        table.add_column(name, no_wrap=name in ("flag", "rows", "seconds"))
+    flagged: dict[str, int] = {}
     for one in reported:
-        frames[one.flag] = frames.get(one.flag, 0) + one.frames
+        flagged[one.flag] = flagged.get(one.flag, 0) + one.rows
         # as `bc-log tag` and `bc-play` take them: rows and seconds that are typed have no thousands separators
         rows = f"{one.first_row}" if one.first_row == one.last_row else f"{one.first_row} to {one.last_row}"
         seconds = f"{one.begin_s:.2f} to {one.end_s:.2f}"
-        table.add_row(escape(one.session), escape(one.flag), rows, seconds, one.begin_utc[:19])
+        table.add_row(escape(one.session), escape(one.flag), rows, seconds, one.begin_utc[:19].replace("T", " "))
     print_table(table)
-    print_table(", ".join(f"{counted(count, 'frame')} {escape(flag)}" for flag, count in sorted(frames.items())))
+    print_table(", ".join(f"{counted(count, 'row')} {escape(flag)}" for flag, count in sorted(flagged.items())))
 
 
 def _stretches_of(file: Path) -> Iterator[FlaggedFrames]:
@@ -105,4 +106,5 @@ def _stretches_of(file: Path) -> Iterator[FlaggedFrames]:
                 (int(time_ns[last]) - int(time_ns[0])) / 1e9,
                 (_EPOCH + timedelta(microseconds=begin_ns // 1000)).isoformat(timespec="milliseconds"),
                 int(frames[first : last + 1].sum()),
+                int(last + 1 - first),
             )

@@ -17,6 +17,7 @@ import pyarrow as pa
 from common.car import MAX_STEERING_DEG
 from common.location import Location, Url
 from common.progress import track
+from common.steering_unit import assumed_deg
 from common.tasks import Tasks, in_threads, one_by_one
 from dataset.config import IndexConfig
 from dataset.errors import SessionError, log_problem
@@ -49,7 +50,9 @@ def labels_of_sessions(
     decoded only of sessions whose labels may depend on them. Raises SessionError for a log
     whose pictures cannot be looked at, LogError or FramesError for a damaged file."""
     names = list(frames)
-    steered = tasks(habits_of_frames, [(frames[name], built[name].max_steering_deg) for name in names])
+    steered = tasks(
+        habits_of_frames, [(frames[name], assumed_deg(built[name].max_steering_deg)) for name in names]
+    )
     habits = {names[number]: found for number, found in track(steered, "looking at the steering", len(names))}
     needs_lag = config.labels == "auto" and config.label_shift_s is None
     lagging = [name for name in frames if needs_lag and goes_by_lag(habits[name], built[name].driven_by)]

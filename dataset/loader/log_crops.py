@@ -26,7 +26,7 @@ from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.preprocess import Image
 from dataset.samples.sample_rows import Rows
 from recorder import Log, Pictures
-from recorder.log.session_car import max_steering_deg_of, metadata_of, stored_car
+from recorder.log.session_car import known_max_steering_deg, metadata_of, stored_car
 from recorder.log.topics import camera_topic
 
 _AT_ONCE: Final = 4  # batches that are worked on
@@ -58,14 +58,14 @@ class LogCrops(Closeable):
         return self._log.fingerprint
 
     @property
-    def max_steering_deg(self) -> float:
-        """The wheels' angle at steering 1."""
-        return max_steering_deg_of(self._log)
+    def max_steering_deg(self) -> float | None:
+        """The wheels' angle at steering 1; None: unknown."""
+        return known_max_steering_deg(self._log)
 
     @property
     def about_car(self) -> dict[str, str]:
-        """The car's entry in the log's metadata."""
-        return metadata_of(stored_car(self._log))
+        """The car's entry in the log's metadata, and the log's source."""
+        return {"log_source": self._log.metadata.get("source", ""), **metadata_of(stored_car(self._log))}
 
     @property
     def notice(self) -> str:

@@ -174,9 +174,12 @@ class Samples(Closeable):
             raise self._damaged(error) from None
 
     @cached_property
-    def max_steering_deg(self) -> float:
-        """The angle of the front wheels at steering 1, in all sessions. Raises DatasetError without one."""
+    def max_steering_deg(self) -> float | None:
+        """The angle of the front wheels at steering 1, in all sessions; None if one does not say it. Raises
+        DatasetError for several."""
         angles_deg = {log.get("max_steering_deg", MAX_STEERING_DEG) for log in self.metadata["logs"].values()}
+        if None in angles_deg:
+            return None
         degrees = angles_deg.pop() if len(angles_deg) == 1 else None
         if not isinstance(degrees, int | float) or not 0 < degrees < 90:
             raise self._damaged(ValueError("no one angle of the wheels at steering 1"))

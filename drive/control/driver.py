@@ -20,11 +20,11 @@ from drive.control.takeover import Takeover
 from drive.control.telemetry_picture import camera_picture
 from model import Pilot
 from model.pilot import NetworkAnswer
+from recorder.log.devices import Device
 from recorder.log.session_car import UDACITY
 from recorder.server.locale_numbers import POINT
 from recorder.server.telemetry import Telemetry, TelemetryError, parse_telemetry
 from recorder.server.world import World, WorldNotices
-from recorder.teleop.messages import Device
 
 USUAL_SIZE: Final = (160, 320)  # height, width
 LEAST_AHEAD_S: Final = 0.5

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from common.errors import counted, decimal, printable
 from common.output import print_message, print_result, print_table
+from common.steering_unit import DEGREES, SteeringUnit
 from model.evaluation.differences import CONFIDENCE, FEWEST_BLOCKS, Difference, Verdict, overall
 from model.evaluation.run_comparison import BLOCK_S, Comparison
 
@@ -20,16 +21,18 @@ if TYPE_CHECKING:
 
 def print_comparison(comparison: Comparison, names: Sequence[str]) -> None:
     """Print the table of a comparison on recorded frames, and its verdict."""
+    errors = comparison.a.measures
     length = f" of {BLOCK_S:g} s" if comparison.units == "blocks" else ""
     units = f"{comparison.unit_count:,} {comparison.units}{length}"
-    title = f"{counted(len(comparison.unit), 'frame')} in {units}; errors in degrees"
-    print_table(_table(title, comparison.differences, names), "")
-    print_result(f"their answers are {decimal(comparison.answers_apart_deg, 2)} degrees apart (RMS)")
+    title = f"{counted(len(comparison.unit), 'frame')} in {units}; errors in {errors.unit.name}"
+    print_table(_table(title, comparison.differences, names, errors.unit), "")
+    apart = decimal(errors.unit.of(comparison.answers_apart_deg), 2)
+    print_result(f"their answers are {apart} {errors.unit.name} apart (RMS)")
     _print_verdict(overall(comparison.differences), comparison.differences, comparison.tolerance, comparison.units)
-    errors = comparison.a.measures
+    mean = errors.unit.of(errors.mean.rmse_deg)
     if errors.network.rmse_deg >= errors.mean.rmse_deg:
         print_message(
-            f"bc-eval: A is no better here than always predicting the mean (RMSE {errors.mean.rmse_deg:.2f}): what"
+            f"bc-eval: A is no better here than always predicting the mean (RMSE {mean:.2f}): what"
             " goes straight on might pass as well"
         )
 
@@ -74,9 +77,11 @@ def _print_verdict(verdict: Verdict, differences: Sequence[Difference], toleranc
         print_message(f"no verdict: at least {FEWEST_BLOCKS} {units} are needed", style="yellow")
 
 
-def _table(title: str, differences: Sequence[Difference], names: Sequence[str]) -> Table:
-    a, b = (escape(printable(name)) for name in names)
-    table = Table(title=f"A: {a}\nB: {b}\n{title}", title_justify="left", box=None, pad_edge=False)
+def _table(
+    title: str, differences: Sequence[Difference], names: Sequence[str], unit: SteeringUnit = DEGREES
+) -> Table:
+    name_a, name_b = (escape(printable(name)) for name in names)
+    table = Table(title=f"A: {name_a}\nB: {name_b}\n{title}", title_justify="left", box=None, pad_edge=False)
     headings = ("", "A", "B", "B - A", f"{CONFIDENCE:.0%} of all", "B is")
     for number, heading in enumerate(headings):
         justify: Literal["left", "right"] = "right" if 0 < number < len(headings) - 1 else "left"
@@ -84,12 +89,14 @@ def _table(title: str, differences: Sequence[Difference], names: Sequence[str]) 
     for each in differences:
         is_count = each.measure.name == "interventions"
         digits = 0 if is_count else 3 if each.measure.scale == 1.0 else 2
+        per_deg = unit.per_deg if each.measure.name.endswith("_deg") else 1.0
+        a, b, low, high = (per_deg * value for value in (each.a, each.b, each.low, each.high))
         table.add_row(
             each.measure.heading,
-            decimal(each.a, digits),
-            decimal(each.b, digits),
-            _signed(each.b - each.a, digits),
-            "-" if math.isnan(each.low) else f"{_signed(each.low, digits)} .. {_signed(each.high, digits)}",
+            decimal(a, digits),
+            decimal(b, digits),
+            _signed(b - a, digits),
+            "-" if math.isnan(low) else f"{_signed(low, digits)} .. {_signed(high, digits)}",
             each.verdict,
         )
     return table

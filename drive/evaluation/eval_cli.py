@@ -65,15 +65,18 @@ def _measure(config: Eval) -> int:
     (run,) = _found_runs(config, config.run)
     measured_on, (found,) = _evaluations(config, [run])
     code = keep(run, "frames", {**measured_on, **found.as_dict()})
-    worst = worst_frames(found.frames, 10 if config.worst is None else config.worst, found.max_deg)
+    asked = 10 * config.json if config.worst is None else config.worst
+    worst = worst_frames(found.frames, asked, found.max_deg)
     if config.json:
         print_result(json.dumps({**measured_on, **found.as_dict(), "worst": [asdict(frame) for frame in worst]}))
     else:
         from drive.evaluation.eval_report import print_evaluation
 
-        print_evaluation(found, worst)
+        print_evaluation(found, worst, bins=config.bins)
         _print_measured_on(measured_on)
-    return max(code, _print_notices(found, measured_on))
+    code = max(code, _print_notices(found, measured_on))
+    _print_verdict(config, run, found)
+    return code
 
 
 def _evaluations(config: Eval, runs: Sequence[Path]) -> tuple[dict[str, str | None], list[Evaluation]]:
@@ -204,7 +207,24 @@ def _drive(config: Eval) -> int:
     finally:  # what was measured is shown, whatever stops the rest
         if results and not config.json:
             print_drives([results[number] for number in sorted(results)])
+    _print_verdict(config, run)
     return max(codes)
+
+
+def _print_verdict(config: Eval, run: Path, found: Evaluation | None = None) -> None:
+    """Print the verdict on a run: by the errors that were `found`, else by those that it keeps."""
+    if config.json:
+        return
+    from model import judge
+
+    try:
+        if found is None:
+            verdict = judge(run)
+        else:
+            verdict = judge(run, found.measures, [*found.sessions] if found.trained_on == 0 else ())
+        print_result(*verdict.lines)
+    except UserError as error:  # what was measured is shown all the same
+        warn(str(error))
 
 
 def _warn_problem(result: DriveResult) -> int:
@@ -307,6 +327,7 @@ def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
         codes.append(warn_skipped(drive.skipped))
         if drive.notice:
             codes.append(warn(drive.notice))
+    _print_verdict(config, run)
     return max(codes)
 
 

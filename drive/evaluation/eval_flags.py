@@ -49,7 +49,9 @@ class Eval:
     """Measure all of these sessions instead, by name, or logs by path; no index is needed."""
     sessions: Annotated[LocationFlag | None, _default("PATH|URL", "sessions")] = None
     """Where logs are kept, for --session and --on, and for an index of logs elsewhere that was not built here."""
-    worst: Annotated[int | None, _default("INT", "10")] = None
+    bins: bool = False
+    """Show the errors in each bin of the recorded steering, too."""
+    worst: Annotated[int | None, _default("INT", "none; 10 with --json")] = None
     """How many of the worst frames to list, at most one for each second of a session."""
     on: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
     """Let it drive these recordings instead, as fast as they were driven: it sees their pictures, warped to where
@@ -83,7 +85,7 @@ class Eval:
 
 RECORDED: Final = "recorded frames"
 WAYS: Final = {
-    RECORDED: ("index", "split", "session", "sessions", "worst"),
+    RECORDED: ("index", "split", "session", "sessions", "bins", "worst"),
     "--simulator TRACK": ("laps", "speed", "precision", "logs", "force", "ray"),
     "--on SESSION": ("sessions", "departure", "car", "precision"),
 }
@@ -116,8 +118,8 @@ def refuse_contradictions(config: Eval) -> None:
             raise UsageError("--tolerance is how much worse B may be, of --compare A B: give it too")
     elif config.run is not None:
         raise UsageError(f"{config.run}: --compare names its two runs itself: leave it out")
-    elif config.worst is not None:
-        raise UsageError("--worst is of one run, and --compare of two: give one or the other")
+    elif flags := flags_given(config, "bins", "worst"):
+        raise UsageError(f"{flags}: of one run, and --compare of two: give one or the other")
     elif config.on is not None:
         raise UsageError("--on drives with one run, and --compare takes two: give one or the other")
     if config.tolerance is not None and not 0 <= config.tolerance < 1:

@@ -14,6 +14,7 @@ from rich.table import Table
 from common.errors import counted, printable
 from common.files import short_path
 from common.output import print_result, print_table
+from common.steering_unit import SteeringUnit
 from dataset.prediction_targets import TARGETS
 from model.evaluation.evaluate import Evaluation
 from model.evaluation.recorded_drive import RecordedDrive
@@ -30,15 +31,17 @@ if TYPE_CHECKING:
 BAR_CELLS = 16  # so that a line fits 80 columns
 
 
-def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame]) -> None:
-    """Print the tables; then the commands that show the `worst` frames."""
-    tables = [_measures_table(evaluation), _bins_table(evaluation.measures)]
+def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame], *, bins: bool = False) -> None:
+    """Print the tables, that of steering bins only with `bins`; then the commands that show the `worst` frames."""
+    tables = [_measures_table(evaluation)]
     if evaluation.other_targets:
-        tables.insert(1, _targets_table(evaluation.other_targets))
+        tables.append(_targets_table(evaluation.other_targets))
+    if bins:
+        tables.append(_bins_table(evaluation.measures))
     if len(evaluation.sessions) > 1:
         tables.append(_sessions_table(evaluation.sessions))
     if worst:
-        tables.append(_worst_table(worst))
+        tables.append(_worst_table(worst, evaluation.measures.unit))
     for table in tables:
         print_table(table, "")
     if worst:
@@ -104,22 +107,25 @@ def _play(evaluation: Evaluation, frame: WorstFrame) -> str:
 
 def _measures_table(evaluation: Evaluation) -> Table:
     measures, balanced = evaluation.measures, evaluation.balanced_rmse_deg
+    shown = measures.unit.of
     of = {"network": measures.network, "zero": measures.zero, "mean": measures.mean}
     is_scaled = evaluation.answers != AnswerScale()
     name = escape(printable(run_name(evaluation.run)))
-    title = f"{name}: {counted(measures.frames, 'frame')}; errors in degrees"
+    title = f"{name}: {counted(measures.frames, 'frame')}; errors in {measures.unit.name}"
     as_learnt = ("as learnt",) if is_scaled else ()
     table = _table(title, "", "network", "always zero", "always the mean", *as_learnt)
     columns = [*of.values(), evaluation.as_learnt] if is_scaled else [*of.values()]
     for heading, name in (("MAE", "mae_deg"), ("RMSE", "rmse_deg"), ("MAE on turns", "turning_mae_deg")):
-        table.add_row(heading, *(_number(getattr(errors, name)) for errors in columns))
-    table.add_row("balanced RMSE", *(_number(balanced[name]) for name in of))
+        table.add_row(heading, *(_number(shown(getattr(errors, name))) for errors in columns))
+    table.add_row("balanced RMSE", *(_number(shown(balanced[name])) for name in of))
     table.add_row("correlation", *(_number(errors.correlation) for errors in of.values()))
     if (others := evaluation.without_crashes) is not None:
         heading = f"RMSE without crashes ({evaluation.crashes:,})"
-        table.add_row(heading, *(_number(each.rmse_deg) for each in (others.network, others.zero, others.mean)))
+        table.add_row(
+            heading, *(_number(shown(each.rmse_deg)) for each in (others.network, others.zero, others.mean))
+        )
     if is_scaled:
-        table.caption = f"answers: {evaluation.answers.in_degrees(evaluation.max_deg)}"
+        table.caption = f"answers: {evaluation.answers.in_words(evaluation.max_deg)}"
     return table
 
 
@@ -136,14 +142,15 @@ def _targets_table(targets: Sequence[TargetErrors]) -> Table:
 def _bins_table(measures: Measures) -> Table:
     title = "by recorded steering; bias above 0: too far right"
     table = _table(title, "steering", "frames", "MAE", "bias", "RMSE", "")
+    shown = measures.unit.of
     widest = max(part.rmse_deg for part in measures.bins)
     for part in measures.bins:
         table.add_row(
             f"{part.low:+.2f} .. {part.high:+.2f}",
             f"{part.frames:,}",
-            _number(part.mae_deg),
-            f"{part.bias_deg:+.2f}",
-            _number(part.rmse_deg),
+            _number(shown(part.mae_deg)),
+            f"{shown(part.bias_deg):+.2f}",
+            _number(shown(part.rmse_deg)),
             Bar(widest or 1.0, 0, part.rmse_deg, width=BAR_CELLS),
         )
     return table
@@ -153,31 +160,31 @@ def _sessions_table(sessions: dict[str, Measures]) -> Table:
     title = "by session; mean: always predicting it"
     table = _table(title, "session", "frames", "MAE", "RMSE", "mean RMSE", "on turns", "correlation")
     for session, measures in sessions.items():
-        errors = measures.network
+        errors, shown = measures.network, measures.unit.of
         table.add_row(
             escape(printable(session)),
             f"{measures.frames:,}",
-            _number(errors.mae_deg),
-            _number(errors.rmse_deg),
-            _number(measures.mean.rmse_deg),
-            _number(errors.turning_mae_deg),
+            _number(shown(errors.mae_deg)),
+            _number(shown(errors.rmse_deg)),
+            _number(shown(measures.mean.rmse_deg)),
+            _number(shown(errors.turning_mae_deg)),
             _number(errors.correlation),
         )
     return table
 
 
-def _worst_table(worst: Sequence[WorstFrame]) -> Table:
+def _worst_table(worst: Sequence[WorstFrame], unit: SteeringUnit) -> Table:
     table = _table(
-        "worst frames, in degrees", "session", "row", "log time (UTC)", "predicted", "recorded", "error"
+        f"worst frames, in {unit.name}", "session", "row", "log time (UTC)", "predicted", "recorded", "error"
     )
     for frame in worst:
         table.add_row(
             escape(printable(frame.session)),
             f"{frame.row:,}",
             _clock(frame),
-            f"{frame.predicted_deg:+.2f}",
-            f"{frame.recorded_deg:+.2f}",
-            f"{frame.error_deg:+.2f}",
+            f"{unit.of(frame.predicted_deg):+.2f}",
+            f"{unit.of(frame.recorded_deg):+.2f}",
+            f"{unit.of(frame.error_deg):+.2f}",
         )
     return table
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -19,6 +18,7 @@ from drive.errors import DriveError
 from drive.log.drive_summary import DriveSummary
 from model import Pilot
 from recorder.server.telemetry_server import ServerMode
+from simulator.driving.drive_limits import MAX_LAPS
 from simulator.roads.track import load_track
 
 SIMULATOR_METADATA: Final = "bc.simulator"
@@ -38,6 +38,8 @@ class BuiltInSimulator:
     """No faster than the clock; otherwise simulated time waits for each answer, and hurries."""
     leave_off_road: bool = False
     """A car that has left the road is left to who takes over, and put back only when it is stuck."""
+    start_m: float = 0.0
+    """Where it begins, along the track."""
 
     def __post_init__(self) -> None:
         """Raises DriveError for a track or laps that cannot be driven."""
@@ -68,8 +70,8 @@ class BuiltInSimulator:
 
 def check_laps(laps: float) -> None:
     """Raises DriveError for a number of laps that cannot be driven."""
-    if not 0 < laps < math.inf:
-        raise DriveError(f"--laps {laps:g}: how far to drive is a number above 0")
+    if not 0 < laps <= MAX_LAPS:
+        raise DriveError(f"--laps {laps:g}: how far to drive is a number above 0 and up to {MAX_LAPS:,}")
 
 
 def drive_and_log(
@@ -127,7 +129,7 @@ def _process(
     config = server.config
     command = [
         *(sys.executable, "-P", "-m", "simulator.cli", "--json", "--tell-world", "--port", str(server.port)),
-        *("--track", simulator.track, "--laps", str(simulator.laps)),
+        *("--track", simulator.track, "--laps", str(simulator.laps), "--start", str(simulator.start_m)),
         *("--expert-speed", str(config.set_speed_mph)),
         *(["--leave-off-road"] if config.takeover or simulator.leave_off_road else []),
         *(["--real-time"] if simulator.real_time else []),

@@ -15,6 +15,7 @@ from drive.log.log_thread import LogThread
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.bad_telemetry import BadTelemetry
+from recorder.log.devices import device_value
 from recorder.log.log_time import LogClock
 from recorder.log.meant_gaps import DISCONNECTED, HUMAN_DRIVES, PILOT_DRIVES_AGAIN
 from recorder.log.pose_message import pose_message
@@ -156,7 +157,7 @@ class DriveLog(Closeable):
             throttle=telemetry.throttle,
             brake=0.0,
             speed_mph=telemetry.speed_mph,
-            device=decision.device.upper() if decision.device else None,
+            device=device_value(decision.device),
         )
         self._writer.vehicle(time_ns, row, state)
         command = PilotCommand(

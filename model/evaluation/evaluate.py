@@ -72,7 +72,9 @@ class Evaluation:
     remarks: tuple[str, ...] = ()  # logs in which damage is not noticed
     answers: AnswerScale = field(default_factory=AnswerScale)  # that is in the predictions
     targets: tuple[TargetName, ...] = STEERING_ONLY  # that the network answers, and the frames have
-    max_deg: float = MAX_STEERING_DEG  # the wheels' angle at steering 1, in the frames and the answers
+    max_deg: float | None = (
+        MAX_STEERING_DEG  # the wheels' angle at steering 1 (None: unknown), in the frames and the answers
+    )
 
     @cached_property
     def measures(self) -> Measures:
@@ -127,6 +129,7 @@ class Evaluation:
         return {
             "run": run_name(self.run),
             "learnt": self.trained_on,
+            **({"max_deg": None} if self.max_deg is None else {}),
             "skipped": dict(self.skipped.counts),
             **found,
             "answers": asdict(self.answers),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.errors import counted
+from common.steering_unit import SteeringUnit, assumed_deg, steering_unit
 from dataset import MAX_STEERING_DEG
 from model.metrics import measure
 from model.worst_moments import WorstFrame, worst_frames
@@ -32,11 +33,16 @@ class LogPredictions:
     about: dict[str, str] = field(default_factory=dict)  # which log, which weights: metadata
     skipped: Skipped = field(default_factory=Skipped)  # pictures that do not decode
     notice: str = ""  # that the log was never finished
-    max_deg: float = MAX_STEERING_DEG  # the wheels' angle at steering 1
+    max_deg: float | None = MAX_STEERING_DEG  # the wheels' angle at steering 1; None: unknown
+
+    @property
+    def unit(self) -> SteeringUnit:
+        """The unit in which people read the errors."""
+        return steering_unit(self.max_deg)
 
     def error_deg(self, run: str) -> Values:
         """Predicted - recorded, in degrees: positive is too far to the right; NaN where nothing was recorded."""
-        return self.max_deg * (self.predicted[run] - self.recorded)
+        return assumed_deg(self.max_deg) * (self.predicted[run] - self.recorded)
 
     def worst(self, run: str, count: int = WORST_MOMENTS) -> list[WorstFrame]:
         """The moments at which a run is off the most: see `worst_frames`."""
@@ -56,19 +62,17 @@ class LogPredictions:
         if not known.any():
             return f"{run}: {counted(len(self.row), 'frame')}, nothing recorded with them to compare with"
         found = measure(self.predicted[run][known], self.recorded[known], max_deg=self.max_deg)
+        unit = found.unit
         return (
-            f"{run}: {counted(found.frames, 'frame')}, RMSE {found.network.rmse_deg:.2f} degrees from what was"
-            f" recorded (always the mean: {found.mean.rmse_deg:.2f}), MAE {found.network.mae_deg:.2f}"
+            f"{run}: {counted(found.frames, 'frame')}, RMSE {unit.of(found.network.rmse_deg):.2f} {unit.name} from"
+            f" what was recorded (always the mean: {unit.of(found.mean.rmse_deg):.2f}), MAE"
+            f" {unit.of(found.network.mae_deg):.2f}"
         )
 
     def worst_moments(self, run: str) -> list[tuple[int, str]]:
         """Log time in ns and description of the worst moments of a run, the earliest first."""
-        return sorted((worst.log_time_ns, _description(run, worst)) for worst in self.worst(run))
+        return sorted((worst.log_time_ns, _description(run, worst, self.unit)) for worst in self.worst(run))
 
 
-def _description(run: str, worst: WorstFrame) -> str:
-    side = "right" if worst.error_deg > 0 else "left"
-    return (
-        f"{run}: {abs(worst.error_deg):.1f} degrees too far to the {side}: {worst.predicted_deg:z.1f} predicted,"
-        f" {worst.recorded_deg:z.1f} recorded (row {worst.row})"
-    )
+def _description(run: str, worst: WorstFrame, unit: SteeringUnit) -> str:
+    return f"{run}: {worst.in_words(unit)} (row {worst.row})"

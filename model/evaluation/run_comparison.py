@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from common.steering_unit import assumed_deg
 from dataset import MAX_STEERING_DEG
 from dataset.frames.split import block_numbers
 from dataset.prediction_targets import TARGETS, TargetName
@@ -66,7 +67,7 @@ class Comparison:
     def answers_apart_deg(self) -> float:
         """Root of the mean square of B's answers minus A's, in degrees: 0 for the same network."""
         a, b = (each.frames["predicted"].to_numpy() for each in (self.a, self.b))
-        return self.a.max_deg * float(np.sqrt(np.square(b - a).mean()))
+        return assumed_deg(self.a.max_deg) * float(np.sqrt(np.square(b - a).mean()))
 
     @cached_property
     def differences(self) -> tuple[Difference, ...]:
@@ -95,6 +96,7 @@ class Comparison:
             "confidence": CONFIDENCE,
             "tolerance": self.tolerance,
             "answers_apart_deg": self.answers_apart_deg,
+            **({"max_deg": None} if self.a.max_deg is None else {}),
             "measures": {each.measure.name: each.as_dict() for each in self.differences},
             "verdict": overall(self.differences),
         }
@@ -108,11 +110,11 @@ def blocks_of(session: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray
     return block_numbers(time_ns, np.concatenate([[0], np.cumsum(is_apart)]), BLOCK_S)
 
 
-def sums_of_blocks(frames: pa.Table, unit: NDArray[np.int64], max_deg: float = MAX_STEERING_DEG) -> Floats:
+def sums_of_blocks(frames: pa.Table, unit: NDArray[np.int64], max_deg: float | None = MAX_STEERING_DEG) -> Floats:
     """The sums of each block, (blocks, K), of which `measures_of_sums` makes measures. `max_deg` is the wheels'
     angle at steering 1."""
     predicted, recorded = (frames[name].to_numpy() for name in ("predicted", "recorded"))
-    off_deg = max_deg * (predicted - recorded)
+    off_deg = assumed_deg(max_deg) * (predicted - recorded)
     is_turning = np.abs(recorded) > TURNING
     in_bin = bin_of(np.round(recorded, 6), BINS)[:, None] == np.arange(BINS)  # rounded as in model.metrics
     per_frame = np.column_stack(

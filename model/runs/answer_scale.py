@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from common.steering_unit import assumed_deg, steering_unit
+
 if TYPE_CHECKING:  # a run's history is read and shown without PyTorch
     from torch import Tensor
 
@@ -74,10 +76,12 @@ class AnswerScale:
         """For a file of weights."""
         return {_PREFIX + name: repr(value) for name, value in asdict(self).items()}
 
-    def in_degrees(self, max_deg: float) -> str:
+    def in_words(self, max_deg: float | None) -> str:
         """The formula, where steering 1 is `max_deg`: "0.10 x + 0.04 x|x| of the x degrees learnt, -0.20"."""
-        curve = f" + {self.curve / max_deg:.3f} x|x|" if self.curve else ""
-        return f"{self.scale:.2f} x{curve} of the x degrees learnt, {max_deg * self.offset:+.2f}"
+        unit = steering_unit(max_deg)
+        full = unit.of(assumed_deg(max_deg))
+        curve = f" + {self.curve / full:.3f} x|x|" if self.curve else ""
+        return f"{self.scale:.2f} x{curve} of the x {unit.name} learnt, {full * self.offset:+.2f}"
 
     def natural(self, learnt: Steering) -> Steering:
         return learnt * (self.scale + self.curve * abs(learnt)) + self.offset

@@ -7,15 +7,23 @@ from pathlib import Path
 from typing import Any
 
 from common.car import MAX_STEERING_DEG
+from common.steering_unit import assumed_deg
 from model.errors import RunError
 from model.runs.run_folder import load_config
 
 
 def max_steering_deg_of_run(run: Path) -> float:
-    """The angle of the front wheels where the run answers 1. Raises RunError as `load_config` does."""
+    """The angle of the front wheels where the run answers 1; 25 where it is unknown. Raises RunError as
+    `load_config` does."""
     degrees = {_number(log.get("max_steering_deg", MAX_STEERING_DEG)) for log in _logs(run).values()}
     found = degrees.pop() if len(degrees) == 1 else MAX_STEERING_DEG
     return found if 0 < found < 90 else MAX_STEERING_DEG
+
+
+def known_max_steering_deg_of_run(run: Path) -> float | None:
+    """`max_steering_deg_of_run`; None where a session of the run does not say it."""
+    is_unknown = any(log.get("max_steering_deg", MAX_STEERING_DEG) is None for log in _logs(run).values())
+    return None if is_unknown else max_steering_deg_of_run(run)
 
 
 def car_settings_of_run(run: Path) -> object:
@@ -25,13 +33,13 @@ def car_settings_of_run(run: Path) -> object:
     return cars[0] if cars and all(each == cars[0] for each in cars) else None
 
 
-def refuse_other_steering(run: Path, max_steering_deg: float, source: str) -> None:
+def refuse_other_steering(run: Path, max_steering_deg: float | None, source: str) -> None:
     """Raise RunError if the run's steering 1 is another angle than in `source`, a log or an index."""
-    own = max_steering_deg_of_run(run)
-    if own != max_steering_deg:
+    own, other = max_steering_deg_of_run(run), assumed_deg(max_steering_deg)
+    if own != other:
         raise RunError(
             f"{run}: it answers 1 where the wheels are to turn by {own:g} degrees; that of {source} is"
-            f" {max_steering_deg:g} degrees, so they do not go together"
+            f" {other:g} degrees, so they do not go together"
         )
 
 

@@ -24,11 +24,10 @@ from model.errors import RunError
 from model.runs.answer_scale import LEAST_SCALE, MOST_CURVE, MOST_OFFSET, MOST_SCALE
 from model.runs.checksums import load_checksummed, save_checksummed
 from model.runs.run_arguments import run_argument
+from model.runs.run_files import CHECKPOINT, LAST
 
 FORMAT: Final = "2"
 READABLE: Final = ("1", "2")  # format 1 has neither the mean of the last steps' weights nor the answer scale
-LAST: Final = "last"
-CHECKPOINT: Final = "checkpoint.safetensors"
 
 _WAY_OUT: Final = "copy it again, or train another run, perhaps from its weights: --init"
 _ANOTHER: Final = "the checkpoint of another network than that of its config.json"

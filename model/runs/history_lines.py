@@ -28,24 +28,31 @@ _MOST_CHARACTERS: Final = 1000  # of a session's name
 
 def parse_epoch(line: bytes) -> Epoch:
     values = json.loads(line)
-    bins = tuple(_bin_errors(part) for part in values["bins"])
-    network, zero, mean = (_errors(values[name]) for name in ("validation", "zero", "mean"))
-    mean_balanced_rmse_deg = _number(values["mean"].get("balanced_rmse_deg"))  # earlier versions have none
+    if not isinstance(values, dict):
+        raise TypeError("no object")
     answers, learnt = values.get("answers"), values.get("learnt")  # earlier versions have neither
     return Epoch(
         _count(values["epoch"], least=1),
         _number(values["training_loss"]),
         _number(values["validation_loss"]),
-        Measures(
-            sum(part.frames for part in bins), network, zero, mean, bins, mean_balanced_rmse_deg, _max_deg(values)
-        ),
+        parse_measures(values, "validation"),
         values["is_best"] is True,
         _number(values["seconds"]),
         _number(values["samples_per_s"]),
         AnswerScale() if answers is None else _answers(answers),
         None if learnt is None else _errors(learnt),
         tuple(_target_errors(each) for each in values.get("targets", ())),
+        _number(learnt.get("driving_error")) if isinstance(learnt, dict) else math.nan,  # earlier: none
     )
+
+
+def parse_measures(values: Any, network: str) -> Measures:
+    """The measures in a line, with the network's errors by that name."""
+    bins = tuple(_bin_errors(part) for part in values["bins"])
+    network_errors, zero, mean = (_errors(values[name]) for name in (network, "zero", "mean"))
+    balanced_rmse_deg = _number(values["mean"].get("balanced_rmse_deg"))  # earlier versions have none
+    frames = sum(part.frames for part in bins)
+    return Measures(frames, network_errors, zero, mean, bins, balanced_rmse_deg, _max_deg(values))
 
 
 def parse_step(line: bytes) -> Step:
@@ -73,7 +80,9 @@ def parse_worst_pictures(line: bytes) -> WorstPictures:
     return WorstPictures(epoch, frames, jpegs, _max_deg(values))
 
 
-def _max_deg(values: Any) -> float:
+def _max_deg(values: Any) -> float | None:
+    if values.get("max_deg", MAX_STEERING_DEG) is None:
+        return None
     found = _number(values.get("max_deg", MAX_STEERING_DEG))
     if not 0 < found < 90:
         raise ValueError("no angle of the wheels")

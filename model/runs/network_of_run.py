@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import msgspec
 
@@ -14,9 +14,11 @@ from common.errors import UsageError, printable
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName, check_targets
 from model.errors import RunError
-from model.network.choice import NetworkChoice, built_in
 from model.network.names import BUILT_IN, check_network_name, is_file, is_own
 from model.network.own_code import load_code, named_code, named_otherwise
+
+if TYPE_CHECKING:
+    from model.network.choice import NetworkChoice  # loads PyTorch
 
 NETWORK_FILE: Final = "network.py"
 """A run's copy of the file that its network is of."""
@@ -79,6 +81,8 @@ def choice_of(config: dict[str, Any], folder: Path) -> NetworkChoice:
 
     Raises RunError for somebody's own that was not named in this process (`load_code`), or is not what it was.
     """
+    from model.network.choice import NetworkChoice, built_in
+
     stored, outputs = stored_network(config, folder), len(stored_targets(config, folder))
     if not is_own(stored.name):
         return replace(built_in(stored.name, stored.arguments), outputs=outputs)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import counted
+from common.steering_unit import DEGREES, assumed_deg
 from dataset import MAX_STEERING_DEG
 from dataset.figure_style import BLUE, DPI, GREEN, GREY, ORANGE, figure_style, new_figure, require_matplotlib
 from model.errors import RunError
@@ -66,6 +67,7 @@ def draw_curves(history: History) -> Figure:
     figure = new_figure(3.2)
     loss, errors = figure.subplots(1, 2)
     epochs = history.epochs
+    unit = epochs[-1].measures.unit if epochs else DEGREES
     marker = "." if len(epochs) <= _MOST_MARKED else ""
 
     def curve(axes: Axes, value: Callable[[Epoch], float], label: str, **style: Any) -> None:
@@ -76,9 +78,9 @@ def draw_curves(history: History) -> Figure:
     curve(loss, lambda epoch: epoch.training_loss, "training", color=BLUE, marker=marker)
     curve(loss, lambda epoch: epoch.validation_loss, "validation", color=ORANGE, marker=marker)
     network: tuple[tuple[str, str, Callable[[Epoch], float]], ...] = (
-        ("RMSE", ORANGE, lambda epoch: epoch.measures.network.rmse_deg),
-        ("balanced RMSE", GREEN, lambda epoch: epoch.measures.balanced_rmse_deg),
-        ("MAE while turning", BLUE, lambda epoch: epoch.measures.network.turning_mae_deg),
+        ("RMSE", ORANGE, lambda epoch: unit.of(epoch.measures.network.rmse_deg)),
+        ("balanced RMSE", GREEN, lambda epoch: unit.of(epoch.measures.balanced_rmse_deg)),
+        ("MAE while turning", BLUE, lambda epoch: unit.of(epoch.measures.network.turning_mae_deg)),
     )
     for label, color, value in network:
         curve(errors, value, label, color=color, marker=marker)
@@ -87,7 +89,7 @@ def draw_curves(history: History) -> Figure:
         _write_note(errors, "no frames were held out")
     else:
         _draw_constants(loss, errors, best)
-        for axes, height in ((loss, best.validation_loss), (errors, best.measures.balanced_rmse_deg)):
+        for axes, height in ((loss, best.validation_loss), (errors, unit.of(best.measures.balanced_rmse_deg))):
             axes.axvline(best.epoch, color=GREY, linewidth=0.6, zorder=0)
             style = {"color": "black", "fillstyle": "none", "markersize": 8, "linestyle": ""}
             axes.plot(best.epoch, height, "o", label=f"best: epoch {best.epoch}", **style)
@@ -107,12 +109,12 @@ def draw_curves(history: History) -> Figure:
     loss.set_ylabel(f"mean squared error of {targets}")
     if 0 < loss.dataLim.minposy < math.inf:
         loss.set_yscale("log")
-    errors.set_ylabel("error on frames held out (degrees)")
+    errors.set_ylabel(f"error on frames held out ({unit.name})")
     errors.set_ylim(0, 1.05 * errors.dataLim.ymax if np.isfinite(errors.dataLim.ymax) else None)
     return figure
 
 
-def draw_steering(predicted: Floats, recorded: Floats, max_deg: float = MAX_STEERING_DEG) -> Figure:
+def draw_steering(predicted: Floats, recorded: Floats, max_deg: float | None = MAX_STEERING_DEG) -> Figure:
     """Predicted against recorded steering (N,) of the frames held out, errors by bin, and a stretch of frames."""
     if not len(recorded):
         figure = new_figure(1)
@@ -124,7 +126,7 @@ def draw_steering(predicted: Floats, recorded: Floats, max_deg: float = MAX_STEE
     errors = figure.add_subplot(grid[0, 1])
     frames = figure.add_subplot(grid[1, 1], sharex=errors)
     _draw_scatter(figure.add_subplot(grid[:2, 0]), predicted, recorded, measures)
-    _draw_bins(errors, frames, measures.bins, measure(np.zeros(len(recorded)), recorded, max_deg=max_deg).bins)
+    _draw_bins(errors, frames, measures, measure(np.zeros(len(recorded)), recorded, max_deg=max_deg).bins)
     _draw_stretch(figure.add_subplot(grid[2, :]), predicted, recorded)
     figure.align_ylabels((errors, frames))
     return figure
@@ -134,14 +136,14 @@ def _draw_constants(loss: Axes, errors: Axes, epoch: Epoch) -> None:
     """Draw the errors of predictors that know nothing on the same frames: the same in every epoch."""
     mean, zero = epoch.measures.mean, epoch.measures.zero
     for constant, label, style in ((mean, "always the mean", "--"), (zero, "always zero", ":")):
-        squared = (constant.rmse_deg / epoch.measures.max_deg) ** 2
+        squared = (constant.rmse_deg / assumed_deg(epoch.measures.max_deg)) ** 2
         # the axis is logarithmic; of a sum over targets, steering is a part
         if squared > 0 and not epoch.targets:
             loss.axhline(squared, color=GREY, linestyle=style, linewidth=1, label=label)
     balanced = epoch.measures.mean_balanced_rmse_deg
     for value, color in ((mean.rmse_deg, ORANGE), (balanced, GREEN), (mean.turning_mae_deg, BLUE)):
         if math.isfinite(value):
-            errors.axhline(value, color=color, linestyle="--", linewidth=1)
+            errors.axhline(epoch.measures.unit.of(value), color=color, linestyle="--", linewidth=1)
     errors.plot([], [], color=GREY, linestyle="--", linewidth=1, label="always the mean")
 
 
@@ -167,25 +169,28 @@ def _draw_scatter(axes: Axes, predicted: Floats, recorded: Floats, measures: Mea
     axes.plot((-_FARTHEST, _FARTHEST), (-_FARTHEST, _FARTHEST), color=GREY, linewidth=0.8)
     shown = np.clip(predicted, -_FARTHEST, _FARTHEST)
     axes.scatter(recorded, shown, s=6, color=BLUE, alpha=alpha, linewidth=0, clip_on=False)
-    title = f"{counted(len(recorded), 'frame')} held out: RMSE {measures.network.rmse_deg:.2f}°"
+    rmse = f"{measures.unit.of(measures.network.rmse_deg):.2f}{measures.unit.sign}"
+    title = f"{counted(len(recorded), 'frame')} held out: RMSE {rmse}"
     if math.isfinite(measures.network.correlation):
         title += f", correlation {measures.network.correlation:.2f}"
     if beyond := int((np.abs(predicted) > _FARTHEST).sum()):
         title += f"\n({beyond:,} beyond ±{_FARTHEST} drawn at the edge)"
     axes.set_title(title, loc="left", fontsize=8)
     axes.set(xlim=(-1.03, 1.03), ylim=(-_FARTHEST, _FARTHEST), xticks=_TICKS, yticks=_TICKS)
-    axes.set_xlabel(f"recorded steering (1: {measures.max_deg:g}° to the right)")
+    full = "full lock" if measures.max_deg is None else f"{measures.max_deg:g}°"
+    axes.set_xlabel(f"recorded steering (1: {full} to the right)")
     axes.set_ylabel("predicted steering")
 
 
-def _draw_bins(errors: Axes, frames: Axes, bins: Sequence[BinErrors], zero: Sequence[BinErrors]) -> None:
+def _draw_bins(errors: Axes, frames: Axes, measures: Measures, zero: Sequence[BinErrors]) -> None:
+    bins, unit = measures.bins, measures.unit
     middles = [(part.low + part.high) / 2 for part in bins]
     width = 0.9 * min(part.high - part.low for part in bins)
-    errors.bar(middles, [part.rmse_deg for part in bins], width, color=ORANGE, label="RMSE")
-    errors.plot(middles, [part.rmse_deg for part in zero], color=GREY, linestyle=":", label="always zero")
-    errors.plot(middles, [part.bias_deg for part in bins], "k.", label="bias (+ right)")
+    errors.bar(middles, [unit.of(part.rmse_deg) for part in bins], width, color=ORANGE, label="RMSE")
+    errors.plot(middles, [unit.of(part.rmse_deg) for part in zero], color=GREY, linestyle=":", label="always zero")
+    errors.plot(middles, [unit.of(part.bias_deg) for part in bins], "k.", label="bias (+ right)")
     errors.axhline(0, color="black", linewidth=0.6)
-    errors.set_ylabel("error (degrees)")
+    errors.set_ylabel(f"error ({unit.name})")
     errors.tick_params(labelbottom=False)
     errors.legend(
         loc="lower left", bbox_to_anchor=(0, 1), ncols=3, borderaxespad=0.3, columnspacing=0.8, handlelength=1.2

@@ -12,13 +12,12 @@ runs/NAME/last/               where training stands: see checkpoint.py
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
@@ -27,26 +26,26 @@ from common.files import remove_empty
 from common.location import Location, Url, location
 from common.progress import progress_bar
 from common.store_record import read_record
-from common.untrusted import read_bounded, real_path
+from common.untrusted import real_path
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import TargetName, speed_ahead_s_in
 from model.errors import RunError
 from model.network.choice import NetworkChoice
 from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
-from model.runs.checkpoint import CHECKPOINT, LAST, checkpoint_path, position_of
+from model.runs.checkpoint import checkpoint_path, position_of
 from model.runs.checksums import load_checksummed, save_checksummed
 from model.runs.network_of_run import NETWORK_FILE, choice_of, picture_of, stored_targets
 from model.runs.run_arguments import RUNS, run_argument, suggest_runs
+from model.runs.run_config import FORMAT, is_last_weights, weights_path
+from model.runs.run_config import config_folder as config_folder
+from model.runs.run_config import load_config as load_config
+from model.runs.run_config import weights_checksum as weights_checksum
 from model.runs.run_files import CONFIG as CONFIG
+from model.runs.run_files import LAST, replaced_file, run_write_errors
 from model.runs.run_files import WEIGHTS as WEIGHTS
-from model.runs.run_files import replaced_file, run_write_errors
+from model.runs.run_lock import is_being_trained
 from model.runs.runs_in_store import bring_run, find_in_store
-
-FORMAT: Final = 4
-DRIVABLE: Final = (1, 2, 3, 4)
-"""1 has less about its training; 2 may have a scale of its answers in its last layer; up to 3, steering is all."""
-MOST_CONFIG_BYTES: Final = 64 << 20  # it names every log
 
 
 def create_run(
@@ -87,7 +86,7 @@ def write_config(folder: Path, config: dict[str, Any]) -> None:
 def run_name(folder: Path) -> str:
     """NAME of runs/NAME, and NAME-last of runs/NAME/last: the weights after its last epoch, not its best."""
     folder = real_path(folder)
-    return f"{folder.parent.name}-{LAST}" if _is_last(folder) else folder.name
+    return f"{folder.parent.name}-{LAST}" if is_last_weights(folder) else folder.name
 
 
 def save_weights(
@@ -125,7 +124,7 @@ def find_run(name: str | None, runs: Location | str) -> Path:
     weights. Of a run in a store, it is a copy in the user's cache."""
     runs = location(runs)
     if (copy := _brought(name, runs)) is not None:
-        if not (copy / WEIGHTS).is_file() and not _is_last(copy):
+        if not (copy / WEIGHTS).is_file() and not is_last_weights(copy):
             there = read_record(config_folder(copy)).url
             raise RunError(f"{there}: its first epoch is not finished; `bc-train --resume {there}`")
         return copy
@@ -133,9 +132,14 @@ def find_run(name: str | None, runs: Location | str) -> Path:
     if name is None:
         return newest_run(runs)
     for folder in (runs / name, Path(name)):
-        if (folder / WEIGHTS).is_file() or _is_last(folder):
+        if (folder / WEIGHTS).is_file() or is_last_weights(folder):
             return folder
     if (runs / name / CONFIG).is_file():
+        if is_being_trained(runs / name):
+            raise RunError(
+                f"{runs / name}: is being trained, and its first epoch is not finished: wait for it; `bc-runs`"
+                " shows how far it is"
+            )
         resume = f"`bc-train --resume {run_argument(runs / name)}`"
         raise RunError(f"{runs / name}: its first epoch is not finished; {resume}")
     raise RunError(
@@ -188,36 +192,6 @@ def _known(name: str, runs: Path, file: str) -> str:
     return suggest_runs(name, sorted(path.parent.name for path in runs.glob(f"*/{file}")), runs)
 
 
-def load_config(folder: Path) -> dict[str, Any]:
-    """The run's config.json. Raises RunError if it is damaged, or newer than this toolkit."""
-    path = config_folder(folder) / CONFIG
-    try:
-        config = json.loads(read_bounded(path, MOST_CONFIG_BYTES))
-        version = config["format"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise RunError(f"{path}: cannot be read ({error}); was it written by bc-train?") from None
-    if version not in DRIVABLE:
-        raise RunError(
-            f"{path}: of format {version}, this toolkit reads {DRIVABLE[0]} to {FORMAT}; update the toolkit"
-        )
-    picture_of(config, path)  # refuses what this toolkit does not do
-    return dict(config)
-
-
-def config_folder(folder: Path) -> Path:
-    """The folder of the run: NAME also of NAME/last."""
-    return folder.parent if _is_last(folder) else folder
-
-
-def weights_path(folder: Path) -> Path:
-    """The file with the weights of a run, or of its last epoch (NAME/last)."""
-    return folder / (CHECKPOINT if _is_last(folder) else WEIGHTS)
-
-
-def _is_last(folder: Path) -> bool:
-    return folder.name == LAST and (folder / CHECKPOINT).is_file()
-
-
 def picture_of_run(folder: Path) -> PictureSpec:
     """The picture that the run's network sees. Raises RunError as `load_config` does."""
     return picture_of(load_config(folder), folder)
@@ -257,7 +231,7 @@ def load_weights(folder: Path, network: PictureNetwork) -> AnswerScale:
     if they are damaged, or do not fit."""
     path = weights_path(folder)
     weights, stored = load_checksummed(path, config_folder(folder), "copy it again, or train the run again")
-    if _is_last(folder):
+    if is_last_weights(folder):
         prefix = "averaged." if any(name.startswith("averaged.") for name in weights) else "network."
         weights = {name.removeprefix(prefix): weights[name] for name in weights if name.startswith(prefix)}
     try:
@@ -290,9 +264,3 @@ def _answer_scale(stored: Mapping[str, str], path: Path) -> AnswerScale:
         raise RunError(
             f"{path}: {error}, which no training gives; copy it again, or train the run again"
         ) from None
-
-
-def weights_checksum(folder: Path) -> str:
-    """SHA-256 of the run's weights, by which a drive's log names the network that drove."""
-    with weights_path(folder).open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()

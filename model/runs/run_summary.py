@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,15 +13,23 @@ from typing import Any, Final
 
 import msgspec
 
+from common.car import MAX_STEERING_DEG
 from common.errors import as_user_error
 from common.location import Location
+from common.steering_unit import SteeringUnit, steering_unit
 from common.store_record import read_record
+from model.errors import RunError
+from model.metrics import Measures
 from model.runs.history import read_epochs
 from model.runs.kept_results import KeptResult, kept_results
 from model.runs.network_of_run import stored_network, stored_targets
-from model.runs.run_folder import CONFIG, WEIGHTS, load_config, weights_checksum
+from model.runs.run_config import config_folder, load_config, weights_checksum
+from model.runs.run_files import CONFIG, WEIGHTS
+from model.runs.run_lock import is_being_trained
+from model.runs.run_numbers import run_numbers
 from model.runs.runs_in_store import bring_summaries
 from model.runs.training_progress import Epoch
+from model.runs.verdict import Verdict, verdict_of
 
 
 class _Training(msgspec.Struct):
@@ -56,8 +64,8 @@ class _Config(msgspec.Struct):
 
 @dataclass(frozen=True)
 class RunSummary:
-    """A run in short. Errors are of the frames held out after the epoch that was kept, in degrees; NaN where there
-    are none."""
+    """A run in short. Errors are of the frames held out after the epoch that was kept, in degrees (by
+    `assumed_deg`); NaN where there are none."""
 
     name: str
     folder: str
@@ -76,8 +84,10 @@ class RunSummary:
     balanced_rmse_deg: float = math.nan
     mean_balanced_rmse_deg: float = math.nan
     correlation: float = math.nan
+    max_deg: float | None = MAX_STEERING_DEG  # the wheels' angle at steering 1; None: unknown
     split: str = ""  # of its logs, by which frames are held out; networks of one were measured on the same frames
     results: list[KeptResult] = field(default_factory=list)  # the last of each kind that its weights have given
+    verdict: Verdict | None = None
 
     @property
     def rmse_share(self) -> float:
@@ -87,6 +97,11 @@ class RunSummary:
     @property
     def balanced_rmse_share(self) -> float:
         return _share(self.balanced_rmse_deg, self.mean_balanced_rmse_deg)
+
+    @property
+    def unit(self) -> SteeringUnit:
+        """The unit in which people read its errors."""
+        return steering_unit(self.max_deg)
 
     @property
     def drives(self) -> list[dict[str, Any]]:
@@ -123,6 +138,18 @@ def summarize_runs(runs: Location) -> Iterator[RunSummary]:
         yield replace(found, folder=str(stored.url), problem=problem)
 
 
+def judge(run: Path | str, measured: Measures | None = None, sessions: Sequence[str] = ()) -> Verdict:
+    """The verdict on a run, by the numbers that its folder holds; its errors are those `measured` on rows of
+    `sessions`, where these are given. Raises RunError if it cannot be read."""
+    run = config_folder(Path(run))
+    try:
+        config = load_config(run)
+        numbers = run_numbers(run, config, read_epochs(run), last_results(run), is_training=is_being_trained(run))
+    except (OSError, ValueError) as error:
+        raise RunError(f"{run}: no verdict on it ({' '.join(str(error).split())})") from None
+    return verdict_of(numbers if measured is None else numbers.of_rows(measured, sessions))
+
+
 def summarize_run(run: Path) -> RunSummary:
     """The summary of a run, or of a copy of one in a store, which may lack the weights; of one that cannot be
     read, its problem."""
@@ -140,6 +167,8 @@ def _summary(run: Path) -> RunSummary:
     config = msgspec.convert(stored, _Config)
     epochs = read_epochs(run)
     kept = next((epoch for epoch in reversed(epochs) if epoch.is_best), None)
+    results = last_results(run) if has_weights else []
+    numbers = run_numbers(run, stored, epochs, results, is_training=is_being_trained(run))
     return RunSummary(
         run.name,
         str(run),
@@ -153,7 +182,8 @@ def _summary(run: Path) -> RunSummary:
         epochs_asked=config.training.epochs,
         **_errors(kept),
         split=config.data.split(kept.measures.frames) if kept else "",
-        results=last_results(run) if has_weights else [],
+        results=results,
+        verdict=verdict_of(numbers),
     )
 
 
@@ -168,6 +198,7 @@ def _errors(kept: Epoch | None) -> dict[str, Any]:
         "balanced_rmse_deg": measures.balanced_rmse_deg if measures.frames else math.nan,
         "mean_balanced_rmse_deg": measures.mean_balanced_rmse_deg,
         "correlation": measures.network.correlation,
+        "max_deg": measures.max_deg,
     }
 
 

@@ -1,4 +1,4 @@
-"""The outcome of a training, in words: whether it beats a constant, and why which epoch is kept."""
+"""The outcome of a training, in words: what natural answers change, and why which epoch is kept."""
 
 from __future__ import annotations
 
@@ -22,38 +22,22 @@ def error_to_keep_by(keep: Keep, measures: Measures) -> float:
     return measures.balanced_rmse_deg if keep == "balanced-rmse" else measures.network.rmse_deg
 
 
-def verdict(epochs: Sequence[Epoch], kept: int, keep: Keep = "balanced-rmse") -> list[str]:
-    """A line that compares epoch `kept` with always predicting the mean of the very frames it was measured on, one
-    for the scale of its answers, and one if another epoch had the smaller RMSE; none if nothing was held out."""
+def outcome_lines(epochs: Sequence[Epoch], kept: int, keep: Keep = "balanced-rmse") -> list[str]:
+    """A line for the scale of the answers of epoch `kept`, and one if another epoch had the smaller RMSE; none if
+    nothing was held out."""
     best = next((epoch for epoch in epochs if epoch.epoch == kept and epoch.measures.frames), None)
     if best is None:
         return []
-    return [_beside_the_mean(best), *_of_natural_answers(best), *_why_kept(epochs, best, keep)]
-
-
-def _beside_the_mean(best: Epoch) -> str:
-    measures = best.measures
-    pairs = {"RMSE": (measures.network.rmse_deg, measures.mean.rmse_deg)}
-    if math.isfinite(measures.mean_balanced_rmse_deg):  # earlier versions did not store it
-        pairs["balanced RMSE"] = (measures.balanced_rmse_deg, measures.mean_balanced_rmse_deg)
-    texts = {name: f"{decimal(network, 2)} against {mean:.2f} degrees" for name, (network, mean) in pairs.items()}
-    is_better = {name: network < mean for name, (network, mean) in pairs.items()}
-    if len(set(is_better.values())) == 1:
-        numbers = ", ".join(f"{name} {numbers}" for name, numbers in texts.items())
-        return f"{_word(is_better['RMSE'])} than always predicting the mean: {numbers}"
-    parts = [f"{_word(is_better[name])} in {name} ({numbers})" for name, numbers in texts.items()]
-    return (
-        f"beside always predicting the mean: {', '.join(parts)}; the balanced one counts every steering bin alike"
-    )
+    return [*_of_natural_answers(best), *_why_kept(epochs, best, keep)]
 
 
 def _of_natural_answers(best: Epoch) -> list[str]:
     if best.learnt is None or best.answers == AnswerScale():
         return []
-    return [
-        f"natural answers: {best.answers.in_degrees(best.measures.max_deg)}:"
-        f" RMSE {decimal(best.measures.network.rmse_deg, 2)} instead of {decimal(best.learnt.rmse_deg, 2)} degrees"
-    ]
+    unit = best.measures.unit
+    natural, learnt = (decimal(unit.of(each.rmse_deg), 2) for each in (best.measures.network, best.learnt))
+    formula = best.answers.in_words(best.measures.max_deg)
+    return [f"natural answers: {formula}: RMSE {natural} instead of {learnt} {unit.name}"]
 
 
 def _why_kept(epochs: Sequence[Epoch], best: Epoch, keep: Keep) -> list[str]:
@@ -63,15 +47,16 @@ def _why_kept(epochs: Sequence[Epoch], best: Epoch, keep: Keep) -> list[str]:
     least = min((epoch for epoch in epochs if math.isfinite(rmse_deg(epoch))), key=rmse_deg, default=best)
     if not rmse_deg(least) < rmse_deg(best):
         return []
-    other = f"epoch {least.epoch:,} for its RMSE ({rmse_deg(least):.2f} against {rmse_deg(best):.2f})"
+    shown = best.measures.unit.of
+    other = (
+        f"epoch {least.epoch:,} for its RMSE ({shown(rmse_deg(least)):.2f} against {shown(rmse_deg(best)):.2f})"
+    )
     if keep == "last":
         return [f"epoch {best.epoch:,} is kept as the last one (--keep last) and not {other}"]
     of_best, of_least = (error_to_keep_by(keep, epoch.measures) for epoch in (best, least))
+    if keep == "balanced-rmse":
+        of_best, of_least = shown(of_best), shown(of_least)
     return [
         f"epoch {best.epoch:,} is kept for its {_NAMES[keep]} ({of_best:.2f} against {of_least:.2f})"
         f" and not {other}, which says little about bends where most of the road is straight"
     ]
-
-
-def _word(is_better: bool) -> str:
-    return "better" if is_better else "no better"

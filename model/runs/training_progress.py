@@ -49,6 +49,7 @@ class Epoch:
     answers: AnswerScale = field(default_factory=AnswerScale)  # that the measures are of
     learnt: Errors | None = None  # of the answers without it; None in runs of earlier versions
     targets: tuple[TargetErrors, ...] = ()  # of those besides steering
+    learnt_driving_error: float = math.nan  # of the answers without it; earlier versions have none
 
     @property
     def scalars(self) -> dict[str, float]:
@@ -80,7 +81,7 @@ class Epoch:
             "bins": [asdict(part) for part in measures.bins],
             **({"max_deg": measures.max_deg} if measures.max_deg != MAX_STEERING_DEG else {}),
             "answers": asdict(self.answers),
-            "learnt": None if self.learnt is None else asdict(self.learnt),
+            "learnt": self.learnt and {**asdict(self.learnt), "driving_error": self.learnt_driving_error},
             **({"targets": [target.as_dict() for target in self.targets]} if self.targets else {}),
             "is_best": self.is_best,
             "seconds": self.seconds,

@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from common.steering_unit import assumed_deg
 from dataset import MAX_STEERING_DEG, Loader
 from dataset.preprocess import Image, as_bgr
 from model.worst_moments import WorstFrame, worst_frames
@@ -37,7 +38,7 @@ class WorstPictures:
     epoch: int  # from 1
     frames: tuple[WorstFrame, ...]
     jpegs: tuple[bytes, ...]
-    max_deg: float = MAX_STEERING_DEG  # the wheels' angle at steering 1
+    max_deg: float | None = MAX_STEERING_DEG  # the wheels' angle at steering 1; None: unknown
 
     def as_dict(self) -> dict[str, Any]:
         frames = [
@@ -54,12 +55,12 @@ def find_worst(
     loader: Loader,
     predicted: NDArray[np.float64],
     recorded: NDArray[np.float64],
-    max_deg: float = MAX_STEERING_DEG,
+    max_deg: float | None = MAX_STEERING_DEG,
 ) -> WorstPictures:
     """The worst of the frames that a network was measured on.
 
     `measured` has `WORST_COLUMNS` for each sample of `loader`; the steering arrays (N,) are of those that decode;
-    `max_deg` is the wheels' angle at steering 1.
+    `max_deg` is the wheels' angle at steering 1, None if it is unknown.
     """
     decoded = np.flatnonzero(loader.decoded)
     frames = measured.take(decoded).append_column("predicted", pa.array(predicted))
@@ -69,7 +70,9 @@ def find_worst(
     samples = [
         decoded[
             np.argmax(
-                (time_ns == frame.log_time_ns) & (row == frame.row) & (max_deg * predicted == frame.predicted_deg)
+                (time_ns == frame.log_time_ns)
+                & (row == frame.row)
+                & (assumed_deg(max_deg) * predicted == frame.predicted_deg)
             )
         ]
         for frame in worst

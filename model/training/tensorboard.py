@@ -19,7 +19,7 @@ from typing import Final
 from common.files import write_remedy
 from common.versions import install_line
 from model.errors import RunError
-from model.metrics import BinErrors
+from model.metrics import Measures
 from model.runs.history import HistoryReader
 from model.runs.training_progress import Epoch, Step
 
@@ -110,8 +110,8 @@ class TensorBoard:
     def _add_epoch(self, file: _EventFile, epoch: Epoch) -> None:
         samples = self._epoch_ends.get(epoch.epoch, epoch.epoch)
         file.add_scalars(epoch.scalars, samples)
-        if bins := epoch.measures.bins:
-            file.add_text("errors by steering", _table(bins), samples)
+        if epoch.measures.bins:
+            file.add_text("errors by steering", _table(epoch.measures), samples)
 
 
 class _EventFile:
@@ -154,12 +154,14 @@ class _EventFile:
         self._stream.flush()
 
 
-def _table(bins: Sequence[BinErrors]) -> str:
+def _table(measures: Measures) -> str:
     """In Markdown, as TensorBoard shows it."""
+    unit = measures.unit
     rows = ["| steering | frames | MAE | RMSE | bias (+: right) |", "|---|---|---|---|---|"]
-    rows += [
-        f"| {part.low:+.2f} .. {part.high:+.2f} | {part.frames:,}"
-        f" | {part.mae_deg:.2f}° | {part.rmse_deg:.2f}° | {part.bias_deg:+.2f}° |"
-        for part in bins
-    ]
+    for part in measures.bins:
+        mae, rmse, bias = map(unit.of, (part.mae_deg, part.rmse_deg, part.bias_deg))
+        rows.append(
+            f"| {part.low:+.2f} .. {part.high:+.2f} | {part.frames:,}"
+            f" | {mae:.2f}{unit.sign} | {rmse:.2f}{unit.sign} | {bias:+.2f}{unit.sign} |"
+        )
     return "\n".join(rows)

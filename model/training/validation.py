@@ -15,7 +15,7 @@ from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import steering_in
 from model.config import TrainConfig
 from model.evaluation.predict import predict
-from model.metrics import Measures, errors, measure
+from model.metrics import Measures, measure
 from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position
@@ -62,6 +62,7 @@ class Validation:
         and of `predicted`, the same in the scale of `answers`."""
         config = self._config
         measures = measure(steering_in(predicted), steering_in(recorded), max_deg=self._max_deg)
+        as_learnt = measure(steering_in(learnt), steering_in(recorded), max_deg=self._max_deg)
         return Epoch(
             position.epoch,
             position.squared_error / position.samples,
@@ -71,8 +72,9 @@ class Validation:
             position.seconds,
             position.samples / position.seconds,
             answers,
-            errors(steering_in(learnt), steering_in(recorded), self._max_deg),
+            as_learnt.network,
             other_targets(config.targets, predicted, recorded),
+            as_learnt.driving_error if len(recorded) else math.nan,
         )
 
     def error(self, measures: Measures) -> float:

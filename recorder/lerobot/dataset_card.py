@@ -36,10 +36,11 @@ def card(
     licence: str | None,
     picture: str,
     rate_hz: float,
-    max_steering_deg: float,
+    max_steering_deg: float | None,
 ) -> str:
     """The text of a card. `picture`: the file name of an example."""
     is_video = info["video_path"] is not None
+    full = "an unknown angle" if max_steering_deg is None else f"{max_steering_deg:g} degrees"
     header = [
         "---",
         *([f"license: {json.dumps(licence)}"] if licence else []),
@@ -86,7 +87,7 @@ def card(
         "## What is in it",
         "",
         f"- {pictures}",
-        f"- `action`: `steering` from -1 (left) to 1 (right), where 1 is {max_steering_deg:g} degrees of the front"
+        f"- `action`: `steering` from -1 (left) to 1 (right), where 1 is {full} of the front"
         " wheels; `throttle`, `brake`, 0 to 1.",
         f"- `observation.state`: {speed}{_listed(PREVIOUS_NAMES)}: what was in force before the frame's `action`,"
         " from the row before it in its log. They are 0 where a drive begins.",

@@ -12,12 +12,14 @@ from common import Skipped
 from common.car import CAMERAS, Camera
 from common.errors import counted
 from common.location import Location
+from common.steering_unit import assumed_deg
 from recorder.errors import LogError
 from recorder.lerobot.dataset_format import LOG_TIME, LOG_VEHICLE, STATE
 from recorder.lerobot.log_episodes import ChosenRows, log_episodes
 from recorder.log.reader import Log
-from recorder.log.session_car import max_steering_deg_of
+from recorder.log.session_car import known_max_steering_deg
 from recorder.log.topics import camera_topic
+from recorder.log.usual_step import usual_step
 
 RATES_DIFFER: Final = 1.2
 """Sessions whose rates differ by this factor get a notice: the format has one rate for all."""
@@ -29,7 +31,7 @@ class ExportPlan:
     has_speed: bool
     """Every row has one."""
     rate_hz: float
-    max_steering_deg: float
+    max_steering_deg: float | None  # of the wheels at steering 1; None: unknown
     """The angle of the front wheels at steering 1."""
     rows: int
     """At most so many frames."""
@@ -50,19 +52,19 @@ def plan_export(
     cameras. Raises LogError if one cannot be read, if no camera is in all, or if
     their wheels turn differently."""
     cameras, notices = _cameras(paths, wanted)
-    steps, rates, row_count, known, degrees = [np.zeros(0, np.int64)], {}, 0, [], set[float]()
+    steps, rates, row_count, known, degrees = [np.zeros(0, np.int64)], {}, 0, [], set[float | None]()
     for path in paths:
         with Log(path, shows_progress=True) as log:
             taken = log_episodes(log, cameras, Skipped(), None if chosen is None else chosen[path])
-            degrees.add(max_steering_deg_of(log))
+            degrees.add(known_max_steering_deg(log))
         row_count += len(taken.states.row)
         its_steps = taken.steps_ns[taken.steps_ns > 0]
         if len(its_steps):
             steps.append(its_steps)
-            rates[path.name] = _rate_hz(its_steps)
+            rates[path.name] = 1e9 / usual_step(its_steps)
         if len(taken.states.row):
             known.append(bool(np.isfinite(taken.states.speed_mph).all()))
-    rate_hz = _rate_hz(np.concatenate(steps)) if rates else 1.0
+    rate_hz = 1e9 / usual_step(np.concatenate(steps)) if rates else 1.0
     if rates and max(rates.values()) > RATES_DIFFER * min(rates.values()):
         listed = ", ".join(f"{rate:.1f} in {name}" for name, rate in rates.items())
         notices.append(
@@ -70,13 +72,20 @@ def plan_export(
         )
     if any(known) and not all(known):
         notices.append(f"not every row has a speed: it is in {LOG_VEHICLE}, and {STATE} is without it")
-    if len(degrees) > 1:
-        listed = " and ".join(f"{each:g}" for each in sorted(degrees))
+    if len(different := {assumed_deg(each) for each in degrees}) > 1:
+        listed = " and ".join(f"{each:g}" for each in sorted(different))
         raise LogError(
             f"{', '.join(map(str, paths))}: at steering 1, wheels turn by {listed} degrees, and a dataset has one"
             " scale; export them one by one"
         )
-    return ExportPlan(cameras, bool(known) and all(known), rate_hz, degrees.pop(), row_count, tuple(notices))
+    return ExportPlan(
+        cameras,
+        bool(known) and all(known),
+        rate_hz,
+        None if None in degrees else degrees.pop(),
+        row_count,
+        tuple(notices),
+    )
 
 
 def _cameras(paths: Sequence[Location], wanted: Sequence[Camera]) -> tuple[tuple[Camera, ...], list[str]]:
@@ -99,7 +108,3 @@ def _cameras(paths: Sequence[Location], wanted: Sequence[Camera]) -> tuple[tuple
         if names and camera not in cameras
     ]
     return cameras, notices
-
-
-def _rate_hz(steps_ns: np.ndarray[tuple[int], np.dtype[np.int64]]) -> float:
-    return 1e9 / float(np.median(steps_ns))

@@ -11,7 +11,7 @@ from pathlib import Path
 from common.location import Location
 from common.progress import track
 from recorder.errors import LogError
-from recorder.log.check_contents import Contents, Finding, odd_findings
+from recorder.log.check_contents import GAPS, Contents, Finding, odd_findings
 from recorder.log.check_structure import sound_chunks
 from recorder.log.mcap_file import McapFile
 from recorder.log.odd_stretches import OddStretch
@@ -44,6 +44,7 @@ class Checked:
     findings: list[Finding]
     has_crcs: bool  # other programs may do without: damage is then not noticed
     meant_gaps: list[str]  # gaps in time that its events explain; no findings
+    pauses: list[str]  # of a recorder that people switch off and on; no findings
     odd: list[OddStretch]  # of its rows, also those that may be meant and are no findings
 
 
@@ -78,5 +79,21 @@ def check(path: Location, *, look: bool = True) -> Checked:
                 left_out = "`bc-index --cameras center` leaves them out"
                 findings.append(Finding("side cameras that are swapped", f"left and right; {left_out}"))
     findings += odd_findings(odd)
-    count = sum(contents.counts.values())
-    return Checked(path, count, contents.pictures, findings, has_crcs, contents.meant_gaps, odd)
+    pauses = [finding for finding in findings if finding.kind == GAPS and _is_paused_by_people(path)]
+    return Checked(
+        path,
+        sum(contents.counts.values()),
+        contents.pictures,
+        [finding for finding in findings if finding not in pauses],
+        has_crcs,
+        contents.meant_gaps,
+        [finding.where for finding in pauses],
+        odd,
+    )
+
+
+def _is_paused_by_people(path: Location) -> bool:
+    """Whether a log was imported from a recorder that people switch off and on: a gap is then no loss."""
+    with contextlib.suppress(LogError), Log(path, brief=True) as log:
+        return log.metadata.get("source") in ("udacity", "donkeycar", "csv")
+    return False

@@ -25,6 +25,7 @@ from recorder.log.topics import CAMERA_TOPICS, LOG_MESSAGE, TOPICS, VEHICLE_STAT
 from recorder.pictures.image_check import ImageCheck, TopicPictures
 from recorder.pictures.picture_size import PictureSizes, width_and_height
 
+GAPS: Final = "gaps in time"
 ODD_FINDINGS: Final = {
     "crash": "crashes",
     "backwards": "stretches of driving backwards",
@@ -140,7 +141,7 @@ class Contents:
         meant = self._not_recorded.gaps(states)
         self.meant_gaps = [f"before row {row}" for row in states.row[meant].tolist()]
         for row in states.row[row_flags(states)["gap"] & ~meant].tolist():
-            self._findings.append(Finding("gaps in time", f"before row {row}"))
+            self._findings.append(Finding(GAPS, f"before row {row}"))
         self.odd = odd_stretches(states)
 
     def _cameras(self, *, has_rows: bool) -> frozenset[str]:

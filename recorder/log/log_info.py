@@ -50,7 +50,7 @@ class LogInfo:
 
     path: str
     size_bytes: int
-    start: str  # UTC, ISO 8601
+    start: str  # UTC, ISO 8601: of the first message, or of the file where time was simulated; "" if unknown
     duration_s: float  # from the first message to the last
     driven_s: float | None  # of all drives, without what lies between them; None: its rows were not measured
     topics: list[TopicInfo]  # rates over the driven time, if it is known
@@ -138,7 +138,7 @@ def describe(place: Location | Log, *, look: bool = False, with_tags: bool = Tru
         return LogInfo(
             path=str(log.path),
             size_bytes=log.size,
-            start=(datetime.fromtimestamp(first_ns // 10**9, UTC)).isoformat() if first_ns < 2**62 else "",
+            start=_start(log, first_ns),
             duration_s=duration_s,
             driven_s=driven_s,
             topics=[
@@ -160,6 +160,18 @@ def describe(place: Location | Log, *, look: bool = False, with_tags: bool = Tru
             is_ours=log.is_ours,
             meant_gaps=meant_rows(quality),
         )
+
+
+def _start(log: Log, first_ns: int) -> str:
+    """When a log was begun. The built-in simulator's recordings all begin at one moment of simulated time."""
+    session = log.metadata
+    is_simulated = session.get("source") == "simulator" and session.get("driver") != "human"
+    seconds = first_ns // 10**9
+    if is_simulated or session.get("source") == "gymnasium":
+        if not isinstance(log.path, Path):
+            return ""
+        seconds = int(log.path.stat().st_mtime)
+    return datetime.fromtimestamp(seconds, UTC).isoformat() if first_ns < 2**62 else ""
 
 
 def driven_by(log: Log) -> str:

@@ -23,7 +23,7 @@ from mcap.records import Attachment
 from mcap.records import Metadata as MetadataRecord
 
 from common.closeable import Closeable
-from common.errors import NoSuchObjectError, counted
+from common.errors import NoSuchObjectError, counted, did_you_mean
 from common.location import Location
 from common.random_access import open_for_reading
 from recorder.errors import LogError
@@ -364,7 +364,8 @@ def _advice(path: Path) -> str:
     for part in parts:
         if part.name.startswith(f"{path.name}."):
             return f"did you mean {part}?"
-    return "`bc-record NAME` makes a log"
+    names = [log.stem for folder in ("sessions", "drives") for log in Path(folder).glob("*.mcap")]
+    return did_you_mean(path.name, names) or "`bc-record NAME` makes a log"
 
 
 def prefixed(data: bytes, at: int) -> bytes:

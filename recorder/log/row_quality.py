@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from common.stretches import stretches, stretches_within
 from recorder.log.crashes import crashed_rows, manoeuvring_rows
-from recorder.log.devices import Device, most_used
+from recorder.log.devices import RowDevice, most_used
 from recorder.log.driving_backwards import driven_backwards
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ class StatesWritten:
         self._devices[state.device] += 1
 
     @property
-    def device(self) -> Device:
+    def device(self) -> RowDevice:
         """The device that most rows were steered with."""
         return most_used(self._devices)
 

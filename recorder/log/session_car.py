@@ -28,6 +28,9 @@ Outline = tuple[tuple[float, float], ...]
 """The upper edge of the bonnet in a picture: (column, row) of its corners from left to right, of a picture 320 by
 160."""
 
+_OF_UNKNOWN_CARS: Final = ("donkeycar", "csv", "mcap", "ros2 bag", "lerobot", "gymnasium")
+"""Sources whose sessions do not say how far the wheels turn, unless they have a car."""
+
 OUTLINE_PX: Final = (320, 160)  # columns and rows of the pictures that outlines are of
 
 CAR_KEY: Final = "car"
@@ -188,7 +191,7 @@ def stored_car(log: Log) -> Car | None:
 
 
 def max_steering_deg_of(log: Log) -> float:
-    """The angle of the front wheels at steering 1; Udacity's if the log has none.
+    """The angle of the front wheels at steering 1; Udacity's if the log has none: see `known_max_steering_deg`.
 
     Raises LogError for a merged log whose sessions differ in it, and for settings that no car has.
     """
@@ -198,6 +201,17 @@ def max_steering_deg_of(log: Log) -> float:
         degrees = " and ".join(f"{each:g}" for each in sorted(found))
         raise LogError(f"{log.path}: merged of sessions whose wheels turn by {degrees} degrees at steering 1")
     return found.pop()
+
+
+def known_max_steering_deg(log: Log) -> float | None:
+    """`max_steering_deg_of`; None for a session of others' data that does not say it."""
+    degrees = max_steering_deg_of(log)
+    return None if any(map(is_angle_unknown, _sessions(log))) else degrees
+
+
+def is_angle_unknown(session: Mapping[str, str]) -> bool:
+    """Whether the metadata of a session, or of predictions for one, do not say how far the wheels turn."""
+    return CAR_KEY not in session and session.get("log_source", session.get("source")) in _OF_UNKNOWN_CARS
 
 
 def car_of(log: Log, car: str = "auto") -> Car:

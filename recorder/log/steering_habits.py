@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from common.car import MAX_STEERING_DEG
 from common.untrusted_json import json_as
-from recorder.log.devices import Device
+from recorder.log.devices import RowDevice
 from recorder.log.row_quality import (
     States,
     Values,
@@ -23,6 +23,7 @@ from recorder.log.row_quality import (
     elapsed_s,
     row_flags,
 )
+from recorder.log.usual_step import usual_step
 
 CEILING_S: Final = (0.25, 0.5, 1.0)
 """Lengths of the time around a row whose other rows are its neighbours: half of it before, half after."""
@@ -57,7 +58,7 @@ class SteeringHabits:
     rows: int
     out_of_range: float  # share of all rows
     driven_s: float
-    rate_hz: float | None  # rows a second, the median
+    rate_hz: float | None  # rows a second, usually
     zeros: float | None  # share of the rows with a steering of exactly 0
     left: float | None  # share of those steered to the left
     right: float | None
@@ -69,7 +70,7 @@ class SteeringHabits:
     largest_deg: float | None  # of either side
     ceiling: tuple[float | None, float | None, float | None]  # within each of CEILING_S
     crashes: float | None  # share of the rows in crashes
-    device: Device = ""  # that a person steered most rows with, as recorded; empty if the log names none
+    device: RowDevice = ""  # that a person steered most rows with, as recorded; empty if the log names none
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ def habits_from(text: str) -> SteeringHabits | None:
 
 
 def steering_habits(
-    states: States, max_steering_deg: float = MAX_STEERING_DEG, device: Device = ""
+    states: States, max_steering_deg: float = MAX_STEERING_DEG, device: RowDevice = ""
 ) -> SteeringHabits:
     """Measure the habits in the rows of a log, whose wheels turn by `max_steering_deg` at steering 1, and whose
     rows name `device`. No content of the rows raises anything."""
@@ -100,7 +101,7 @@ def steering_habits(
     same = np.diff(drive) == 0
     steps_s = (np.diff(time_ns)[same]) / 1e9
     steps_s = steps_s[steps_s > 0]
-    step_s = float(np.median(steps_s)) if len(steps_s) else None
+    step_s = usual_step(steps_s) if len(steps_s) else None
     presses = _presses(steering, drive)
     out_of_range = 1 - rows / len(in_range) if len(in_range) else 0.0
     ceiling = _ceilings(steering, elapsed_s(time_ns))

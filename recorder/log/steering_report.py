@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from common.errors import counted
+from common.steering_unit import DEGREES, SteeringUnit
 from recorder.log.label_plan import LabelPlan
 from recorder.log.steering_habits import Kind, SteeringHabits, SteeringLag
 
@@ -31,8 +32,9 @@ def steering_cells(habits: SteeringHabits, lag: SteeringLag | None) -> list[str]
     ]
 
 
-def steering_line(habits: SteeringHabits, lag: SteeringLag | None) -> str:
+def steering_line(habits: SteeringHabits, lag: SteeringLag | None, unit: SteeringUnit = DEGREES) -> str:
     """All of it in a line."""
+    spread, largest = (None if each is None else unit.of(each) for each in (habits.spread_deg, habits.largest_deg))
     parts = [
         f"steered: {_how(habits)}",
         f"{_formatted(habits.zeros, '{:.0%}')} zeros, {_formatted(habits.left, '{:.0%}')} left,"
@@ -40,7 +42,7 @@ def steering_line(habits: SteeringHabits, lag: SteeringLag | None) -> str:
         counted(habits.presses, "press", "presses") + (f" of {habits.press_s:.2f} s" if habits.press_s else ""),
         f"{counted(habits.values, 'value')}",
         f"{_formatted(habits.rate_hz, '{:.1f}')} rows/s",
-        f"spread {_formatted(habits.spread_deg, '{:.2f}')} deg, up to {_formatted(habits.largest_deg, '{:.1f}')}",
+        f"spread {_formatted(spread, '{:.2f}')} {unit.short}, up to {_formatted(largest, '{:.1f}')}",
         f"ceiling {' / '.join(_formatted(ceiling, '{:.2f}') for ceiling in habits.ceiling)}",
     ]
     if lag is not None:

@@ -22,6 +22,7 @@ SESSION_METADATA: Final = "bc.session"
 QUALITY_METADATA: Final = "bc.quality"
 REWRITTEN_METADATA: Final = "bc.rewritten"  # which log this one holds the same content as
 DRIVE_METADATA: Final = "bc.drive"  # a drive's own summary
+PERSON_METADATA: Final = "bc.person"  # what a person chose while driving
 
 VEHICLE: Final = "/vehicle"
 PILOT_INPUT: Final = "/pilot/input"

@@ -63,6 +63,7 @@ class Steer:
     steering: float  # -1 (left) .. 1 (right)
     throttle: float  # -1..1
     decimal_separator: str = POINT  # of the simulator's machine
+    puts_back: bool = False  # the built-in simulator alone heeds it
 
 
 @dataclass(frozen=True)
@@ -358,7 +359,8 @@ class TelemetryServer:
 def _event(command: Steer | None) -> tuple[str, dict[str, str]]:
     if command is None:
         return "manual", {}
-    return "steer", format_command(command.steering, command.throttle, command.decimal_separator)
+    fields = format_command(command.steering, command.throttle, command.decimal_separator)
+    return "steer", fields | ({"put_back": "true"} if command.puts_back else {})
 
 
 def _telemetries(connection: Connection) -> int:

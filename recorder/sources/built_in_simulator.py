@@ -22,6 +22,7 @@ from recorder.log.pose_message import pose_message
 from recorder.log.session_car import built_in, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.import_result import Imported
+from simulator.driving.drive_limits import MAX_LAPS, MAX_SPEED_MPH
 from simulator.driving.recovery_driving import MOST_RECOVERY, DriveStep, drive_for_recording, steps_each
 from simulator.driving.simulated_driver import DriverName, make_driver
 from simulator.driving.simulation import Simulation
@@ -31,6 +32,7 @@ from simulator.rendering.camera import MOUNT_LEFT_M
 # Simulated time has no date. This one makes the same drive the same log, byte for byte.
 CLOCK_START_NS: Final = 1_767_225_600 * 10**9  # 2026-01-01T00:00:00Z
 
+_SPEED_EXPECTED: Final = f"a set speed above 0 mph and up to {MAX_SPEED_MPH} (the car reaches 30)"
 BACK_TO_START_S: Final = 2.0
 """The gap in the times of a recording where the car is put back at the start, to be driven at another speed."""
 
@@ -48,6 +50,8 @@ class SimulatedDrive:
     laps: float | None = None
     """How far to drive, at each speed, 1 by default; 0.5 records the first half of the track and nothing of the
     second. You (--driver me) drive until you end it."""
+    start: Annotated[float, tyro.conf.arg(metavar="METRES")] = 0.0
+    """With --driver me: where you begin, along the track."""
     speed: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MPH [MPH ...]")] = (10.0,)
     """Set speeds in mph, driven one after the other, each from the start; the driver slows for bends. With
     --driver me the speed that the page holds for you at first."""
@@ -71,22 +75,15 @@ def record_simulated(
     refuse_existing(log, overwrite)  # before the folder is begun
     check_drive(drive)
     name, laps = _driver_name(drive), 1.0 if drive.laps is None else drive.laps
-    try:
-        simulation = Simulation(drive.track)
-    except ValueError as error:
-        raise RecordingError(f"--track {drive.track}: {error}") from None
-    metadata = {
-        "source": "simulator",
-        "simulator": "built-in",
-        "track": simulation.track.name,
-        "track_fingerprint": simulation.track.fingerprint(),
-        "driver": name,
-        "drive.laps": f"{laps:g}",
-        "drive.speed": " ".join(f"{speed_mph:g}" for speed_mph in drive.speed),
-        **{f"drive.{name}": f"{getattr(drive, name):g}" for name in ("rate", "recovery", "noise")},
-        "drive.seed": str(drive.seed),
-        **metadata_of(built_in()),
-    }
+    simulation = simulation_on(drive.track)
+    metadata = simulator_metadata(
+        simulation,
+        name,
+        laps=f"{laps:g}",
+        speed=" ".join(f"{speed_mph:g}" for speed_mph in drive.speed),
+        **{name: f"{getattr(drive, name):g}" for name in ("rate", "recovery", "noise")},
+        seed=str(drive.seed),
+    )
     length_m = len(drive.speed) * laps * simulation.track.line.length_m
     rows = put_back = 0
     last_s = 0.0
@@ -136,6 +133,27 @@ def record_simulated(
     return Imported(log, rows, rows * len(MOUNT_LEFT_M), Skipped(), notices)
 
 
+def simulation_on(track: str) -> Simulation:
+    """The built-in simulator on a track. Raises RecordingError for one that does not exist."""
+    try:
+        return Simulation(track)
+    except ValueError as error:
+        raise RecordingError(f"--track {track}: {error}") from None
+
+
+def simulator_metadata(simulation: Simulation, driver: str, **drive: str) -> dict[str, str]:
+    """The metadata of a log of the built-in simulator; `drive` has the settings of the drive."""
+    return {
+        "source": "simulator",
+        "simulator": "built-in",
+        "track": simulation.track.name,
+        "track_fingerprint": simulation.track.fingerprint(),
+        "driver": driver,
+        **{f"drive.{name}": value for name, value in drive.items()},
+        **metadata_of(built_in()),
+    }
+
+
 def _why_not_recorded(step: DriveStep, new_speed_mph: float | None) -> str:
     if new_speed_mph is not None:
         return "the car was put back at the start"
@@ -174,8 +192,13 @@ def check_drive(drive: SimulatedDrive) -> None:
     if not drive.speed:
         raise RecordingError("--speed: a set speed in mph was expected, or several")
     for flag, value, is_good, expected in (
-        ("--laps", drive.laps or 0.0, drive.laps is None or 0 < drive.laps < math.inf, "a number above 0"),
-        *(("--speed", mph, 0 < mph < math.inf, "a set speed above 0 mph") for mph in drive.speed),
+        (
+            "--laps",
+            drive.laps or 0.0,
+            drive.laps is None or 0 < drive.laps <= MAX_LAPS,
+            f"a number above 0 and up to {MAX_LAPS:,} (a lap takes some 70 MB)",
+        ),
+        *(("--speed", mph, 0 < mph <= MAX_SPEED_MPH, _SPEED_EXPECTED) for mph in drive.speed),
         ("--recovery", drive.recovery, 0 <= drive.recovery <= MOST_RECOVERY, f"a share of 0 .. {MOST_RECOVERY:g}"),
         ("--noise", drive.noise, 0 <= drive.noise < math.inf, "a standard deviation of the steering, 0 or more"),
         ("--seed", drive.seed, drive.seed >= 0, "a whole number from 0 on"),

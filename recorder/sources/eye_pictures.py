@@ -5,26 +5,28 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Self
 
 from common.interrupts import leave_signals_to_main_thread
+from recorder.teleop.frame_state import FrameState
+from recorder.teleop.rate_meter import RateMeter
 from recorder.teleop.wheel import Wheel
 from simulator.driving.simulation import Simulation
 from simulator.driving.vehicle import STEP_S
 from simulator.pose import Pose
 
 EYE_STEPS: Final = 2
-"""Steps of the simulator from one picture to the next: 25 pictures a second."""
+"""Steps of the simulator from one picture to the next."""
+EYE_HZ: Final = 1 / (EYE_STEPS * STEP_S)
 MAX_STEPS_BEHIND: Final = 4
 """So many steps the clock goes on without a new picture; then it waits for one."""
 SCALES: Final = (1.0, 1.5, 2.0)
 """Sizes, by that of recorded pictures: 320x160, 480x240, 640x320."""
 _FULL_SHARE: Final = 0.9  # of the time between two pictures; rendering that takes more is too slow
 _ROOM_SHARE: Final = 0.5  # rendering at the next larger size that would take less has room
+_TRIAL: Final = 10  # of so many pictures as small as the recorded ones, one is rendered to see if there is room
 _MIN_SLOW, _MIN_FAST = 5, 50  # pictures of a size before the next smaller, or larger, one is tried
-_RATE_S: Final = 2.0  # pictures a second are those of so long
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,8 @@ class EyeMoment:
 
     step: int
     pose: Pose
-    state: dict[str, object]
+    state: FrameState
+    recorded: bytes | None = None  # the picture as it is recorded, if it is there already
 
 
 class PictureScale:
@@ -43,16 +46,22 @@ class PictureScale:
         self._at = len(SCALES) - 1
         self._mean_s: float | None = None
         self._pictures = 0
+        self._small = 0
 
     @property
     def scale(self) -> float:
         return SCALES[self._at]
 
+    def is_recorded_enough(self) -> bool:
+        """True if the recorded picture, where it is there, serves in place of the next one."""
+        self._small = 0 if self._at else self._small + 1
+        return self._small % _TRIAL != 0
+
     def note(self, seconds: float) -> None:
         """Note how long a picture of this size took."""
         self._pictures += 1
         self._mean_s = seconds if self._mean_s is None else 0.9 * self._mean_s + 0.1 * seconds
-        most_s = EYE_STEPS * STEP_S
+        most_s = 1 / EYE_HZ
         larger = SCALES[min(self._at + 1, len(SCALES) - 1)]
         if self._pictures >= _MIN_SLOW and self._mean_s > _FULL_SHARE * most_s and self._at > 0:
             self._change(-1)
@@ -93,15 +102,9 @@ class EyePictures:
         self._next: EyeMoment | None = None
         self._rendering: EyeMoment | None = None
         self._is_over = False
-        self._shown_s: deque[float] = deque(maxlen=round(_RATE_S / STEP_S))
+        self._rates = RateMeter()
         self._failure: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="eye", daemon=True)
-
-    @property
-    def rate_hz(self) -> float:
-        """Pictures a second that were shown lately."""
-        since_s = time.monotonic() - _RATE_S
-        return sum(shown_s > since_s for shown_s in tuple(self._shown_s)) / _RATE_S
 
     def offer(self, moment: EyeMoment) -> None:
         """Show a moment, in place of one that still waits; without a page, nothing."""
@@ -153,9 +156,12 @@ class EyePictures:
     def _show(self, moment: EyeMoment) -> None:
         begin_s = time.monotonic()
         if self._wheel.wants_recorded:
-            jpeg = self._simulation.jpeg("center", moment.pose)
+            jpeg = moment.recorded or self._simulation.jpeg("center", moment.pose)
+        elif moment.recorded and self._scale.is_recorded_enough():
+            jpeg = moment.recorded
         else:
             jpeg = self._simulation.jpeg("center", moment.pose, self._scale.scale)
             self._scale.note(time.monotonic() - begin_s)
-        self._shown_s.append(time.monotonic())
-        self._wheel.show(moment.state | {"picture_hz": self.rate_hz}, jpeg)
+        self._rates.add(time.monotonic())
+        state = replace(moment.state, picture_hz=self._rates.frames_per_s)
+        self._wheel.show(state.as_message(), jpeg)

@@ -60,7 +60,7 @@ class McapTopics:
     steering: str
     """The topic and the field of the steering, such as /drive.drive.steering_angle or /joy.axes.0."""
     steering_scale: float = 1.0
-    """What makes -1 (left) .. 1 (right) of it, where 1 is 25 degrees. ROS counts left as positive: give -1 for
+    """What makes -1 (left) .. 1 (right) of it. ROS counts left as positive: give -1 for
     what is -1..1 already, -2.29 for radians."""
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -19,17 +18,19 @@ from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.bad_telemetry import BadTelemetry
 from recorder.log.derived_log import close_with_tags
+from recorder.log.devices import Device, device_value
 from recorder.log.log_time import LogClock
 from recorder.log.meant_gaps import DISCONNECTED, HUMAN_DRIVES, HUMAN_HAS_STOPPED, not_recorded
 from recorder.log.pose_message import pose_message
 from recorder.log.session_car import UDACITY, Car, metadata_of
+from recorder.log.topics import PERSON_METADATA
 from recorder.log.writer import EventLevel, LogWriter
 from recorder.server.locale_numbers import POINT
 from recorder.server.telemetry import Telemetry, TelemetryError, check_whole_picture, parse_telemetry
 from recorder.server.telemetry_server import NO_TELEMETRY_S, Answer, Steer, TelemetryServer
 from recorder.server.world import WorldNotices
 from recorder.sources.import_result import Imported
-from recorder.teleop.messages import Device
+from recorder.sources.listen_settings import ListenSettings
 
 if TYPE_CHECKING:
     from recorder.sources.person_of_telemetry import PersonOfTelemetry
@@ -40,45 +41,42 @@ RATE_S = 1.0  # the rows a second that are shown are those of this last while
 
 def listen_for_telemetry(
     log: Path,
+    settings: ListenSettings,
     *,
-    host: str = "127.0.0.1",
-    port: int = 4567,
-    idle_s: float | None = None,
     overwrite: bool = False,
-    car: Car | None = None,
-    on_started: Callable[[Path], None] | None = None,
     person: PersonOfTelemetry | None = None,
 ) -> Imported:
-    """Record the telemetry of Socket.IO clients on host:port (port 0: a free one) to `log`. Every telemetry is
-    answered by `manual`, which asks for the next one, or by a `person`, who also chooses what is recorded.
+    """Record the telemetry of Socket.IO clients to `log`. Every telemetry is answered by `manual`, which asks for
+    the next one, or by a `person`, who also chooses what is recorded.
 
-    Ends on Ctrl-C or `kill`, or `idle_s` seconds after the last telemetry; outside the main thread, which alone
-    hears signals, only on the latter. `on_started` gets the path of the growing file, once the server listens.
-    `car` is theirs, if that is not Udacity's or the built-in one's.
+    Ends on Ctrl-C or `kill`, or `idle_s` of the settings after the last telemetry; outside the main thread, which
+    alone hears signals, only on the latter.
 
     Raises RecordingError if not one telemetry came that can be used, ListenError if the port is taken, UserError
     if `log` exists and `overwrite` is off, or if it cannot be written any further.
     """
     refuse_existing(log, overwrite)
-    metadata = {"source": "telemetry"} | ({} if person is None else {"driver": "human"})
+    driver = {} if person is None else {"driver": "human"}
+    metadata = {"source": "telemetry", **driver, **metadata_of(settings.car)}
     with stop_signals() as stopped, contextlib.ExitStack() as writing:
-        writer = writing.enter_context(LogWriter(log, metadata | metadata_of(car), overwrite=overwrite, live=True))
+        writer = writing.enter_context(LogWriter(log, metadata, overwrite=overwrite, live=True))
         with StatusLine() as status:
-            session = _Session(writer, status, car or UDACITY, person)
+            session = _Session(writer, status, settings.car or UDACITY, person)
             first_command: Steer | Literal["manual"] = "manual" if person is None else Steer(0.0, 0.0)
             server = TelemetryServer(
-                session, host=host, port=port, notify=session.warn, first_command=first_command
+                session, host=settings.host, port=settings.port, notify=session.warn, first_command=first_command
             )
 
             def is_over() -> bool:
-                is_ended = stopped.is_set() or (idle_s is not None and session.is_idle_for(idle_s))
+                is_idle = settings.idle_s is not None and session.is_idle_for(settings.idle_s)
+                is_ended = stopped.is_set() or is_idle
                 if person is None:
                     return is_ended
                 return (is_ended or person.is_ended) and person.is_at_rest()
 
-            session.show(f"waiting for a simulator on {host}:{server.port}")
-            if on_started is not None:
-                on_started(writer.part)
+            session.show(f"waiting for a simulator on {settings.host}:{server.port}")
+            if settings.on_started is not None:
+                settings.on_started(writer.part)
             server.run(until=is_over)
         session.finish()
         if not session.rows:
@@ -86,7 +84,8 @@ def listen_for_telemetry(
             writer.discard()
             raise RecordingError(f"{log}: {session.why_nothing()}")
         if person is not None:
-            close_with_tags(writer, person.tags)
+            writer.add_metadata(PERSON_METADATA, {"hold_mph": f"{person.hold_mph:g}"})
+            close_with_tags(writer, person.last_rows.tags)
     return Imported(log, session.rows, session.pictures, session.skipped, writer.notices)
 
 
@@ -271,13 +270,13 @@ class _Session:
             throttle=telemetry.throttle,
             brake=brake,
             speed_mph=telemetry.speed_mph,
-            device=device.upper() if device else None,
+            device=device_value(device),
         )
         self._writer.vehicle(time_ns, self.rows, state)
         if self._person is not None:
             gap_s = (time_ns - self._last_row_ns) / 1e9 - MAX_ROW_S
-            if self.rows and self._person.gap_why and gap_s > 0:
-                self._writer.event(time_ns, not_recorded(gap_s, self._person.gap_why), name="recorder")
+            if self.rows and (why := self._person.recording.gap_why) and gap_s > 0:
+                self._writer.event(time_ns, not_recorded(gap_s, why), name="recorder")
             self._person.has_row(time_ns)
             self._last_row_ns = time_ns
         pose = None if telemetry.world is None else telemetry.world.pose

@@ -4,53 +4,50 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
-from common.errors import counted
 from recorder.errors import RecordingError
-from recorder.log.bad_rows import driven_badly
-from recorder.log.session_car import UDACITY
-from recorder.log.tags import EXCLUDE, Tag
 from recorder.server.telemetry import Telemetry
 from recorder.server.telemetry_server import Steer
 from recorder.sources.import_result import Imported
 from recorder.sources.listen_settings import ListenSettings
 from recorder.sources.live_telemetry import listen_for_telemetry
 from recorder.sources.person_pedals import MAX_STANDING_MPH, brake_of_telemetry, throttle_of_telemetry
+from recorder.teleop.frame_state import FrameState, drives_alone
+from recorder.teleop.hello import hello
+from recorder.teleop.last_rows import LastRows
+from recorder.teleop.rate_meter import RateMeter
+from recorder.teleop.recording import Recording
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Wheel
 
 MAX_BRAKING_S: Final = 5.0
 """A simulator whose car does not come to a stand in that time is left alone at the end."""
-_RATE_S: Final = 2.0
-_MAX_ROWS: Final = 6000  # whose times are kept, to tag the last seconds: a minute at 100 a second
 
 
 class PersonOfTelemetry:
     """A person at the wheel of a simulator that connects: commands, and what is recorded of the drive."""
 
-    def __init__(self, wheel: Wheel) -> None:
+    def __init__(self, wheel: Wheel, hold_mph: float) -> None:
+        """`hold_mph` is the speed that the page offers to hold."""
         self._wheel = wheel
         self._control = Control()
         self._sent = Steer(0.0, 0.0)  # is in force at the next telemetry's picture
         self._speed_mph = math.nan
-        self._shown_s: deque[float] = deque(maxlen=200)
-        self._rows_ns: deque[int] = deque(maxlen=_MAX_ROWS)
-        self._first_ns = 0
+        self._rates = RateMeter()
+        self._first_ns = self._last_ns = 0
         self._braking_since_s: float | None = None
-        self._is_recording = False
+        self.recording = Recording(wheel)
+        self.last_rows = LastRows(wheel)
+        self.hold_mph = hold_mph
+        """The speed that was held last, or offered."""
         self.rows = 0
         self.why = "stopped at the terminal"
         """Why the drive has ended."""
         self.is_ended = False
         """The person has ended the drive."""
-        self.gap_why = ""
-        """Why the rows before the next one were not recorded; empty where none is missing on purpose."""
-        self.tags: list[Tag] = []
 
     @property
     def control(self) -> Control:
@@ -68,6 +65,7 @@ class PersonOfTelemetry:
         if telemetry is not None:
             self._show(telemetry)
         self._control = self._wheel.control()
+        self.hold_mph = self._control.hold_mph or self.hold_mph
         if self._braking_since_s is not None:
             self._sent = Steer(0.0, brake_of_telemetry(speed_mph), separator)
         else:
@@ -85,79 +83,55 @@ class PersonOfTelemetry:
 
     def takes_row(self) -> bool:
         """True if the telemetry that has come is to be recorded."""
-        if not self._is_recording or self._braking_since_s is not None:
-            return False
-        if self._control.is_absent:
-            self.gap_why = self.gap_why or "nobody was at the wheel"
-        return not self._control.is_absent
+        return self._braking_since_s is None and self.recording.takes_row(self._control)
 
     def has_row(self, time_ns: int) -> None:
         """Note a row that was recorded."""
+        self.last_rows.add(time_ns, self.rows)
         self.rows += 1
-        self._first_ns = self._first_ns or time_ns
-        self._rows_ns.append(time_ns)
-        self.gap_why = ""
+        self._first_ns, self._last_ns = self._first_ns or time_ns, time_ns
+        self.recording.gap_why = ""
 
     def heed(self) -> list[str]:
         """Heed what the person has asked for; returns the events of it for the log."""
-        events = []
+        events: list[str] = []
         for request in self._wheel.requests():
             match request.kind:
-                case "record":
-                    self._is_recording = True
-                    self._wheel.event("recording")
-                case "pause":
-                    self._is_recording = False
-                    self.gap_why = self.gap_why or "the person paused"
-                    self._wheel.event("recording is paused")
-                case "bad" if self._rows_ns:
-                    begin_ns = self._rows_ns[-1] - request.seconds * 1e9
-                    count = sum(time_ns > begin_ns for time_ns in self._rows_ns)
-                    tag = Tag(self.rows - count, self.rows - 1, EXCLUDE)
-                    self.tags.append(tag)
-                    events.append(driven_badly(tag.first_row, tag.last_row))
-                    self._wheel.event(f"{counted(count, 'row')} will not be learnt from")
+                case "record" | "pause":
+                    self.recording.heed(request)
+                case "bad":
+                    events += self.last_rows.exclude(request.seconds)
                 case "put_back":
                     self._wheel.event("only the simulator itself can put the car back", is_problem=True)
                 case "end":
                     self.is_ended, self.why = True, "ended on the page"
-                case "bad" | "hand_back":
-                    pass  # no row to tag; nobody else drives
+                case "hand_back":
+                    pass  # nobody else drives
         return events
 
     def _show(self, telemetry: Telemetry) -> None:
         now_s = time.monotonic()
-        self._shown_s.append(now_s)
         world = telemetry.world
-        pose = None if world is None else world.pose
+        simulated_s = None if world is None else world.time_s
+        self._rates.add(now_s, simulated_s)
         speed_mph = 0.0 if math.isnan(telemetry.speed_mph) else telemetry.speed_mph
-        is_rolling = abs(speed_mph) > MAX_STANDING_MPH
-        recorded_s = (self._rows_ns[-1] - self._first_ns) / 1e9 if self._rows_ns else 0.0
-        self._wheel.show(
-            {
-                "time_s": now_s if world is None or world.time_s is None else world.time_s,
-                "control": self._control.number,
-                "control_time_ms": self._control.time_ms,
-                "drives": "human" if not self._control.is_absent else "brake" if is_rolling else "nobody",
-                "device": self._control.device,
-                "steering": self._sent.steering,
-                "predicted": None,
-                "throttle": self._sent.throttle,
-                "speed_mph": speed_mph,
-                "rows": self.rows,
-                "recorded_s": recorded_s,
-                "is_recording": self._is_recording,
-                "pace": 1.0,
-                "picture_hz": sum(now_s - shown_s < _RATE_S for shown_s in self._shown_s) / _RATE_S,
-                "x": None if pose is None else pose.x_m,
-                "y": None if pose is None else pose.y_m,
-                "heading_rad": None if pose is None else pose.heading_rad,
-                "laps": None if world is None else world.laps,
-                "takeovers": 0,
-                "put_back": 0,
-            },
-            telemetry.picture,
+        state = FrameState(
+            time_s=now_s if simulated_s is None else simulated_s,
+            control=self._control,
+            drives=drives_alone(self._control, is_rolling=abs(speed_mph) > MAX_STANDING_MPH),
+            device=self._control.device,
+            steering=self._sent.steering,
+            throttle=self._sent.throttle,
+            speed_mph=speed_mph,
+            rows=self.rows,
+            recorded_s=(self._last_ns - self._first_ns) / 1e9,
+            is_recording=self.recording.is_on,
+            pace=self._rates.pace,
+            picture_hz=self._rates.frames_per_s,
+            place=None if world is None else world.pose,
+            laps=None if world is None else world.laps,
         )
+        self._wheel.show(state.as_message(), telemetry.picture)
 
 
 def listen_at_the_wheel(
@@ -173,34 +147,14 @@ def listen_at_the_wheel(
 
     Raises what `listen_for_telemetry` does.
     """
-    about = {
-        "kind": "listen",
-        "session": log.stem,
-        "run": None,
-        "track": None,
-        "road": None,
-        "rate_hz": None,
-        "picture_hz": None,
-        "hold_mph": hold_mph,
-        "recorded": None,
-        "car": asdict(settings.car or UDACITY),
-    }
+    about = hello("listen", log, hold_mph=hold_mph)
     with Wheel(f"{log.stem}, a simulator that connects", log, about) as wheel:
         if on_wheel is not None:
             on_wheel(wheel)
-        person = PersonOfTelemetry(wheel)
+        person = PersonOfTelemetry(wheel, hold_mph)
         ended = {"log": str(log), "takeovers": []}
         try:
-            done = listen_for_telemetry(
-                log,
-                host=settings.host,
-                port=settings.port,
-                idle_s=settings.idle_s,
-                overwrite=overwrite,
-                car=settings.car,
-                on_started=settings.on_started,
-                person=person,
-            )
+            done = listen_for_telemetry(log, settings, overwrite=overwrite, person=person)
         except RecordingError:
             wheel.end(ended | {"rows": 0, "why": f"{person.why}: nothing was recorded"})
             raise

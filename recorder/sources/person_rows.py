@@ -11,17 +11,15 @@ from typing import Final, Self
 
 from common.interrupts import leave_signals_to_main_thread
 from recorder.bc_pb2 import VehicleState
-from recorder.log.bad_rows import driven_badly
 from recorder.log.meant_gaps import not_recorded
 from recorder.log.pose_message import pose_message
-from recorder.log.tags import EXCLUDE, Tag
 from recorder.log.writer import EventLevel, LogWriter
 from simulator.driving.simulation import Simulation
 from simulator.pose import Pose
 from simulator.rendering.camera import MOUNT_LEFT_M
 
-MAX_WAITING: Final = 20
-"""Rows that wait to be rendered. With more, the drive waits, and its clock with it: no row is lost."""
+MAX_WAITING: Final = 10
+"""Rows that wait to be rendered: a kill loses them. With more, the drive waits, and its clock with it."""
 MAX_PATIENT: Final = 5
 """With fewer rows that wait, pictures for the eye are rendered first."""
 _PATIENCE_S: Final = 0.05
@@ -52,9 +50,9 @@ class PersonRows:
         self._thread = threading.Thread(target=self._run, name="rows", daemon=True)
         self.count = 0
         """Rows until now, also those that wait."""
+        self.written = 0
+        """Rows that no longer wait."""
         self.last_ns = 0
-        self.tags: list[Tag] = []
-        """Of rows that were driven badly."""
 
     def add(self, row: PersonRow) -> None:
         """Add a row; waits while too many wait. Raises what writing has raised."""
@@ -68,15 +66,6 @@ class PersonRows:
         time_ns = self.last_ns
         if self.count:  # the times of a log begin with its rows
             self._put(lambda: self._writer.event(time_ns, text, level, "recorder"))
-
-    def exclude_last(self, rows: int) -> int:
-        """Tag the last rows, so that nobody learns from them; returns how many there are."""
-        tag = Tag(max(0, self.count - rows), self.count - 1, EXCLUDE)
-        if tag.first_row > tag.last_row:
-            return 0
-        self.tags.append(tag)
-        self.event(driven_badly(tag.first_row, tag.last_row))
-        return tag.last_row - tag.first_row + 1
 
     def check(self) -> None:
         """Raise what writing has raised."""
@@ -111,6 +100,7 @@ class PersonRows:
         if row.gap_why:
             self._writer.event(row.time_ns, not_recorded(row.gap_s, row.gap_why))
         self._writer.pose(row.time_ns, number, pose_message(row.pose, row.time_ns))
+        self.written = number + 1
 
     def _run(self) -> None:
         leave_signals_to_main_thread()

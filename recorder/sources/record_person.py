@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -21,27 +21,31 @@ from common.progress import StatusLine
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.derived_log import close_with_tags
-from recorder.log.session_car import built_in, metadata_of
+from recorder.log.devices import device_value
+from recorder.log.topics import PERSON_METADATA
 from recorder.log.writer import LogWriter
-from recorder.sources.eye_pictures import EYE_STEPS, EyeMoment, EyePictures, WhenDue
+from recorder.sources.built_in_simulator import simulation_on, simulator_metadata
+from recorder.sources.eye_pictures import EYE_HZ, EyeMoment, EyePictures, WhenDue
 from recorder.sources.import_result import Imported
 from recorder.sources.person_pedals import CoursePedals
 from recorder.sources.person_rows import PersonRow, PersonRows
 from recorder.sources.real_time import RealTime
+from recorder.sources.row_steps import check_row_rate, is_row_step
+from recorder.teleop.frame_state import FrameState, drives_alone
+from recorder.teleop.hello import hello
+from recorder.teleop.last_rows import LastRows
+from recorder.teleop.recording import Recording
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Request, Wheel
-from simulator.driving.recovery_driving import steps_each
 from simulator.driving.simulation import Simulation
 from simulator.driving.vehicle import STEP_S
-from simulator.rendering.camera import HEIGHT_PX, MOUNT_LEFT_M, WIDTH_PX
-from simulator.roads.track import Track
+from simulator.rendering.camera import MOUNT_LEFT_M
 
 PUT_BACK_S: Final = 1.5
 """The simulated clock runs on for so long when the car is put back: a gap, behind which another drive begins."""
 STUCK_S: Final = 5.0
 """A car that is to drive on and does not move for so long is put back."""
 _STUCK_MPH: Final = 0.5
-_EDGE_POINTS: Final = 8  # every so many points of the centre line, 4 m, the map of the road has one
 _STATUS_STEPS: Final = 25
 _WAIT_S: Final = 0.1  # for a picture, before signals are looked at again
 
@@ -53,7 +57,8 @@ class PersonDrive:
     track: str = "lake"
     laps: float | None = None  # the end of the drive; None: the person ends it
     speed_mph: float = 10.0  # that the page offers to hold
-    rate_hz: float = 10.0  # recorded rows a second; it divides 50
+    rate_hz: float = 10.0  # recorded rows a second; it divides 100
+    start_m: float = 0.0  # where it begins, along the track
 
 
 def record_person(
@@ -72,22 +77,18 @@ def record_person(
     """
     refuse_existing(log, overwrite)
     cv2.setNumThreads(1)  # rows and pictures for the eye have a thread each
-    try:
-        simulation = simulation or Simulation(drive.track)
-    except ValueError as error:
-        raise RecordingError(f"--track {drive.track}: {error}") from None
-    metadata = {
-        "source": "simulator",
-        "simulator": "built-in",
-        "track": simulation.track.name,
-        "track_fingerprint": simulation.track.fingerprint(),
-        "driver": "human",
-        "drive.rate": f"{drive.rate_hz:g}",
-        **metadata_of(built_in()),
-    }
+    simulation = simulation or simulation_on(drive.track)
+    metadata = simulator_metadata(simulation, "human", rate=f"{drive.rate_hz:g}")
     with ExitStack() as stack:
         stopped = stack.enter_context(stop_signals())
-        about = _about(drive, log, simulation.track)
+        about = hello(
+            "record",
+            log,
+            track=simulation.track,
+            rate_hz=drive.rate_hz,
+            picture_hz=EYE_HZ,
+            hold_mph=drive.speed_mph,
+        )
         wheel = stack.enter_context(Wheel(f"{log.stem} on {drive.track}", log, about))
         writer = stack.enter_context(LogWriter(log, metadata, overwrite=overwrite, live=True))
         if on_wheel is not None:
@@ -98,12 +99,14 @@ def record_person(
             EyePictures(simulation, wheel) as eye,
             PersonRows(simulation, writer, eye.let_pass) as rows,
         ):
-            why = _Drive(drive, simulation, wheel, rows, eye, status).run(stopped)
+            driving = _Drive(drive, simulation, wheel, rows, eye, status)
+            why = driving.run(stopped)
         if not rows.count:
             writer.discard()
             wheel.end({"log": str(log), "rows": 0, "why": f"{why}: nothing was recorded", "takeovers": []})
             raise RecordingError(f"{log}: nothing was recorded: begin to record on the page, and drive")
-        close_with_tags(writer, rows.tags)
+        writer.add_metadata(PERSON_METADATA, {"hold_mph": f"{driving.hold_mph:g}"})
+        close_with_tags(writer, driving.last_rows.tags)
         wheel.end({"log": str(log), "rows": rows.count, "why": why, "takeovers": []})
     return Imported(log, rows.count, rows.count * len(MOUNT_LEFT_M), Skipped(), writer.notices)
 
@@ -122,6 +125,7 @@ class _Drive:
     ) -> None:
         self._drive = drive
         self._course = simulation.course
+        self._course.start(drive.start_m)
         self._wheel = wheel
         self._rows = rows
         self._eye = eye
@@ -129,14 +133,15 @@ class _Drive:
         self._pedals = CoursePedals(simulation.course)
         self._real_time = RealTime(STEP_S)
         self._when_due = WhenDue()
-        self._row_steps = steps_each(drive.rate_hz)
         self._begin_ns = time.time_ns()
         self._step = 0
         self._shift_s = 0.0  # of the log's clock, by the gaps where the car was put back
         self._stuck_steps = 0
         self._put_back = 0
-        self._is_recording = False
-        self._gap_why = ""
+        self._recording = Recording(wheel)
+        self.last_rows = LastRows(wheel)
+        self.hold_mph = drive.speed_mph
+        """The speed that was held last, or offered."""
 
     def run(self, stopped: StopEvent) -> str:
         """Drive until the person, a signal or the laps end it; why it has ended."""
@@ -156,16 +161,11 @@ class _Drive:
 
     def _heed(self, request: Request) -> None:
         match request.kind:
-            case "record":
-                self._is_recording = True
-                self._wheel.event("recording")
-            case "pause":
-                self._is_recording = False
-                self._gap_why = self._gap_why or "the person paused"
-                self._wheel.event("recording is paused")
+            case "record" | "pause":
+                self._recording.heed(request)
             case "bad":
-                rows = self._rows.exclude_last(max(1, round(request.seconds * self._drive.rate_hz)))
-                self._wheel.event(f"{counted(rows, 'row')} will not be learnt from")
+                for text in self.last_rows.exclude(request.seconds):
+                    self._rows.event(text)
             case "put_back":
                 self._put_on_line("the person had the car put back on its line")
             case "hand_back" | "end":
@@ -173,19 +173,17 @@ class _Drive:
 
     def _advance(self) -> None:
         control = self._wheel.control()
+        self.hold_mph = control.hold_mph or self.hold_mph
         steering = 0.0 if control.is_absent else control.steering
         throttle = self._pedals.throttle(control)
         self._course.advance(steering, throttle)
         self._step += 1
-        if self._step % self._row_steps == 0 and self._is_recording:
-            if control.is_absent:
-                self._gap_why = self._gap_why or "nobody was at the wheel"
-            else:
-                self._record(control, throttle)
+        if is_row_step(self._step, self._drive.rate_hz) and self._recording.takes_row(control):
+            self._record(control, throttle)
         if self._when_due.is_due(self._step, steering):
             self._eye.offer(EyeMoment(self._step, self._course.pose, self._state(control, steering, throttle)))
         if self._step % _STATUS_STEPS == 0:
-            recording = "recording" if self._is_recording else "not recording"
+            recording = "recording" if self._recording.is_on else "not recording"
             self._status.show(
                 f"{recording}: {counted(self._rows.count, 'row')}, {self._course.laps:.2f} laps,"
                 f" {self._real_time.pace:.0%} of real time"
@@ -206,7 +204,7 @@ class _Drive:
         self._shift_s += PUT_BACK_S
         self._stuck_steps = 0
         self._put_back += 1
-        self._gap_why = why
+        self._recording.gap_why = why
         self._wheel.event(why, is_problem=True)
 
     @property
@@ -221,74 +219,40 @@ class _Drive:
             throttle=max(0.0, throttle),
             brake=max(0.0, -throttle),
             speed_mph=self._course.vehicle.speed_mph,
-            device=control.device.upper() if control.device else None,
+            device=device_value(control.device),
         )
-        is_gap = gap_s > 1e-3
-        why = self._gap_why if is_gap else ""
+        is_gap = gap_s > 0.5 / self._drive.rate_hz  # more than an uneven step
+        why = self._recording.gap_why if is_gap else ""
+        self.last_rows.add(round(self._course.time_s * 1e9), self._rows.count)
         self._rows.add(PersonRow(time_ns, self._course.pose, state, max(0.0, gap_s), why))
-        self._gap_why = ""
+        self._recording.gap_why = ""
 
-    def _state(self, control: Control, steering: float, throttle: float) -> dict[str, object]:
+    def _state(self, control: Control, steering: float, throttle: float) -> FrameState:
         car = self._course.vehicle
-        drives = "human" if not control.is_absent else "brake" if abs(car.speed_mph) > _STUCK_MPH else "nobody"
-        return {
-            "time_s": round(self._course.time_s, 3),
-            "control": control.number,
-            "control_time_ms": control.time_ms,
-            "drives": drives,
-            "device": control.device,
-            "steering": steering,
-            "predicted": None,
-            "throttle": throttle,
-            "speed_mph": car.speed_mph,
-            "rows": self._rows.count,
-            "recorded_s": self._rows.count / self._drive.rate_hz,
-            "is_recording": self._is_recording,
-            "pace": round(self._real_time.pace, 3),
-            "x": car.x_m,
-            "y": car.y_m,
-            "heading_rad": car.heading_rad,
-            "laps": self._course.laps,
-            "takeovers": 0,
-            "put_back": self._put_back,
-        }
+        return FrameState(
+            time_s=self._course.time_s,
+            control=control,
+            drives=drives_alone(control, is_rolling=abs(car.speed_mph) > _STUCK_MPH),
+            device=control.device,
+            steering=steering,
+            throttle=throttle,
+            speed_mph=car.speed_mph,
+            rows=self._rows.written,
+            recorded_s=self._rows.count / self._drive.rate_hz,
+            is_recording=self._recording.is_on,
+            pace=self._real_time.pace,
+            place=car,
+            laps=self._course.laps,
+            put_back=self._put_back,
+        )
 
 
 def check_person_drive(drive: PersonDrive) -> None:
     """Raise RecordingError, naming the flag, for numbers that nobody can drive by."""
-    try:
-        steps_each(drive.rate_hz)
-    except ValueError as error:
-        raise RecordingError(str(error)) from None
+    check_row_rate(drive.rate_hz)
     if not 0 < drive.speed_mph < math.inf:
         raise RecordingError(f"--speed {drive.speed_mph:g}: a speed above 0 mph was expected")
+    if not 0 <= drive.start_m < math.inf:
+        raise RecordingError(f"--start {drive.start_m:g}: a number of metres, 0 or more, was expected")
     if drive.laps is not None and not 0 < drive.laps < math.inf:
         raise RecordingError(f"--laps {drive.laps:g}: a number above 0 was expected")
-
-
-def _about(drive: PersonDrive, log: Path, track: Track) -> dict[str, object]:
-    """What a page is told of the drive when it connects."""
-    return {
-        "kind": "record",
-        "session": log.stem,
-        "run": None,
-        "track": track.name,
-        "road": road_edges(track),
-        "rate_hz": drive.rate_hz,
-        "picture_hz": 1 / (EYE_STEPS * STEP_S),
-        "hold_mph": drive.speed_mph,
-        "recorded": [WIDTH_PX, HEIGHT_PX],
-        "car": asdict(built_in()),
-    }
-
-
-def road_edges(track: Track) -> dict[str, object]:
-    """The edges of a track's road from above, as lists of points in metres."""
-    left, right = [], []
-    line = track.line
-    for point in range(0, len(line.points_m), _EDGE_POINTS):
-        place, half_m = line.at(point * line.step_m), float(track.half_width_m[point])
-        to_left = (-math.sin(place.heading_rad) * half_m, math.cos(place.heading_rad) * half_m)
-        left.append([round(place.x_m + to_left[0], 2), round(place.y_m + to_left[1], 2)])
-        right.append([round(place.x_m - to_left[0], 2), round(place.y_m - to_left[1], 2)])
-    return {"left": left, "right": right, "closed": True}

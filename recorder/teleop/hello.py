@@ -7,14 +7,9 @@ from typing import Final, Literal
 
 import numpy as np
 
-from simulator.roads.track import Track, load_track
+from simulator.roads.track import Track
 
 _EDGE_EVERY_M: Final = 4.0
-
-
-def track_of(name: str | None) -> Track | None:
-    """The built-in track of that name; None for none. Raises ValueError if there is no such track."""
-    return None if name is None else load_track(name)
 
 
 def hello(
@@ -47,4 +42,4 @@ def road_edges(track: Track) -> dict[str, object]:
     middle, heading = line.points_m[::every, :2], line.heading_rad[::every]
     to_left = np.stack([-np.sin(heading), np.cos(heading)], axis=1) * track.half_width_m[::every, None]
     edges = {"left": middle + to_left, "right": middle - to_left}
-    return {name: points.round(1).tolist() for name, points in edges.items()} | {"closed": True}
+    return {name: points.round(2).tolist() for name, points in edges.items()} | {"closed": True}

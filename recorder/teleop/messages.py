@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final
 
 import msgspec
+
+from recorder.log.devices import Device
 
 MAX_MESSAGE_BYTES: Final = 4096
 MAX_HOLD_MPH: Final = 200.0
 MAX_BAD_S: Final = 60.0
-
-Device = Literal["keyboard", "mouse", "gamepad", "touch"]
 
 _Share = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
 _Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]

@@ -12,11 +12,12 @@ class RateMeter:
     """Counts frames, and how fast a simulator's clock goes beside this computer's."""
 
     def __init__(self) -> None:
-        self._frames: deque[tuple[float, float]] = deque()  # this computer's time, the simulator's
+        self._frames: deque[tuple[float, float | None]] = deque()  # this computer's time, the simulator's
 
-    def add(self, now_s: float, simulated_s: float) -> None:
-        """A frame of the moment `simulated_s`, at `now_s` of a monotonic clock."""
-        if self._frames and simulated_s < self._frames[-1][1]:  # another drive
+    def add(self, now_s: float, simulated_s: float | None = None) -> None:
+        """A frame at `now_s` of a monotonic clock, and at `simulated_s`, if the simulator sends its time."""
+        before_s = self._frames[-1][1] if self._frames else None
+        if before_s is not None and simulated_s is not None and simulated_s < before_s:  # another drive
             self._frames.clear()
         self._frames.append((now_s, simulated_s))
         while self._frames[0][0] < now_s - OVER_S:
@@ -28,9 +29,11 @@ class RateMeter:
         return (len(self._frames) - 1) / passed_s if passed_s else 0.0
 
     @property
-    def pace(self) -> float:
-        """Simulated seconds per second; 1 is real time."""
+    def pace(self) -> float | None:
+        """Simulated seconds per second; 1 is real time. None where it is unknown."""
         if not self._frames:
-            return 1.0
+            return None
         (first_s, first_simulated_s), (last_s, last_simulated_s) = self._frames[0], self._frames[-1]
-        return (last_simulated_s - first_simulated_s) / (last_s - first_s) if last_s > first_s else 1.0
+        if first_simulated_s is None or last_simulated_s is None or last_s <= first_s:
+            return None
+        return (last_simulated_s - first_simulated_s) / (last_s - first_s) or None  # a clock that stands is none

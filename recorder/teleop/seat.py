@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Final
 
-from recorder.teleop.messages import ControlMessage, Device
+from recorder.log.devices import Device
+from recorder.teleop.messages import ControlMessage
 
 ABSENT_S: Final = 1.0
 """A person whose page has sent nothing for so long is absent: the car is braked."""

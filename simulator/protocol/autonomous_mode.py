@@ -57,6 +57,7 @@ def drive_autonomously(
     client: SimulatorClient,
     *,
     laps: float,
+    start_m: float = 0.0,
     rate_hz: float,
     real_time: bool = False,
     expert: Expert | None = None,
@@ -64,19 +65,20 @@ def drive_autonomously(
     progress: Callable[[float], None] = lambda laps: None,
     lost: Callable[[], object] = lambda: None,
 ) -> AutonomousDrive:
-    """Drive `laps` from the start, at `rate_hz` telemetries a second of simulated time (it must divide 50).
+    """Drive `laps` from `start_m` along the track, at `rate_hz` telemetries a second of simulated time, which must
+    divide 50.
 
     A car that leaves the road or does not get on is put back on the centre line, and that is counted; with
-    `leave_off_road`, only one that has been stuck for `RECOVERY_LIMIT_S`, for its driver may bring it back. A
-    car that gets nowhere for `GIVE_UP_S` ends the drive. With `real_time`, simulated time passes no faster than
-    the clock. With `expert`, each telemetry holds the world too, and what the expert would command where its
-    picture was taken. `progress` is called with the laps driven so far, `lost` when the server has gone, which is
-    then waited for.
+    `leave_off_road`, only one that has been stuck for `RECOVERY_LIMIT_S`, for its driver may bring it back. So is
+    any car where a command asks for it. A car that gets nowhere for `GIVE_UP_S` ends the drive. With `real_time`,
+    simulated time passes no faster than the clock. With `expert`, each telemetry holds the world too, and what the
+    expert would command where its picture was taken. `progress` is called with the laps driven so far, `lost` when
+    the server has gone, which is then waited for.
 
     Raises WaitTimeoutError where no server answers.
     """
     course = simulation.course
-    course.start()
+    course.start(start_m)
     step_s = 1.0 / rate_hz
     trajectory = hashlib.sha256()
     command = SteerCommand(0.0, 0.0)
@@ -97,7 +99,7 @@ def drive_autonomously(
                 start_s = max(start_s, time.monotonic() - course.time_s)
                 time.sleep(max(0.0, start_s + course.time_s - time.monotonic()))
             course.advance(command.steering, command.throttle, step_s)
-            if must_intervene():
+            if must_intervene() or command.puts_back:
                 course.intervene()
             pose = course.pose
             trajectory.update(struct.pack("<4d", pose.x_m, pose.y_m, pose.z_m, pose.heading_rad))

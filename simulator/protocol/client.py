@@ -46,6 +46,7 @@ class SteerCommand:
 
     steering: float  # -1..1, as sent: not clamped
     throttle: float  # > 0 accelerates, < 0 brakes
+    puts_back: bool = False  # the car, on its line: a person asks for it; the real simulator knows no such field
 
 
 ServerCommand = SteerCommand | Literal["manual"] | None
@@ -189,9 +190,9 @@ class SimulatorClient:
         if name != "steer":
             return []
         try:
-            steer = SteerCommand(
-                self._number(arguments[0]["steering_angle"]), self._number(arguments[0]["throttle"])
-            )
+            fields = arguments[0]
+            steering, throttle = (self._number(fields[name]) for name in ("steering_angle", "throttle"))
+            steer = SteerCommand(steering, throttle, fields.get("put_back") == "true")
         except (ValueError, TypeError, KeyError, IndexError):
             self.bad_steers += 1  # the real client throws, swallows it, and this telemetry is lost
             return []

@@ -74,6 +74,25 @@ def test_nothing_in_a_line_moves_the_cursor_or_begins_another(capsys: pytest.Cap
     assert len(err.splitlines()) == 2
 
 
+@pytest.mark.parametrize("columns", [None, "24"])
+def test_no_cell_of_a_table_is_cut(
+    columns: str | None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    if columns is not None:
+        monkeypatch.setenv("COLUMNS", columns)
+    table = Table(box=None)
+    table.add_column("session")
+    table.add_column("rows", no_wrap=True)
+    table.add_row("lake" * 30, "123456 to 123789")
+    print_table(table, "one line " * 20)
+    out = capsys.readouterr().out
+    assert "123456 to 123789" in out
+    assert sum(out.count(letter) for letter in "lak") == 90 + 20  # one "l" a line of the text
+    if columns is None:
+        assert len(out.splitlines()) == 3
+
+
 def evil_commands(log: Path, index: Path) -> dict[str, list[str]]:
     """Commands that have something to say of foreign names, and end well."""
     other = log.with_name(f"{EVIL}2.mcap")

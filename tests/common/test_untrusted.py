@@ -426,6 +426,6 @@ def test_a_folder_and_pictures_whose_names_are_not_utf_8(tmp_path: Path) -> None
         name = f"a{len(flags)}"
         done = run("bc-record", name, "--from", folder, *flags, cwd=tmp_path)
         assert done.returncode == 3, done.stderr
-        assert done.stderr.splitlines() == [r"skipped pictures without a row: 1 (\udce9.jpg)"]
+        assert done.stderr.splitlines()[0] == r"skipped pictures without a row: 1 (\udce9.jpg)"
         found = read_messages(tmp_path / "sessions" / f"{name}.mcap")
         assert (len(found["/vehicle"]), len(found["/camera/left"]), len(found["/events"])) == (2, 2, 1)

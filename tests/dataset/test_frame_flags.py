@@ -153,10 +153,10 @@ def test_neighbouring_rows_with_a_flag_are_one_stretch(tmp_path: Path, encoded: 
     write_frames(tmp_path, "quiet", [[], []], encoded=encoded)
     write_frames(tmp_path, "empty", [], encoded=encoded)
     assert find_flagged_frames(tmp_path) == [
-        FlaggedFrames("a", "out_of_range", 0, 0, 0.0, 0.0, "2024-07-13T14:30:16.000+00:00", 1),
-        FlaggedFrames("b", "standing_still", 1, 3, 0.1, 0.3, "2024-07-13T14:30:16.100+00:00", 3),
-        FlaggedFrames("b", "frozen_picture", 2, 3, 0.2, 0.3, "2024-07-13T14:30:16.200+00:00", 2),
-        FlaggedFrames("b", "standing_still", 5, 5, 0.5, 0.5, "2024-07-13T14:30:16.500+00:00", 1),
+        FlaggedFrames("a", "out_of_range", 0, 0, 0.0, 0.0, "2024-07-13T14:30:16.000+00:00", 1, 1),
+        FlaggedFrames("b", "standing_still", 1, 3, 0.1, 0.3, "2024-07-13T14:30:16.100+00:00", 3, 3),
+        FlaggedFrames("b", "frozen_picture", 2, 3, 0.2, 0.3, "2024-07-13T14:30:16.200+00:00", 2, 2),
+        FlaggedFrames("b", "standing_still", 5, 5, 0.5, 0.5, "2024-07-13T14:30:16.500+00:00", 1, 1),
     ]
 
 
@@ -165,7 +165,7 @@ def test_frames_of_several_cameras_are_one_row_and_late_ones_change_nothing(tmp_
     flags = [["frozen_picture"], [], [], ["frozen_picture"], [], ["frozen_picture"], [], [], ["frozen_picture"]]
     write_frames(tmp_path, "a", flags, row=rows)
     [one] = find_flagged_frames(tmp_path)
-    assert (one.first_row, one.last_row, one.frames) == (7, 10, 4)
+    assert (one.first_row, one.last_row, one.frames, one.rows) == (7, 10, 4, 3)
     assert (one.begin_s, one.end_s) == (0.0, 0.3)
 
 
@@ -173,7 +173,7 @@ def test_a_gap_begins_at_the_row_before_it(tmp_path: Path) -> None:
     time_ns = [START_NS + tenths * STEP_NS for tenths in (0, 1, 91, 92)]
     write_frames(tmp_path, "a", [[], [], ["gap"], []], time_ns=time_ns)
     assert find_flagged_frames(tmp_path) == [
-        FlaggedFrames("a", "gap", 2, 2, 0.1, 9.1, "2024-07-13T14:30:16.100+00:00", 1)
+        FlaggedFrames("a", "gap", 2, 2, 0.1, 9.1, "2024-07-13T14:30:16.100+00:00", 1, 1)
     ]
 
 
@@ -223,21 +223,24 @@ def test_an_index_that_is_missing_or_damaged_is_one_line(tmp_path: Path) -> None
         find_flagged_frames(tmp_path)
 
 
-def test_the_printed_report_has_a_line_a_stretch_and_the_sums(
+LONG_NAME = "a[b]" * 20
+
+
+def test_the_printed_report_has_a_whole_line_a_stretch_and_the_sums_in_rows(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.delenv("COLUMNS", raising=False)
     print_quality_report([])
     assert capsys.readouterr().out == "no frame has a flag\n"
     print_quality_report(
         [
-            FlaggedFrames("a[b]", "gap", 7, 7, 0.1, 9.1, "2024-07-13T14:30:16.100+00:00", 3),
-            FlaggedFrames("a[b]", "gap", 1200, 1300, 100, 110, "2024-07-13T14:32:16.100+00:00", 1500),
+            FlaggedFrames(LONG_NAME, "gap", 7, 7, 0.1, 9.1, "2024-07-13T14:30:16.100+00:00", 3, 1),
+            FlaggedFrames(LONG_NAME, "gap", 1200, 1300, 100, 110, "2024-07-13T14:32:16.100+00:00", 303, 101),
         ]
     )
     lines = capsys.readouterr().out.splitlines()
     assert [line.replace("│", " ").split() for line in lines if "2024" in line] == [
-        ["a[b]", "gap", "7", "0.10", "to", "9.10", "2024-07-13T14:30:16"],
-        ["a[b]", "gap", "1200", "to", "1300", "100.00", "to", "110.00", "2024-07-13T14:32:16"],
+        [LONG_NAME, "gap", "7", "0.10", "to", "9.10", "2024-07-13", "14:30:16"],
+        [LONG_NAME, "gap", "1200", "to", "1300", "100.00", "to", "110.00", "2024-07-13", "14:32:16"],
     ]
-    assert lines[-1] == "1,503 frames gap"
+    assert lines[-1] == "102 rows gap"

@@ -442,7 +442,7 @@ def test_bc_index_prints_sessions_balance_and_totals(
     frames = Counter(row["split"] for row in rows_of(tmp_path / "index" / "frames" / "lake.parquet"))
     counted = [frames["train"], frames["validation"], frames["gap"]]
     assert session == ["lake", "900", *map(str, counted), "0", "read"]
-    assert sum("-0.04 .. +0.04" in text for text in told) == 1
+    assert sum("0.00 .. 0.04" in text for text in told) == 1
     assert call(main, *line) == 0
     assert "unchanged" in capsys.readouterr().out
 

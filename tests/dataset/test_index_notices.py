@@ -112,6 +112,7 @@ def test_names_of_sessions_stand_whole_in_80_columns(
         "out",
         "no",
         "label",
+        "log",
     ]
     assert printed[2].split()[0] == "mountain-sunday"
     assert printed[2].split()[-1] == "read"

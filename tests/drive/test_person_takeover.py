@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from drive.at_wheel import AtWheel
 from drive.config import DriveConfig
 from drive.control.takeover import PILOT_DRIVES
 from drive.drive_flags import with_default_driver
@@ -69,7 +70,7 @@ def supervised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Supe
     pilot, log = load_pilot(untrained_run(tmp_path / "first")), tmp_path / "run.mcap"
     with (
         Wheel("first", log, {"kind": "drive"}) as wheel,
-        DriveServer(pilot, DriveConfig(), log, port=0, wheel=wheel) as server,
+        DriveServer(pilot, DriveConfig(), log, port=0, at_wheel=AtWheel(wheel, DriveConfig())) as server,
         WheelPage() as page,
     ):
         server.connected("simulator")
@@ -189,6 +190,12 @@ def test_the_last_seconds_are_tagged_as_bad(supervised: Supervised) -> None:
         pass  # finishes the log
     with Log(supervised.log) as log:
         assert read_tags(supervised.log, log.fingerprint) == [Tag(0, 2, "exclude")]
+
+
+def test_no_command_puts_back_the_car_of_another_simulator(supervised: Supervised) -> None:
+    supervised.page.send("put_back")
+    supervised.sent()
+    assert not supervised.drive().puts_back
 
 
 def test_the_page_ends_the_drive(supervised: Supervised) -> None:

@@ -6,14 +6,17 @@ import json
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
+from drive.at_wheel import PUT_BACK
 from driving import Process, command, untrained_run
 from recorder import Log
 from recorder.log.topics import DRIVE_METADATA
 from recorder.teleop.open_wheels import open_wheels
 from waiting import wait_until
-from wheel_page import WheelPage
+from wheel_page import Shown, WheelPage
 
 WAITS = "the drive begins when you open the page"
 
@@ -57,6 +60,35 @@ def test_the_drive_begins_when_the_page_is_open_and_its_result_is_kept(run: Path
         assert log.metadata["track"] == "lake"  # the next drive is on the same road
     assert (str(result["by_person"]), counted["manual_stretches"]) == ("1", "1")
     assert (str(result["interventions"]), f"{result['laps']:.3f}") == (counted["interventions"], counted["laps"])
+
+
+def test_the_page_sees_large_pictures_or_the_recorded_ones_and_has_the_car_put_back(run: Path) -> None:
+    with supervised(run) as process:
+        process.wait_for(WAITS)
+        with WheelPage(wait_until(lambda: open_wheels(Path.cwd()))[0]) as page:
+            hello, large = page.text("hello"), page.frame()
+            page.send("view", recorded=True)
+            while size_of(shown := page.frame()) != (320, 160):
+                page.steer(0.0, 0.5)
+            before = shown.state["put_back"]
+            page.send("put_back")
+            while page.frame().state["put_back"] == before:
+                page.steer(0.0, 0.5)
+            page.send("end")
+            page.text("ended")
+        assert process.join() == 0, process.stderr
+    assert (hello["track"], hello["picture_hz"], size_of(large)) == ("lake", 25, (640, 320))
+    with Log(Path("drive.mcap")) as log:
+        texts = [event.message for _, event in log.decoded("/events")]
+        assert log.picture(shown.state["rows"] - 1) == shown.jpeg
+        (asked,) = [number for number, text in enumerate(texts) if text == PUT_BACK]
+        assert any("the simulator put the car back" in text for text in texts[asked:])
+
+
+def size_of(shown: Shown) -> tuple[int, int]:
+    picture = cv2.imdecode(np.frombuffer(shown.jpeg, np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    return picture.shape[1], picture.shape[0]
 
 
 def test_a_result_that_cannot_be_kept_is_something_lost(run: Path) -> None:

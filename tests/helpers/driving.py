@@ -41,6 +41,7 @@ COMMANDS = (
     "bc-eval",
     "bc-sweep",
     "bc-demo",
+    "bc-doctor",
     "bc-web",
 )
 

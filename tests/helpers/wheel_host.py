@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from recorder.teleop.hello import hello
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Request, Wheel
 from simulator.driving.simulation import Simulation
@@ -51,19 +52,14 @@ def driving_host(log: Path, *, with_network: bool = False, track: str = "lake") 
     """A drive that can be found and steered until the context is left, or a page ends it."""
     simulation = _simulation(track)
     simulation.course.start()
-    edges = _edges(simulation)
-    about: dict[str, object] = {
-        "kind": "drive" if with_network else "record",
-        "session": log.stem,
-        "run": "a-run" if with_network else None,
-        "track": track,
-        "road": edges,
-        "rate_hz": RATE_HZ,
-        "picture_hz": 1 / (PICTURE_STEPS * STEP_S),
-        "hold_mph": 10.0,
-        "recorded": [320, 160],
-        "car": {},
-    }
+    about = hello(
+        "drive" if with_network else "record",
+        log,
+        track=simulation.track,
+        run="a-run" if with_network else None,
+        rate_hz=RATE_HZ,
+        picture_hz=1 / (PICTURE_STEPS * STEP_S),
+    )
     stopped = threading.Event()
     with Wheel(f"{track}, {'a-run and me' if with_network else 'me'}", log, about) as wheel:
         host = Host(wheel, log)
@@ -150,13 +146,3 @@ def _loop(host: Host, simulation: Simulation, with_network: bool, stopped: threa
 def _simulation(track: str) -> Simulation:
     """Its world takes a second to build."""
     return Simulation(track)
-
-
-def _edges(simulation: Simulation) -> dict[str, object]:
-    line = simulation.track.line
-    points = line.points_m[:, :2]
-    along = np.roll(points, -1, 0) - np.roll(points, 1, 0)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    aside = np.stack([-along[:, 1], along[:, 0]], 1) * simulation.track.half_width_m[:, None]
-    left, right = ((points + sign * aside)[::10].round(1).tolist() for sign in (1, -1))
-    return {"left": left, "right": right, "closed": True}

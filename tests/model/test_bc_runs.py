@@ -51,16 +51,27 @@ def test_runs_stand_beside_one_another(
     keep_result(a_run(tmp_path, "first"), "simulator", drive("lake", 2))
     assert call(bc_runs, "--runs", tmp_path) == 0
     header, row = (line.split() for line in capsys.readouterr().out.splitlines()[-2:])
-    assert header == ["run", "network", "sessions", "recipe", "epoch", "RMSE", "balanced", "r", "interventions"]
-    # RMSE 2 of the mean's 4; epoch_line tells no balanced RMSE of the mean, as earlier versions did
+    assert header == [
+        "run",
+        "network",
+        "sessions",
+        "recipe",
+        "epoch",
+        "RMSE",
+        "balanced",
+        "r",
+        "verdict",
+        "interventions",
+    ]
+    # RMSE 2 of the mean's 4, and on turns 12 of 9; without a balanced RMSE of the mean, as in earlier versions
     assert row[:8] == ["first", "small", "2", "people", "1/2", "0.50", "-", "0.17"]
-    assert " ".join(row[8:]) == "10 mph: lake 2"
+    assert " ".join(row[8:]) == "no better 10 mph: lake 2"
 
 
 def test_a_supervised_drive_says_how_many_interventions_are_a_persons(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("COLUMNS", "140")
+    monkeypatch.setenv("COLUMNS", "160")
     keep_result(run := a_run(tmp_path, "first"), "simulator", drive("lake", 2))
     for by_person in (7, 2):  # the last one counts
         keep_result(run, "supervised", drive("mountain", 3) | {"by_person": by_person, "laps": 0.5})

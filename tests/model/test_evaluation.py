@@ -216,11 +216,13 @@ def test_the_tables_show_the_numbers_of_the_json(here: Path, capsys: pytest.Capt
     found = json.loads(line)
     assert (found["run"], found["index"], found["split"], found["learnt"]) == ("toy", "index", "validation", 0)
 
-    assert call(main, "toy", "--worst", 2) == 0
+    assert call(main, "toy", "--bins", "--worst", 2) == 0
     told = capsys.readouterr()
     assert told.err == ""
-    lines = told.out.splitlines()
+    *lines, verdict, advice = told.out.splitlines()
     assert max(map(len, lines[:-1])) <= 80
+    assert f"on turns ({found['network']['turning_mae_deg']:.2f} against" in verdict
+    assert advice.startswith("next: `")
 
     def numbers(start: str) -> list[str]:
         (line,) = (line for line in lines if line.startswith(start))
@@ -299,7 +301,7 @@ def test_a_run_is_measured_on_the_index_that_it_was_trained_on(
     found = json.loads(capsys.readouterr().out)
     assert (found["index"], list(found["sessions"])) == ("my index", ["a", "b"])
     assert call(main, "my runs/toy") == 0
-    assert capsys.readouterr().out.splitlines()[-1] == "measured on what my index holds out"
+    assert capsys.readouterr().out.splitlines()[-3] == "measured on what my index holds out"
     assert call(main, "my runs/toy", "--index", "index", "--json") == 0
     assert list(json.loads(capsys.readouterr().out)["sessions"]) == ["new"]
     shutil.rmtree("my index")
@@ -315,7 +317,7 @@ def test_a_run_that_does_not_know_its_index_is_measured_on_that_of_the_folder(
     for told in (None, "", "\0", 7, ["index"]):
         change(run, index=told)
         assert call(main, run) == 0
-        assert capsys.readouterr().out.splitlines()[-1] == "measured on what index holds out"
+        assert capsys.readouterr().out.splitlines()[-3] == "measured on what index holds out"
 
 
 def test_without_worst_frames_none_is_shown(here: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 import sys
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 
@@ -147,16 +148,34 @@ def test_the_same_run_gives_the_same_bytes_wherever_it_lies(trained: Path, expor
 # The command
 
 
-def test_without_a_name_the_file_lies_in_the_run_and_nothing_but_one_line_is_said(
+def test_without_a_name_the_file_lies_in_the_run_and_the_printed_python_runs_it(
     trained: Path, exported: Path, tmp_path: Path
 ) -> None:
     copy = shutil.copytree(trained, tmp_path / "runs" / "first")
     done = run("bc-train", "export", "first", "--onnx", cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
-    (line,) = done.stdout.splitlines()
-    assert line.startswith(f"{Path('runs') / 'first' / 'first.onnx'}: written; ")
-    assert float(line.rpartition("largest difference ")[2]) < 1e-4
+    assert done.returncode == 0
+    written, taken = done.stdout.splitlines()
+    assert written.startswith(f"{Path('runs') / 'first' / 'first.onnx'}: written; ")
+    assert float(written.rpartition("largest difference ")[2]) < 1e-4
+    assert taken == "input pictures: uint8 (N, 128, 128, 3), BGR, 0..255, cropped and resized"
     assert (copy / "first.onnx").read_bytes() == exported.read_bytes()
+    picture = pictures(tmp_path)[-1]
+    heading, *code = done.stderr.splitlines()
+    shown = textwrap.dedent("\n".join(code)).replace("picture.jpg", picture.as_posix())
+    shown = shown.replace("runs/first/first.onnx", (copy / "first.onnx").as_posix())
+    assert heading == "to run it with onnxruntime and opencv-python-headless alone:"
+    assert as_others_steer(shown) == pytest.approx(as_the_pilot_steers(trained, [picture]), abs=1e-5)
+
+
+@pytest.mark.parametrize("network", ["original", "pilotnet", "small", "resnet18"])
+def test_the_docs_and_the_file_give_each_networks_input(network: str, tmp_path: Path) -> None:
+    export_onnx(untrained_run(tmp_path / "run", network=network), tmp_path / "run.onnx")
+    (taken,) = session(tmp_path / "run.onnx").get_inputs()
+    _, height, width, _ = taken.shape
+    shape, colours = f"(N, {height}, {width}, 3)", metadata(tmp_path / "run.onnx")["preprocessing.channels"]
+    expected = f"pictures: uint8 {shape}, {colours}, 0..255, cropped and resized"
+    assert metadata(tmp_path / "run.onnx")["input"] == expected
+    assert f"| `{network}` | {shape} {colours} |" in (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
 
 
 def test_a_file_is_replaced_only_if_that_is_asked_for(

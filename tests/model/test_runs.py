@@ -21,6 +21,7 @@ from model import RunError, evaluate, export_onnx, find_run, load_pilot, predict
 from model.evaluation.evaluate import evaluate_sessions
 from model.runs.run_arguments import new_run_name
 from model.runs.run_folder import create_run, find_any_run
+from model.runs.run_lock import locked_for_training
 from toy import SMALL, road, toy_index
 
 
@@ -141,6 +142,17 @@ def test_trainings_that_begin_in_the_same_second_have_names_of_their_own() -> No
     names = [new_run_name() for _ in range(14)]
     assert len(set(names)) == 14
     assert all(re.fullmatch(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d-[0-9a-f]{6}", name) for name in names)
+
+
+def test_a_run_that_is_being_trained_is_waited_for(tmp_path: Path) -> None:
+    create_run(tmp_path / "first", {})
+    with pytest.raises(RunError, match=r"first epoch is not finished; `bc-train --resume"):
+        find_run("first", tmp_path)
+    with (
+        locked_for_training(tmp_path / "first"),
+        pytest.raises(RunError, match=r"is being trained, .*: wait for it"),
+    ):
+        find_run("first", tmp_path)
 
 
 def test_a_name_that_is_nearly_that_of_a_run_is_recognised(tmp_path: Path) -> None:

@@ -71,6 +71,8 @@ def test_runs_are_listed_without_their_weights_and_nothing_comes_twice(
     assert size < 30_000 < (runs[0] / "model.safetensors").stat().st_size
     for name, found in there.items():
         assert found.pop("folder") == f"{RUNS}/{name}"
+        verdict, verdict_here = found.pop("verdict"), here[name].pop("verdict")  # their advice names the run
+        assert verdict["beside_mean"] == verdict_here["beside_mean"]
         assert found == {each: value for each, value in here[name].items() if each != "folder"}
 
     listed(RUNS, capsys)

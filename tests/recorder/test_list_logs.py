@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,10 +11,14 @@ import pytest
 from mcap.writer import Writer as McapWriter
 
 from common.car import Camera
-from logs import START_NS, write_log
+from logs import START_NS, STEP_NS, write_log
 from recorder import Log
+from recorder.bc_pb2 import VehicleState
 from recorder.log import copy_log
+from recorder.log.log_info import describe
+from recorder.log.writer import LogWriter
 from recorder.log_cli import main
+from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
 from udacity import call, jpeg
 
 DAY_NS = 24 * 3600 * 10**9
@@ -152,3 +157,24 @@ def test_a_failure_nobody_expects_keeps_no_log_from_being_copied(
     printed = capsys.readouterr().err
     assert "sessions/monday.mcap: cannot be looked at (ZeroDivisionError of a library)" in printed
     assert "sessions/tuesday.mcap and elsewhere/tuesday.mcap: both on this machine" in printed
+
+
+def test_a_recording_of_simulated_time_has_the_date_of_its_file(here: Path) -> None:
+    path = here / "lake.mcap"
+    record_simulated(SimulatedDrive(laps=0.01, recovery=0), path)
+    before = path.read_bytes()
+    os.utime(path, (1_800_000_000, 1_800_000_000))
+    assert describe(path).start == "2027-01-15T08:00:00+00:00"
+    record_simulated(SimulatedDrive(laps=0.01, recovery=0), path, overwrite=True)
+    assert path.read_bytes() == before
+
+
+def test_a_car_that_starts_is_not_odd(here: Path) -> None:
+    def log_at(path: Path, *speeds_mph: float) -> Path:
+        with LogWriter(path, {"source": "test"}) as writer:
+            for row, speed_mph in enumerate(speeds_mph):
+                writer.vehicle(START_NS + row * STEP_NS, row, VehicleState(speed_mph=speed_mph))
+        return path
+
+    assert describe(log_at(here / "starts.mcap", 0, 0.2, *[9] * 20)).odd_rows == {}
+    assert describe(log_at(here / "parked.mcap", *[0] * 60, *[9] * 20)).odd_rows == {"parked": 60}

@@ -28,6 +28,7 @@ from logs import START_NS, read_messages
 from recorder import Imported, LogWriter, RecordingError
 from recorder.errors import ListenError
 from recorder.log.check import check
+from recorder.sources.listen_settings import ListenSettings
 from recorder.sources.live_telemetry import listen_for_telemetry
 from serving import ModernClient
 from simulator.protocol.client import (
@@ -45,6 +46,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from common.command import run_command, warn_skipped
 from recorder.server import telemetry_server
+from recorder.sources.listen_settings import ListenSettings
 from recorder.sources.live_telemetry import listen_for_telemetry
 
 telemetry_server.FIRST_COMMAND_S = 300  # a client that is kept waiting by others is sent nothing unasked
@@ -56,7 +58,7 @@ class Listen:
     idle: float | None = None
 
 def listen(config):
-    done = listen_for_telemetry(config.log, port=config.port, idle_s=config.idle)
+    done = listen_for_telemetry(config.log, ListenSettings(port=config.port, idle_s=config.idle))
     print(done.path, done.rows, done.pictures, flush=True)
     return warn_skipped(done.skipped)
 
@@ -334,7 +336,12 @@ def test_broken_packets_cost_no_traceback_and_others_are_served_on(tmp_path: Pat
 
 
 def listen_here(
-    log: Path, capsys: pytest.CaptureFixture[str], send: Callable[[int], object], **options: Any
+    log: Path,
+    capsys: pytest.CaptureFixture[str],
+    send: Callable[[int], object],
+    *,
+    idle_s: float | None = None,
+    overwrite: bool = False,
 ) -> Imported:
     """Listen in this process, while `told(port)` runs in a thread of its own."""
     threads = []
@@ -347,7 +354,8 @@ def listen_here(
         threads[0].start()
 
     try:
-        return listen_for_telemetry(log, port=0, on_started=on_started, **options)
+        settings = ListenSettings(port=0, idle_s=idle_s, on_started=on_started)
+        return listen_for_telemetry(log, settings, overwrite=overwrite)
     finally:
         threads[0].join(PATIENCE_S)
         assert not threads[0].is_alive()
@@ -459,7 +467,7 @@ def test_a_port_in_use_says_what_to_do_and_writes_nothing(tmp_path: Path) -> Non
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(ListenError, match=rf"127\.0\.0\.1:{port} .*bc-drive.*--port"):
-            listen_for_telemetry(tmp_path / "live.mcap", port=port)
+            listen_for_telemetry(tmp_path / "live.mcap", ListenSettings(port=port))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -468,7 +476,7 @@ def test_a_port_in_use_says_what_to_do_and_writes_nothing(tmp_path: Path) -> Non
 )
 def test_an_address_that_cannot_be_is_an_error(host: str, port: int, tmp_path: Path) -> None:
     with pytest.raises(ListenError, match="cannot listen on"):
-        listen_for_telemetry(tmp_path / "live.mcap", host=host, port=port)
+        listen_for_telemetry(tmp_path / "live.mcap", ListenSettings(host, port))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -476,7 +484,7 @@ def test_an_existing_log_is_refused_before_anybody_can_connect(tmp_path: Path) -
     log = tmp_path / "live.mcap"
     log.write_bytes(b"precious")
     with pytest.raises(UserError, match="--force"):
-        listen_for_telemetry(log, port=0)
+        listen_for_telemetry(log, ListenSettings(port=0))
     assert (log.read_bytes(), list(tmp_path.iterdir())) == (b"precious", [log])
 
 

@@ -123,3 +123,15 @@ def test_an_unfinished_log_is_asked_for_them(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.parametrize("told", ["", "{}", "[1.5]", '["a"]', "[[[", "[1e99]"])
 def test_what_another_program_says_of_them_is_no_error(told: str) -> None:
     assert meant_rows({"meant_gaps": told}) == []
+
+
+def test_a_pause_of_a_recorder_that_people_switch_is_no_finding(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, {"source": "udacity"}) as writer:
+        write_rows(writer, [0.0, 0.1, 5.0, 5.1, 9.0], {})
+    assert call(main, "check", path) == 0
+    first, pauses = capsys.readouterr().out.splitlines()
+    assert first.endswith("nothing wrong")
+    assert pauses.endswith("a new drive begins: 2 (before row 2, before row 4)")

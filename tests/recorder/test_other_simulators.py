@@ -96,7 +96,7 @@ def test_pictures_without_times_name_the_flag(
     assert "no time in their pictures' names (--rate 20 takes them as 20 a second)" in one_line_in(capsys)
     assert call(main, "torcs", "--from", tmp_path / "torcs", "--rate", 20) == 0
     said = capsys.readouterr()
-    assert said.err == ""
+    assert said.err == "next: `bc-index`\n"
     assert "torcs.mcap: 4 rows, 4 pictures" in said.out
 
 

@@ -3,6 +3,7 @@ computer."""
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
 import time
@@ -21,13 +22,17 @@ from driving import Process, command
 from recorder import Imported, Log, RecordingError
 from recorder.cli import main as record_main
 from recorder.log.check import check
+from recorder.log.last_place import last_place_m
 from recorder.log.recover import recover
 from recorder.log.tags import Tag, read_tags
+from recorder.log.usual_step import usual_step
 from recorder.sources import person_rows
 from recorder.sources.eye_pictures import PictureScale, WhenDue
 from recorder.sources.person_pedals import CoursePedals
 from recorder.sources.real_time import RealTime
-from recorder.sources.record_person import PersonDrive, record_person, road_edges
+from recorder.sources.record_person import PersonDrive, record_person
+from recorder.sources.row_steps import check_row_rate, is_row_step
+from recorder.teleop.hello import road_edges
 from recorder.teleop.open_wheels import open_wheels
 from recorder.teleop.seat import Control
 from simulator.driving.course import Course
@@ -130,6 +135,55 @@ def test_a_drive_is_a_log_of_three_cameras_that_says_who_steered_and_how(tmp_pat
     assert set(frames["device"].to_pylist()) == {"gamepad"}
 
 
+def test_20_rows_a_second_fall_on_the_nearest_steps_and_are_no_gaps(tmp_path: Path) -> None:
+    drive = Drive(tmp_path / "a.mcap", rate_hz=20)
+    with drive.page() as page:
+        page.send("record")
+        page.drive_until(lambda state: state["rows"] >= 9, 0.01, 1.0)
+        drive.end(page)
+    checked = check(drive.log)
+    assert (checked.findings, checked.meant_gaps) == ([], [])
+    with Log(drive.log) as log:
+        vehicle = log.vehicle()
+    times_ns, speeds = vehicle["log_time_ns"].to_numpy(), vehicle["speed_mph"].to_numpy()
+    assert usual_step(np.diff(times_ns[:9])) == pytest.approx(50_000_000)
+    assert usual_step(np.diff(times_ns[:8])) == pytest.approx(50_000_000, rel=0.1)  # one more of a kind
+    assert set(np.diff(times_ns[::2]).tolist()) == {100_000_000}
+    assert set(np.diff(times_ns).tolist()) == {40_000_000, 60_000_000}
+    gained = np.diff(speeds) / np.diff(times_ns)  # as even as the times are true
+    assert gained[1:] == pytest.approx(gained[-1], rel=0.1)
+
+
+@pytest.mark.parametrize("rate_hz", [1, 5, 10, 12.5, 20, 25, 100 / 3, 50])
+def test_rows_come_at_the_rate_and_never_pile_up(rate_hz: float) -> None:
+    check_row_rate(rate_hz)
+    steps = [step for step in range(1, 5001) if is_row_step(step, rate_hz)]
+    assert len(steps) == round(100 * rate_hz)
+    assert np.ptp(np.diff(steps)) == (0 if (50 / rate_hz).is_integer() else 1)
+
+
+@pytest.mark.parametrize("rate_hz", [0, -10, 7, 40, 100, math.nan, math.inf])
+def test_rates_that_no_steps_can_have_are_refused(rate_hz: float) -> None:
+    with pytest.raises(RecordingError, match="--rate"):
+        check_row_rate(rate_hz)
+
+
+def test_a_drive_ends_where_the_next_one_can_begin(tmp_path: Path) -> None:
+    ends_m: list[float] = []
+    for name in ("a", "b"):
+        drive = Drive(tmp_path / f"{name}.mcap", start_m=ends_m[-1] if ends_m else 300.0)
+        with drive.page() as page:
+            page.send("record")
+            page.drive_until(lambda state: state["rows"] >= 2, hold_mph=7.0)
+            drive.end(page)
+        with Log(drive.log) as log:
+            place_m = last_place_m(log)
+            assert log.read_metadata("bc.person") == {"hold_mph": "7"}
+        assert place_m is not None
+        ends_m.append(place_m)
+    assert 300 < ends_m[0] < ends_m[1] < 310
+
+
 def test_a_held_speed_is_kept_without_the_throttle(tmp_path: Path) -> None:
     drive = Drive(tmp_path / "a.mcap")
     with drive.page() as page:
@@ -162,12 +216,12 @@ def test_a_car_without_its_person_is_braked_and_nothing_is_recorded(tmp_path: Pa
         state = page.frame().state
         while state["drives"] != "nobody":
             state = page.frame().state
-        alone = state["rows"]
+        alone = state["recorded_s"]  # with the rows that still wait to be rendered
         for _ in range(10):
             state = page.frame().state
-        assert state["rows"] == alone
+        assert state["recorded_s"] == alone
         assert state["speed_mph"] == pytest.approx(0.0, abs=0.1)
-        page.drive_until(lambda state: state["rows"] > alone, throttle=1.0)
+        page.drive_until(lambda state: state["recorded_s"] > alone, throttle=1.0)
         drive.end(page)
     assert any("nobody was at the wheel" in text for text in events(drive.log))
     assert not check(drive.log).findings
@@ -193,7 +247,7 @@ def test_a_pause_is_a_gap_that_an_event_explains(tmp_path: Path) -> None:
         page.send("pause")
         page.drive_until(lambda later: later["time_s"] > state["time_s"] + 1.5, 0.02, hold_mph=5)
         page.send("record")
-        page.drive_until(lambda later: later["rows"] > state["rows"] + 3, 0.03, hold_mph=5)
+        page.drive_until(lambda later: later["recorded_s"] > state["recorded_s"] + 0.3, 0.03, hold_mph=5)
         drive.end(page)
     checked = check(drive.log)
     assert (len(checked.findings), len(checked.meant_gaps)) == (0, 1)
@@ -209,7 +263,7 @@ def test_a_car_that_is_put_back_begins_another_drive(tmp_path: Path, way: str) -
         if way == "asked for":
             page.send("put_back")
         state = page.drive_until(lambda state: state["put_back"], float(way != "asked for"), 1.0)
-        page.drive_until(lambda later: later["rows"] > state["rows"] + 3, 0.01, hold_mph=5)
+        page.drive_until(lambda later: later["recorded_s"] > state["recorded_s"] + 0.3, 0.01, hold_mph=5)
         drive.end(page)
     checked = check(drive.log)
     assert (len(checked.findings), len(checked.meant_gaps)) == (0, 1)
@@ -312,6 +366,9 @@ def test_a_killed_drive_is_recovered_with_its_tags(tmp_path: Path) -> None:
         (("--driver", "me", "--laps", "0"), "--laps 0"),
         (("--driver", "me", "--udacity", "folder"), "--udacity"),
         (("--driver", "me", "--listen", "--track", "mountain"), "--track"),
+        (("--driver", "me", "--start", "nan"), "--start nan"),
+        (("--driver", "me", "--listen", "--start", "9"), "--start"),
+        (("--start", "9"), "--start: only with --driver me"),
         (("--open",), "--open: only with --driver me"),
         (("--no-page",), "only with --driver me"),
     ],
@@ -330,9 +387,11 @@ def test_pictures_for_the_eye_shrink_where_the_computer_is_slow_and_grow_again()
     for _ in range(20):
         scale.note(0.1)
     assert scale.scale == 1.0
+    assert sum(not scale.is_recorded_enough() for _ in range(100)) == 10  # rendered, to see if there is room
     for _ in range(200):
         scale.note(0.002)
     assert scale.scale == 2.0
+    assert not scale.is_recorded_enough()
 
 
 def test_a_larger_picture_shows_the_same_view(tmp_path: Path) -> None:

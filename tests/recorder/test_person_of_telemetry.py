@@ -9,6 +9,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,6 +20,7 @@ from recorder import Imported, Log, RecordingError
 from recorder.log.check import check
 from recorder.log.tags import read_tags
 from recorder.server import telemetry_server
+from recorder.sources import person_of_telemetry
 from recorder.sources.listen_settings import ListenSettings
 from recorder.sources.person_of_telemetry import listen_at_the_wheel
 from recorder.sources.person_pedals import throttle_of_telemetry
@@ -50,14 +52,15 @@ class Drive:
             yield self
         self._has_ended.wait()
 
-    def drive(self, speed_mph: float, steering: float, throttle: float = 0.0) -> dict[str, float]:
+    def drive(self, speed_mph: float, steering: float, throttle: float = 0.0, **more: object) -> dict[str, float]:
         """The answer to a telemetry, once the page's controls are in force."""
         number = self.page.steer(steering, throttle, device="mouse")
         while True:
             image = base64.b64encode(
                 road_jpeg(next(self._pictures))
             ).decode()  # never twice: that is a frozen camera
-            telemetry = {"steering_angle": "5.0", "throttle": "0.25", "speed": f"{speed_mph}", "image": image}
+            numbers = {"steering_angle": "5.0", "throttle": "0.25", "speed": f"{speed_mph}"}
+            telemetry = {**numbers, "image": image, **more}
             name, command = self.simulator.tell(telemetry)
             assert name == "steer"
             self.state = self.page.frame().state
@@ -130,6 +133,24 @@ def test_the_last_seconds_can_be_tagged_as_bad(tmp_path: Path) -> None:
         (tag,) = read_tags(drive.log, log.fingerprint)
     assert (tag.name, tag.first_row) == ("exclude", 0)
     assert tag.last_row >= 4
+
+
+def test_without_the_simulators_time_nobody_knows_its_pace(tmp_path: Path) -> None:
+    with Drive(tmp_path / "a.mcap").running() as drive:
+        for _ in range(3):
+            drive.drive(0.0, 0.0)
+            assert drive.state["pace"] is None
+        drive.end()
+
+
+def test_a_simulators_pace_is_that_of_its_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = 0.0
+    monkeypatch.setattr(person_of_telemetry, "time", SimpleNamespace(monotonic=lambda: now_s))
+    with Drive(tmp_path / "a.mcap").running() as drive:
+        for now_s in (1.0, 1.5, 2.0):
+            drive.drive(0.0, 0.0, world={"time_s": 1000 + 0.25 * now_s})
+        assert drive.state["pace"] == pytest.approx(0.25)
+        drive.end()
 
 
 def test_a_drive_that_recorded_nothing_says_what_to_do(tmp_path: Path) -> None:

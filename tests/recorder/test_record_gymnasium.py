@@ -190,4 +190,4 @@ def test_without_gymnasium_it_is_said_what_brings_it(
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     Path("mine.py").write_text("def drive(env, observation): ...\n")
     assert call(bc_record, "bar", "--gym", "CarRacing-v3", "--expert", "mine.py:drive") == 1
-    assert f"pip install -e '{ROOT}[gym]'" in one_line_in(capsys)
+    assert f"pip install -c {ROOT}/constraints.txt -e '{ROOT}[gym]'" in one_line_in(capsys)

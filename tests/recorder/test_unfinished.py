@@ -299,6 +299,7 @@ def test_what_was_being_written_is_recovered_under_the_name_it_would_have_had(
 RECORDERS = """
 import os, sys
 from pathlib import Path
+from recorder.sources.listen_settings import ListenSettings
 from recorder.sources.live_telemetry import listen_for_telemetry
 
 children = []
@@ -307,7 +308,7 @@ for log in map(Path, sys.argv[1:]):
     if not child:
         said = os.open(log.with_suffix(".txt"), os.O_WRONLY | os.O_CREAT)
         os.dup2(said, 2)
-        listen_for_telemetry(log, port=0)
+        listen_for_telemetry(log, ListenSettings(port=0))
         os._exit(1)
     children.append(child)
 print("children", *children, file=sys.stderr, flush=True)

@@ -20,6 +20,7 @@ from common.users_cache import users_cache
 from recorder.teleop.hello import road_edges
 from recorder.teleop.messages import ControlMessage, parse_message
 from recorder.teleop.open_wheels import open_wheels
+from recorder.teleop.rate_meter import RateMeter
 from recorder.teleop.seat import ABSENT_S, GIVES_UP_S, Seat
 from recorder.teleop.wheel import MAX_IN_FLIGHT, MAX_PER_S, Request, Wheel
 from simulator.roads.track import load_track
@@ -283,6 +284,16 @@ def test_the_end_is_the_last_message(wheel: Wheel) -> None:
         assert page.text("ended")["rows"] == 42
         with pytest.raises(ConnectionClosed):
             page.text("ended")
+
+
+def test_rates_are_those_of_the_last_seconds() -> None:
+    rates = RateMeter()
+    for frame in range(100):  # at a fifth of real time, then at half
+        rates.add(0.1 * frame, 0.02 * frame if frame < 50 else 1 + 0.05 * (frame - 50))
+    assert rates.frames_per_s == pytest.approx(10)
+    assert rates.pace == pytest.approx(0.5)
+    rates.add(10.0)  # it sends its time no more
+    assert rates.pace is None
 
 
 def test_the_map_has_both_edges_of_the_road() -> None:

@@ -162,6 +162,33 @@ def test_a_car_that_does_not_get_on_is_put_back_all_the_same(leave_off_road: boo
     assert book.measures.interventions == 1
 
 
+def test_a_drive_can_begin_anywhere_along_the_track() -> None:
+    heard, book = driven(as_the_expert, laps=0.003, start_m=123.0)
+    x_m, y_m = (heard[0]["world"][name] for name in ("x_m", "y_m"))
+    assert LAKE.track.line.project(x_m, y_m)[0] == pytest.approx(123.0 - 1.3, abs=0.1)
+    assert book.measures.laps == pytest.approx(0.003, abs=1e-3)
+
+
+def test_a_command_can_ask_for_the_car_to_be_put_back_once() -> None:
+    heard: list[dict[str, Any]] = []
+
+    def serve(wire: Wire) -> None:
+        wire.say(OPEN)
+        while True:
+            heard.append(json.loads(wire.hear_telemetry()[2:])[1])
+            name, fields = json.loads(steer("-0.3", "0.5")[2:])
+            asks = {"put_back": "true"} if len(heard) == 20 else {}
+            wire.say("42" + json.dumps([name, fields | asks]))
+
+    with BareServer(serve) as server:
+        client, expert = SimulatorClient(port=server.port), Expert(LAKE.track.line, SET_SPEED_MPH)
+        drive_autonomously(LAKE, client, laps=0.01, rate_hz=RATE_HZ, expert=expert, leave_off_road=True)
+    worlds = [world_of(parse_telemetry(fields)) for fields in heard]
+    assert [world.interventions for world in worlds] == [0] * 21 + [1] * (len(worlds) - 21)
+    assert worlds[20].offset > 0.1
+    assert (worlds[21].offset, parse_telemetry(heard[21]).speed_mph) == (pytest.approx(0, abs=1e-6), 0)
+
+
 def test_a_car_that_never_gets_on_is_given_up_and_the_drive_ends() -> None:
     _, book = driven(lambda told: (0.0, 0.0), laps=1.0, rate_hz=2.0)
     assert book.gave_up
@@ -207,6 +234,7 @@ def test_bc_sim_tells_the_world_only_if_it_is_asked_to(capsys: pytest.CaptureFix
         (("--tell-world", "--expert-speed", "nan"), "--expert-speed nan"),
         (("--tell-world", "--expert-speed", "inf"), "--expert-speed inf"),
         (("--tell-world", "--replay", "."), "--tell-world"),
+        (("--start", "-1"), "--start -1"),
         (("--port", "99999"), "--port 99999"),
         (("--port", "-1"), "--port -1"),
         (("--wait", "nan"), "--wait nan"),

@@ -41,6 +41,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory, bucket_of_tests: dict[str, s
     (folder / "sessions").mkdir()
     write_log(folder / "drives" / "toy.mcap", STEERING, road, cameras=["center"])
     write_log(folder / "sessions" / "toy.mcap", STEERING, road, cameras=["center"])
+    write_log(folder / "sessions" / "tub.mcap", STEERING, road, cameras=["center"], source="donkeycar")
     write_log(folder / "sessions" / "blind.mcap", STEERING[:5], cameras=[])
     constant_run(folder / "runs" / "constant")
     constant_run(folder / "runs" / "another", 0.5)
@@ -215,3 +216,13 @@ def test_what_cannot_be_predicted_says_why(bench: Served) -> None:
     assert "the log has changed" in problem("constant", fingerprint="0" * 64)
     assert bench.get("/sessions/toy/predictions/rows/..%2f..%2fx").status == 404
     assert bench.ask("POST", "/sessions/toy/predictions/constant", b"", Sec_Fetch_Site="cross-site").status == 403
+
+
+def test_of_a_car_whose_angle_is_unknown_it_shows_shares_of_full_lock(browser: Browser, bench: Served) -> None:
+    rmse = 100 * math.sqrt(np.mean((ANSWER - np.array(STEERING)) ** 2))
+    with opened_page(browser, f"{bench.address}/sessions/tub") as page:
+        open_session(page)
+        page.select_option("#run", "constant")
+        page.wait_for_selector("#session[data-run=constant]")
+        assert f"RMSE {rmse:.2f} % of full lock; always" in page.inner_text("#predicted")
+        assert "% of full lock too far right" in page.locator("#worst li").first.inner_text()

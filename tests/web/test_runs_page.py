@@ -88,6 +88,13 @@ def test_curves_lie_over_each_other_and_settings_beside(bench: Served) -> None:
     assert "checked" in bench.get(f"/runs{chosen}").text
 
 
+def test_a_runs_page_has_its_verdict_and_what_would_help(bench: Served) -> None:
+    text = page(bench, "good")
+    assert "no better than always predicting the mean: on turns" in text
+    assert "has driven 1 track with 2 interventions" in text
+    assert "Next: bc-train --resume" in text
+
+
 def test_a_run_links_to_what_it_learnt_from_and_to_its_worst_frames(bench: Served) -> None:
     text = bench.get("/runs/good").text
     assert 'href="/sessions/sunday"' in text
@@ -158,6 +165,23 @@ def test_worst_frames_are_a_gallery(tmp_path: Path) -> None:
         assert bench.get("/runs/r/worst/1/1.jpg").body == road_jpeg(3)
         assert bench.get("/runs/r/worst/1/2.jpg").status == 404
         assert "6.0°" not in bench.get("/runs/r?epoch=2").text
+
+
+def test_of_a_car_whose_angle_is_unknown_errors_are_shares_of_full_lock(tmp_path: Path) -> None:
+    run = a_run(tmp_path / "runs", "tub", 2.0)
+    lines = [{**json.loads(line), "max_deg": None} for line in (run / "metrics.jsonl").read_text().splitlines()]
+    (run / "metrics.jsonl").unlink()
+    write_lines(run / "metrics.jsonl", lines)
+    crop = base64.b64encode(road_jpeg(3)).decode()
+    frames = [{**CROP, "predicted_deg": 9.0, "error_deg": 8.0, "jpeg": crop}]
+    write_lines(run / "worst.jsonl", [{"epoch": 1, "max_deg": None, "frames": frames}])
+    keep_result(run, "frames", {"index": "index", "max_deg": None, "network": {"rmse_deg": 2.5}})
+    with served(tmp_path) as bench:
+        wait_until(lambda: "32.0 % too far to the right" in bench.get("/runs/tub/body").text)
+        text = page(bench, "tub")
+        assert "RMSE 8.00 % (16.00 % of always predicting the mean)" in text
+        assert "rmse, % of full lock 10" in text
+        assert "°" not in text
 
 
 def test_a_training_is_seen_live(tmp_path: Path) -> None:

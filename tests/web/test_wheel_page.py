@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,10 +14,13 @@ from driving import untrained_run
 from logs import write_log
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.log.pose_message import pose_message
 from recorder.teleop.wheel import Wheel
+from simulator.pose import Pose
+from simulator.roads.track import load_track
 from waiting import wait_until
 from web.data.project_folders import ProjectFolders
-from web.data.wheels import new_drive, training
+from web.data.wheels import new_drive, quick_epochs, training
 from web.errors import WebError
 from workbench import Answer, Served, served
 
@@ -39,8 +43,8 @@ def post(bench: Served, path: str, **values: str) -> Answer:
     [
         ({}, "bc-record drive-1 --driver=me --track=lake --rate=10 --speed=10 --no-page"),
         (
-            {"name": "a", "track": "random", "seed": "7", "speed": "12.5", "rate": "25"},
-            "bc-record a --driver=me --track=random:7 --rate=25 --speed=12.5 --no-page",
+            {"name": "a", "track": "random", "seed": "7", "speed": "12.5", "rate": "20"},
+            "bc-record a --driver=me --track=random:7 --rate=20 --speed=12.5 --no-page",
         ),
         ({"simulator": "any"}, "bc-record drive-1 --driver=me --listen --speed=10 --no-page"),
         (
@@ -72,7 +76,7 @@ def test_the_form_makes_the_command(
         {"track": "random", "seed": "-1"},
         {"speed": "nan"},
         {"speed": "0"},
-        {"rate": "20"},
+        {"rate": "7"},
         {"driver": "run", "run": "nobody"},
     ],
 )
@@ -92,9 +96,15 @@ def test_a_new_drive_has_a_name_that_no_log_has(tmp_path: Path) -> None:
 def test_training_on_a_session_makes_a_run_of_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     log = write_log(Path("sessions") / "mine.mcap", [0.1])
-    assert training("sessions", log, ProjectFolders()) == (["bc-train", "--name=mine", "--on", "mine"], "mine")
+    words, run = training("sessions", log, ProjectFolders())
+    assert (shlex.join(words), run) == ("bc-train --name=mine --epochs=10 --on mine", "mine")
     untrained_run(Path("runs") / "mine")
     assert training("sessions", log, ProjectFolders())[1] == "mine-2"
+
+
+@pytest.mark.parametrize(("rows", "epochs"), [(0, 10), (600, 10), (1100, 5), (2200, 3), (100_000, 2)])
+def test_the_button_trains_for_about_as_long_whatever_was_driven(rows: int, epochs: int) -> None:
+    assert quick_epochs(rows) == epochs
 
 
 def test_a_drive_is_listed_while_it_runs(bench: Served) -> None:
@@ -142,6 +152,63 @@ def test_after_a_supervised_drive_each_takeover_is_a_link_to_its_row(bench: Serv
     assert "Learn from it" in bench.get("/wheel/after/drives/d").text
     words, run = training("drives", log, ProjectFolders(runs=bench.folder / "runs"))
     assert (words[:4], run) == (["bc-train", "--init=r", f"--takeovers={log}", "--name=r-2"], "r-2")
+
+
+def driven_log(path: Path, point: int, **metadata: str) -> Path:
+    """A drive of the lake that ended at that point of its centre line."""
+    line = load_track("lake").line
+    with LogWriter(path, {"track": "lake", **metadata}) as writer:
+        for row, at in enumerate((0, point)):
+            time_ns = 10**18 + row * 10**9
+            x_m, y_m, z_m = line.points_m[at]
+            writer.vehicle(time_ns, row, VehicleState(steering=0.1))
+            pose = Pose(x_m, y_m, z_m, line.heading_rad[at])
+            writer.pose(time_ns, row, pose_message(pose, time_ns))
+        if metadata.get("driver") == "human":
+            writer.add_metadata("bc.person", {"hold_mph": "17.5"})
+    return path
+
+
+def test_driving_on_begins_where_the_drive_ended_as_it_was_driven(bench: Served) -> None:
+    driven_log(bench.folder / "sessions" / "mine.mcap", 200, **{"driver": "human", "drive.rate": "20"})
+    page = bench.get("/wheel/after/sessions/mine").text
+    asked = dict(re.findall(r'name="(\w+)" value="([^"]*)"', page.partition("Drive on from here")[0]))
+    folders = ProjectFolders(bench.folder / "sessions", drives=bench.folder / "drives")
+    step_m = load_track("lake").line.step_m
+    expected = f"bc-record mine-2 --driver=me --track=lake --rate=20 --start={200 * step_m + 1.3:.1f} --speed=17.5"
+    assert shlex.join(new_drive(asked, folders).words).startswith(expected)
+    write_log(bench.folder / "drives" / "mine-2.mcap", [0.1])
+    assert new_drive(asked, folders).key == "mine-3"
+
+
+def test_a_supervised_drive_goes_on_at_its_speed_and_another_begins_at_the_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    untrained_run(Path("runs") / "r")
+    driven_log(Path("drives") / "d-1.mcap", 100, set_speed_mph="12")
+    values = {"driver": "run", "run": "r", "like": "drives/d-1"}
+    on = new_drive({**values, "on": "1"}, ProjectFolders())
+    again = new_drive(values, ProjectFolders())
+    line = "bc-drive r --takeover=me --speed=12 --simulator=lake"
+    assert shlex.join(on.words) == f"{line} --start=51.3 --log=drives/d-2.mcap --no-page"
+    assert shlex.join(again.words) == f"{line} --log=drives/drive-1.mcap --no-page"
+
+
+@pytest.mark.parametrize("like", ["drives/none", "runs/r", "/etc/passwd", "sessions/../a", "sessions"])
+def test_going_on_from_what_is_not_there_is_refused(like: str, tmp_path: Path) -> None:
+    with pytest.raises(WebError) as refused:
+        new_drive({"like": like, "on": "1"}, ProjectFolders(tmp_path))
+    assert refused.value.status == 404
+
+
+def test_a_log_whose_settings_cannot_be_driven_gives_the_forms_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    driven_log(Path("sessions") / "a.mcap", 1, **{"track": "", "drive.rate": "nan", "set_speed_mph": "--force"})
+    line = "bc-record a-2 --driver=me --listen --speed=10 --no-page"
+    assert shlex.join(new_drive({"like": "sessions/a", "on": "1"}, ProjectFolders()).words) == line
 
 
 def test_a_drive_that_recorded_nothing_says_so(bench: Served) -> None:

@@ -25,4 +25,8 @@ def prediction_curves(
         color, part = COLORS[number % len(COLORS)], entity_part(run)
         yield Curve(f"{STEERING.path}/predicted_by/{part}", run, color), found.log_time_ns, steering
         if known.any():
-            yield Curve(f"{ERRORS}/{part}", run, color), found.log_time_ns[known], found.error_deg(run)[known]
+            yield (
+                Curve(f"{ERRORS}/{part}", run, color),
+                found.log_time_ns[known],
+                found.unit.per_deg * found.error_deg(run)[known],
+            )

@@ -13,7 +13,7 @@ from dataset.frames.frames_file import session_name
 from model.evaluation.log_predictions import LogPredictions
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import Prediction
-from recorder.log.session_car import max_steering_deg_of
+from recorder.log.session_car import known_max_steering_deg
 from recorder.log.topics import PREDICTIONS
 
 
@@ -58,5 +58,5 @@ def read_predictions(log: Log) -> Iterator[LogPredictions]:
             np.array(times_ns, np.int64),
             np.array(recorded, np.float64),
             {run: np.array(predicted, np.float64)},
-            max_deg=max_steering_deg_of(log),
+            max_deg=known_max_steering_deg(log),
         )

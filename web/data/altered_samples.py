@@ -14,6 +14,7 @@ import pyarrow.compute as pc
 
 from common.errors import printable
 from common.location import Location, absolute
+from common.steering_unit import assumed_deg, steering_unit
 from dataset import Samples
 from dataset.loader.crops import Crops
 from dataset.picture_spec import ORIGINAL
@@ -33,8 +34,8 @@ class AlteredSample(msgspec.Struct, frozen=True):
     row: int
     camera: str
     done: str  # "mirrored, blur, shadow"
-    recorded_deg: float
-    label_deg: float
+    recorded: str  # with its unit: "3.2°"
+    label: str
     pictures: tuple[str, str]
 
     def jpeg(self, number: int) -> bytes:
@@ -52,7 +53,7 @@ class AlteredSamples(msgspec.Struct, frozen=True):
 def altered_samples(index: Location, version: str, others: int, cache: CacheFolder) -> AlteredSamples:
     """`SHOWN` of those of an index of this version; each number `others` shows others. Raises UserError where the
     index or its logs cannot be read."""
-    key = f"altered 2 {absolute(index)} {version} {others}"
+    key = f"altered 3 {absolute(index)} {version} {others}"
     return cache.struct(key, AlteredSamples, lambda: _read(index, others))
 
 
@@ -72,15 +73,17 @@ def _shown(samples: Samples, chosen: pa.Table) -> list[AlteredSample]:
         rows, flip=np.zeros(len(rows), np.bool_), alterations=tuple("" for _ in rows.alterations)
     )
     as_driven, as_learnt = (_jpegs(Crops(each, samples.logs, 0), len(rows)) for each in (plain, rows))
-    full_deg = samples.max_steering_deg
+    unit = steering_unit(samples.max_steering_deg)
+    full = unit.of(assumed_deg(samples.max_steering_deg))
     return [
         AlteredSample(
             printable(sample["session"]),
             sample["row"],
             printable(sample["camera"]),
             ", ".join(["mirrored"] * sample["flip"] + [name for name in sample["alteration"].split("+") if name]),
-            sample["recorded"] * (-1 if sample["flip"] else 1) * full_deg,  # of the unmirrored picture beside it
-            sample["label"] * full_deg,
+            # of the unmirrored picture beside it
+            f"{sample['recorded'] * (-1 if sample['flip'] else 1) * full:.1f}{unit.sign}",
+            f"{sample['label'] * full:.1f}{unit.sign}",
             pictures,
         )
         for sample, pictures in zip(chosen.to_pylist(), zip(as_driven, as_learnt, strict=True), strict=True)

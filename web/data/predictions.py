@@ -48,7 +48,7 @@ class Measured(msgspec.Struct, frozen=True):
     frames: int
     rmse_deg: float | None
     mean_rmse_deg: float | None  # of always predicting the mean
-    max_deg: float  # the wheels' angle at steering 1
+    max_deg: float | None  # the wheels' angle at steering 1; None: unknown
     worst: list[WorstMoment]
     notes: list[str]  # what was left out
 

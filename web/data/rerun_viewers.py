@@ -25,7 +25,7 @@ from common.command import FAILED
 from common.errors import printable
 from common.interrupts import leave_signals_to_main_thread
 from common.location import Location, Url
-from common.versions import version_of
+from common.versions import package_line, version_of
 from web.data.own_process import own_process
 from web.data.project_folders import as_word
 from web.errors import WebError
@@ -144,7 +144,7 @@ class RerunViewers:
     def open(self, log: Location, *, is_growing: bool) -> RerunViewer:
         """Serve a log. Raises WebError where Rerun is not installed, or cannot be started."""
         if find_spec("rerun") is None or find_spec("rerun_cli") is None:
-            raise WebError("Rerun is not installed here: `pip install rerun-sdk` brings it", 501)
+            raise WebError(f"Rerun is not installed here: `{package_line('rerun-sdk')}` brings it", 501)
         viewer = RerunViewer(log, is_growing=is_growing)
         with self._lock:
             others = list(self._open.values())

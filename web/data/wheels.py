@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -15,7 +15,10 @@ from common.locks import is_being_written
 from common.untrusted import real_path
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
+from recorder.errors import RecordingError
 from recorder.log import topics
+from recorder.log.last_place import last_place_m
+from recorder.sources.row_steps import check_row_rate
 from recorder.teleop.open_wheels import OpenWheel, open_wheels
 from web.data.job_forms import form_of
 from web.data.jobs import Job
@@ -25,8 +28,10 @@ from web.errors import WebError
 TRACKS: Final = ("lake", "mountain", "random", "hairpins")
 SEEDED: Final = ("random", "hairpins")
 """Tracks that are drawn by a seed."""
-RATES_HZ: Final = ("5", "10", "25")
-"""Rows a second; they divide the 50 steps of the simulator's clock."""
+RATES_HZ: Final = ("5", "10", "20", "25")
+"""Rows a second that the form offers."""
+EPOCHS_MORE: Final = 4
+"""For a network that learns from takeovers: it can drive already."""
 DEFAULTS: Final[Mapping[str, str]] = {
     "simulator": "built-in",
     "track": "lake",
@@ -36,12 +41,20 @@ DEFAULTS: Final[Mapping[str, str]] = {
     "run": "",
     "rate": "10",
     "name": "",
+    "start": "0",
+    "like": "",
+    "on": "",
 }
-"""The values of the form."""
+"""The values of the form. `like` is a drive, as `sessions/mine`, whose settings count where none are given; with
+`on`, the new one begins where that one ended."""
 
 _NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,79}")  # also the key of its log in addresses
 _SEED: Final = re.compile(r"[0-9]{1,18}")
 _SPEED: Final = re.compile(r"[0-9]{1,3}(\.[0-9]{1,3})?")
+_RATE: Final = re.compile(r"[0-9]{1,2}(\.[0-9]{1,4})?")
+_START: Final = re.compile(r"[0-9]{1,6}(\.[0-9]{1,2})?")
+_MAX_STEM: Final = 70  # a number follows
+_NUMBERED: Final = re.compile(r"-[0-9]{1,9}$")
 
 
 class NewDrive(NamedTuple):
@@ -69,7 +82,9 @@ class EndedDrive(NamedTuple):
 
 def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
     """The drive that the form asks for. Raises WebError for a value that cannot be one."""
-    asked = {**DEFAULTS, **{name: value.strip() for name, value in values.items() if value.strip()}}
+    given = {name: value.strip() for name, value in values.items() if value.strip()}
+    before = _settings_of(given["like"], folders, goes_on="on" in given) if "like" in given else {}
+    asked = {**DEFAULTS, **before, **given}
     name = asked["name"] or free_name("drive", folders)
     if not _NAME.fullmatch(name):
         raise WebError("name: letters, digits, and . _ - were expected, such as lake-1", 422)
@@ -77,6 +92,7 @@ def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
     if asked["driver"] == "me":
         words = ["bc-record", name, "--driver=me"]
         words += [f"--track={_track(asked)}", f"--rate={_rate(asked)}"] if built_in else ["--listen"]
+        words += _start(asked) if built_in else []
         words.append(f"--speed={_speed(asked)}")
         if folders.sessions != Path("sessions"):
             is_stored = isinstance(folders.sessions, Url)
@@ -86,7 +102,7 @@ def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
     if run is None:
         raise WebError("run: choose one that is there; train one first, on a session of yours", 422)
     words = ["bc-drive", run.name, "--takeover=me", f"--speed={_speed(asked)}"]
-    words += [f"--simulator={_track(asked)}"] if built_in else []
+    words += [f"--simulator={_track(asked)}", *_start(asked)] if built_in else []
     words += [f"--runs={folders.runs}"] if folders.runs != Path("runs") else []
     return NewDrive([*words, f"--log={folders.drives / f'{name}.mcap'}", "--no-page"], "drives", name)
 
@@ -101,10 +117,22 @@ def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list
             name = drive.metadata.get("run", "")
         if key_of(Path(name)) not in runs:
             raise WebError(f"the run {printable(name)!r}, which drove, is not in {folders.runs}", 404)
-    run = _free(name, lambda free: key_of(Path(free)) in runs)
+    names = itertools.chain([name], (f"{name}-{number}" for number in itertools.count(2)))
+    run = next(free for free in names if key_of(Path(free)) not in runs)
     if place == "drives":
-        return form_of("learn").words({"run": name, "takeovers": str(log), "name": run}, folders), run
-    return [*form_of("train").words({"name": run}, folders), "--on", name], run
+        values = {"run": name, "takeovers": str(log), "name": run, "epochs": str(EPOCHS_MORE)}
+        return form_of("learn").words(values, folders), run
+    with Log(log) as session:
+        epochs = quick_epochs(session.counts.get(topics.VEHICLE, 0))
+    return [*form_of("train").words({"name": run, "epochs": str(epochs)}, folders), "--on", name], run
+
+
+def quick_epochs(rows: int) -> int:
+    """The epochs in which a network learns to drive from so many rows in about two minutes on two quick cores.
+
+    6,000 rows, about 25,000 samples, are enough to drive both built-in tracks (docs/which-number.md).
+    """
+    return max(2, min(10, round(6000 / max(1, rows))))
 
 
 def is_training_on(job: Job, log: Location) -> bool:
@@ -113,10 +141,11 @@ def is_training_on(job: Job, log: Location) -> bool:
     return words[-2:] == ["--on", final_name(log.name).removesuffix(".mcap")] or f"--takeovers={log}" in words
 
 
-def free_name(beginning: str, folders: ProjectFolders) -> str:
-    """A name that no session and no drive has; with a number at its end."""
+def free_name(beginning: str, folders: ProjectFolders, first: int = 1) -> str:
+    """A name that no session and no drive has; with a number at its end, from `first` on."""
     taken = {key_of(Path(final_name(log.name))) for place in PLACES for log in folders.logs(place).values()}
-    return _free(beginning, taken.__contains__, is_numbered=True)
+    names = (f"{beginning}-{number}" for number in itertools.count(first))
+    return next(name for name in names if name not in taken)
 
 
 def running(key: str) -> OpenWheel:
@@ -166,12 +195,6 @@ def takeovers(log: Log) -> list[TakeoverPlace]:
     return found
 
 
-def _free(beginning: str, is_taken: Callable[[str], bool], *, is_numbered: bool = False) -> str:
-    numbered = (f"{beginning}-{number}" for number in itertools.count(1 if is_numbered else 2))
-    names = numbered if is_numbered else itertools.chain([beginning], numbered)
-    return next(name for name in names if not is_taken(name))
-
-
 def _track(asked: Mapping[str, str]) -> str:
     """The name of the track; also one that has its seed already."""
     kind, _, drawn = asked["track"].partition(":")
@@ -184,12 +207,53 @@ def _track(asked: Mapping[str, str]) -> str:
 
 
 def _rate(asked: Mapping[str, str]) -> str:
-    if asked["rate"] not in RATES_HZ:
+    if not _is_rate(asked["rate"]):
         raise WebError(f"rows a second: one of {', '.join(RATES_HZ)} was expected", 422)
     return asked["rate"]
 
 
+def _is_rate(text: str) -> bool:
+    try:
+        check_row_rate(float(text) if _RATE.fullmatch(text) else 0.0)
+    except RecordingError:
+        return False
+    return True
+
+
 def _speed(asked: Mapping[str, str]) -> str:
-    if not _SPEED.fullmatch(asked["speed"]) or not 0 < float(asked["speed"]) <= 100:
+    if not _is_speed(asked["speed"]):
         raise WebError("speed: mph above 0 and up to 100 were expected", 422)
     return asked["speed"]
+
+
+def _is_speed(text: str) -> bool:
+    return bool(_SPEED.fullmatch(text)) and 0 < float(text) <= 100
+
+
+def _start(asked: Mapping[str, str]) -> list[str]:
+    """The flag for where a drive begins, if that is not the track's start."""
+    if not _START.fullmatch(asked["start"]):
+        raise WebError("start: metres along the track were expected", 422)
+    return [f"--start={asked['start']}"] if float(asked["start"]) else []
+
+
+def _settings_of(like: str, folders: ProjectFolders, *, goes_on: bool) -> dict[str, str]:
+    """The form's values of an earlier drive, as far as its log has them; with `goes_on`, a name that follows its
+    own, and the place where it ended."""
+    place, _, key = like.partition("/")
+    ended = next((ended_drive(known, key, folders) for known in PLACES if known == place), None)
+    if ended is None:
+        raise WebError("the drive to go on from is not there (any more)", 404)
+    with Log(ended.log) as log:
+        track, rate = log.metadata.get("track", ""), log.metadata.get("drive.rate", "")
+        held = log.read_metadata(topics.PERSON_METADATA).get("hold_mph", "")
+        start_m = last_place_m(log) if goes_on else None
+        speed = log.metadata.get("set_speed_mph", held)
+    settings = {"simulator": "built-in", "track": track} if track else {"simulator": "any"}
+    settings |= {"speed": speed} if _is_speed(speed) else {}
+    settings |= {"rate": rate} if _is_rate(rate) else {}
+    settings |= {} if start_m is None else {"start": f"{start_m:.1f}"}
+    stem = _NUMBERED.sub("", final_name(ended.log.name).removesuffix(".mcap"))
+    if goes_on and _NAME.fullmatch(stem) and len(stem) < _MAX_STEM:
+        settings["name"] = free_name(stem, folders, first=2)
+    return settings

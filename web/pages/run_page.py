@@ -12,7 +12,9 @@ from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route
 
 from common import UserError
+from common.car import MAX_STEERING_DEG
 from common.errors import printable
+from common.steering_unit import DEGREES, SteeringUnit, steering_unit
 from common.whole_number import whole_number
 from web.data.project_folders import PLACES, ProjectFolders, key_of
 from web.data.run_cards import RunCard
@@ -121,13 +123,15 @@ def _numbers(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     if sessions := measured_sessions(result):
         shown.append(("of", printable(", ".join(sessions))))
     if isinstance(network := result.get("network"), dict):  # errors of frames; steering's, in degrees
-        shown += _numbers_of(network)
+        shown += _numbers_of(network, steering_unit(result.get("max_deg", MAX_STEERING_DEG)))
     return [*shown, *_numbers_of(result)][:_MOST_NUMBERS]
 
 
-def _numbers_of(result: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _numbers_of(result: Mapping[str, Any], unit: SteeringUnit = DEGREES) -> list[tuple[str, str]]:
     shown = []
     for name, value in result.items():
+        if unit != DEGREES and name.endswith("_deg") and isinstance(value, float):
+            name, value = f"{name.removesuffix('_deg')}, {unit.name}", unit.of(value)
         if name == "log" or isinstance(value, bool) or value is None or isinstance(value, dict | list):
             continue
         if isinstance(value, str) and len(value) > 40:  # checksums, paths
@@ -170,4 +174,12 @@ def _worst(
                 "address": f"{address}#row={frame.row}&run={card.key}" if address else "",
             }
         )
-    return {"worst": frames, "epochs": list(by_epoch), "epoch": epoch, "kept": kept, "problem": ""}
+    unit = steering_unit(by_epoch[epoch].max_deg) if epoch in by_epoch else DEGREES
+    return {
+        "worst": frames,
+        "worst_unit": unit,
+        "epochs": list(by_epoch),
+        "epoch": epoch,
+        "kept": kept,
+        "problem": "",
+    }

@@ -159,8 +159,5 @@ def _ended(bench: Workbench, request: Request) -> dict[str, Any]:
         "job": job,
         "has_curves": job is not None and job.about.made.rpartition("/")[2] in runs,
         "learnt": [] if job and job.is_running else learnt,
-        "again": {
-            "simulator": "built-in" if metadata.get("track") else "any",
-            "track": metadata.get("track", "lake"),
-        },
+        "like": f"{place}/{key}",
     }

@@ -68,20 +68,23 @@ export class Predictions {
 
   show({ name, about }) {
     this.about = about;
+    // without an angle, in shares of full lock: the degrees are of 25 at steering 1
+    const angle = (degrees, digits) =>
+      about.max_deg === null ? `${(degrees * 4).toFixed(digits)} % of full lock` : `${degrees.toFixed(digits)}°`;
     const compared =
       about.rmse_deg === null
         ? "nothing was recorded to compare with"
-        : `RMSE ${about.rmse_deg.toFixed(2)}°; always predicting the mean: ${about.mean_rmse_deg.toFixed(2)}°`;
+        : `RMSE ${angle(about.rmse_deg, 2)}; always predicting the mean: ${angle(about.mean_rmse_deg, 2)}`;
     this.summary = [`${name}: ${about.frames.toLocaleString("en")} frames`, compared, ...about.notes].join(", ");
     this.worst = about.worst.map((moment) => {
       const position = this.data.position(moment.row, false);
       const side = moment.error_deg > 0 ? "right" : "left";
       return {
         position,
-        short: `${Math.abs(moment.error_deg).toFixed(1)}° too far ${side}`,
+        short: `${angle(Math.abs(moment.error_deg), 1)} too far ${side}`,
         words:
           `row ${moment.row}, at ${clock(this.data.columns.time_s[position])}: ` +
-          `${moment.predicted_deg.toFixed(1)}° predicted, ${moment.recorded_deg.toFixed(1)}° recorded`,
+          `${angle(moment.predicted_deg, 1)} predicted, ${angle(moment.recorded_deg, 1)} recorded`,
       };
     });
   }

@@ -23,8 +23,9 @@ export class Panel {
     this.#hello = hello;
     this.#map.show(hello.road ?? null);
     for (const element of document.querySelectorAll(".of-network")) element.hidden = hello.kind !== "drive";
-    for (const id of ["laps", "put-back"]) by(id).parentElement.hidden = hello.kind !== "record";
-    by("put-back-button").hidden = hello.kind !== "record"; // other simulators put their car back themselves
+    const isBuiltIn = Boolean(hello.track); // others put their car back themselves, and have one picture
+    for (const id of ["laps", "put-back"]) by(id).parentElement.hidden = !isBuiltIn;
+    for (const id of ["put-back-button", "recorded"]) by(id).hidden = !isBuiltIn;
     by("record").hidden = hello.kind === "drive"; // all of it is recorded
   }
 
@@ -43,7 +44,7 @@ export class Panel {
     const wished_hz = this.#hello.picture_hz ? ` of ${this.#hello.picture_hz.toFixed(0)}` : "";
     write("rate", `${(frame.picture_hz ?? 0).toFixed(0)}${wished_hz} a second`);
     write("pace", pace(frame.pace));
-    by("pace").classList.toggle("odd", frame.pace < SLOW_PACE);
+    by("pace").classList.toggle("odd", frame.pace != null && frame.pace < SLOW_PACE);
     write("delay", delay_ms == null ? "-" : `${delay_ms.toFixed(0)} ms`);
     write("recording", frame.is_recording ? "recording" : frame.rows ? "paused" : "not recording yet");
     write("record-label", frame.is_recording ? "Pause" : "Record");

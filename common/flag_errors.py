@@ -1,0 +1,130 @@
+"""What is wrong with a command line, in one line: tyro's own texts are long, and name Python's types.
+
+Its hook is private to tyro and new. Where it is missing, or no longer as here, tyro prints its own text.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import sys
+from collections.abc import Iterator, Sequence
+from types import UnionType
+from typing import Any, Final, Union, get_args, get_origin, get_type_hints
+
+import tyro
+
+from common.errors import UsageError, did_you_mean
+
+_NUMBERS: Final = {"INT": "whole number", "FLOAT": "number"}
+_COUNTS: Final = {1: "a", 2: "two", 3: "three"}
+
+
+@contextlib.contextmanager
+def flag_errors_in_one_line(config: Any) -> Iterator[None]:
+    """Raise UsageError where tyro would print what is wrong with flags of `config`."""
+    try:
+        from tyro import _errors
+    except ImportError:
+        yield
+        return
+
+    def hook(event: _errors.ParseErrorEvent) -> None:
+        try:
+            line = _line_of(event, config)
+        except (AttributeError, NameError):  # of another version's events
+            return
+        raise UsageError(line)
+
+    with _errors.on_parse_error(hook):
+        yield
+
+
+def _line_of(event: Any, config: Any) -> str:
+    subcommands = {name for name in _names_of(config) if not name.startswith("-")}
+    help_line = f"`{' '.join([event.prog, *subcommands.intersection(sys.argv[1:2])])} --help` has all flags"
+    match type(event).__name__:
+        case "UnrecognizedArgs":
+            return f"{_unknown(event.tokens, config)}; {help_line}"
+        case "MissingArgs":
+            if event.unrecognized_tokens and event.unrecognized_tokens[0].startswith("-"):
+                return f"{_unknown(event.unrecognized_tokens, config)}; {help_line}"
+            names = " and ".join(_name_of(each.arg) for each in event.missing_arguments)
+            return f"{names} {'is' if len(event.missing_arguments) == 1 else 'are'} missing; {help_line}"
+        case "MissingSubcommand":
+            return f"which command? One of {', '.join(event.subcommand_spec.parser_from_name)}; {help_line}"
+        case "InvalidChoice":
+            choices = sorted(event.choices)
+            meant = _behind("; ", did_you_mean(event.value, choices))
+            return f"{_name_of(event.argument)} {event.value}: expected one of {', '.join(choices)}{meant}"
+        case "BadValue" if event.reason == "too_few_values":
+            if event.argument.is_positional():
+                return f"{_name_of(event.argument)} is missing; {help_line}"
+            return f"{_name_of(event.argument)}: expected {_expected(event.argument)} behind it; {help_line}"
+        case "InstantiationFailure" if event.argument is not None:
+            given = [_name_of(event.argument), *_given(event.argument)]
+            return f"{' '.join(given)}: expected {_expected(event.argument)}; {help_line}"
+    raise AttributeError(type(event).__name__)
+
+
+def _unknown(tokens: Sequence[str], config: Any) -> str:
+    """A line about the first flag that there is not, or else about the first word too much."""
+    names = list(_names_of(config))
+    subcommands = [name for name in names if not name.startswith("-")]
+    if subcommands and tokens[0] == next(iter(sys.argv[1:]), None) and not tokens[0].startswith("-"):
+        meant = did_you_mean(tokens[0], subcommands)
+        return f"{tokens[0]}: no such command; {meant or 'there are ' + ', '.join(subcommands)}"
+    flag = next((token for token in tokens if token.startswith("-")), None)
+    if flag is None:
+        return f"{tokens[0]}: one word too many; a name with spaces needs quotes"
+    flag = flag.partition("=")[0]
+    return f"{flag}: no such flag{_behind('; ', did_you_mean('--' + flag.lstrip('-'), names))}"
+
+
+def _names_of(kind: Any) -> Iterator[str]:
+    """All flags and subcommands of a command, by its dataclass or the union of those of its subcommands."""
+    if get_origin(kind) in (Union, UnionType):
+        for each in get_args(kind):
+            yield from (note.name for note in each.__metadata__)
+            yield from _names_of(each.__origin__)
+        return
+    hints = get_type_hints(kind, include_extras=True)
+    for name in (each.name for each in dataclasses.fields(kind)):
+        notes = getattr(hints[name], "__metadata__", ())
+        inner = getattr(hints[name], "__origin__", hints[name])
+        if dataclasses.is_dataclass(inner):
+            yield from _names_of(inner)
+        elif tyro.conf.Positional not in notes and tyro.conf.Suppress not in notes:
+            given = next((note.name for note in notes if getattr(note, "name", None)), name)
+            yield f"--{given.replace('_', '-')}"
+
+
+def _name_of(argument: Any) -> str:
+    return str(argument.lowered.metavar if argument.is_positional() else argument.lowered.name_or_flags[-1])
+
+
+def _given(argument: Any) -> list[str]:
+    """What stands behind a flag on the command line."""
+    names = {name.replace("_", "-") for name in argument.lowered.name_or_flags}
+    for at, token in enumerate(sys.argv[1:], start=2):
+        flag, equals, value = token.partition("=")
+        if flag.replace("_", "-") in names:
+            if equals:
+                return [value]
+            behind = sys.argv[at:]
+            end = next((i for i, each in enumerate(behind) if each.startswith("--")), len(behind))
+            return behind[:end]
+    return []
+
+
+def _expected(argument: Any) -> str:
+    """What a flag takes: "two whole numbers", of tyro's "{None}|{INT INT}"; of another kind, as in `--help`."""
+    metavar = str(argument.lowered.metavar).replace("{None}|", "")
+    kinds = metavar.strip("{}").split()
+    if kinds and kinds[0] in _NUMBERS and set(kinds) == {kinds[0]} and len(kinds) in _COUNTS:
+        return f"{_COUNTS[len(kinds)]} {_NUMBERS[kinds[0]]}{'s' * (len(kinds) > 1)}"
+    return metavar
+
+
+def _behind(mark: str, text: str) -> str:
+    return f"{mark}{text}" if text else ""

@@ -1,0 +1,202 @@
+"""A project at a glance: what is in its folders, what is odd, how good the newest network is, what to do next.
+
+It reads numbers alone: the ends of logs, the metadata of the index, the text files of the newest run.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Final, TypeVar
+
+from common.errors import UserError, as_user_error, counted, printable
+from common.files import short_path
+from common.locks import is_being_written
+from model.runs.advice import Advice
+from recorder.log.log_info import LogInfo, describe, logs_in
+from recorder.log.odd_stretches import ODD_KINDS
+
+MOST_COMMANDS: Final = 3
+_MOST_NAMED: Final = 5
+_MUCH: Final = 0.05  # of a log's rows are odd: worth a look
+_S_PER_MIN: Final = 60.0
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The state of a project."""
+
+    here: list[str] = field(default_factory=list)  # a line for each folder
+    odd: list[str] = field(default_factory=list)
+    good: list[str] = field(default_factory=list)  # how good the newest run is
+    advice: list[Advice] = field(default_factory=list)  # the next commands, the first one first
+    problems: list[str] = field(default_factory=list)  # what could not be read
+
+
+def examine(project: Path | str = ".") -> Diagnosis:
+    """Examine the folders sessions, index, runs and drives of a project; commands are to be typed in it. What
+    cannot be read is a problem of its own, and hides nothing else."""
+    project, found, wanted = Path(project), Diagnosis(), _Wanted()
+    sessions = _logs(project, "sessions", found, wanted)
+    _index(project, found, wanted, has_sessions=bool(sessions))
+    _runs(project, found, wanted, has_sessions=bool(sessions))
+    drives = _logs(project, "drives", found, wanted)
+    if not sessions and not drives:
+        wanted.begin.append(Advice("see all of it at work", "bc-demo"))
+        wanted.begin.append(Advice("the built-in simulator's expert drives", "bc-record lake --track lake"))
+        wanted.begin.append(Advice("take what was driven elsewhere", "bc-record mine --from ~/recording"))
+    if drives:
+        newest = max(drives, key=lambda info: info.start)
+        wanted.last.append(Advice("the newest drive", f"bc-play {_shown(project, Path(newest.path))}"))
+    found.advice.extend(wanted.first(MOST_COMMANDS))
+    return found
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """Commands by how much they matter."""
+
+    mend: list[Advice] = field(default_factory=list)
+    begin: list[Advice] = field(default_factory=list)
+    learn: list[Advice] = field(default_factory=list)
+    look: list[Advice] = field(default_factory=list)
+    last: list[Advice] = field(default_factory=list)
+
+    def first(self, count: int) -> list[Advice]:
+        always = [Advice("pages of all that is here", "bc-web --open"), Advice("what each log holds", "bc-log ls")]
+        every = [*self.mend, *self.begin, *self.learn, *self.look, *self.last, *always]
+        return list({each.command: each for each in reversed(every)}.values())[::-1][:count]
+
+
+def _logs(project: Path, name: str, found: Diagnosis, wanted: _Wanted) -> list[LogInfo]:
+    """The logs of a folder that can be read."""
+    logs = [path for path in logs_in(project / name) if not is_being_written(path)]
+    known: list[LogInfo] = []
+    broken: list[Path] = []
+    for path in logs:
+        info = _tried(partial(describe, path), path, found)
+        if info is not None:
+            known.append(info)
+        if info is None or info.notice:
+            broken.append(path)
+            found.odd.append(f"{_shown(project, path)}: {'cannot be read' if info is None else 'never finished'}")
+    if broken:
+        others = f", and {counted(len(broken) - 1, 'other log')} of {name}" if len(broken) > 1 else ""
+        first = _shown(project, broken[0])
+        wanted.mend.append(Advice(f"it is damaged, or not finished{others}", f"bc-log recover {first}"))
+    if not logs:
+        found.here.append(f"{name}: no logs")
+        return []
+    minutes = sum(info.length_s for info in known) / _S_PER_MIN
+    rows = counted(sum(info.rows for info in known), "row")
+    found.here.append(f"{name}: {counted(len(logs), 'log')}, {rows}, {minutes:,.1f} min")
+    _odd_rows(project, name, known, found, wanted)
+    return known
+
+
+def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], found: Diagnosis, wanted: _Wanted) -> None:
+    """The logs with the most odd rows; what is tagged is known."""
+    odd = sorted(
+        (info for info in logs if info.odd and not info.tags), key=lambda info: -sum(info.odd_rows.values())
+    )
+    for info in odd[:_MOST_NAMED]:
+        path = _shown(project, Path(info.path))
+        stretches, rows = info.odd or [], sum(info.odd_rows.values())
+        kinds = ", ".join(f"{count:,} {ODD_KINDS.get(kind, kind)}" for kind, count in info.odd_rows.items())
+        longest = max(stretches, key=lambda each: each.last_row - each.first_row)
+        at = f"the longest stretch: rows {longest.first_row} to {longest.last_row}"
+        found.odd.append(f"{printable(path)}: {counted(rows, 'odd row')} of {info.rows:,} ({kinds}); {at}")
+        if name == "sessions" and rows > _MUCH * info.rows:
+            is_sure = any(each.is_sure for each in stretches)
+            command = f"bc-log tag {path} exclude --odd" if is_sure else f"bc-log check {path}"
+            wanted.look.append(Advice(f"{counted(rows, 'odd row')} of {info.rows:,}", command))
+    if len(odd) > _MOST_NAMED:
+        found.odd.append(f"and {counted(len(odd) - _MOST_NAMED, 'more log')} in {name}: `bc-log ls {name}`")
+
+
+def _index(project: Path, found: Diagnosis, wanted: _Wanted, *, has_sessions: bool) -> None:
+    from dataset import sessions_not_indexed
+    from dataset.parquet_file import read_metadata
+    from dataset.samples.samples_format import SAMPLES_NAME
+
+    index, sessions = project / "index", project / "sessions"
+    if not (index / SAMPLES_NAME).exists():
+        own = sorted(project.glob(f"index-*/{SAMPLES_NAME}"))  # of `bc-train --on`
+        found.here.append(
+            f"index: {counted(len(own), 'run has its own', 'runs have their own') if own else 'none'}"
+        )
+        if has_sessions and not own:
+            wanted.learn.append(Advice("no index yet", "bc-index"))
+        return
+    counts = (read_metadata(index / SAMPLES_NAME) or {}).get("counts")
+    if not isinstance(counts, dict):
+        found.problems.append(f"{index / SAMPLES_NAME}: damaged, or of another version; `bc-index` makes it anew")
+        wanted.mend.append(Advice("the index cannot be read", "bc-index"))
+        return
+    training = sum(_number(each, "training") for each in counts.values())
+    held_out = sum(_number(each, "validation") for each in counts.values())
+    sizes = f"{counted(training, 'frame')} for training, {held_out:,} held out"
+    found.here.append(f"index: {counted(len(counts), 'session')}, {sizes}")
+    absent = _tried(lambda: sessions_not_indexed(index, sessions), index, found) if has_sessions else []
+    if absent:
+        names = ", ".join(map(printable, absent[:_MOST_NAMED])) + (
+            " and others" if len(absent) > _MOST_NAMED else ""
+        )
+        found.odd.append(f"index: does not hold {names}")
+        wanted.learn.append(Advice(f"{counted(len(absent), 'session')} not in the index", "bc-index"))
+
+
+def _runs(project: Path, found: Diagnosis, wanted: _Wanted, *, has_sessions: bool) -> None:
+    from dataset.samples.samples_format import SAMPLES_NAME
+    from model.runs.run_files import CONFIG, WEIGHTS
+    from model.runs.run_summary import judge
+
+    runs = [path.parent for path in (project / "runs").glob(f"*/{CONFIG}")]
+    samples = project / "index" / SAMPLES_NAME
+    if not runs:
+        found.here.append("runs: none")
+        if has_sessions:
+            wanted.learn.append(Advice("no run yet", "bc-train"))
+            wanted.last.append(Advice("how good it is then", "bc-eval"))
+        return
+    newest = max(runs, key=lambda run: max(_time_ns(run / WEIGHTS), _time_ns(run / CONFIG)))
+    name = printable(newest.name)
+    found.here.append(f"runs: {len(runs):,}, the newest is {name}")
+    if _time_ns(samples) > max(_time_ns(newest / WEIGHTS), _time_ns(newest / CONFIG)):
+        wanted.learn.append(Advice(f"the index is newer than {name}", "bc-train"))
+    if (verdict := _tried(lambda: judge(newest), newest, found)) is not None:
+        found.good.append(f"{name}: {verdict.summary}")
+        wanted.learn.append(verdict.advice)
+
+
+_Result = TypeVar("_Result")
+
+
+def _tried(read: Callable[[], _Result], place: Path, found: Diagnosis) -> _Result | None:
+    """What `read` gives; None where it fails, which is a problem of that place."""
+    try:
+        return read()
+    except Exception as error:
+        problem: UserError = as_user_error(place, error)
+        found.problems.append(str(problem))
+        return None
+
+
+def _shown(project: Path, path: Path) -> str:
+    """A path as an argument of a command that is typed in the project."""
+    return shlex.quote(str(path.relative_to(project) if path.is_relative_to(project) else short_path(path)))
+
+
+def _number(counts: object, name: str) -> int:
+    value = counts.get(name) if isinstance(counts, dict) else None
+    return value if type(value) is int else 0
+
+
+def _time_ns(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0

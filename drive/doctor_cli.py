@@ -1,0 +1,59 @@
+"""`bc-doctor`: what is in a project, what is odd in it, how good it is, and the next commands."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shlex
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from common.command import DONE, run_command, warn
+from common.errors import UserError
+from common.output import print_result
+from drive.doctor import examine
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Look at a project: its sessions, index, runs and drives, what is odd in them, how good the newest network
+    is, and the next three commands. Reads numbers only, so it is quick. Exit code 3 if something cannot be read.
+
+    bc-doctor
+    bc-doctor ~/driving
+    """
+
+    project: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="[PATH]")] = Path()
+    """The folder that holds sessions, index, runs and drives."""
+    json: bool = False
+    """One JSON object instead."""
+
+
+def doctor(config: Doctor) -> int:
+    if not config.project.is_dir():
+        raise UserError(
+            f"{config.project}: no such folder; a project's was expected, which holds sessions/ or runs/"
+        )
+    with contextlib.chdir(config.project):  # the commands are to be typed there
+        found = examine()
+    if config.json:
+        print_result(json.dumps(asdict(found)))
+    else:
+        print_result(*found.here)
+        _print_part("odd", found.odd)
+        _print_part("how good", found.good)
+        there = f"cd {shlex.quote(str(config.project))} && " if config.project != Path() else ""
+        print_result(*(f"next: `{there}{each.command}`: {each.why}" for each in found.advice))
+    return max([DONE, *map(warn, found.problems)])
+
+
+def _print_part(title: str, lines: Sequence[str]) -> None:
+    print_result(*(f"{title}: {line}" for line in lines))
+
+
+def main() -> None:
+    run_command("bc-doctor", Doctor, doctor)

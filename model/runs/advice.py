@@ -1,0 +1,228 @@
+"""The one thing most likely to help a network, by rules in the order of how much each is likely to.
+
+Each rule is a function of a run's numbers that gives its advice, with the numbers that called for it, or None.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from common.errors import counted, printable
+from model.runs.answer_scale import AnswerScale
+from model.runs.enough_to_drive import drivable
+from model.runs.run_numbers import RunNumbers
+
+FEW_EPOCHS: Final = 4
+"""The study's networks drove after 4, and none of them after 1 (docs/which-number.md)."""
+STILL_IMPROVING: Final = 0.02
+"""By so much of itself the driving error still fell in the last epoch."""
+FEW_TURNS: Final = 500
+"""Rows of turns to learn from: with 700 of them every network of the study drove, with 170 none."""
+FEW_OF_A_SIDE: Final = 0.1
+WORSE_ANSWERS: Final = 1.05
+"""The driving error of natural answers, over that of the answers as learnt."""
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to do next: why, with the numbers that call for it, and a command that can be pasted."""
+
+    why: str
+    command: str
+
+
+def advice(numbers: RunNumbers) -> Advice:
+    """The advice of the first rule that has one."""
+    return next(found for rule in RULES if (found := rule(numbers)) is not None)
+
+
+def is_being_trained(numbers: RunNumbers) -> Advice | None:
+    if not numbers.is_training:
+        return None
+    return Advice(f"it is being trained, {counted(len(numbers.epochs), 'epoch')} are learnt", "bc-web --open")
+
+
+def has_wrong_labels(numbers: RunNumbers) -> Advice | None:
+    """Steering that is mirrored, of another scale, or missing: whatever is learnt of it is wrong."""
+    for name, labels in numbers.data.labels.items():
+        check = f"bc-log check {numbers.log_of(name)}"
+        session, kind = printable(name), labels.habits.kind
+        if labels.lag is not None and labels.lag.correlation < 0 and not labels.plan.why.startswith("driven by"):
+            found = f"{labels.lag.correlation:.2f} correlation"
+            return Advice(f"the pictures of {session} turn the other way than its steering ({found})", check)
+        if kind in ("none", "constant", "other scale"):
+            what = {"none": "is always 0", "constant": "never changes", "other scale": "is not of -1 to 1"}[kind]
+            return Advice(f"the steering of {session} {what} ({counted(labels.habits.rows, 'row')})", check)
+    return None
+
+
+def is_unfinished(numbers: RunNumbers) -> Advice | None:
+    learnt, asked = len(numbers.epochs), numbers.training.epochs
+    if learnt >= asked or numbers.training.patience:
+        return None
+    return Advice(f"stopped after {learnt:,} of {counted(asked, 'epoch')}", f"bc-train --resume {numbers.run}")
+
+
+def has_worse_answers(numbers: RunNumbers) -> Advice | None:
+    """Natural answers, where those as learnt would be better."""
+    kept = numbers.kept
+    if kept is None or kept.learnt is None or kept.answers == AnswerScale() or not kept.measures.frames:
+        return None
+    natural, learnt = kept.measures.driving_error, kept.learnt_driving_error
+    command = f"bc-train --like {numbers.run} --answers as-learnt"
+    if natural > WORSE_ANSWERS * learnt:
+        return Advice(
+            f"natural answers make it worse: driving error {natural:.2f}, as learnt {learnt:.2f}", command
+        )
+    of, without = kept.measures.network, kept.learnt
+    if math.isnan(learnt) and of.rmse_deg > without.rmse_deg and of.turning_mae_deg > without.turning_mae_deg:
+        return Advice(
+            f"natural answers make it worse: RMSE {of.rmse_deg:.2f}, as learnt {without.rmse_deg:.2f}", command
+        )
+    return None
+
+
+def is_enough(numbers: RunNumbers) -> Advice | None:
+    """Nothing is to be mended of a network that is likely to drive, and has not failed to: it is to drive."""
+    driven, measured = numbers.drives, numbers.measured
+    if measured is None or any(_interventions(drive) for drive in driven):
+        return None
+    band = drivable(measured.driving_error, numbers.hands, is_unseen=numbers.is_unseen).band
+    if band is None or band.share < 1 or not _beats_the_mean_on_turns(numbers):
+        return None
+    small = f"a driving error of {measured.driving_error:.2f} is small enough to try"
+    if not numbers.is_built_in:
+        return Advice(small, f"bc-drive {numbers.run}")
+    tracks = "lake mountain" if not driven else "random:1 random:2"
+    why = small if not driven else "it needs nobody on the roads it has driven"
+    return Advice(why, f"bc-eval {numbers.run} --simulator {tracks}")
+
+
+def has_left_the_road(numbers: RunNumbers) -> Advice | None:
+    """An expert takes over where it errs, and it learns from that (docs/aggregation.md)."""
+    failed = [drive for drive in numbers.drives if _interventions(drive)]
+    if not failed or len(numbers.epochs) < FEW_EPOCHS:
+        return None
+    worst = max(failed, key=_interventions)
+    track, speed = str(worst["track"]), float(worst["set_speed_mph"])
+    times = counted(_interventions(worst), "intervention")
+    return Advice(
+        f"{times} on {printable(track)} at {speed:g} mph; an expert there shows it what to do",
+        f"bc-drive {numbers.run} --simulator {shlex.quote(track)} --speed {speed:g} --aggregate 2",
+    )
+
+
+def is_still_improving(numbers: RunNumbers) -> Advice | None:
+    epochs = [epoch for epoch in numbers.epochs if epoch.measures.frames]
+    more = f"bc-train --resume {numbers.run} --epochs {max(10, 2 * len(numbers.epochs))}"
+    if not epochs or epochs[-1] is not numbers.kept:
+        return None
+    last = epochs[-1].measures.driving_error
+    before = epochs[-2].measures.driving_error if len(epochs) > 1 else math.inf
+    if len(epochs) < FEW_EPOCHS:
+        return Advice(f"{counted(len(epochs), 'epoch')}: the last one is still the best", more)
+    if before - last > STILL_IMPROVING * before:
+        return Advice(f"its driving error still fell in epoch {len(epochs):,} ({before:.2f} to {last:.2f})", more)
+    return None
+
+
+def has_few_turns(numbers: RunNumbers) -> Advice | None:
+    if (turns := _turns_learnt(numbers)) is None or turns >= FEW_TURNS:
+        return None
+    return Advice(f"about {counted(turns, 'row')} of turns to learn from; {FEW_TURNS:,} are few", _record(numbers))
+
+
+def has_one_session(numbers: RunNumbers) -> Advice | None:
+    if len(numbers.data.logs) != 1:
+        return None
+    return Advice(
+        "it has learnt from one session; another road, or light, teaches what is common", _record(numbers)
+    )
+
+
+def has_one_side(numbers: RunNumbers) -> Advice | None:
+    bins = numbers.measured.bins if numbers.measured is not None else ()
+    left, right = (sum(b.frames for b in bins if b.high <= 0), sum(b.frames for b in bins if b.low >= 0))
+    if not left + right or min(left, right) >= FEW_OF_A_SIDE * (left + right):
+        return None
+    side, share = "left" if left < right else "right", min(left, right) / (left + right)
+    found = f"{100 * share:.0f} % of the turns held out go {side}"
+    if not numbers.data.settings.flip:
+        return Advice(f"{found}, and nothing is mirrored", _index(numbers, "--flip"))
+    return Advice(f"{found}: drive the road the other way round, too", _record(numbers))
+
+
+def has_one_camera(numbers: RunNumbers) -> Advice | None:
+    """Pictures from beside the line show how to come back to it; views that are warped there show it, too."""
+    frames = sum(count.frames for count in numbers.data.counts.values())
+    rows = sum(labels.habits.rows for labels in numbers.data.labels.values())
+    if not rows or frames > 1.5 * rows:
+        if set(numbers.data.settings.cameras) != {"center"}:
+            return None
+        return Advice("the side cameras are left out", _index(numbers, "--cameras center left right"))
+    return Advice("no pictures of side cameras to learn from", _index(numbers, "--viewpoints 2"))
+
+
+def nothing_stands_out(numbers: RunNumbers) -> Advice:
+    if numbers.measured is None:
+        return Advice("nothing of it is measured yet", f"bc-eval {numbers.run}")
+    return Advice("nothing in its numbers stands out; more of other roads helps most", _record(numbers))
+
+
+RULES: Final[tuple[Callable[[RunNumbers], Advice | None], ...]] = (
+    is_being_trained,
+    has_wrong_labels,
+    is_unfinished,
+    has_worse_answers,
+    is_enough,
+    has_left_the_road,
+    is_still_improving,
+    has_few_turns,
+    has_one_session,
+    has_one_side,
+    has_one_camera,
+    nothing_stands_out,
+)
+"""Wrong labels make all else useless; what is measured goes before what is likely; what costs minutes goes before
+what has to be recorded."""
+
+
+def _beats_the_mean_on_turns(numbers: RunNumbers) -> bool:
+    measured = numbers.measured
+    return measured is None or not measured.network.turning_mae_deg >= measured.mean.turning_mae_deg
+
+
+def _interventions(drive: Mapping[str, Any]) -> int:
+    return int(drive["interventions"])
+
+
+def _turns_learnt(numbers: RunNumbers) -> int | None:
+    """About how many rows of turns were learnt from, by the share of turns in what was held out; None where it is
+    unknown."""
+    bins = numbers.measured.bins if numbers.measured is not None else ()
+    held_out = sum(part.frames for part in bins)
+    frames = sum(count.frames for count in numbers.data.counts.values())
+    rows = sum(labels.habits.rows for labels in numbers.data.labels.values())
+    training = sum(count.training for count in numbers.data.counts.values())
+    if not held_out or not frames or not rows:
+        return None
+    turns = sum(part.frames for part in bins if part.low >= 0 or part.high <= 0)
+    return round(turns / held_out * training * min(1.0, rows / frames))
+
+
+def _record(numbers: RunNumbers) -> str:
+    """The command that records more of what these sessions are of."""
+    return (
+        f"bc-record more --track random:{len(numbers.data.logs)}"
+        if numbers.is_built_in
+        else "bc-record more --from ~/recording"
+    )
+
+
+def _index(numbers: RunNumbers, flags: str) -> str:
+    place = f"{numbers.sessions_flag}{numbers.index_flag}"
+    return f"bc-index{place} {flags} && bc-train{numbers.index_flag}"

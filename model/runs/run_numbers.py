@@ -1,0 +1,187 @@
+"""The numbers of a run, from its files, by which it is judged. None of them is trusted."""
+
+from __future__ import annotations
+
+import math
+import os
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
+from typing import Any, Final, TypeVar
+
+import msgspec
+
+from common.errors import printable
+from model.metrics import Measures
+from model.runs.enough_to_drive import Hand
+from model.runs.history_lines import parse_measures
+from model.runs.kept_results import KeptResult
+from model.runs.run_arguments import RUNS, run_argument
+from model.runs.training_progress import Epoch
+
+BUILT_IN_CAR: Final = {"wheelbase_m": 2.6, "height_m": 1.4}
+"""By these the built-in simulator's car is recognised, whose roads can be driven as often as one likes."""
+
+
+class StoredHabits(msgspec.Struct):
+    """How a session was steered, as far as a judgement needs it (`recorder.log.steering_habits`)."""
+
+    kind: str = ""
+    rows: int = 0
+    device: str = ""
+
+
+class StoredLag(msgspec.Struct):
+    correlation: float = math.nan
+
+
+class StoredPlan(msgspec.Struct):
+    smooth_s: float = 0.0
+    why: str = ""
+
+
+class StoredLabels(msgspec.Struct):
+    habits: StoredHabits = msgspec.field(default_factory=StoredHabits)
+    lag: StoredLag | None = None
+    plan: StoredPlan = msgspec.field(default_factory=StoredPlan)
+
+    @property
+    def hand(self) -> Hand | None:
+        """None where it is not known."""
+        if self.habits.kind == "steps" or self.plan.smooth_s > 0:
+            return "keys"
+        return "smooth" if self.habits.kind == "smooth" else None
+
+
+class StoredCounts(msgspec.Struct):
+    frames: int = 0
+    training: int = 0
+    validation: int = 0
+
+
+class StoredSettings(msgspec.Struct):
+    flip: bool = True
+    cameras: tuple[str, ...] = ("center", "left", "right")
+
+
+class StoredIndex(msgspec.Struct):
+    """The index that a run was trained on, as its config.json has it."""
+
+    logs: dict[str, dict[str, Any]] = {}
+    labels: dict[str, StoredLabels] = {}
+    counts: dict[str, StoredCounts] = {}
+    settings: StoredSettings = msgspec.field(default_factory=StoredSettings)
+
+
+class StoredTraining(msgspec.Struct):
+    epochs: int = 0
+    patience: int = 0
+
+
+@dataclass(frozen=True)
+class RunNumbers:
+    """A run in numbers. `measured` are the errors that are judged: those of the epoch kept, where not others."""
+
+    run: str  # as an argument of a command
+    measured: Measures | None
+    epochs: tuple[Epoch, ...] = ()
+    training: StoredTraining = field(default_factory=StoredTraining)
+    data: StoredIndex = field(default_factory=StoredIndex)
+    hands: frozenset[Hand] = frozenset()  # of the measured rows; empty if any is unknown
+    is_unseen: bool = False  # nothing was learnt from the drives that the measured rows are of
+    drives: tuple[Mapping[str, Any], ...] = ()  # the last one of each track and speed
+    index: str = "index"  # path, from the current folder
+    runs: Path = RUNS
+    is_training: bool = False
+
+    @property
+    def kept(self) -> Epoch | None:
+        return next((epoch for epoch in reversed(self.epochs) if epoch.is_best), None)
+
+    @property
+    def is_built_in(self) -> bool:
+        """Whether all of its sessions are of the built-in simulator."""
+        cars = [log.get("car") for log in self.data.logs.values()]
+        return bool(cars) and all(isinstance(car, dict) and BUILT_IN_CAR.items() <= car.items() for car in cars)
+
+    def log_of(self, session: str) -> str:
+        """The path of a session's log from the current folder, quoted."""
+        stored = self.data.logs.get(session, {}).get("log")
+        place = str(stored) if isinstance(stored, str) and stored else f"../sessions/{session}.mcap"
+        if "://" not in place:
+            place = os.path.normpath(Path(self.index) / place)
+        return shlex.quote(printable(place))
+
+    @property
+    def index_flag(self) -> str:
+        return "" if self.index == "index" else f" --index {shlex.quote(self.index)}"
+
+    @property
+    def sessions_flag(self) -> str:
+        """The flag by which `bc-index` finds its logs; none for sessions/, or for several folders."""
+        folders = {str(PurePosixPath(shlex.split(self.log_of(name))[0]).parent) for name in self.data.logs}
+        folder = folders.pop() if len(folders) == 1 else "sessions"
+        return "" if folder == "sessions" else f" --sessions {shlex.quote(folder)}"
+
+    def of_rows(self, measured: Measures | None, sessions: Sequence[str]) -> RunNumbers:
+        """The same with the errors on rows of these sessions."""
+        hands = [self.data.labels.get(name, StoredLabels()).hand for name in sessions]
+        known = frozenset(hand for hand in hands if hand) if all(hands) else frozenset()
+        counts = [self.data.counts.get(name, StoredCounts()) for name in sessions]
+        is_unseen = bool(counts) and not any(count.training for count in counts)
+        return replace(self, measured=measured, hands=known, is_unseen=is_unseen)
+
+
+def run_numbers(
+    run: Path,
+    config: Mapping[str, Any],
+    epochs: Sequence[Epoch],
+    results: Sequence[KeptResult] = (),
+    *,
+    is_training: bool = False,
+) -> RunNumbers:
+    """The numbers of the run in `run`: of its config.json, its epochs, the last results of its weights. What the
+    config lacks, or has otherwise than a training writes it, is left out."""
+    training, data = _part(config, "training", StoredTraining), _part(config, "data", StoredIndex)
+    index = stored if isinstance(stored := config.get("index"), str) else ""
+    if index and "://" not in index:
+        index = os.path.normpath(run / index)
+    kept = next((epoch for epoch in reversed(epochs) if epoch.is_best and epoch.measures.frames), None)
+    numbers = RunNumbers(
+        run_argument(run),
+        None if kept is None else kept.measures,
+        tuple(epochs),
+        training,
+        data,
+        drives=tuple(kept.result for kept in results if kept.way == "simulator"),
+        index=index or "index",
+        runs=run.parent,
+        is_training=is_training,
+    )
+    measured = numbers.measured
+    if measured is None or math.isnan(measured.mean_balanced_rmse_deg):  # earlier versions did not store it
+        measured = _measured_since(results) or measured
+    held_out = [name for name, count in data.counts.items() if count.validation]
+    return numbers.of_rows(measured, held_out)
+
+
+_Part = TypeVar("_Part", StoredTraining, StoredIndex)
+
+
+def _part(config: Mapping[str, Any], name: str, kind: type[_Part]) -> _Part:
+    try:
+        return msgspec.convert(config.get(name, {}), kind)
+    except ValueError:  # msgspec's errors are ValueErrors
+        return kind()
+
+
+def _measured_since(results: Sequence[KeptResult]) -> Measures | None:
+    """The errors on the frames held out, as `bc-eval` has measured them."""
+    for kept in reversed(results):
+        if kept.way == "frames" and kept.result.get("split") == "validation":
+            try:
+                return parse_measures(kept.result, "network")
+            except (ValueError, KeyError, TypeError, RecursionError):
+                continue
+    return None

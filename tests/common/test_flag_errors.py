@@ -1,0 +1,57 @@
+"""A command line that is wrong: one line says what, and what was expected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from dataset.cli import main as bc_index
+from driving import one_line_in
+from model.cli import main as bc_train
+from recorder.cli import main as bc_record
+from recorder.log_cli import main as bc_log
+from udacity import call
+
+TRIM = ("trim", "a.mcap", "--to", "b.mcap")
+
+
+@pytest.mark.parametrize(
+    ("command", "flags", "expected"),
+    [
+        (bc_train, ["--epochs", "two"], "bc-train: --epochs two: expected a whole number"),
+        (bc_train, ["--epochs=two"], "bc-train: --epochs two: expected a whole number"),
+        (bc_record, ["a", "--laps", "two"], "bc-record: --laps two: expected a number"),
+        (bc_record, ["a", "--laps"], "bc-record: --laps: expected a number behind it"),
+        (bc_record, ["a", "--speed", "fast"], "bc-record: --speed fast: expected MPH [MPH ...]"),
+        (bc_log, [*TRIM, "--rows", "3"], "bc-log: --rows 3: expected two whole numbers"),
+        (bc_log, [*TRIM, "--rows", "a", "b", "--force"], "bc-log: --rows a b: expected two whole numbers"),
+        (bc_index, ["--labels", "raw", "--look"], "bc-index: --labels raw: expected one of as-recorded, auto"),
+        (bc_record, ["a", "--driver", "exprt"], "bc-record: --driver exprt: expected one of expert, keyboard, me"),
+    ],
+)
+def test_what_a_flag_takes_is_said_in_words(
+    command: Callable[[], None], flags: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(command, *flags) == 2
+    assert one_line_in(capsys).startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("command", "flags", "expected"),
+    [
+        (bc_log, ["inof"], "bc-log: inof: no such command; did you mean info?; `bc-log --help` has all flags"),
+        (bc_log, ["drive"], "bc-log: drive: no such command; there are ls, info, check"),
+        (bc_log, [], "bc-log: which command? One of ls, info, check"),
+        (bc_record, ["a", "-from", "b"], "bc-record: -from: no such flag; did you mean --from?"),
+        (bc_record, ["a", "--form=b"], "bc-record: --form: no such flag; did you mean --from?"),
+        (bc_record, ["my", "drive"], "bc-record: drive: one word too many"),
+        (bc_record, ["--laps", "1"], "bc-record: NAME is missing"),
+        (bc_log, TRIM[:2], "bc-log: --to is missing; `bc-log trim --help` has all flags"),
+    ],
+)
+def test_what_is_mistyped_or_missing_is_named(
+    command: Callable[[], None], flags: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(command, *flags) == 2
+    assert one_line_in(capsys).startswith(expected)

@@ -1,0 +1,74 @@
+"""The command that installs what is missing: by what has made this environment, with the tested versions."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from common import UserError, versions
+from common.named_function import load_function
+from repository import ROOT
+
+
+@pytest.fixture
+def prefix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An environment that pip has made; the toolkit is that of this checkout."""
+    monkeypatch.setattr("sys.prefix", str(tmp_path / "env"))
+    (tmp_path / "env").mkdir()
+    (tmp_path / "env" / "pyvenv.cfg").write_text("home = /usr/bin\nversion = 3.12.1\n")
+    return tmp_path / "env"
+
+
+def test_pip_gets_the_versions_of_the_checkout(prefix: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(prefix)
+    tested = f"-c {ROOT}/constraints.txt"
+    assert versions.install_line("web") == f"pip install {tested} -e '{ROOT}[web]'"
+    assert versions.package_line("rerun-sdk") == f"pip install {tested} rerun-sdk"
+    monkeypatch.chdir(ROOT)
+    assert versions.install_line("web") == "pip install -c constraints.txt -e '.[web]'"
+
+
+def test_uv_and_pipx_are_named_where_they_made_the_environment(
+    prefix: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(ROOT)
+    (prefix / "pipx_metadata.json").write_text("{}")
+    line = "pipx runpip behavioural-cloning-toolkit install -c constraints.txt -e '.[web]'"
+    assert versions.install_line("web") == line
+    (prefix / "pyvenv.cfg").write_text("home = /usr/bin\nuv = 0.5.1\n")
+    assert versions.install_line("web") == f"uv pip install --python {prefix} -c constraints.txt -e '.[web]'"
+
+
+@pytest.mark.parametrize(
+    ("noted", "expected"),
+    [
+        ({"url": "file://FOLDER", "dir_info": {}}, "-c FOLDER/constraints.txt 'FOLDER[web]'"),
+        ({"url": "file:///gone", "dir_info": {}}, "'.[web]'"),
+        (
+            {"url": "https://host/x.git", "vcs_info": {"vcs": "git"}},
+            "'behavioural-cloning-toolkit[web] @ git+https://host/x.git'",
+        ),
+    ],
+)
+def test_an_installed_toolkit_knows_where_it_came_from(
+    noted: dict[str, object], expected: str, prefix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Installed:
+        @staticmethod
+        def read_text(name: str) -> str:
+            return json.dumps(noted).replace("FOLDER", str(tmp_path))
+
+    for name in ("pyproject.toml", "constraints.txt"):
+        (tmp_path / name).touch()
+    monkeypatch.chdir(prefix)
+    monkeypatch.setattr(versions, "__file__", str(prefix / "site-packages" / "common" / "versions.py"))
+    monkeypatch.setattr(versions, "distribution", lambda name: Installed)
+    assert versions.install_line("web") == f"pip install {expected.replace('FOLDER', str(tmp_path))}"
+
+
+def test_a_listener_whose_module_is_missing_names_its_package(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("import nothing_of_the_kind.inner\n")
+    with pytest.raises(UserError, match=r"needs the module nothing_of_the_kind, .*`pip install .*_of_the_kind`"):
+        load_function("--listener", f"{tmp_path / 'mine.py'}:Listener")

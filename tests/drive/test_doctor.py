@@ -1,0 +1,153 @@
+"""`bc-doctor` says what is in a project, what is odd in it, how good it is, and what to do next."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bytes_read import count_bytes, note_reads
+from dataset import IndexConfig, build_index
+from drive.doctor import examine
+from drive.doctor_cli import main
+from driving import run_code, untrained_run
+from histories import epoch_line
+from logs import START_NS, write_log
+from recorder.log_cli import main as log_command
+from udacity import call
+
+STEERING = [0.1 * (row % 7 - 3) for row in range(60)]
+
+
+@pytest.fixture
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A project with two sessions, their index, a run and a drive."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("sessions", "drives"):
+        Path(name).mkdir()
+    logs = [
+        write_log(Path("sessions") / f"{name}.mcap", STEERING, start_ns=START_NS + day * 10**14)
+        for day, name in enumerate(("monday", "sunday"))
+    ]
+    build_index(logs, Path("index"), IndexConfig(block_s=0.5, gap_s=0, labels="as-recorded"))
+    run = untrained_run(Path("runs") / "first")
+    line = epoch_line(1)
+    line["mean"]["balanced_rmse_deg"] = 40.0
+    (run / "metrics.jsonl").write_text(json.dumps(line) + "\n")
+    write_log(Path("drives") / "one.mcap", STEERING, source="drive")
+
+
+def commands() -> list[str]:
+    return [each.command for each in examine().advice]
+
+
+def test_an_empty_folder_gets_three_ways_to_begin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(main, tmp_path) == 0
+    *here, first, second, third = capsys.readouterr().out.replace(".venv/bin/", "").splitlines()
+    assert here == ["sessions: no logs", "index: none", "runs: none", "drives: no logs"]
+    for line, program in ((first, "bc-demo"), (second, "bc-record lake"), (third, "bc-record mine --from")):
+        assert line.startswith(f"next: `cd {shlex.quote(str(tmp_path))} && ")
+        assert program in line
+
+
+@pytest.mark.usefixtures("project")
+def test_a_project_is_said_in_a_line_a_folder(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(main) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "sessions: 2 logs, 120 rows, 0.2 min"
+    assert lines[1].startswith("index: 2 sessions, ")
+    assert lines[2] == "runs: 1, the newest is first"
+    assert lines[3] == "drives: 1 log, 60 rows, 0.1 min"
+    (good,) = (line for line in lines if line.startswith("how good: first: "))
+    assert "on turns (12.00 against 9.00 degrees)" in good
+    assert sum(line.startswith("next: `") for line in lines) == 3
+    assert call(main, "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert len(found["advice"]) == 3
+    assert found["problems"] == []
+
+
+@pytest.mark.usefixtures("project")
+def test_what_is_new_is_the_next_thing_to_do() -> None:
+    write_log(Path("sessions") / "new.mcap", STEERING)
+    found = examine()
+    assert "index: does not hold new" in found.odd
+    assert found.advice[0].command == "bc-index"
+    Path("index/samples.parquet").unlink()
+    assert commands()[0] == "bc-index"
+
+
+@pytest.mark.usefixtures("project")
+def test_odd_rows_are_named_with_their_longest_stretch() -> None:
+    steering = [0.1] * 60
+    write_log(Path("sessions") / "sunday.mcap", steering, overwrite=True)
+    odd = [line for line in examine().odd if "sunday" in line and "odd row" in line]
+    assert odd == [
+        "sessions/sunday.mcap: 60 odd rows of 60 (60 steering that never changes); the longest stretch: rows 0 to"
+        " 59"
+    ]
+    assert not any("monday" in line for line in examine().odd)
+
+
+@pytest.mark.usefixtures("project")
+def test_rows_that_nobody_should_learn_from_are_excluded_by_the_command_that_it_names() -> None:
+    write_log(Path("sessions") / "sunday.mcap", [3.0] * 30 + STEERING[:30], overwrite=True)
+    assert "bc-log tag sessions/sunday.mcap exclude --odd" in commands()
+    assert call(log_command, "tag", "sessions/sunday.mcap", "exclude", "--odd") == 0
+    assert not any("--odd" in command for command in commands())
+
+
+@pytest.mark.usefixtures("project")
+def test_a_run_with_an_index_of_its_own_needs_no_other() -> None:
+    Path("index").rename("index-first")
+    assert "index: 1 run has its own" in examine().here
+    assert "bc-index" not in commands()
+
+
+@pytest.mark.usefixtures("project")
+@pytest.mark.parametrize("damage", ["log", "index", "config", "metrics", "results"])
+def test_a_bad_file_hides_nothing_else(damage: str, capsys: pytest.CaptureFixture[str]) -> None:
+    bad: dict[str, tuple[str, str, str]] = {
+        "log": ("sessions/sunday.mcap", "sunday.mcap", "bc-log recover sessions/sunday.mcap"),
+        "index": ("index/samples.parquet", "samples.parquet", "bc-index"),
+        "config": ("runs/first/config.json", "config.json", ""),
+        "metrics": ("runs/first/metrics.jsonl", "", ""),
+        "results": ("runs/first/results.jsonl", "", ""),
+    }
+    path, name, command = bad[damage]
+    Path(path).write_bytes(b"\x89nonsense\n" * 30)
+    code = call(main)
+    shown = capsys.readouterr()
+    assert code == (3 if name else 0)
+    assert name in shown.err
+    for folder in ("sessions: 2 logs", "index" if damage == "index" else "index: 2", "runs: 1", "drives: 1"):
+        assert folder in shown.out or f"{folder}/" in shown.err
+    if command:
+        assert f"{command}`" in shown.out
+
+
+@pytest.mark.usefixtures("project")
+def test_it_reads_ends_of_logs_and_no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    def big(camera: Any, row: int) -> bytes:
+        return b"\xff" * 20_000
+
+    write_log(Path("sessions") / "long.mcap", STEERING * 10, big)
+    assert Path("sessions/long.mcap").stat().st_size > 36_000_000
+    read = note_reads(monkeypatch)
+    assert "sessions: 3 logs" in examine().here[0]
+    assert 1000 < count_bytes(read) < 100_000
+
+
+@pytest.mark.usefixtures("project")
+def test_it_needs_no_pytorch() -> None:
+    """Which takes seconds to load."""
+    code = "import sys; from drive.doctor import examine; assert examine().good; assert 'torch' not in sys.modules"
+    assert run_code(code).returncode == 0
+
+
+def test_a_folder_that_is_not_there_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(main, tmp_path / "nowhere") == 1
+    assert "nowhere: no such folder" in capsys.readouterr().err

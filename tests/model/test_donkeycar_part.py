@@ -1,0 +1,168 @@
+"""`bc-train export RUN --donkeycar FOLDER`: a network that takes the camera's picture, and DonkeyCar's part."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime
+import pytest
+
+from dataset import decode
+from dataset.picture_spec import PictureSpec
+from dataset.preprocess import preprocess
+from driving import PATIENCE_S, environment, road_jpeg, untrained_run
+from model import load_pilot
+from model.cli import main
+from model.network.choice import built_in
+from model.onnx_export import export_onnx
+from udacity import call
+
+ALONE = (
+    "import sys\n"
+    "ours = ['common', 'simulator', 'recorder', 'dataset', 'model', 'viz', 'drive', 'torch', 'cv2', 'onnx']\n"
+    "sys.modules.update(dict.fromkeys(ours))\n"
+    "sys.path.insert(0, sys.argv[1])\n"
+    "import numpy\n"
+    "from donkeycar_part import OnnxPilot\n"
+    "print(*OnnxPilot(sys.argv[2], throttle=0.25).run(numpy.load(sys.argv[3])))\n"
+)
+
+
+@pytest.fixture(scope="module")
+def road() -> Any:
+    """A road as the camera sees it: (160, 320, 3), RGB."""
+    return np.ascontiguousarray(decode(road_jpeg(8))[..., ::-1])
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return untrained_run(tmp_path_factory.mktemp("runs") / "first", targets=("steering", "throttle"))
+
+
+@pytest.fixture(scope="module")
+def car(trained: Path) -> Path:
+    folder = trained.parent / "car"
+    assert call(main, "export", trained, "--donkeycar", folder) == 0
+    return folder
+
+
+def part_of(folder: Path) -> Any:
+    spec = importlib.util.spec_from_file_location("donkeycar_part", folder / "donkeycar_part.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def pilot_class(car: Path) -> Any:
+    return part_of(car).OnnxPilot
+
+
+def answers(run: Path, picture: Any) -> list[float]:
+    """Steering and throttle of the toolkit's own pilot, between -1 and 1."""
+    pilot = load_pilot(run, "float32")
+    found = pilot.answer(pilot.crop(np.ascontiguousarray(picture[..., ::-1])))
+    assert found.throttle is not None
+    return [max(-1.0, min(each, 1.0)) for each in (found.steering, found.throttle)]
+
+
+def test_it_drives_as_the_pilot_does_where_only_numpy_and_onnx_runtime_are(
+    trained: Path, car: Path, road: Any, tmp_path: Path
+) -> None:
+    np.save(tmp_path / "road.npy", road)
+    line = [sys.executable, "-I", "-c", ALONE, str(car), str(car / "first.onnx"), str(tmp_path / "road.npy")]
+    done = subprocess.run(line, env=environment(), capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert done.returncode == 0, done.stderr
+    steering, throttle = map(float, done.stdout.split())
+    assert steering == pytest.approx(answers(trained, road)[0], abs=0.02)
+    assert throttle == 0.25
+
+
+def test_the_throttle_is_the_networks_unless_one_is_given(
+    trained: Path, car: Path, pilot_class: Any, road: Any
+) -> None:
+    assert pilot_class(car / "first.onnx").run(road) == pytest.approx(answers(trained, road), abs=0.02)
+    assert pilot_class(car / "first.onnx", throttle=-0.5).run(road)[1] == -0.5
+
+
+def test_a_network_without_throttle_needs_one(tmp_path: Path, pilot_class: Any) -> None:
+    export_onnx(untrained_run(tmp_path / "only"), tmp_path / "only.onnx", of_camera=True)
+    with pytest.raises(ValueError, match=r"only\.onnx predicts no throttle: give one, as in OnnxPilot\("):
+        pilot_class(tmp_path / "only.onnx")
+    with pytest.raises(ValueError, match="throttle 20: expected -1 to 1"):
+        pilot_class(tmp_path / "only.onnx", throttle=20)
+
+
+def test_a_file_of_another_export_is_refused(trained: Path, tmp_path: Path, pilot_class: Any) -> None:
+    export_onnx(trained, tmp_path / "plain.onnx")
+    with pytest.raises(ValueError, match="`bc-train export RUN --donkeycar`"):
+        pilot_class(tmp_path / "plain.onnx")
+
+
+@pytest.mark.parametrize("network", ["original", "pilotnet", "small", "resnet18"])
+@pytest.mark.parametrize("size", [(160, 320), (120, 160), (480, 640), (7, 9)])
+def test_the_crop_in_the_graph_is_that_of_training(network: str, size: tuple[int, int], tmp_path: Path) -> None:
+    spec: PictureSpec = built_in(network, {}).picture
+    export_onnx(untrained_run(tmp_path / "run", network=network), tmp_path / "run.onnx", of_camera=True)
+    picture = np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8)
+    session = onnxruntime.InferenceSession(tmp_path / "run.onnx", providers=["CPUExecutionProvider"])
+    (crop,) = session.run(["crop"], {"picture": picture})
+    expected = preprocess(np.ascontiguousarray(picture[..., ::-1]), spec)
+    assert (crop.dtype, crop.shape) == (np.uint8, spec.shape)
+    assert np.abs(crop.astype(int) - expected).max() <= (2 if spec.channels == "YUV" else 1)
+
+
+def test_grey_pictures_count_as_such_and_none_stands_still(car: Path, pilot_class: Any, road: Any) -> None:
+    pilot = pilot_class(car / "first.onnx")
+    grey = np.repeat(road[..., :1], 3, axis=2)
+    assert pilot.run(road[..., 0]) == pilot.run(road[..., :1]) == pilot.run(grey)
+    assert pilot.run(None) == (0.0, 0.0)
+
+
+def test_in_a_thread_it_gives_the_last_answer_until_it_is_shut_down(
+    car: Path, pilot_class: Any, road: Any
+) -> None:
+    pilot = pilot_class(car / "first.onnx")
+    thread = threading.Thread(target=pilot.update, daemon=True)
+    assert pilot.run_threaded(road) == (0.0, 0.0)
+    thread.start()
+    while (answer := pilot.run_threaded(road)) == (0.0, 0.0):
+        pass
+    assert answer == pilot.run(road)
+    pilot.shutdown()
+    thread.join(PATIENCE_S)
+    assert not thread.is_alive()
+
+
+def test_a_thread_that_fails_stops_the_loop(car: Path, pilot_class: Any) -> None:
+    pilot = pilot_class(car / "first.onnx")
+    pilot.run_threaded(np.zeros((120, 160, 4), np.uint8))
+    pilot.update()
+    with pytest.raises(Exception, match="picture"):
+        pilot.run_threaded(None)
+
+
+def test_it_prints_the_next_steps_and_replaces_nothing_unasked(
+    trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = ["export", trained, "--donkeycar", tmp_path / "car"]
+    assert call(main, *line) == 0
+    said = capsys.readouterr()
+    assert "input picture: uint8 (height, width, 3), RGB, 0..255, of any size" in said.out
+    assert 'V.add(OnnxPilot("first.onnx"), inputs=["cam/image_array"],' in said.err
+    assert call(main, *line) == 1
+    assert "first.onnx exists already" in capsys.readouterr().err
+    assert call(main, *line, "--force") == 0
+    (tmp_path / "car" / "donkeycar_part.py").write_text("mine")
+    (tmp_path / "car" / "first.onnx").unlink()
+    assert call(main, *line) == 1
+    assert "donkeycar_part.py exists already" in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "car").iterdir()] == ["donkeycar_part.py"]

@@ -1,0 +1,123 @@
+"""Of a car that never said how far its wheels turn, errors are shares of full lock wherever people read them."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import onnxruntime
+import pytest
+
+from dataset.cli import main as bc_index
+from drive.driven_car import other_steering
+from drive.evaluation.eval_cli import main as bc_eval
+from driving import road_jpeg
+from logs import START_NS
+from model.cli import main as bc_train
+from model.runs.history import read_history
+from recorder import Log, LogWriter
+from recorder.bc_pb2 import VehicleState
+from recorder.log.session_car import Car, known_max_steering_deg, metadata_of
+from recorder.log_cli import main as bc_log
+from udacity import call
+
+ROWS = 40
+SMALL = ("--network", "small", "--epochs", 1, "--batch", 32, "--threads", 1)
+pytestmark = pytest.mark.usefixtures("without_figures")
+
+
+def record(name: str, source: str, car: Car | None = None) -> Path:
+    path = Path("sessions") / f"{name}.mcap"
+    with LogWriter(path, {"source": source} | metadata_of(car)) as writer:
+        for row in range(ROWS):
+            time_ns = START_NS + row * 100_000_000
+            writer.picture("center", time_ns, row, road_jpeg(row))
+            writer.vehicle(
+                time_ns, row, VehicleState(steering=math.sin(row / 5), throttle=0.5, brake=0.0, speed_mph=9.0)
+            )
+    return path
+
+
+@pytest.mark.parametrize("source", ["donkeycar", "csv", "mcap", "ros2 bag", "lerobot", "gymnasium"])
+def test_recordings_of_others_do_not_say_their_angle_unless_their_car_is_given(
+    source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, car, expected in (("without", None, None), ("with", Car(max_steering_deg=22.0), 22.0)):
+        with Log(record(name, source, car)) as log:
+            assert known_max_steering_deg(log) == expected
+    with Log(record("udacity", "udacity")) as log:
+        assert known_max_steering_deg(log) == 25
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a tub's session, and a run that learnt from it."""
+    folder = tmp_path_factory.mktemp("tub")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        record("track", "donkeycar")
+        assert call(bc_index, "--block-s", 1, "--gap-s", 0, "--no-balance") == 0
+        assert call(bc_train, "--name", "first", *SMALL) == 0
+    return folder
+
+
+def test_a_training_counts_in_shares_and_its_files_in_degrees_of_25(
+    trained: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(trained)
+    assert call(bc_train, "--name", "again", *SMALL) == 0
+    said = capsys.readouterr().out
+    (epoch,) = read_history(Path("runs/again"))[0].epochs
+    (line,) = Path("runs/again/metrics.jsonl").read_text().splitlines()
+    rmse_deg = json.loads(line)["validation"]["rmse_deg"]
+    assert (json.loads(line)["max_deg"], epoch.measures.max_deg) == (None, None)
+    assert epoch.validation_loss == pytest.approx((rmse_deg / 25) ** 2)
+    assert "held out, in % of full lock; always the mean" in said
+    assert f"RMSE {4 * rmse_deg:.2f}, balanced" in said
+    assert "degree" not in said
+
+
+def test_an_evaluation_and_a_comparison_are_in_shares(
+    trained: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(trained)
+    assert call(bc_eval, "first", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["max_deg"] is None
+    assert call(bc_eval, "first", "--worst", 3) == 0
+    shown = capsys.readouterr().out
+    assert "errors in % of full lock" in shown
+    assert f"{4 * told['network']['rmse_deg']:.2f}" in shown
+    assert "worst frames, in % of full lock" in shown
+    assert call(bc_eval, "--compare", "first", "first", "--split", "train") in (0, 1)
+    compared = capsys.readouterr().out
+    assert "errors in % of full lock" in compared
+    assert "their answers are 0.00 % of full lock apart" in compared
+    assert "degree" not in shown + compared
+
+
+def test_a_card_and_a_file_for_others_say_that_the_angle_is_unknown(
+    trained: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(trained)
+    assert call(bc_train, "export", "first", "--hub", "hub") == 0
+    text = Path("hub/README.md").read_text()
+    assert "where 1 is full lock, an unknown angle" in text
+    assert "in % of full lock, beside those of predictors" in text
+    assert "degrees" not in text
+    session = onnxruntime.InferenceSession("hub/model.onnx", providers=["CPUExecutionProvider"])
+    said = session.get_modelmeta().custom_metadata_map
+    assert said["steering"].endswith("1 is full lock, an unknown angle")
+    assert "steering.degrees_per_unit" not in said
+
+
+def test_the_log_and_a_drive_with_the_run_say_it(
+    trained: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(trained)
+    monkeypatch.setenv("COLUMNS", "300")
+    assert call(bc_log, "info", "sessions/track.mcap") == 0
+    assert "%, up to 100.0" in capsys.readouterr().out
+    assert "does not say how far its wheels turn" in other_steering(Path("runs/first"), None)

@@ -1,0 +1,296 @@
+"""The verdict on a run: what its numbers say of it, and the one thing that is most likely to help."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from driving import untrained_run
+from histories import epoch_line
+from model import Advice, RunError, Verdict, judge
+from model.metrics import Measures, measure
+from model.runs.advice import RULES, advice
+from model.runs.answer_scale import AnswerScale
+from model.runs.enough_to_drive import EDGES, STUDY, Hand, drivable, wilson_interval
+from model.runs.kept_results import keep_result
+from model.runs.run_numbers import BUILT_IN_CAR, RunNumbers, run_numbers
+from model.runs.training_progress import Epoch
+from model.runs.verdict import verdict_of
+from recorder.log.session_car import built_in
+from repository import ROOT
+
+ERROR = "balanced RMSE and correlation"
+"""The study's name of the driving error."""
+
+DRIVERS: Final[dict[Hand, str]] = {"keys": "keyboard", "smooth": "expert"}
+
+RECORDED = np.concatenate([np.zeros(300), np.linspace(-0.6, 0.6, 300)])
+
+
+def measured(error: float, recorded: np.ndarray[Any, Any] = RECORDED) -> Measures:
+    """Errors of a network that is off by so much in turns, to either side."""
+    sign = np.where(np.arange(len(recorded)) % 2, 1.0, -1.0)
+    return measure(recorded + sign * error, recorded)
+
+
+def epoch(number: int, error: float, **changed: Any) -> Epoch:
+    return Epoch(number, 0.1, 0.1, measured(error), True, 1.0, 100.0, **changed)
+
+
+def sound(**changed: Any) -> dict[str, Any]:
+    """A config with nothing to be mended: two built-in sessions of three cameras, smoothly steered."""
+    habits = {"kind": "smooth", "rows": 2000}
+    return {
+        "training": {"epochs": 10},
+        "index": "../../index",
+        "data": {
+            "logs": {name: {"log": f"../sessions/{name}.mcap", "car": BUILT_IN_CAR} for name in ("a", "b")},
+            "labels": {
+                name: {"habits": habits, "plan": {"smooth_s": 0.0, "why": "smooth"}} for name in ("a", "b")
+            },
+            "counts": {name: {"frames": 6000, "training": 4800, "validation": 1200} for name in ("a", "b")},
+            "settings": {"flip": True, "cameras": ["center", "left", "right"]},
+            **changed,
+        },
+    }
+
+
+ENDED = [epoch(number, 0.1) for number in range(1, 11)]
+WEAK = [epoch(number, 0.35) for number in range(1, 11)]
+
+
+def numbers(config: dict[str, Any] | None = None, epochs: list[Epoch] = WEAK, **changed: Any) -> RunNumbers:
+    return replace(run_numbers(Path("runs/first"), config or sound(), epochs), **changed)
+
+
+def test_the_two_lines_of_a_good_network() -> None:
+    verdict, errors = verdict_of(numbers(epochs=ENDED)), measured(0.1)
+    assert verdict.summary == (
+        "better than always predicting the mean:"
+        f" on turns (2.50 against {errors.mean.turning_mae_deg:.2f} degrees),"
+        f" driving error ({errors.driving_error:.2f} against 2.00); perhaps enough to drive: 30 of 30 networks of"
+        " such an error stayed on built-in roads (89 to 100 %), but their errors are on drives new to them"
+    )
+    assert verdict.lines[1] == (
+        f"next: `bc-eval first --simulator lake mountain`: a driving error of {errors.driving_error:.2f} is small"
+        " enough to try"
+    )
+    assert [error.ratio for error in verdict.beside_mean] == pytest.approx(
+        [
+            measured(0.1).network.turning_mae_deg / measured(0.1).mean.turning_mae_deg,
+            measured(0.1).driving_error / 2,
+            measured(0.1).network.rmse_deg / measured(0.1).mean.rmse_deg,
+        ]
+    )
+
+
+def test_a_network_that_is_worse_than_the_mean_says_so_first() -> None:
+    """Better in two of the three is no excuse."""
+    recorded = np.where(RECORDED == 0, 0.0, np.sign(RECORDED) * 0.06)
+    predicted = np.where(RECORDED == 0, 0.0, recorded * -0.2)
+    worse = measure(predicted, recorded)
+    assert worse.network.turning_mae_deg > worse.mean.turning_mae_deg
+    verdict = verdict_of(numbers(measured=worse))
+    assert verdict.summary.startswith("no better than always predicting the mean: on turns (")
+    assert verdict.summary.endswith("; not enough to drive")
+    assert (verdict.is_no_better, verdict.in_short) == (True, "no better")
+
+
+@pytest.mark.parametrize(
+    ("hands", "error", "is_unseen", "expected"),
+    [
+        ({"keys"}, 1.0, True, True),
+        ({"keys"}, 1.0, False, None),  # on rows of drives that it has learnt from, errors are smaller
+        ({"keys"}, 1.07, True, None),
+        ({"keys"}, 1.1, False, False),
+        ({"smooth"}, 0.54, True, True),
+        ({"smooth"}, 0.66, True, False),
+        ({"keys", "smooth"}, 0.9, True, None),  # enough for keys, too much for smooth steering
+        (set(), 0.3, True, True),
+        (set(), 1.3, False, False),
+    ],
+)
+def test_enough_to_drive(hands: Any, error: float, is_unseen: bool, expected: bool | None) -> None:
+    assert drivable(error, hands, is_unseen=is_unseen).is_enough is expected
+
+
+def test_the_counts_are_those_of_the_study() -> None:
+    rows = pq.read_table(ROOT / "benchmarks" / "which_number.parquet").to_pylist()
+    left = Counter[str]()
+    for row in rows:
+        left[row["network"]] += row["value"] * ((row["kind"], row["measure"]) == ("driven", "interventions"))
+    for hand, driver in DRIVERS.items():
+        of = {row["network"]: row["value"] for row in rows if (row["where"], row["measure"]) == (driver, ERROR)}
+        assert len(of) == 66
+        bounds = (0.0, *EDGES[hand], math.inf)
+        for band, low, high in zip(STUDY[hand], bounds, bounds[1:], strict=False):
+            names = [name for name, error in of.items() if low <= error < high]
+            stayed = sum(not left[name] for name in names)
+            assert (band.below, band.networks, band.stayed) == (high, len(names), stayed)
+
+
+def test_wilsons_interval() -> None:
+    """As in Wilson's formula worked out by hand for 0 of 10: z² / (n + z²)."""
+    low, high = wilson_interval(0, 10)
+    assert (low, high) == pytest.approx((0.0, 1.96**2 / (10 + 1.96**2)))
+    low, high = wilson_interval(15, 24)
+    assert low < 15 / 24 < high
+
+
+def a_session(**labels: Any) -> dict[str, Any]:
+    return {"a": labels, "b": sound()["data"]["labels"]["b"]}
+
+
+TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins if part.high < 0.05))
+
+
+@pytest.mark.parametrize(
+    ("of", "why", "command"),
+    [
+        (numbers(is_training=True), "is being trained, 10 epochs", "bc-web --open"),
+        (
+            numbers(sound(labels=a_session(habits={"kind": "smooth", "rows": 2000}, lag={"correlation": -0.8}))),
+            "the pictures of a turn the other way than its steering (-0.80",
+            "bc-log check sessions/a.mcap",
+        ),
+        (
+            numbers(sound(labels=a_session(habits={"kind": "constant", "rows": 2000}))),
+            "the steering of a never changes (2,000 rows)",
+            "bc-log check sessions/a.mcap",
+        ),
+        (numbers(epochs=WEAK[:4]), "stopped after 4 of 10 epochs", "bc-train --resume first"),
+        (
+            numbers(
+                epochs=[
+                    replace(
+                        each, answers=AnswerScale(0.5), learnt=each.measures.network, learnt_driving_error=0.4
+                    )
+                    for each in WEAK
+                ]
+            ),
+            "as learnt 0.40",
+            "bc-train --like first --answers as-learnt",
+        ),
+        (
+            numbers(drives=({"track": "lake", "set_speed_mph": 15.0, "interventions": 3},)),
+            "3 interventions on lake at 15 mph",
+            "bc-drive first --simulator lake --speed 15 --aggregate 2",
+        ),
+        (
+            numbers(epochs=[*WEAK[:9], epoch(10, 0.3)]),
+            "still fell in epoch 10",
+            "bc-train --resume first --epochs 20",
+        ),
+        (
+            numbers(sound(counts={name: {"frames": 6000, "training": 600} for name in ("a", "b")})),
+            "rows of turns to learn from",
+            "bc-record more --track random:2",
+        ),
+        (
+            numbers(sound(logs={"a": {"log": "../sessions/a.mcap"}})),
+            "one session",
+            "bc-record more --from ~/recording",
+        ),
+        (
+            numbers(sound(settings={"flip": False}), measured=TURNS),
+            "0 % of the turns held out go right, and nothing is mirrored",
+            "bc-index --flip && bc-train",
+        ),
+        (numbers(measured=TURNS), "drive the road the other way round", "bc-record more --track random:2"),
+        (
+            numbers(
+                sound(
+                    counts={name: {"frames": 2000, "training": 1600} for name in ("a", "b")},
+                    settings={"cameras": ["center"]},
+                )
+            ),
+            "no pictures of side cameras",
+            "bc-index --viewpoints 2 && bc-train",
+        ),
+        (numbers(), "nothing in its numbers stands out", "bc-record more --track random:2"),
+    ],
+    ids=[
+        "being trained", "contradicting", "constant", "unfinished", "natural answers", "interventions",
+        "still improving", "few turns", "one session", "one side", "one side mirrored", "side cameras", "nothing",
+    ],
+)  # fmt: skip
+def test_each_rule_names_its_numbers_and_a_command(of: RunNumbers, why: str, command: str) -> None:
+    found = advice(of)
+    assert why in found.why
+    assert found.command == command
+
+
+def test_the_rules_have_an_end() -> None:
+    """The last one always has an advice, also of a run of which nothing is known."""
+    empty = run_numbers(Path("runs/first"), {}, [])
+    assert RULES[-1](empty) == Advice("nothing of it is measured yet", "bc-eval first")
+    assert verdict_of(empty).summary == "nothing was held out, so how good it is is unknown"
+
+
+def test_what_strangers_have_written_is_quoted_and_survived() -> None:
+    """A command is pasted into a shell."""
+    worst = {"track": "x; rm -rf ~", "set_speed_mph": 10.0, "interventions": 3}
+    assert shlex.split(advice(numbers(drives=(worst,))).command)[3] == "x; rm -rf ~"
+    evil = sound(labels={"$(rm)": {"habits": {"kind": "none"}}}, logs={"$(rm)": {"log": "../a b/$(rm).mcap"}})
+    assert shlex.split(advice(numbers(evil)).command)[2:] == ["a b/$(rm).mcap"]
+    for nonsense in ({"data": 3, "training": [], "index": {}}, {"data": {"labels": {"a": 3}}, "index": None}):
+        assert run_numbers(Path("runs/first"), nonsense, ENDED).measured
+
+
+def test_a_verdict_is_made_of_what_the_folder_holds(tmp_path: Path) -> None:
+    run = a_run(tmp_path / "runs" / "first", lambda line: line)
+    assert isinstance(judge(run), Verdict)
+    keep_result(run, "simulator", {"track": "lake", "set_speed_mph": 10.0, "interventions": 0, "distance_m": 1.0})
+    assert judge(run).summary.endswith("has driven 1 track with 0 interventions")
+    failed = {"interventions": 2, "track": "x", "set_speed_mph": 9}
+    assert verdict_of(numbers(epochs=ENDED, drives=(failed,))).in_short == "leaves the road"
+    (run / "config.json").write_text("{")
+    with pytest.raises(RunError, match=r"config\.json"):
+        judge(run)
+
+
+def test_a_run_of_the_version_before_is_judged_by_what_it_has(tmp_path: Path) -> None:
+    """Without the mean's balanced error there is no driving error, until bc-eval measures it."""
+
+    def earlier(line: dict[str, Any]) -> dict[str, Any]:
+        del line["mean"]["balanced_rmse_deg"]
+        return line
+
+    run = a_run(tmp_path / "runs" / "first", earlier)
+    assert judge(run).summary.endswith("its driving error is not kept: `bc-eval` measures it")
+    line = epoch_line(2)
+    again = {**line, "network": line["validation"], "split": "validation", "index": "index"}
+    again["mean"] |= {"balanced_rmse_deg": 30.0}
+    keep_result(run, "frames", again)
+    assert "driving error (" in judge(run).summary
+
+
+def a_run(folder: Path, change: Callable[[dict[str, Any]], dict[str, Any]]) -> Path:
+    untrained_run(folder)
+    config = json.loads((folder / "config.json").read_text())
+    (folder / "config.json").write_text(json.dumps(config | sound()))
+    lines = [epoch_line(1), epoch_line(2)]
+    for line in lines:
+        line["mean"]["balanced_rmse_deg"] = 30.0
+    (folder / "metrics.jsonl").write_text("".join(json.dumps(change(line)) + "\n" for line in lines))
+    return folder
+
+
+def test_the_built_in_car_is_recognised() -> None:
+    assert {name: getattr(built_in(), name) for name in BUILT_IN_CAR} == BUILT_IN_CAR
+
+
+def test_nan_is_no_verdict_of_being_better() -> None:
+    constant = measure(np.zeros(10), np.zeros(10))
+    assert math.isnan(constant.network.turning_mae_deg)
+    assert verdict_of(numbers(measured=constant)).beside_mean == ()
