@@ -23,6 +23,7 @@ from recorder.log_edit_cli import Merge, Recover, Rewrite, Split, Trim, noted, r
 from recorder.log_export_cli import ExportLogs
 from recorder.log_flag import LogFlag
 from recorder.log_list_cli import ListLogs
+from recorder.log_next import NextStep, print_first, step_of_check, step_of_info
 from recorder.log_report import print_checked, print_info
 from recorder.log_tag_cli import NameRows, warn_stale
 
@@ -40,14 +41,18 @@ class ShowInfo:
     """One JSON object a log, and no table."""
 
     def run(self) -> int:
-        return _each(self.logs, self._one)
+        steps: list[NextStep] = []
+        code = _each(self.logs, lambda path: self._one(path, steps))
+        print_first(steps)
+        return code
 
-    def _one(self, path: Location) -> int:
+    def _one(self, path: Location, steps: list[NextStep]) -> int:
         info = describe(path, look=self.look)
         if self.json:
             print_result(info.as_json())
         else:
             print_info(info)
+            steps.append(step_of_info(info))
         code = warn_stale(path, info.stale_tags)
         return warn(info.notice) if info.notice else code
 
@@ -67,9 +72,12 @@ class Check:
     """One JSON object a log, with every finding."""
 
     def run(self) -> int:
-        return _each(self.logs, self._one)
+        steps: list[NextStep] = []
+        code = _each(self.logs, lambda path: self._one(path, steps))
+        print_first(steps)
+        return code
 
-    def _one(self, path: Location) -> int:
+    def _one(self, path: Location, steps: list[NextStep]) -> int:
         checked = check(path, look=self.look)
         if self.json:
             found = [finding._asdict() for finding in checked.findings]
@@ -81,6 +89,7 @@ class Check:
         else:
             print_checked(checked)
             remark_crcs(path, checked.has_crcs)
+            steps.append(step_of_check(describe(path), checked.odd, is_damaged=checked.is_damaged))
         return DONE_BUT_SKIPPED if checked.findings else DONE
 
 

@@ -16,6 +16,7 @@ from common.location import Location, Url, location
 from common.output import print_result, print_table
 from recorder.log.log_info import LogInfo, describe, logs_in
 from recorder.log_flag import FOLDERS, LogFlag
+from recorder.log_next import print_first, step_of_list
 from recorder.log_report import plain
 
 SORTED_BY: Final[dict[str, Callable[[LogInfo], Any]]] = {
@@ -50,7 +51,10 @@ class ListLogs:
                 print_result(info.as_json())
         elif found:
             print_table(_table(found))
-        return max([*codes, *(warn(info.notice) for info in found if info.notice)])
+        code = max([*codes, *(warn(info.notice) for info in found if info.notice)])
+        if found and not self.json:
+            print_first([step_of_list(found)])
+        return code
 
     def _logs(self) -> list[Location]:
         folders = [folder for folder in FOLDERS if folder.is_dir()]

@@ -42,6 +42,7 @@ class Checked:
     messages: int
     pictures: int  # decoded
     findings: list[Finding]
+    is_damaged: bool  # the file itself, whatever it holds
     has_crcs: bool  # other programs may do without: damage is then not noticed
     meant_gaps: list[str]  # gaps in time that its events explain; no findings
     pauses: list[str]  # of a recorder that people switch off and on; no findings
@@ -56,12 +57,13 @@ def check(path: Location, *, look: bool = True) -> Checked:
     of range; with `look`, of a log on this machine, also steering that contradicts the pictures. Raises LogError
     if it is no MCAP file.
     """
+    damage: list[Finding] = []
     findings: list[Finding] = []
     with McapFile(path) as file:
         structure = read_structure(file)
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             contents = Contents(structure, findings, pool if look else None, is_ours=file.is_ours)
-            chunks = sound_chunks(file, structure, findings)
+            chunks = sound_chunks(file, structure, damage)
             for records, messages in track(chunks, f"checking {path.name}", len(structure.chunks)):
                 for message in messages:
                     contents.add(records, message)
@@ -84,7 +86,8 @@ def check(path: Location, *, look: bool = True) -> Checked:
         path,
         sum(contents.counts.values()),
         contents.pictures,
-        [finding for finding in findings if finding not in pauses],
+        damage + [finding for finding in findings if finding not in pauses],
+        bool(damage),
         has_crcs,
         contents.meant_gaps,
         [finding.where for finding in pauses],
