@@ -45,8 +45,8 @@ class IndexConfig:
     """Added to the steering of the left camera's pictures, taken from that of the right one's."""
     labels: Labels = "auto"
     """What is learnt of each session: auto smooths and shifts steering that comes in steps or late, by how the
-    session was steered, and leaves rows of crashes, or driven backwards, out of training; as-recorded changes
-    nothing."""
+    session was steered, and leaves crashes, driving backwards and parked cars out of training; as-recorded
+    changes nothing."""
     label_smooth_s: Annotated[float | None, arg(name="label-smooth", metavar="SECONDS")] = None
     """For all sessions: the mean of the steering over so many seconds around the frame; 0: no smoothing."""
     label_shift_s: Annotated[float | None, arg(name="label-shift", metavar="SECONDS")] = None
