@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 ROOMS := behavioural_cloning_toolkit.py common recorder dataset model drive viz simulator web
-SOURCES := $(ROOMS) tests benchmarks docs examples
+SOURCES := $(ROOMS) tests benchmarks studies docs examples
 
 # several tests at once (tests/conftest.py says how many); those of one file share what they have made
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder

@@ -5,6 +5,7 @@ python benchmarks/donkeycar.py
 
 from __future__ import annotations
 
+import argparse
 import tempfile
 import time
 from pathlib import Path
@@ -21,6 +22,7 @@ PICTURES = 500
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     picture = np.random.default_rng(0).integers(0, 256, (120, 160, 3), np.uint8)
     with tempfile.TemporaryDirectory() as folder:
         for name in BUILT_IN:

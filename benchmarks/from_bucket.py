@@ -1,9 +1,7 @@
 """Reading logs out of a bucket, beside reading them from the disk.
 
-python benchmarks/from_bucket.py SESSIONS libraries    # obstore and pyarrow.fs: requests, MB/s
 python benchmarks/from_bucket.py SESSIONS logs         # bc-log info and bc-index: requests, bytes
 python benchmarks/from_bucket.py SESSIONS long         # bc-log info of one of them, made 8.4 GB long by a hole
-python benchmarks/from_bucket.py SESSIONS loading      # epochs of pictures alone, nothing learnt of them
 python benchmarks/from_bucket.py SESSIONS training     # epochs of bc-train
 
 SESSIONS is a folder of logs. They are served by localbucket from a process of its own, each request 50 ms late and
@@ -18,7 +16,6 @@ import itertools
 import json
 import os
 import shutil
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -26,23 +23,18 @@ import threading
 import time
 import urllib.request
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from http.server import ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, Final
 
 import localbucket
-import numpy as np
-import obstore
-from pyarrow.fs import S3FileSystem
 
 from common.location import Location, Url
 from common.object_store import find_object
 from common.store_connection import forget_stores
 from dataset import IndexConfig, build_index
 from dataset.index.stored_index import index_here
-from dataset.loader.loader import load
 from model.config import TrainConfig
 from model.runs.training_progress import Epoch, Step
 from model.training.trainer import train
@@ -52,7 +44,6 @@ from recorder.log.log_info import describe
 BUCKET: Final = "logs"
 GET_USD: Final = 0.0004 / 1000  # S3 Standard, us-east-1: a GET; bytes to the same region are free
 INTERNET_USD_GB: Final = 0.09  # ... and to anywhere else
-RANGE_BYTES: Final = 256 * 1024
 
 
 class _Late(localbucket.S3Handler):  # type: ignore[misc]
@@ -147,51 +138,6 @@ def serving(sessions: Path, delay_ms: float, mb_s: float) -> Iterator[Server]:
                 process.terminate()
 
 
-def print_libraries(sessions: Path, server: Server) -> None:
-    name = max(sessions.glob("*.mcap"), key=lambda log: log.stat().st_size).name
-    size = (sessions / name).stat().st_size
-    store = obstore.store.from_url(
-        f"s3://{BUCKET}", endpoint=f"http://{server.address}", client_options={"allow_http": True}
-    )
-    arrow = S3FileSystem(endpoint_override=server.address, scheme="http", region="us-east-1")
-    starts = np.random.default_rng(0).permutation(size // RANGE_BYTES)[:128] * RANGE_BYTES
-
-    def obstore_end() -> int:
-        return len(obstore.get(store, name, options={"range": {"suffix": 1 << 17}}).bytes())
-
-    def arrow_end() -> int:
-        with arrow.open_input_file(f"{BUCKET}/{name}") as file:
-            return len(file.read_at(1 << 17, file.size() - (1 << 17)))
-
-    def obstore_ranges() -> int:
-        def one(start: int) -> int:
-            return len(obstore.get(store, name, options={"range": (start, start + RANGE_BYTES)}).bytes())
-
-        with ThreadPoolExecutor(16) as pool:
-            return sum(pool.map(one, starts.tolist()))
-
-    def arrow_ranges() -> int:
-        with arrow.open_input_file(f"{BUCKET}/{name}") as file, ThreadPoolExecutor(16) as pool:
-            return sum(pool.map(lambda start: len(file.read_at(RANGE_BYTES, start)), starts.tolist()))
-
-    ways = {
-        "obstore, the end": obstore_end,
-        "pyarrow.fs, the end": arrow_end,
-        "obstore, 128 ranges of 256 KB": obstore_ranges,
-        "pyarrow.fs, the same": arrow_ranges,
-    }
-    print("| | requests | ms | MB/s |\n|---|---|---|---|")
-    for way, read in ways.items():
-        read()  # connects
-        found = []
-        for _ in range(5):
-            before, begin = server.counts()[0], time.perf_counter()
-            moved = read()
-            found.append((time.perf_counter() - begin, server.counts()[0] - before, moved))
-        seconds = statistics.median(each[0] for each in found)
-        print(f"| {way} | {found[-1][1]} | {1000 * seconds:,.0f} | {found[-1][2] / seconds / 1e6:,.1f} |")
-
-
 def print_logs(sessions: Path, server: Server) -> None:
     print("| | MB | requests | MB moved |\n|---|---|---|---|")
     for log in sorted(sessions.glob("*.mcap")):
@@ -249,7 +195,7 @@ def _print_moved(what: str, size: int, server: Server, before: tuple[int, int]) 
     print(f"| {what} | {size / 1e6:,.1f} | {requests:,} | {sent / 1e6:,.2f} |", flush=True)
 
 
-def print_epochs(sessions: Path, server: Server, repeats: int, epochs: int, network: str = "") -> None:
+def print_epochs(sessions: Path, server: Server, repeats: int, epochs: int, network: str) -> None:
     """Epochs from the disk and from the bucket, in turn; of each the fastest, for what else a machine does only
     slows them. The second and later ones are those of a warm cache."""
     names = [log.name for log in sorted(sessions.glob("*.mcap"))]
@@ -267,7 +213,7 @@ def print_epochs(sessions: Path, server: Server, repeats: int, epochs: int, netw
                 before = server.counts()
                 index = Path(folder) / where
                 run = Path(folder) / "runs" / f"{where}{repeat}"
-                seconds[where].append(_trained(index, run, epochs, network) if network else _loaded(index, epochs))
+                seconds[where].append(_trained(index, run, epochs, network))
                 if where == "bucket":
                     requests, sent = (now - then for now, then in zip(server.counts(), before, strict=True))
             shutil.rmtree(os.environ["BC_CACHE"])
@@ -278,18 +224,6 @@ def print_epochs(sessions: Path, server: Server, repeats: int, epochs: int, netw
     for epoch in range(epochs):
         disk, bucket = (min(each[epoch] for each in seconds[where]) for where in ("disk", "bucket"))
         print(f"| {epoch + 1} | {disk:.2f} | {bucket:.2f} | {disk / bucket:.3f} |")
-
-
-def _loaded(index: Path, epochs: int) -> list[float]:
-    """Seconds of each epoch, the first one from the opening of the logs on."""
-    found, begin = [], time.perf_counter()
-    with load(index, budget_bytes=0) as loader:
-        for epoch in range(epochs):
-            for _ in loader.epoch(epoch + 1):
-                pass
-            found.append(time.perf_counter() - begin)
-            begin = time.perf_counter()
-    return found
 
 
 class _Clock:
@@ -307,7 +241,7 @@ class _Clock:
 
 
 def _trained(index: Path, run: Path, epochs: int, network: str) -> list[float]:
-    """As `_loaded`, of a training."""
+    """Seconds of each epoch, the first one from the opening of the logs on."""
     settings = replace(TrainConfig(), epochs=epochs, network=network, threads=1)
     clock = _Clock()
     train(index, run, settings, [clock], show_progress=False, figures=False)
@@ -317,7 +251,7 @@ def _trained(index: Path, run: Path, epochs: int, network: str) -> list[float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sessions", type=Path)
-    parser.add_argument("what", choices=["libraries", "logs", "long", "loading", "training", "serve"])
+    parser.add_argument("what", choices=["logs", "long", "training", "serve"])
     parser.add_argument("--delay-ms", type=float, default=50)
     parser.add_argument("--mb-s", type=float, default=100)
     parser.add_argument("--repeats", type=int, default=3)
@@ -329,14 +263,10 @@ def main() -> None:
         return
     with serving(given.sessions, given.delay_ms, given.mb_s) as server:
         match given.what:
-            case "libraries":
-                print_libraries(given.sessions, server)
             case "logs":
                 print_logs(given.sessions, server)
             case "long":
                 print_long(given.sessions, server)
-            case "loading":
-                print_epochs(given.sessions, server, given.repeats, given.epochs)
             case _:
                 print_epochs(given.sessions, server, given.repeats, given.epochs, given.network)
 

@@ -1,131 +1,177 @@
-"""How fast logs are indexed, and what an index of ten million frames costs.
+"""How fast a real log is indexed, and what ten million frames in 1,000 logs cost, here or on a Ray cluster.
 
-python benchmarks/indexing.py LOG [--frames 10000000] [--sessions 1000]
+python benchmarks/indexing.py --log LOG
+python benchmarks/indexing.py [--logs 1000] [--frames 10000000] [--ray local] [--divide] [--folder FOLDER]
 
-LOG is a real log. The ten million frames are made up (times, steering, and places in logs that do not exist),
-because nothing of this stage reads a picture.
+The 1,000 logs have tiny pictures (1.6 GB for ten million frames). --folder keeps them for the next run.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import resource
-import shutil
 import statistics
 import tempfile
 import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from common.car import CAMERAS, Camera
-from dataset import IndexConfig, build_index
-from dataset.frames.frames_file import extent_of
-from dataset.frames.frames_table import frames_of, frames_table
-from dataset.index.build_state import BuiltLog
-from dataset.index.duplicates import shared_standing_rows
-from dataset.index.session_labels import labels_of_sessions
-from dataset.parquet_file import write_table
-from dataset.samples.samples_writer import write_samples
-from recorder import Log, LogWriter, Pictures
+from common.car import CAMERAS
+from common.tasks import Tasks, tasks_of
+from dataset import IndexConfig
+from dataset.frames.frames_table import frames_table
+from dataset.index import build
+from dataset.samples.samples_format import DIVIDED_FROM_FRAMES
+from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.row_quality import States
 
-RUNS = 5
 STEP_NS = 100_000_000
+RUNS = 5
 
 
-def index_log(path: Path, name: str) -> None:
+def index_log(path: Path) -> None:
     rates = []
     for _ in range(RUNS + 1):
         start_s = time.perf_counter()
-        with Log(path) as log:
+        with Log(path) as log, tempfile.TemporaryDirectory() as name:
             frames = frames_table(log, Path(name), IndexConfig(), ())
         rates.append(len(frames) / (time.perf_counter() - start_s))
     rates = sorted(rates[1:])  # the first reads the log from the disk
     size_mb = path.stat().st_size / 1e6
-    median = statistics.median(rates)
     print(
-        f"indexing {len(frames):,} frames ({size_mb:,.0f} MB), every CRC checked: {median:,.0f} frames/s"
-        f" ({rates[0]:,.0f} to {rates[-1]:,.0f}); {median * size_mb / len(frames):,.0f} MB/s"
+        f"indexing {len(frames):,} frames ({size_mb:,.0f} MB), every CRC checked: {statistics.median(rates):,.0f}"
+        f" frames/s ({rates[0]:,.0f} to {rates[-1]:,.0f})"
     )
 
 
-def unchanged_sessions(folder: Path, sessions: int) -> None:
-    logs = []
-    for number in range(sessions):
-        path = folder / f"s{number:04d}.mcap"
-        with LogWriter(path, {"source": "benchmark"}) as writer:
-            for row in range(3):
-                for camera in CAMERAS:
-                    writer.picture(camera, row * STEP_NS, row, f"{number} {camera} {row}".encode())
-                writer.vehicle(row * STEP_NS, row, VehicleState(steering=0.1 * row))
-        logs.append(path)
-    seconds = []
-    for _ in range(2):
+def write_log(folder: Path, rows: int, number: int) -> Path:
+    """A car that winds along, on a day of its own. No person drives: of those, pictures would be looked at."""
+    path = folder / f"s{number:05d}.mcap"
+    if path.exists():
+        return path
+    steering = np.clip(np.random.default_rng(number).laplace(0.0, 0.15, rows), -1, 1).tolist()
+    picture = b"\xff\xd8\xff no picture is read here"
+    with LogWriter(path, {"source": "benchmark", "driver": "expert"}) as writer:
+        for row, value in enumerate(steering):
+            time_ns = number * 10**14 + row * STEP_NS
+            for camera in CAMERAS:
+                writer.picture(camera, time_ns, row, picture)
+            writer.vehicle(time_ns, row, VehicleState(steering=value, throttle=0.3, speed_mph=10.0))
+    return path
+
+
+class Costs:
+    """Wall and processor seconds by part."""
+
+    def __init__(self) -> None:
+        self.wall_s: dict[str, float] = defaultdict(float)
+        self.cpu_s: dict[str, float] = defaultdict(float)
+
+    def timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **named: Any) -> Any:
+            wall_s, cpu_s = time.perf_counter(), time.process_time()
+            try:
+                return function(*arguments, **named)
+            finally:
+                self.wall_s[part] += time.perf_counter() - wall_s
+                self.cpu_s[part] += time.process_time() - cpu_s
+
+        return call
+
+    def of_tasks(self, tasks: Tasks) -> Tasks:
+        """Adds what the calls take in their own processes."""
+
+        def counting(
+            function: Callable[..., Any],
+            calls: Sequence[tuple[Any, ...]],
+            lost: Callable[[int, str], Any] | None = None,
+        ) -> Iterator[tuple[int, Any]]:
+            def call(*arguments: Any) -> tuple[Any, float]:
+                cpu_s = time.process_time()
+                result = function(*arguments)
+                return result, time.process_time() - cpu_s
+
+            wall_s, cpu_s = time.perf_counter(), time.process_time()
+            part = f"tasks: {function.__name__.strip('_')}"
+            for number, (result, spent_s) in tasks(call, calls):
+                self.cpu_s[part] += spent_s
+                yield number, result
+            if calls:
+                self.wall_s[part] += time.perf_counter() - wall_s
+                self.cpu_s[f"the driver during {part}"] += time.process_time() - cpu_s
+
+        return counting
+
+
+def index(logs: Sequence[Path], folder: Path, ray: tuple[str, ...] | None, divide_from_frames: int) -> None:
+    costs = Costs()
+    for part, name in (
+        ("the same pictures twice", "shared_standing_rows"),
+        ("how each session was steered", "labels_of_sessions"),
+        ("balance and samples", "write_samples"),
+        ("balance, and samples by tasks", "write_divided_samples"),
+    ):
+        setattr(build, name, costs.timed(part, getattr(build, name)))
+    with tempfile.TemporaryDirectory(dir=folder) as name, tasks_of(ray) as tasks:
+        if ray is not None:  # processes that have imported nothing yet are not the cluster's speed
+            list(tasks(_warm, [(number,) for number in range(4 * (os.cpu_count() or 1))]))
+        wall_s, cpu_s = time.perf_counter(), time.process_time()
+        indexed = build.build_index(
+            logs, Path(name), IndexConfig(), tasks=costs.of_tasks(tasks), divide_from_frames=divide_from_frames
+        )
+        wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
+        frames = sum(count.frames for count in indexed.counts.values())
+        size_mb = sum(file.stat().st_size for file in Path(name).rglob("*.parquet")) / 1e6
+        million = frames / 1e6
+        print(f"{frames:,} frames of {len(logs):,} logs, {'here' if ray is None else '--ray ' + ' '.join(ray)}:")
+        for part, spent_s in costs.cpu_s.items():
+            wall = f", {costs.wall_s[part]:.1f} s" if part in costs.wall_s else ""
+            print(f"  {part}: {spent_s / million:.2f} CPU s a million frames ({spent_s:.1f} CPU s{wall})")
+        print(
+            f"  all: {wall_s:.1f} s; the driver {cpu_s:.1f} CPU s and at most {_peak_mb():,.0f} MB;"
+            f" {size_mb:,.0f} MB of index (load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors)"
+        )
         start_s = time.perf_counter()
-        build_index(logs, folder / "index")
-        seconds.append(time.perf_counter() - start_s)
-    print(f"{sessions:,} sessions: indexed in {seconds[0]:.2f} s, unchanged in {seconds[1]:.2f} s")
+        build.build_index(logs, Path(name), IndexConfig(), divide_from_frames=divide_from_frames)
+        print(f"  again, with no log changed: {time.perf_counter() - start_s:.2f} s")
 
 
-def made_up(session: int, rows: int) -> tuple[States, dict[Camera, Pictures]]:
-    """A session of a car that winds along: mostly nearly straight, sometimes not."""
-    random = np.random.default_rng(session)
-    row = np.arange(rows)
-    time_ns = session * 10**13 + row * STEP_NS
-    steering = np.clip(random.laplace(0.0, 0.15, rows), -1, 1)
-    ones = np.ones(rows)
-    states = States(row, time_ns, steering, 0.3 * ones, 0.0 * ones, 10 * ones)
-    length = random.integers(9_000, 15_000, (len(CAMERAS), rows))
-    offset = np.cumsum(length.T.ravel()).reshape(rows, len(CAMERAS)).T
-    places = {
-        camera: Pictures(row, time_ns, offset[i], length[i], np.full(rows, -1)) for i, camera in enumerate(CAMERAS)
-    }
-    return states, places
+def _warm(number: int) -> int:
+    return number
 
 
-def scale(folder: Path, frames: int, sessions: int) -> None:
-    config = IndexConfig()
-    rows = frames // len(CAMERAS) // sessions
-    split_s = 0.0
-    files: dict[str, Path] = {}
-    for number in range(sessions):
-        states, places = made_up(number, rows)
-        start_s = time.perf_counter()
-        table = frames_of(states, places, f"s{number:04d}", config)
-        split_s += time.perf_counter() - start_s
-        files[f"s{number:04d}"] = folder / f"s{number:04d}.parquet"
-        write_table(files[f"s{number:04d}"], table, {})
-    start_s = time.perf_counter()
-    shared_standing_rows(files, files, {name: extent_of(file) for name, file in files.items()})
-    shared_s = time.perf_counter() - start_s
-    start_s = time.perf_counter()
-    built = {name: BuiltLog(("", None, None, None), driven_by="nobody") for name in files}
-    labels = labels_of_sessions(files, files, built, folder, config)
-    balance, _ = write_samples(files, folder / "samples.parquet", config, {}, labels)
-    balance_s = time.perf_counter() - start_s
-    memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    total = rows * sessions * len(CAMERAS)
-    print(
-        f"{total:,} frames: bins, blocks and split {split_s:.1f} s; no picture twice {shared_s:.1f} s;"
-        f" {balance.after.sum():,} balanced samples {balance_s:.1f} s; at most {memory_mb:,.0f} MB of memory"
-    )
+def _peak_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("log", type=Path)
+    parser.add_argument("--log", type=Path, help="index this real log instead, several times")
+    parser.add_argument("--logs", type=int, default=1000)
     parser.add_argument("--frames", type=int, default=10_000_000)
-    parser.add_argument("--sessions", type=int, default=1000)
+    parser.add_argument("--ray", nargs="?", const="")
+    parser.add_argument(
+        "--divide", action="store_true", help="samples in a file a session, as of 100 million frames"
+    )
+    parser.add_argument("--folder", type=Path)
     chosen = parser.parse_args()
+    if chosen.log:
+        index_log(chosen.log)
+        return
     with tempfile.TemporaryDirectory() as name:
-        index_log(chosen.log, name)
-        unchanged_sessions(Path(name), chosen.sessions)
-    for frames in (chosen.frames // 10, chosen.frames):  # the memory is that of the largest until then
-        with tempfile.TemporaryDirectory() as name:
-            scale(Path(name), frames, chosen.sessions)
-            shutil.rmtree(name, ignore_errors=True)
+        folder = chosen.folder or Path(name)
+        write = partial(write_log, folder / "sessions", chosen.frames // len(CAMERAS) // chosen.logs)
+        with ProcessPoolExecutor() as pool:
+            logs = list(pool.map(write, range(chosen.logs), chunksize=10))
+        ray = None if chosen.ray is None else (chosen.ray,) if chosen.ray else ()
+        index(logs, folder, ray, 1 if chosen.divide else DIVIDED_FROM_FRAMES)
 
 
 if __name__ == "__main__":

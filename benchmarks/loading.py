@@ -9,10 +9,10 @@ loaders that are no dependency of this project come with `pip install webdataset
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import io
 import statistics
-import sys
 import tarfile
 import tempfile
 import time
@@ -43,9 +43,9 @@ Epoch = Callable[[], Iterable[Any]]  # batches of crops
 
 def main() -> None:
     """Print pictures/s (median, least to most, of several rounds) and their share of OpenCV's in each round."""
-    if len(sys.argv) != 2:
-        raise SystemExit("usage: python benchmarks/loading.py INDEX")
-    samples = Samples(Path(sys.argv[1]))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("index", type=Path)
+    samples = Samples(parser.parse_args().index)
     table = _each_picture_once(samples.table)
     places = [
         (samples.logs[row["session"]], row["offset"], row["length"], row["chunk"]) for row in table.to_pylist()

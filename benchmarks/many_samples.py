@@ -1,10 +1,11 @@
 """What it costs to open an index of many samples, and to draw an epoch's order: time and memory.
 
-python benchmarks/many_samples.py 10000000
+python benchmarks/many_samples.py [--samples 10000000]
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import multiprocessing
 import resource
@@ -30,7 +31,9 @@ USES = 3  # how often each picture is used: as it is, mirrored, altered
 
 def main() -> None:
     """Make such indexes in other processes, divided and in one file, open them, and print what that took."""
-    count = int(sys.argv[1]) if len(sys.argv) == 2 else 10_000_000
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--samples", type=int, default=10_000_000)
+    count = parser.parse_args().samples
     with tempfile.TemporaryDirectory() as name:
         few, divided, many = (Path(name) / each for each in ("few", "divided", "many"))
         spawned = multiprocessing.get_context("spawn")

@@ -7,7 +7,7 @@ import contextlib
 from typing import Final, Literal, get_args
 
 Recipe = Literal["people", "original"]
-"""people: what learns best from people (docs/learning-from-people.md); original: as the original project did."""
+"""people: best for recordings of people (docs/studies/learning-from-people.md); original: as the original did."""
 
 DEFAULT: Final[Recipe] = "people"
 

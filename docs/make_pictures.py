@@ -52,7 +52,7 @@ class Pictures:
     laps: float = 0.2
     """How far the run drives."""
     curve: Path | None = None
-    """What benchmarks/learning_curve.py has trained; without it, that picture stays as it is."""
+    """What studies/learning_curve.py has trained; without it, that picture stays as it is."""
     folder: Path = Path(__file__).parent / "pictures"
     """Where pictures are written; existing ones are replaced."""
 
@@ -74,7 +74,7 @@ def main(config: Pictures) -> None:
     write(config.folder / "layout.png", layout_sheet())
     write(config.folder / "hairpins.png", hairpin_sheet())
     if config.curve is not None:
-        script = Path(__file__).parent.parent / "benchmarks" / "learning_curve.py"
+        script = Path(__file__).parent.parent / "studies" / "learning_curve.py"
         _python(str(script), str(config.curve), "--figure", str(config.folder / "learning-curve.png"))
     if (config.run is None or config.log is None) and not (DEMO / "drives").exists():
         shutil.rmtree(DEMO, ignore_errors=True)  # of one that was stopped before its drives

@@ -37,6 +37,9 @@ def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
 
     def linked(match: re.Match[str]) -> str:
         source = posixpath.normpath(posixpath.join(folder, match[1]))
-        return PAGES.get(source, source.removeprefix("docs/")) if (ROOT / source).is_file() else match[1]
+        if not (ROOT / source).is_file():
+            return match[1]
+        target = PAGES.get(source, source.removeprefix("docs/"))
+        return posixpath.relpath(target, posixpath.dirname(page.file.src_uri))
 
     return _LINK.sub(linked, markdown)

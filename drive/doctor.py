@@ -105,10 +105,10 @@ def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], found: Diagnosi
     for info in odd[:_MOST_NAMED]:
         path = _shown(project, Path(info.path))
         stretches, rows = info.odd or [], sum(info.odd_rows.values())
-        kinds = ", ".join(f"{count:,} {ODD_KINDS.get(kind, kind)}" for kind, count in info.odd_rows.items())
+        kinds = ", ".join(f"{ODD_KINDS.get(kind, kind)}: {count:,}" for kind, count in info.odd_rows.items())
         longest = max(stretches, key=lambda each: each.last_row - each.first_row)
         at = f"the longest stretch: rows {longest.first_row} to {longest.last_row}"
-        found.odd.append(f"{printable(path)}: {counted(rows, 'odd row')} of {info.rows:,} ({kinds}); {at}")
+        found.odd.append(printable(f"{path}: {counted(rows, 'odd row')} of {info.rows:,} ({kinds}); {at}"))
         if name == "sessions" and rows > _MUCH * info.rows:
             is_sure = any(each.is_sure for each in stretches)
             command = f"bc-log tag {path} exclude --odd" if is_sure else f"bc-log check {path}"

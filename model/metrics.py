@@ -74,7 +74,7 @@ class Measures:
     @property
     def driving_error(self) -> float:
         """The balanced RMSE as a share of that of always predicting the mean, plus 1 - correlation: 0 is best, the
-        mean itself has 2. The best predictor of how often a network leaves the road (docs/which-number.md)."""
+        mean itself has 2. It predicts best how often a network leaves the road (docs/studies/which-number.md)."""
         correlation = 0.0 if math.isnan(self.network.correlation) else self.network.correlation
         of_the_mean = self.mean_balanced_rmse_deg or 1.0  # it is 0 where the steering is constant
         return self.balanced_rmse_deg / of_the_mean + 1 - correlation

@@ -11,6 +11,7 @@ from common.output import print_next
 from recorder.log.log_info import LogInfo
 from recorder.log.odd_stretches import OddStretch, exclude_command
 from recorder.log.tags import EXCLUDE, Tag
+from recorder.log_flag import SESSIONS
 
 _EXCLUDES: Final = "excludes all that is surely odd"
 
@@ -30,7 +31,7 @@ def step_of_info(info: LogInfo) -> NextStep:
         return NextStep(1, exclude_command(left, log), _EXCLUDES)
     if left:
         return NextStep(2, _command("check", log), "it looks at the pictures of what is perhaps odd")
-    return _look_at(log)
+    return _go_on(log)
 
 
 def step_of_check(info: LogInfo, odd: Sequence[OddStretch], *, is_damaged: bool) -> NextStep:
@@ -39,7 +40,7 @@ def step_of_check(info: LogInfo, odd: Sequence[OddStretch], *, is_damaged: bool)
     if is_damaged:
         return NextStep(0, _command("recover", log), "it writes what is sound to a new log")
     left = [each for each in _left(info, odd) if each.is_sure]
-    return NextStep(1, exclude_command(left, log), _EXCLUDES) if left else _look_at(log)
+    return NextStep(1, exclude_command(left, log), _EXCLUDES) if left else _go_on(log)
 
 
 def print_first(steps: Sequence[NextStep]) -> None:
@@ -54,7 +55,7 @@ def step_of_list(logs: Sequence[LogInfo]) -> NextStep:
     odd = max(rows, key=lambda path: rows[path])
     if rows[odd]:
         return NextStep(1, _command("info", location(odd)), "what is odd in it")
-    return _look_at(location(max(logs, key=lambda info: info.start).path))
+    return _go_on(location(max(logs, key=lambda info: info.start).path))
 
 
 def _left(info: LogInfo, odd: Sequence[OddStretch] | None = None) -> list[OddStretch]:
@@ -67,8 +68,9 @@ def _holds(tag: Tag, each: OddStretch) -> bool:
     return tag.first_row <= each.first_row and each.last_row <= tag.last_row
 
 
-def _look_at(log: Location) -> NextStep:
-    return NextStep(3, f"bc-play {shlex.quote(str(log))}")
+def _go_on(log: Location) -> NextStep:
+    """A session is learnt from, a drive looked at."""
+    return NextStep(3, "bc-index" if log.parent == SESSIONS else f"bc-play {shlex.quote(str(log))}")
 
 
 def _command(name: str, log: Location) -> str:

@@ -19,7 +19,7 @@ import make_commands
 from driving import COMMANDS, Process, command
 from repository import ROOT
 
-PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")), ROOT / "benchmarks" / "README.md"]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md")), ROOT / "benchmarks" / "README.md"]
 SOURCES = [path for room in make_architecture.ROOMS for path in make_architecture.modules(room)]
 WRITTEN_BY_COMMANDS = ("sessions/", "index/", "runs/", "drives/", "IMG/")
 FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
@@ -137,7 +137,8 @@ def test_what_workflows_and_pages_tell_to_run_exists() -> None:
     texts = [path.read_text(encoding="utf-8") for path in (*PAGES, *workflows, ROOT / ".ci" / "run")]
     told = re.findall(r"(?:`|^ *|run: )make ([a-z -]+?)(?=`|\s+#|$)", "\n".join(texts), re.MULTILINE)
     assert set(" ".join(told).split()) - targets == set()
-    paths = {path for text in texts for path in re.findall(r"\b((?:tests|docs|benchmarks)/[\w/]+\.py)", text)}
+    program = re.compile(r"(?<!:)\b((?:tests|docs|benchmarks|studies)/[\w/]+\.py)")  # not COMMIT:path
+    paths = {path for text in texts for path in program.findall(text)}
     assert {path for path in paths if not (ROOT / path).exists()} == set()
 
 

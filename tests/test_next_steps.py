@@ -33,9 +33,9 @@ def _project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (["tag", "sessions/a.mcap", "exclude", "--rows", 1, 2], "next: `bc-index`: "),
         (["trim", "sessions/a.mcap", "--to", "b c.mcap", "--rows", 1, 9], "next: `bc-log check 'b c.mcap'`"),
         (["recover", "sessions/a.mcap", "--to", "b.mcap"], "next: `bc-log check b.mcap`"),
-        (["ls"], "next: `bc-play sessions/a.mcap`"),
-        (["info", "a"], "next: `bc-play sessions/a.mcap`"),
-        (["check", "a", "--no-look"], "next: `bc-play sessions/a.mcap`"),
+        (["ls"], "next: `bc-index`"),
+        (["info", "a"], "next: `bc-index`"),
+        (["check", "a", "--no-look"], "next: `bc-index`"),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",
 )
@@ -56,7 +56,7 @@ def test_what_is_odd_is_excluded_first_and_then_looked_at(capsys: pytest.Capture
     capsys.readouterr()
     for arguments in (["ls"], ["info", "b c"], ["check", "--no-look", "b c"]):
         call(bc_log, *arguments)
-        assert last_line(capsys).startswith("next: `bc-play ")
+        assert last_line(capsys) == "next: `bc-index`"
     for command in ("ls", "info", "check"):
         call(bc_log, command, "sessions/a.mcap", "--json")
         assert capsys.readouterr().err == ""
@@ -66,6 +66,13 @@ def test_a_dataset(capsys: pytest.CaptureFixture[str]) -> None:
     write_log(Path("sessions/a.mcap"), STEERING[:3], lambda camera, row: jpeg(row), overwrite=True)
     assert call(bc_log, "export", "a", "--lerobot", "my data") == 0
     assert last_line(capsys).startswith("next: `hf upload 'my data' 'my data' --repo-type dataset`: ")
+
+
+def test_a_drive_is_looked_at(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("drives").mkdir()
+    write_log(Path("drives/first.mcap"), STEERING)
+    assert call(bc_log, "info", "first") == 0
+    assert last_line(capsys) == "next: `bc-play drives/first.mcap`"
 
 
 def test_a_damaged_log_is_recovered_first(capsys: pytest.CaptureFixture[str]) -> None:

@@ -203,8 +203,8 @@ def test_riddles_among_names_are_found(tmp_path: Path) -> None:
     assert sorted(found) == ["Seen", "_SAID", "is_told", "tells", "told", "told_by", "who_asks"]
 
 
-def test_no_room_imports_the_tests_or_the_benchmarks() -> None:
-    helpers = {path.stem for path in (ROOT / "tests").rglob("*.py")} | {"tests", "benchmarks"}
+def test_no_room_imports_tests_benchmarks_or_studies() -> None:
+    helpers = {path.stem for path in (ROOT / "tests").rglob("*.py")} | {"tests", "benchmarks", "studies"}
     assert [path for path in SOURCES for _, name in imported(path) if name.split(".")[0] in helpers] == []
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Final
 
 from starlette.applications import Starlette
+from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 from starlette.routing import Mount
-from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from common.location import Url
@@ -47,8 +47,16 @@ from web.pages.wheel_socket import wheel_socket_routes
 from web.pages.workbench import Workbench
 from web.server.error_pages import HANDLERS
 from web.server.request_guard import RequestGuard
+from web.server.static_files import STATIC, PageFiles
 
 _FROM_STORES: Final = 8  # logs
+_AS_THEY_ARE: Final = (  # compressed already, or sent bit by bit
+    *DEFAULT_EXCLUDED_CONTENT_TYPES,
+    "application/grpc-web",
+    "application/grpc-web+proto",
+    "application/wasm",
+    "application/x-ndjson",
+)
 _OF_A_LOG: Final = (
     session_routes,
     log_file_routes,
@@ -115,10 +123,12 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
         *wheel_socket_routes(),
         *run_list_routes(bench),
         *run_routes(bench),
-        Mount("/static", StaticFiles(packages=[("web", "static")])),
+        Mount(STATIC, PageFiles()),
     ]
     try:
-        yield RequestGuard(Starlette(routes=routes, exception_handlers=HANDLERS), host, token)
+        app = Starlette(routes=routes, exception_handlers=HANDLERS)
+        small = GZipMiddleware(app, compresslevel=5, exclude_content_types=_AS_THEY_ARE)
+        yield RequestGuard(small, host, token)
     finally:
         viewers.close()
         predictions.close()

@@ -17,7 +17,7 @@ from model.runs.enough_to_drive import drivable
 from model.runs.run_numbers import RunNumbers
 
 FEW_EPOCHS: Final = 4
-"""The study's networks drove after 4, and none of them after 1 (docs/which-number.md)."""
+"""The study's networks drove after 4, and none of them after 1 (docs/studies/which-number.md)."""
 STILL_IMPROVING: Final = 0.02
 """By so much of itself the driving error still fell in the last epoch."""
 FEW_TURNS: Final = 500

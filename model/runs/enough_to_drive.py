@@ -1,4 +1,4 @@
-"""Whether a driving error is small enough to drive, and how sure that is: by the study of docs/which-number.md.
+"""Whether a driving error is small enough to drive, and how sure that is (docs/studies/which-number.md).
 
 66 networks predicted recordings that none had learnt from, and drove a quarter lap at 15 mph of lake, mountain and
 five random roads. Those that needed no intervention on any of them stayed on the road. The study is of built-in
@@ -42,7 +42,7 @@ STUDY: Final[dict[Hand, tuple[Band, Band, Band]]] = {
     "keys": (Band(1.05, 28, 28), Band(1.1, 24, 15), Band(math.inf, 14, 0)),
     "smooth": (Band(0.55, 30, 30), Band(0.65, 21, 13), Band(math.inf, 15, 0)),
 }
-"""`python benchmarks/which_number_report.py benchmarks/which_number.parquet FOLDER` prints these counts."""
+"""`python studies/which_number_report.py studies/which_number.parquet FOLDER` prints these counts."""
 
 
 @dataclass(frozen=True)

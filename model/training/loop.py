@@ -182,7 +182,7 @@ class TrainingLoop:
         sums = _EpochSums(start, self.machine.device)
         interval = max(STEP_BATCHES, math.ceil(batches.batches / MAX_EPOCH_STEPS))
         begun_s = reported_s = time.perf_counter()
-        name, note = f"epoch {start.epoch:,}/{self.config.epochs:,}", ""
+        name, note = f"training (epoch {start.epoch:,}/{self.config.epochs:,})", ""
         total = len(batches) * self.config.epochs
         with progress_task(self.bar, name, total, self._samples_learnt()) as advance:
             for batch, (pictures, labels) in enumerate(batches.epoch(start.epoch, start.batch), start.batch + 1):

@@ -26,7 +26,7 @@ MOST_FRAMES: Final = 1000
 
 TOWARDS_BALANCE: Final = 0.25
 """The point between the frequency of the road (0), which has few hard bends, and that of equal bins (1).
-At 0 answers have the least error, but hairpins are driven wide, or not: see docs/learning-from-people.md."""
+At 0 answers have the least error, but hairpins are driven wide, or not: see docs/studies/natural-answers.md."""
 
 _COLUMNS: Final = ("split", "camera", "alteration", "seed", "bin", "copy")
 

@@ -260,7 +260,7 @@ def _pass_on(progress: Sequence[Step | Epoch], epochs: int, listeners: Listeners
             bar.add_task("", note="")
         bar.update(
             bar.tasks[0].id,
-            description=f"epoch {each.epoch:,}/{epochs:,}",
+            description=f"training (epoch {each.epoch:,}/{epochs:,})",
             total=epochs * each.batches,
             completed=(each.epoch - 1) * each.batches + each.batch,
             note=f"loss {each.training_loss:.4f}  {each.samples_per_s:,.0f} samples/s",

@@ -47,6 +47,7 @@ def driven_backwards(
     drives. No numbers raise anything, and an unknown speed, NaN, ends what was known of the direction."""
     nothing = np.zeros(len(speed_mph), np.bool_)
     is_known = np.abs(speed_mph) < 1e6  # False for NaN
+    brake = np.fmax(brake, -throttle)  # some sources have one pedal, -1..1
     signed_mph = np.where(is_known, speed_mph, 0.0)
     if (signed_mph < SURELY_MPH).any():
         return Backwards(_reaching(signed_mph, drive), nothing)

@@ -42,7 +42,7 @@ MPH_OF: Final[Mapping[SpeedUnit, float]] = {"mph": 1.0, "km/h": 1 / 3.6 / MPS_PE
 _MOST_BYTES: Final = 1 << 20
 _MOST_CORNERS: Final = 1000
 
-# Measured in published recordings of Udacity's three worlds: docs/driving-a-recording.md.
+# Measured in published recordings of Udacity's three worlds: docs/studies/warped-pictures.md.
 _LEFT_M: Final[Mapping[Camera, float]] = {"center": 0.0, "left": 0.85, "right": -0.85}
 _BONNET: Final[Mapping[Camera, Outline]] = {
     "center": (

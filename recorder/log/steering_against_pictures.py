@@ -4,7 +4,7 @@ The labels there are wrong: taken from another drive, mirrored, or of another ti
 contradicts them, and nothing is found. No network takes part.
 
 The thresholds were set on four recordings of people (5,667 rows): none of their rows is found, and of stretches of
-10 s whose steering was mirrored, those that have bends (`benchmarks/steering_against_pictures.py`).
+10 s whose steering was mirrored, those that have bends (benchmarks/README.md).
 """
 
 from __future__ import annotations

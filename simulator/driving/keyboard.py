@@ -2,9 +2,9 @@
 
 It wants what the expert wants, and can only hold the left key, the right one, or none. What a held key does to
 the steering is Unity's rule; when a key is pressed and for how long is fitted to recordings of people
-(docs/drivers.md). That people steer in separate acts, each decided when an error has grown and then run off as
-planned, is known of real cars too: Markkula, Boer, Romano and Merat 2018, "Sustained sensorimotor control as
-intermittent decisions about prediction errors", Biological Cybernetics 112.
+(docs/studies/drivers.md). That people steer in separate acts, each decided when an error has grown and then run
+off as planned, is known of real cars too: Markkula, Boer, Romano and Merat 2018, "Sustained sensorimotor control
+as intermittent decisions about prediction errors", Biological Cybernetics 112.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A driver like a person with a mouse: the button is pressed, the mouse dragged aside, the button let go.
 
 Udacity's simulator steers by how far the mouse is from where its button went down, and straight ahead as soon as
-the button is up. How far and how long it is dragged is fitted to a recording of such a person (docs/drivers.md).
+the button is up. How far and how long it is dragged is fitted to a recording of one (docs/studies/drivers.md).
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ def test_odd_rows_are_named_with_their_longest_stretch() -> None:
     write_log(Path("sessions") / "sunday.mcap", steering, overwrite=True)
     odd = [line for line in examine().odd if "sunday" in line and "odd row" in line]
     assert odd == [
-        "sessions/sunday.mcap: 60 odd rows of 60 (60 steering that never changes); the longest stretch: rows 0 to"
+        "sessions/sunday.mcap: 60 odd rows of 60 (steering that never changes: 60); the longest stretch: rows 0 to"
         " 59"
     ]
     assert not any("monday" in line for line in examine().odd)

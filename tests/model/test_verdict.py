@@ -125,7 +125,7 @@ def test_enough_to_drive(hands: Any, error: float, is_unseen: bool, expected: bo
 
 
 def test_the_counts_are_those_of_the_study() -> None:
-    rows = pq.read_table(ROOT / "benchmarks" / "which_number.parquet").to_pylist()
+    rows = pq.read_table(ROOT / "studies" / "which_number.parquet").to_pylist()
     left = Counter[str]()
     for row in rows:
         left[row["network"]] += row["value"] * ((row["kind"], row["measure"]) == ("driven", "interventions"))

@@ -176,5 +176,6 @@ def test_a_car_that_starts_is_not_odd(here: Path) -> None:
                 writer.vehicle(START_NS + row * STEP_NS, row, VehicleState(speed_mph=speed_mph))
         return path
 
-    assert describe(log_at(here / "starts.mcap", 0, 0.2, *[9] * 20)).odd_rows == {}
+    assert describe(log_at(here / "starts.mcap", *[0] * 20, *[9] * 20)).odd_rows == {}
+    assert describe(log_at(here / "stops.mcap", *[9] * 20, 0, 0, *[9] * 20)).odd_rows == {}
     assert describe(log_at(here / "parked.mcap", *[0] * 60, *[9] * 20)).odd_rows == {"parked": 60}

@@ -72,8 +72,8 @@ def test_pushed_off_its_line_it_comes_back(name: DriverName, track: str) -> None
     assert np.median(back) < 0.25 < np.median(pushed)
 
 
-# What recordings of people have, at 9 to 14 rows a second (docs/drivers.md); the lengths of presses are in whole
-# rows, here of 0.1 s.
+# What recordings of people have, at 9 to 14 rows a second (docs/studies/drivers.md); the lengths of presses are in
+# whole rows, here of 0.1 s.
 HABITS = {
     "keyboard": {"zeros": (0.57, 0.80), "a minute": (30, 78), "press": (0.2, 0.4), "straight": (0.3, 0.7)},
     "mouse": {"zeros": (0.44, 0.65), "a minute": (23, 36), "press": (0.8, 1.0), "straight": (0.5, 0.9)},

@@ -78,6 +78,33 @@ def test_what_the_command_refuses_it_says(bench: Served) -> None:
     assert "--laps" in text(bench, job)
 
 
+def test_a_job_that_failed_leads_back_to_its_form_as_it_was_filled_in(bench: Served) -> None:
+    job = start(bench, form="import", name="mine", source="/nowhere at all")
+    wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+    assert "failed" in text(bench, job)
+    (back,) = re.findall(r'href="([^"]*)">Back to the form', bench.get(job).text)
+    form = bench.get(html.unescape(back)).text
+    assert 'value="mine"' in form
+    assert 'value="/nowhere at all"' in form
+
+
+def test_a_training_leads_to_its_run_whatever_becomes_of_it(bench: Served) -> None:
+    job = start(bench, form="train", epochs="1")
+    wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+    (run,) = set(re.findall(r"--name=(\S+)", text(bench, job)))  # else nobody would know its page
+    assert f'href="/runs/{run}"' in bench.get(job).text
+    (exit_code,) = (bench.folder / "cache" / "jobs").glob("*/*/exit")
+    exit_code.write_text("130")  # it was stopped
+    (go_on,) = re.findall(r'href="([^"]*)">Go on', bench.get(job).text)
+    assert f'value="{run}"' in bench.get(html.unescape(go_on)).text
+
+
+def test_what_is_missing_leads_to_the_list_that_it_would_be_in(bench: Served) -> None:
+    for page, name in (("/runs/none", "Runs"), ("/drives/none", "Drives"), ("/sessions/none", "Sessions")):
+        shown = bench.get(page, Accept="text/html").text
+        assert f'<a href="/{name.lower()}">{name}</a></p>' in shown
+
+
 def test_a_job_outlives_the_server_and_is_stopped_by_another(tmp_path: Path) -> None:
     with served(tmp_path) as bench:
         job = start(bench, form="record", name="long", laps="200")

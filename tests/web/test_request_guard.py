@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from driving import Process, command
 from logs import write_log
 from ports import free_ports
+from web.server.static_files import STATIC
 from workbench import Served, served
 
 FROM_OUR_PAGE = {"Sec_Fetch_Site": "same-origin", "Sec_Fetch_Mode": "cors", "Sec_Fetch_Dest": "empty"}
@@ -72,7 +74,7 @@ def test_what_browsers_tell_without_an_origin_is_heard_too(bench: Served) -> Non
 
 
 def test_no_answer_lets_code_in_or_may_be_framed(bench: Served) -> None:
-    for path in ("/sessions", "/static/js/live.js", "/nothing", "/sessions/a/pictures/center/0"):
+    for path in ("/sessions", f"{STATIC}/js/live.js", "/nothing", "/sessions/a/pictures/center/0"):
         headers = {name.lower(): value for name, value in bench.get(path).headers.items()}
         policy = dict(part.strip().split(" ", 1) for part in headers["content-security-policy"].split(";"))
         assert policy["default-src"] == policy["frame-ancestors"] == policy["base-uri"] == "'none'"
@@ -96,9 +98,9 @@ def test_pages_hold_no_code_of_their_own(bench: Served) -> None:
         "/sessions/..%2f..%2fsecret/strip.jpg",
         "/sessions/%2e%2e/strip.jpg",
         "/sessions/../../secret",
-        "/static/../app.py",
-        "/static/%2e%2e/app.py",
-        "/static/..%2fapp.py",
+        f"{STATIC}/../app.py",
+        f"{STATIC}/%2e%2e/app.py",
+        f"{STATIC}/..%2fapp.py",
         "/runs/secret/strip.jpg",
         "/sessions/secret/strip.jpg",
         "/sessions/a%00/strip.jpg",
@@ -119,7 +121,7 @@ def test_a_large_body_or_one_of_unknown_length_is_refused(bench: Served) -> None
 def test_where_others_can_reach_it_everything_needs_the_token(tmp_path: Path) -> None:
     write_log(tmp_path / "sessions" / "a.mcap", [0.1])
     with served(tmp_path, "0.0.0.0", "the-token") as bench:
-        for path in ("/", "/sessions", "/changes", "/static/js/live.js", "/sessions/a/strip.jpg", "/nothing"):
+        for path in ("/", "/sessions", "/changes", f"{STATIC}/js/live.js", "/sessions/a/strip.jpg", "/nothing"):
             assert bench.get(path).status == 401
             assert bench.get(path, Cookie="bc-web-token=the-toke").status == 401
             assert bench.get(f"{path}?token=the-tokeN").status == 401
@@ -144,3 +146,14 @@ def test_the_command_says_where_it_listens_and_ends_with_ctrl_c(tmp_path: Path) 
         assert process.end() == 0
     assert process.stdout == f"http://127.0.0.1:{port}/\n"
     assert list(tmp_path.iterdir()) == []
+
+
+def test_files_of_the_pages_are_kept_by_browsers_and_sent_small(bench: Served) -> None:
+    """At an address that changes with their content; what changes without it is kept by nobody."""
+    answer = bench.get(f"{STATIC}/css/workbench.css", Accept_Encoding="gzip")
+    assert "immutable" in answer.headers["cache-control"]
+    assert answer.headers["content-encoding"] == "gzip"
+    assert gzip.decompress(answer.body) == bench.get(f"{STATIC}/css/workbench.css").body
+    assert STATIC in bench.get("/sessions").text
+    assert bench.get("/sessions").headers["cache-control"] == "no-store"
+    assert bench.get("/sessions", Accept_Encoding="gzip").headers["content-encoding"] == "gzip"

@@ -79,6 +79,9 @@ def test_curves_lie_over_each_other_and_settings_beside(bench: Served) -> None:
     chosen = f"?run=good&run={other}&run=broken&run=none"
     curves = {run["name"]: run for run in bench.get(f"/runs.curves{chosen}").json}
     assert set(curves) == {"good", AWKWARD, "broken"}
+    alone = bench.get("/runs.curves?run=good").json
+    assert alone[0]["colour"] == curves["good"]["colour"]
+    assert len({run["colour"] for run in curves.values()}) == 3
     assert curves["good"]["lines"]["training loss"][0] == [0.4, 0.8, 1.0]  # in epochs
     assert curves["good"]["lines"]["RMSE"] == [[1.0, 2.0], [0.5, pytest.approx(3 / 4.5)]]
     shown = bench.get(f"/runs.differences{chosen}").text

@@ -23,6 +23,7 @@ from recorder.bc_pb2 import VehicleState
 from recorder.log.tags import read_tags
 from udacity import call
 from waiting import wait_until
+from web.server.static_files import STATIC
 from workbench import Served, served
 
 if TYPE_CHECKING:
@@ -104,6 +105,44 @@ def test_a_stretch_is_excluded_by_dragging_and_undone_and_done_again(browser: Br
         page.keyboard.type("recovery")
         press(page, "Enter", 2)
         assert tags(bench) == [("exclude", *rows), ("recovery", *rows)]
+
+
+def test_what_was_done_can_be_undone_after_a_reload(browser: Browser, bench: Served) -> None:
+    with opened(browser, bench) as page:
+        drag(page, 200, 260, ROWS)
+        press(page, "x", 1)
+        page.reload()
+        open_session(page)
+        assert "bc-log tag" in page.inner_text("#commands")
+        press(page, "u", 0)
+        assert tags(bench) == []
+
+
+def test_looking_at_all_pictures_ends_with_what_it_found(browser: Browser, bench: Served) -> None:
+    with opened(browser, bench) as page:
+        page.click("#look")
+        wait_until(lambda: "looked at 1,200 pictures: 1 more odd stretch" in page.inner_text("#status"))
+
+
+def test_time_is_counted_as_driven_where_the_clock_goes_back(browser: Browser, bench: Served) -> None:
+    with LogWriter(bench.folder / "sessions" / "back.mcap", {"source": "test"}) as writer:
+        for row in range(100):
+            time_ns = START_NS + row * 100_000_000 - (3600 * 10**9 if row >= 50 else 0)
+            writer.vehicle(time_ns, row, VehicleState(steering=0.1 * np.sin(row), throttle=0.5, speed_mph=9.0))
+    with opened(browser, bench, "back") as page:
+        page.keyboard.press("End")
+        wait_until(lambda: now(page) == 99)
+        assert "· 0:09.8 ·" in page.inner_text("#now")  # two drives of 4.9 s
+        ticks = page.evaluate(
+            """async () => {
+              const { Curves } = await import('STATIC/js/session/curves.js');
+              const driven_s = Float64Array.from({ length: 600 }, (_, at) => at * 0.11);
+              const of = { data: { length: 600, columns: { driven_s } }, clamped: at => at };
+              const at = Curves.prototype.roundTimes.call(of, 0, 599, 6);
+              return at.map(each => Curves.prototype.roundTime.call(of, each));
+            }""".replace("STATIC", STATIC)
+        )
+        assert ticks == ["0:00", "0:15", "0:30", "0:45", "1:00"]
 
 
 def test_the_commands_that_are_shown_do_the_same(browser: Browser, bench: Served) -> None:

@@ -19,6 +19,7 @@ from common.car import Camera
 from driving import road_jpeg
 from logs import START_NS, write_log
 from recorder import LogWriter
+from recorder.bc_pb2 import VehicleState
 from udacity import call
 from waiting import wait_until
 from workbench import Served, served
@@ -200,3 +201,15 @@ def test_a_recording_is_one_from_its_first_moment(tmp_path: Path) -> None:
             assert "damaged" not in said
             assert "not an MCAP log" not in said
             assert part.stat().st_size == 0
+
+
+def test_a_recording_that_grows_need_not_be_recovered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("recorder.log.writer.FLUSH_S", 0)
+    with LogWriter(tmp_path / "sessions" / "new.mcap", {}, live=True) as writer:
+        for row in range(30):
+            writer.vehicle(START_NS + row * 10**8, row, VehicleState(speed_mph=9.0))
+        (part,) = (tmp_path / "sessions").iterdir()
+        with served(tmp_path) as bench:
+            wait_until(lambda: "30 rows" in rows(bench)[part.name])
+            assert "recording" in rows(bench)[part.name]
+            assert "recover" not in rows(bench)[part.name]

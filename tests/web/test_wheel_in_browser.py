@@ -16,6 +16,7 @@ from pages import opened_page, window_of
 from ports import free_ports
 from recorder import Log
 from waiting import wait_until
+from web.server.static_files import STATIC
 from wheel_host import PREDICTED, Host, driving_host
 from workbench import Served, served
 
@@ -60,7 +61,7 @@ def test_keys_steer_by_unitys_rule(browser: Browser, bench: Served) -> None:
         page.goto(f"{bench.address}/wheel")
         steering = page.evaluate(
             """async () => {
-              const { Keys } = await import('/static/js/wheel/keys.js');
+              const { Keys } = await import('STATIC/js/wheel/keys.js');
               const keys = new Keys();
               const after = (seconds, change) => { change?.(); keys.advance(seconds); return keys.steering; };
               return [
@@ -70,7 +71,7 @@ def test_keys_steer_by_unitys_rule(browser: Browser, bench: Served) -> None:
                 after(0.2, () => keys.down('KeyD')), (keys.up('KeyD'), after(0.1, () => keys.down('KeyA'))),
                 after(0, () => keys.release()),
               ];
-            }"""
+            }""".replace("STATIC", STATIC)
         )
     there, both, right, snapped = [-0.3, -0.6, -1], [-0.7, 0], [0.3, 0], [0.6, -0.3, 0]
     assert steering == pytest.approx([*there, *both, *right, *snapped])
@@ -170,8 +171,8 @@ def test_a_gamepad_that_hangs_aside_or_sends_noise_does_not_steer(browser: Brows
         page.goto(f"{bench.address}/wheel")
         steering, problems = page.evaluate(
             """async () => {
-              const { Gamepads } = await import('/static/js/wheel/gamepads.js');
-              const { loadSettings } = await import('/static/js/wheel/settings.js');
+              const { Gamepads } = await import('STATIC/js/wheel/gamepads.js');
+              const { loadSettings } = await import('STATIC/js/wheel/settings.js');
               const problems = [], steering = [];
               const poll = (pads, value, mapping = 'standard') => {
                 const pad = { index: 0, id: 'a', connected: true, mapping, axes: [value], buttons: [] };
@@ -189,7 +190,7 @@ def test_a_gamepad_that_hangs_aside_or_sends_noise_does_not_steer(browser: Brows
               all(0, ...Array.from({ length: 40 }, (_, at) => (at % 2 ? 0.5 : -0.5)));
               all(0, 7, 7, 7);                                               // out of range
               return [steering, problems];
-            }"""
+            }""".replace("STATIC", STATIC)
         )
     assert steering == [0, 0, 0, 0, 1]
     assert len(problems) == 1

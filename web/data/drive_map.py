@@ -41,8 +41,8 @@ class DriveMap:
     fastest_mph: float
 
 
-def drive_map(drives: Sequence[DriveView], by: By) -> DriveMap | None:
-    """None where none of them has poses."""
+def drive_map(drives: Sequence[DriveView], colours: Sequence[int], by: By) -> DriveMap | None:
+    """None where none of them has poses; `colours` are the drives', in their order."""
     points = [(x, -y) for drive in drives for _, x, y, *_ in drive.path]
     if not points:
         return None
@@ -52,11 +52,11 @@ def drive_map(drives: Sequence[DriveView], by: By) -> DriveMap | None:
     width, height = max(xs) - min(xs) + 2 * edge, max(ys) - min(ys) + 2 * edge
     box = f"{min(xs) - edge:.2f} {min(ys) - edge:.2f} {width:.2f} {height:.2f}"
     fastest = max([1.0, *(place.mph for drive in drives for place in drive.path)])
-    strokes = [_strokes(drive, number, by, fastest) for number, drive in enumerate(drives)]
+    strokes = [_strokes(drive, colour, by, fastest) for drive, colour in zip(drives, colours, strict=True)]
     return DriveMap(box, size, strokes, [_places(drive) for drive in drives], fastest)
 
 
-def _strokes(drive: DriveView, number: int, by: By, fastest: float) -> list[Stroke]:
+def _strokes(drive: DriveView, colour: int, by: By, fastest: float) -> list[Stroke]:
     """Parts of one colour, each beginning where the one before ends."""
 
     def style(place: CarPlace) -> str:
@@ -64,7 +64,7 @@ def _strokes(drive: DriveView, number: int, by: By, fastest: float) -> list[Stro
             return f"step-{_step(place.mph, fastest)}"
         if by == "error":
             return "step-none" if place.error_deg is None else f"step-{_step(place.error_deg, MOST_ERROR_DEG)}"
-        return f"by-{DRIVERS.get(place.driver, 'unknown')}" if by == "driver" else f"drive-{number}"
+        return f"by-{DRIVERS.get(place.driver, 'unknown')}" if by == "driver" else f"drive-{colour}"
 
     found = []
     for name, part in groupby(pairwise(drive.path), key=lambda pair: style(pair[0])):

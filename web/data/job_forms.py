@@ -13,6 +13,7 @@ from typing import Final, Literal
 
 from common.location import Location, Url
 from dataset.config import IndexConfig
+from model.runs.run_arguments import new_run_name
 from web.data.project_folders import ProjectFolders, key_of
 from web.errors import WebError
 
@@ -60,6 +61,7 @@ class JobForm:
     made: Callable[[Mapping[str, str]], str]
     of_named: tuple[tuple[str, str], ...] = ()  # the same, where sessions are named
     to_store: str = ""  # the flag that names the folder of its sessions instead, if that is in a store
+    names_run: bool = False  # a run without a name gets one, so that its page is known
     fills_project: bool = False  # where none of the project's folders is there yet: `--folder` is theirs
 
     def words(self, values: Mapping[str, str], folders: ProjectFolders) -> list[str]:
@@ -83,6 +85,13 @@ class JobForm:
                 is_there = self.to_store and isinstance(folder, Url)
                 words.append(f"{self.to_store if is_there else flag}={folder}")
         return words
+
+    def named(self, values: Mapping[str, str]) -> dict[str, str]:
+        """The values of its fields, with the name that its run gets."""
+        values = {
+            field.name: values[field.name].strip() for field in self.fields if values.get(field.name, "").strip()
+        }
+        return values | {"name": values.get("name") or new_run_name()} if self.names_run else values
 
     def fills(self, folders: ProjectFolders) -> bool:
         """Whether its output will be shown here."""
@@ -183,6 +192,7 @@ FORMS: Final[Sequence[JobForm]] = (
         ),
         (("--index", "index"), ("--sessions", "sessions"), ("--runs", "runs")),
         _run,
+        names_run=True,
     ),
     JobForm(
         "learn",
@@ -197,6 +207,7 @@ FORMS: Final[Sequence[JobForm]] = (
         ),
         (("--index", "index"), ("--sessions", "sessions"), ("--drives", "drives"), ("--runs", "runs")),
         lambda values: _run({"name": values.get("name", "")}),
+        names_run=True,
     ),
     JobForm(
         "resume",

@@ -16,11 +16,13 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO, Final
+from urllib.parse import urlencode
 
 import msgspec
 
@@ -41,12 +43,13 @@ if sys.platform == "win32":
     _NEW_GROUP: Final = subprocess.CREATE_NEW_PROCESS_GROUP
 else:
     _NEW_GROUP: Final = 0
+_STOPPED: Final = 130
 _WORDS: Final = {
     0: "done",
     1: "failed",
     2: "refused",
     3: "done, but something was skipped or lost",
-    130: "stopped",
+    _STOPPED: "stopped",
 }
 
 
@@ -56,6 +59,8 @@ class About(msgspec.Struct):
     words: list[str]  # of the command line, "bc-..." first
     began: str  # UTC, ISO 8601
     made: str  # the page of what it makes; "" for none
+    form: str = ""  # that started it, and its values
+    values: dict[str, str] = {}
 
 
 @dataclass(frozen=True)
@@ -86,6 +91,26 @@ class Job:
     @property
     def is_good(self) -> bool:
         return self.is_running or self.code in (0, 3)
+
+    @property
+    def is_training(self) -> bool:
+        """Of a run, which has a page from its beginning on."""
+        return self.about.words[0] == "bc-train" and self.about.made.startswith("/runs/")
+
+    @property
+    def is_stopped(self) -> bool:
+        return self.code == _STOPPED
+
+    @property
+    def run(self) -> str:
+        """The name of the run of a training."""
+        return self.about.values.get("name") or self.about.values.get("run", "")
+
+    @property
+    def form_address(self) -> str:
+        """The form that started it, filled in as it was; "" where that is not known."""
+        about = self.about
+        return f"/jobs?{urlencode({'start': about.form, **about.values})}" if about.form else ""
 
     @property
     def seconds(self) -> float:
@@ -140,15 +165,23 @@ class Jobs:
             digest.update(f"{job.key} {version} {job.is_running};".encode())
         return digest.hexdigest()[:16]
 
-    def start(self, words: Sequence[str], made: str) -> Job:
-        """Start a command of the project: `words` are its command line."""
+    def training(self, page: str) -> Job | None:
+        """The training that goes on of the run with that page."""
+        return next(
+            (job for job in self.all() if job.is_running and job.is_training and job.about.made == page), None
+        )
+
+    def start(
+        self, words: Sequence[str], made: str, form: str = "", values: Mapping[str, str] = MappingProxyType({})
+    ) -> Job:
+        """Start a command of the project: `words` are its command line, which a form made of `values`."""
         now = datetime.now(UTC)
         key = f"{now:%Y%m%d-%H%M%S-%f}-{secrets.token_hex(2)}"
         folder = self._folder / key
         with self._lock:
             self._tidy()
             folder.mkdir(parents=True)
-            about = About(list(words), now.isoformat(), made)
+            about = About(list(words), now.isoformat(), made, form, dict(values))
             (folder / ABOUT).write_bytes(msgspec.json.encode(about))
             line = [sys.executable, "-P", "-c", _RUNNER, str(real_path(folder)), str(_ROOT)]
             # in a session of its own: neither the terminal's Ctrl-C nor its end reaches it

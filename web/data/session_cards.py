@@ -89,7 +89,8 @@ class SessionCard:
     @property
     def why(self) -> str:
         """Why it is damaged or unfinished, and what helps; without its path, as its name stands beside it."""
-        notice = self.problem or (self.info.notice if self.info else "")
+        is_finished = self.info and not self.is_recording  # what grows need not be recovered
+        notice = self.problem or (self.info.notice if self.info and is_finished else "")
         return notice.removeprefix(f"{printable(str(self.path))}: ")
 
     @cached_property
@@ -178,7 +179,7 @@ class SessionCards:
             self._folders.refuse_unanswered(path)
             return _read_glance(path)
 
-        return self._cache.struct(f"glance 1 {absolute(path)} {version}", Glance, read)
+        return self._cache.struct(f"glance 2 {absolute(path)} {version}", Glance, read)
 
     def _in_index(self, path: Location, state: BuildState, share: Share | UserError | None) -> InIndex:
         session = session_name(path)

@@ -130,7 +130,7 @@ def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list
 def quick_epochs(rows: int) -> int:
     """The epochs in which a network learns to drive from so many rows in about two minutes on two quick cores.
 
-    6,000 rows, about 25,000 samples, are enough to drive both built-in tracks (docs/which-number.md).
+    6,000 rows, about 25,000 samples, are enough to drive both built-in tracks (docs/studies/which-number.md).
     """
     return max(2, min(10, round(6000 / max(1, rows))))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from typing import Any, Final
 
 from starlette.requests import Request
@@ -13,12 +15,13 @@ from common.errors import printable
 from web.data.drive_map import MOST_ERROR_DEG, WAYS, drive_map
 from web.data.drive_view import DriveView
 from web.data.project_folders import key_of
+from web.data.run_colours import COLOURS, run_colours
 from web.pages.changes import drives_version
 from web.pages.workbench import Workbench
 from web.server.templates import render
 
 _PATIENCE_S: Final = 0.5
-MOST_CHOSEN: Final = 8
+MOST_CHOSEN: Final = COLOURS
 
 
 def drive_routes(bench: Workbench) -> list[Route]:
@@ -56,13 +59,15 @@ def drive_routes(bench: Workbench) -> list[Route]:
             )
         by_key = {drive["card"].key: drive for drive in shown}
         on_map = [by_key[key] for key in chosen if key in by_key and by_key[key]["view"]]
-        on_one_map = drive_map([drive["view"] for drive in on_map], WAYS[by])
+        colours = _colours(on_map)
+        on_one_map = drive_map([drive["view"] for drive in on_map], colours, WAYS[by])
         if on_map and on_one_map is None:
             problems.append("none of these drives has poses: their simulator does not report where the car is")
         return {
             "drives": shown,
             "chosen": chosen,
             "on_map": on_map,
+            "colours": colours,
             "map": on_one_map,
             "most_error_deg": MOST_ERROR_DEG,
             "reading": sum(not (drive["view"] or drive["problem"]) for drive in shown),
@@ -73,3 +78,14 @@ def drive_routes(bench: Workbench) -> list[Route]:
         }
 
     return [Route("/drives", page), Route("/drives.rows", rows)]
+
+
+def _colours(drives: Sequence[dict[str, Any]]) -> list[int]:
+    """Each drive's colour: that of its run; of several drives of one run, another one each."""
+    names = [drive["run"] or drive["card"].name for drive in drives]
+    times = Counter[str]()
+    for at, name in enumerate(names):
+        times[name] += 1
+        names[at] = f"{name} {times[name]}" if times[name] > 1 else name
+    colours = run_colours(names)
+    return [colours[name] for name in names]

@@ -56,8 +56,9 @@ def job_routes(bench: Workbench) -> list[Route]:
     async def start(request: Request) -> Response:
         values = await form_values(request)
         form = form_of(values.get("form", ""))
-        words = form.words(values, bench.folders)
-        job = await run_in_threadpool(bench.jobs.start, words, form.page_of(values, bench.folders))
+        values = form.named(values)
+        words, made = form.words(values, bench.folders), form.page_of(values, bench.folders)
+        job = await run_in_threadpool(bench.jobs.start, words, made, form.name, values)
         return RedirectResponse(f"/jobs/{job.key}", status_code=303)
 
     def one(request: Request) -> Response:
@@ -72,6 +73,12 @@ def job_routes(bench: Workbench) -> list[Route]:
         bench.jobs.stop(key)
         return RedirectResponse(f"/jobs/{key}", status_code=303)
 
+    def again(request: Request) -> Response:
+        """Start the command of a job that has ended once more."""
+        about = bench.jobs.get(request.path_params["job"]).about
+        job = bench.jobs.start(about.words, about.made, about.form, about.values)
+        return RedirectResponse(f"/jobs/{job.key}", status_code=303)
+
     def _context(request: Request) -> dict[str, Any]:
         job = bench.jobs.get(request.path_params["job"])
         return {"job": job, "output": job.output()}
@@ -84,4 +91,5 @@ def job_routes(bench: Workbench) -> list[Route]:
         Route("/jobs/{job}", one),
         Route("/jobs/{job}/body", body),
         Route("/jobs/{job}/stop", stop, methods=["POST"]),
+        Route("/jobs/{job}/again", again, methods=["POST"]),
     ]

@@ -18,8 +18,8 @@ from web.data.steering_sketch import steering_sketch
 from web.errors import WebError
 from web.pages.address_number import number_in
 from web.pages.workbench import Workbench
+from web.server.static_files import KEPT
 
-_FOR_EVER: Final = {"Cache-Control": "private, max-age=31536000, immutable"}  # another content has another address
 _JPEG_START: Final = b"\xff\xd8\xff"
 
 
@@ -85,4 +85,4 @@ def _type_of(data: bytes, row: int) -> str:
 
 def _kept(request: Request, version: str) -> dict[str, str]:
     """Kept by the browser where the address names this very content."""
-    return _FOR_EVER if request.query_params.get("v") == version else {}
+    return KEPT if request.query_params.get("v") == version else {}

@@ -21,6 +21,7 @@ from web.data.rerun_messages import METHOD, ask_for_messages
 from web.data.rerun_viewers import FILES, viewer_version
 from web.errors import WebError
 from web.pages.workbench import Workbench
+from web.server.static_files import KEPT
 from web.server.templates import render
 
 _POLL_S: Final = 0.1
@@ -56,7 +57,7 @@ def rerun_routes(bench: Workbench) -> list[Route]:
         if name not in FILES:
             raise WebError(f"{name}: no file of Rerun's viewer", 404)
         is_kept = request.query_params.get("v") == viewer_version()
-        headers = {"Cache-Control": "private, max-age=31536000, immutable"} if is_kept else {}
+        headers = KEPT if is_kept else {}
         return Response(bench.viewers.file(name), media_type=FILES[name], headers=headers)
 
     return [

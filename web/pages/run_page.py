@@ -58,6 +58,7 @@ def run_routes(bench: Workbench) -> list[Route]:
             "card": card,
             "path": printable(str(bench.folders.run_place(path))),
             "summary": card.summary,
+            "job": bench.jobs.training(f"/runs/{key}"),
             "settings": _settings(path) if not card.problem else {},
             "sessions": _sessions(pages, card),
             "is_of_index": _is_of_index(path, bench.folders.index_here),

@@ -15,6 +15,7 @@ from common import UserError
 from common.errors import printable
 from model.runs_cli import SORTED_BY, different_frames, driven_words, in_order, marks_of_splits
 from web.data.run_cards import RunCard
+from web.data.run_colours import COLOURS, run_colours
 from web.data.run_curves import run_curves
 from web.data.run_settings import differing, run_settings
 from web.pages.changes import runs_version
@@ -23,8 +24,8 @@ from web.server.templates import render
 
 PATIENCE_S: Final = 1.0
 """For runs that are being read: the first one loads PyTorch."""
-MOST_CHOSEN: Final = 8
-"""Runs whose curves lie over each other: there are so many colours."""
+MOST_CHOSEN: Final = COLOURS
+"""Runs whose curves lie over each other."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +61,11 @@ def run_list_routes(bench: Workbench) -> list[Route]:
     def curves(request: Request) -> Response:
         """The lines of each chosen run, or the problem why it has none."""
         found = []
-        for key, path in _chosen(RunQuery.of(request.query_params)):
+        chosen = list(_chosen(RunQuery.of(request.query_params)))
+        colours = run_colours(path.name for _, path in chosen)
+        for key, path in chosen:
             shown: dict[str, Any] = {"key": key, "name": printable(path.name), "lines": {}, "problem": ""}
+            shown["colour"] = colours[path.name]
             try:
                 shown["lines"] = run_curves(bench.runs.history(path))
             except UserError as error:

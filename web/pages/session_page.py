@@ -142,6 +142,7 @@ def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
         "fingerprint": log.fingerprint,
         "rows": len(states.row),
         "cameras": [camera for camera in CAMERAS if len(log.pictures(camera_topic(camera)).sequence)],
+        "pictures": sum(log.counts.get(camera_topic(camera), 0) for camera in CAMERAS),
         "problem": printable(log.notice),  # tags of what is not finished would be lost with its recovery
         "odd": shown_stretches(log, states, findings) if len(states.row) else [],
         "pictures_checked": findings is not None and findings.against is not None,

@@ -14,7 +14,7 @@ from common import UserError
 from common.errors import StoreError, printable
 from common.output import safe_line
 from web.errors import WebError, report_bug
-from web.server.templates import render
+from web.server.templates import PAGES, render
 
 
 def error_answer(scope: Scope, error: WebError) -> Response:
@@ -22,7 +22,8 @@ def error_answer(scope: Scope, error: WebError) -> Response:
     why = printable(safe_line(str(error)))
     if "text/html" in Headers(scope=scope).get("accept", ""):
         title = HTTPStatus(error.status).phrase
-        return HTMLResponse(render("error.html", title=title, why=why), status_code=error.status)
+        page = next((page for page in PAGES if scope["path"].startswith(page[1])), PAGES[1])
+        return HTMLResponse(render("error.html", title=title, why=why, page=page), status_code=error.status)
     return JSONResponse({"error": why}, status_code=error.status)
 
 

@@ -9,6 +9,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from common.errors import counted, decimal
 from common.versions import version_of
+from web.server.static_files import STATIC
 
 PAGES: Final = (
     ("Drive", "/wheel"),
@@ -44,7 +45,7 @@ def _places(number: float | str | None, places: int) -> str:
 _environment = Environment(
     loader=PackageLoader("web"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 )
-_environment.globals.update(menu=PAGES, version=version_of())
+_environment.globals.update(menu=PAGES, static=STATIC, version=version_of())
 _environment.filters.update(minutes=_minutes, counted=counted, places=_places)
 
 

@@ -43,7 +43,7 @@ function draw(runs) {
   for (const [title, isOf] of PLOTS) {
     const tables = [];
     const series = [{ label: "epoch", value: (_, value) => (value === null ? "-" : value.toFixed(2)) }];
-    runs.forEach((run, number) => {
+    runs.forEach((run) => {
       const names = Object.keys(run.lines).filter(isOf);
       names.forEach((name, at) => {
         const [x, y] = run.lines[name];
@@ -52,7 +52,7 @@ function draw(runs) {
         series.push({
           label: [runs.length > 1 && run.name, names.length > 1 && name].filter(Boolean).join(": ") || name,
           // of one run a colour each, which also tells single points apart; of several, each run has its own
-          stroke: color(`--run-${(runs.length > 1 ? number : at) % COLORS}`),
+          stroke: color(`--run-${runs.length > 1 ? run.colour : at % COLORS}`),
           dash: runs.length > 1 ? DASHES[at % DASHES.length] : [],
           width: 1.5,
           spanGaps: true,

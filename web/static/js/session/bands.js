@@ -1,5 +1,5 @@
 // The coloured bands behind the curves: excluded rows over the full height, other tags at the top, odd stretches at
-// the bottom, the selection over all. Only what is visible is drawn, and of many in one column of pixels, one.
+// the bottom, the selection over all; and where drives begin. Only what is visible is drawn, and of many in one column of pixels, one.
 
 const LANE = 8;
 
@@ -24,6 +24,7 @@ export function drawBands(plot, data, odd, selection, colors) {
     data.tags.filter((tag) => tag.name === "exclude"),
     () => [[colors.excludeBack, ...whole], [colors.exclude, bbox.top, lane]],
   );
+  drawBreaks(plot, data.breaks, colors.break, whole);
   if (selection) drawAll(plot, [selection], () => [[colors.selection, ...whole]]);
   ctx.restore();
 }
@@ -43,4 +44,24 @@ function drawAll(plot, stretches, rectangles) {
     }
     reached = right;
   }
+}
+
+/** A dashed line where another drive begins, behind a pause or where time goes back. */
+function drawBreaks(plot, breaks, color, [top, height]) {
+  const { ctx } = plot;
+  const { min, max } = plot.scales.x;
+  ctx.strokeStyle = color;
+  ctx.setLineDash([3 * devicePixelRatio, 3 * devicePixelRatio]);
+  ctx.beginPath();
+  let reached = -Infinity;
+  for (const at of breaks) {
+    if (at < min || at > max) continue;
+    const left = Math.round(plot.valToPos(at - 0.5, "x", true)) + 0.5;
+    if (left < reached + 2) continue;
+    ctx.moveTo(left, top);
+    ctx.lineTo(left, top + height);
+    reached = left;
+  }
+  ctx.stroke();
+  ctx.setLineDash([]);
 }

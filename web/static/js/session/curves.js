@@ -8,6 +8,8 @@ import { clock } from "./clock.js";
 const LEAST_WINDOW = 800; // pixels
 const LEAST_ROWS = 10; // across, zoomed in as far as it goes
 const AXIS_WIDTH = 46;
+const LEAST_TICK = 90; // pixels between two times
+const STEPS_S = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200];
 const PLOTS = [
   { share: 0.24, scales: { y: [-1.05, 1.05] }, lines: [["steering", "y", "--steering"], ["predicted", "y", "--predicted"]] },
   {
@@ -41,7 +43,7 @@ export class Curves {
     const color = this.colorReader();
     this.colors = {
       odd: color("--odd-band"), oddBack: color("--odd-band-back"), tag: color("--tag-band"),
-      exclude: color("--exclude-band"), excludeBack: color("--exclude-band-back"), selection: color("--selection"),
+      break: color("--dim"), exclude: color("--exclude-band"), excludeBack: color("--exclude-band-back"), selection: color("--selection"),
     };
     const x = Float64Array.from({ length: this.data.length }, (_, at) => at);
     this.plots = PLOTS.map((plot) => this.makePlot(plot, x, color));
@@ -91,7 +93,11 @@ export class Curves {
           ),
         },
         axes: [
-          axis({ size: 24, space: 90, values: (_, splits) => splits.map((at) => this.label(at)) }),
+          axis({
+            size: 24,
+            splits: (drawn, _, min, max) => this.roundTimes(min, max, drawn.over.clientWidth / LEAST_TICK),
+            values: (_, splits) => splits.map((at) => this.roundTime(at)),
+          }),
           axis({ scale: names[0] }),
           axis({ scale: names[1] ?? names[0], side: 1, grid: { show: false }, show: true }),
         ],
@@ -119,8 +125,24 @@ export class Curves {
     return plot;
   }
 
-  label(at) {
-    return Number.isInteger(at) && at >= 0 && at < this.data.length ? clock(this.data.columns.time_s[at]) : "";
+  /** Positions at round times of driving, at most `most` of them. */
+  roundTimes(min, max, most) {
+    const times = this.data.columns.driven_s;
+    const [begin, end] = [Math.ceil(min), Math.floor(max)].map((at) => times[this.clamped(at)]);
+    const step = (this.tickS = STEPS_S.find((each) => (end - begin) / each <= most) ?? STEPS_S.at(-1));
+    const found = [];
+    for (let at = this.clamped(Math.ceil(min)), next = Math.ceil(begin / step); at <= max && at < times.length; at += 1) {
+      if (times[at] < next * step - 1e-6) continue;
+      found.push(at);
+      next = Math.floor(times[at] / step + 1e-6) + 1;
+    }
+    return found;
+  }
+
+  /** The round time that was reached at a position. */
+  roundTime(at) {
+    const seconds = Math.floor(this.data.columns.driven_s[at] / this.tickS + 1e-6) * this.tickS;
+    return this.tickS < 1 ? clock(seconds) : clock(seconds).replace(/\.0$/, "");
   }
 
   moved(plot) {

@@ -1,5 +1,5 @@
 // The changes made on this page, to be undone and redone. The server has no record of them: undoing is one more change
-// of the tags, as `bc-log tag --remove` would make it.
+// of the tags, as `bc-log tag --remove` would make it. The browser keeps them for as long as the tab is open.
 
 const OPPOSITE = { add: "remove", remove: "add" };
 
@@ -11,6 +11,18 @@ export class History {
     this.commands = [];
   }
 
+  /** Take up the changes made in this tab before it was reloaded; the data's log is known by now. */
+  restore() {
+    this.key = `changes of ${this.data.address} ${this.data.state.fingerprint}`;
+    const kept = JSON.parse(sessionStorage.getItem(this.key) ?? "{}");
+    for (const name of ["done", "undone", "commands"]) this[name] = kept[name] ?? [];
+  }
+
+  keep() {
+    const { done, undone, commands } = this;
+    sessionStorage.setItem(this.key, JSON.stringify({ done, undone, commands }));
+  }
+
   /** Make a change; the server's answer. */
   async make(action, name, rows) {
     const answer = await this.data.change(action, name, rows);
@@ -18,6 +30,7 @@ export class History {
       this.done.push({ action, name, rows });
       this.undone = [];
       this.commands.push(answer.command);
+      this.keep();
     }
     return answer;
   }
@@ -37,6 +50,7 @@ export class History {
     from.pop(); // not before it is done: an error leaves all as it was
     to.push(change);
     if (answer.changed) this.commands.push(answer.command);
+    this.keep();
     return change;
   }
 }

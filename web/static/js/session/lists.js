@@ -43,7 +43,7 @@ function fill(element, items, made) {
 
 function rowsText(data, { first, last }, why = "") {
   const rows = data.rowsOf({ first, last });
-  const where = `rows ${rows[0]} to ${rows[1]}, at ${clock(data.columns.time_s[first])}`;
+  const where = `rows ${rows[0]} to ${rows[1]}, at ${clock(data.columns.driven_s[first])}`;
   return text("span", why ? `${where}: ${why}` : where, "dim");
 }
 

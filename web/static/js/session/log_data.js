@@ -1,6 +1,7 @@
 // The page's data of its log, fetched again when the files change.
 
 const COLUMNS = ["row", "time_s", "steering", "throttle", "brake", "speed_mph"];
+const GAP_S = 1; // as recorder/log/row_quality.py: behind a longer pause, or where time goes back, a new drive begins
 const POLL_MS = 2000;
 const LOAD_SHARE = 5; // a log that is being recorded is read in full each time: that may take a fifth of the time
 
@@ -25,6 +26,7 @@ export class LogData extends EventTarget {
     this.address = address;
     this.state = null;
     this.columns = {};
+    this.breaks = [];
     this.length = 0;
     this.tags = [];
     this.names = [];
@@ -46,10 +48,24 @@ export class LogData extends EventTarget {
       COLUMNS.map((name, at) => [name, values.subarray(at * length, (at + 1) * length)]),
     );
     this.length = length;
+    this.countDriven();
     this.state = state;
     this.busyUntil = performance.now() + LOAD_SHARE * (performance.now() - began);
     this.dispatchEvent(new Event("rows"));
     await this.loadTags();
+  }
+
+  /** `driven_s`: the time that was driven until each row; `breaks`: the rows that begin another drive. */
+  countDriven() {
+    const { time_s } = this.columns;
+    const driven = (this.columns.driven_s = new Float64Array(this.length));
+    this.breaks = [];
+    for (let at = 1; at < this.length; at += 1) {
+      const step = time_s[at] - time_s[at - 1];
+      const isBreak = !(step >= 0 && step <= GAP_S);
+      if (isBreak) this.breaks.push(at);
+      driven[at] = driven[at - 1] + (isBreak ? 0 : step);
+    }
   }
 
   async loadTags() {

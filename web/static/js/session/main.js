@@ -46,10 +46,10 @@ function move(position) {
   attention.show(curves.position);
   rerun.moveTo(curves.position);
   const at = curves.position;
-  const { row, time_s, steering, throttle, brake, speed_mph, predicted } = data.columns;
+  const { row, driven_s, steering, throttle, brake, speed_mph, predicted } = data.columns;
   const fixed = (value) => (Number.isFinite(value) ? value.toFixed(2) : "-");
   const text =
-    `row ${row[at]} · ${clock(time_s[at])} · steering ${fixed(steering[at])} · throttle ${fixed(throttle[at])}` +
+    `row ${row[at]} · ${clock(driven_s[at])} · steering ${fixed(steering[at])} · throttle ${fixed(throttle[at])}` +
     ` · brake ${fixed(brake[at])} · ${fixed(speed_mph[at])} mph` +
     (predicted ? ` · predicted ${fixed(predicted[at])}` : "");
   by("now").textContent = text;
@@ -75,11 +75,15 @@ function change(make) {
     } catch (error) {
       showStatus(error.message);
     }
-    by("commands").textContent = done.commands.join("\n");
-    by("copy").hidden = !done.commands.length;
-    by("undo").disabled = !done.done.length;
-    by("redo").disabled = !done.undone.length;
+    showHistory();
   });
+}
+
+function showHistory() {
+  by("commands").textContent = done.commands.join("\n");
+  by("copy").hidden = !done.commands.length;
+  by("undo").disabled = !done.done.length;
+  by("redo").disabled = !done.undone.length;
 }
 
 function tag(name) {
@@ -221,8 +225,11 @@ function showTags() {
 }
 
 data.addEventListener("rows", () => {
+  if (!done.key) {
+    done.restore();
+    showHistory();
+  }
   groups = grouped(data.state.odd);
-  player.useRows();
   pictures.useCameras();
   curves.odd = groups;
   if (predictions.run) predictions.choose(predictions.run); // it was of the log as it was
@@ -236,13 +243,24 @@ async function checkPictures() {
   by("look").disabled = true;
   try {
     let found = await (await ask(`${data.address}/look`, { method: "POST" })).json();
+    const total = data.state.pictures;
     while (!found.is_done) {
-      by("look").textContent = `looking: ${found.pictures.toLocaleString("en")} pictures`;
+      const isDecoded = found.pictures >= total;
+      by("look").textContent = isDecoded
+        ? "comparing steering with pictures"
+        : `looking: ${found.pictures.toLocaleString("en")} of ${total.toLocaleString("en")} pictures`;
       await new Promise((resolve) => setTimeout(resolve, 300));
       found = await (await ask(`${data.address}/look`)).json();
     }
-    if (found.problem) showStatus(found.problem);
-    else await data.load();
+    if (found.problem) {
+      showStatus(found.problem);
+    } else {
+      const before = groups.length;
+      await data.load();
+      const more = groups.length - before;
+      const result = more > 0 ? `${more} more odd ${more === 1 ? "stretch" : "stretches"}` : "nothing more is odd";
+      showStatus(`looked at ${total.toLocaleString("en")} pictures: ${result}`);
+    }
   } catch (error) {
     showStatus(error.message);
   }

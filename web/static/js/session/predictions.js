@@ -83,7 +83,7 @@ export class Predictions {
         position,
         short: `${angle(Math.abs(moment.error_deg), 1)} too far ${side}`,
         words:
-          `row ${moment.row}, at ${clock(this.data.columns.time_s[position])}: ` +
+          `row ${moment.row}, at ${clock(this.data.columns.driven_s[position])}: ` +
           `${angle(moment.predicted_deg, 1)} predicted, ${angle(moment.recorded_deg, 1)} recorded`,
       };
     });

@@ -1,0 +1,269 @@
+"""The drivers like people of the built-in simulator, beside recordings of people: a table, and a figure.
+
+python studies/drivers.py sessions/lake_windows.mcap sessions/jungle.mcap ... [--figure drivers.png]
+    [--mph 10 15 20] [--laps 1] [--seeds 0 1 2]
+
+The logs are of people (`bc-record NAME --from FOLDER`). Rows below 8 mph are left out: there people stand at walls
+with full lock. The figure shows the first log beside the keyboard's driver, and the last one beside the mouse's.
+The drivers drive without a renderer, so that all of it takes two minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.car import MAX_STEERING_DEG
+from dataset.figure_style import BLUE, DPI, ORANGE, figure_style, new_figure
+from recorder import Log
+from recorder.log.steering_habits import neighbours_mean
+from simulator.driving.course import Course
+from simulator.driving.expert import Expert
+from simulator.driving.recovery_driving import drive_for_recording
+from simulator.driving.simulated_driver import DriverName, SimulatedDriver, make_driver
+from simulator.driving.vehicle import STEP_S
+from simulator.roads.track import Track, load_track
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Floats = NDArray[np.float64]
+
+PLACES: Final = {"lake": ["lake"], "mountain": ["mountain"], "random:1 to 3": ["random:1", "random:2", "random:3"]}
+PEOPLE: Final[tuple[DriverName, ...]] = ("keyboard", "mouse")
+SLOWEST_MPH: Final = 8.0
+GAP_S: Final = 0.5  # rows farther apart are two drives
+AROUND_S: Final = 0.25  # before and after a row: its neighbours
+NOISE: Final = 0.03
+LONGEST_LAG_S: Final = 1.5
+STRIP_S: Final = 40.0
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The rows of a drive: arrays of one length."""
+
+    name: str
+    time_s: Floats
+    steering_deg: Floats
+    speed_mph: Floats
+    left_road: int = 0  # how often
+    lag_s: float = math.nan  # behind what the road asks for
+
+    @property
+    def piece(self) -> NDArray[np.int64]:
+        """The number of the stretch without a gap that each row is in."""
+        return np.cumsum(np.diff(self.time_s, prepend=self.time_s[0]) > GAP_S)
+
+
+@dataclass(frozen=True)
+class Presses:
+    """Stretches of rows steered to one side, and the stretches straight ahead between them."""
+
+    length_s: Floats
+    largest_deg: Floats
+    straight_s: Floats
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("logs", type=Path, nargs="+")
+    parser.add_argument("--mph", type=float, nargs="+", default=[10.0, 15.0, 20.0])
+    parser.add_argument("--laps", type=float, default=1.0)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--figure", type=Path)
+    arguments = parser.parse_args()
+    people = [read(path) for path in arguments.logs]
+    print_head()
+    for person in people:
+        print_row("person", person)
+    for name in PEOPLE:
+        for place, tracks in PLACES.items():
+            for mph in arguments.mph:
+                where = f"{place} at {mph:g} mph"
+                drives = [
+                    drive(name, where, load_track(track), mph, arguments.laps, seed)
+                    for track in tracks
+                    for seed in arguments.seeds
+                ]
+                print_row(name, *drives)
+    if arguments.figure is not None:
+        mph, seed = sorted(arguments.mph)[len(arguments.mph) // 2], arguments.seeds[0]
+        shown = [
+            drive(name, f"{track} at {mph:g} mph", load_track(track), mph, arguments.laps, seed)
+            for name, track in zip(PEOPLE, ("lake", "mountain"), strict=True)
+        ]
+        draw(list(zip((people[0], people[-1]), shown, strict=True)), arguments.figure)
+
+
+def read(path: Path) -> Drive:
+    """The rows of a log in which the car drives."""
+    with Log(path) as log:
+        vehicle = log.vehicle()
+    time_ns, steering, speed = (vehicle[name].to_numpy() for name in ("log_time_ns", "steering", "speed_mph"))
+    drives = speed >= SLOWEST_MPH
+    time_s = (time_ns[drives] - time_ns[0]) / 1e9
+    return Drive(path.stem, time_s, MAX_STEERING_DEG * steering[drives], speed[drives])
+
+
+class Watched:
+    """A driver, and at each step what the expert would have done in its place."""
+
+    def __init__(self, driver: SimulatedDriver, expert: Expert) -> None:
+        self._driver, self._expert = driver, expert
+        self.steered: list[float] = []
+        self.asked: list[float] = []
+
+    def control(self, course: Course) -> tuple[float, float]:
+        command = self._driver.control(course)
+        self.steered.append(command[0])
+        self.asked.append(self._expert.control(course)[0])
+        return command
+
+    def lag_s(self) -> float:
+        """How long the steering comes after what was asked for: where the two agree best."""
+        steered, asked = np.array(self.steered), np.array(self.asked)
+        lags = range(round(LONGEST_LAG_S / STEP_S))
+        agree = [np.corrcoef(steered[lag:], asked[: len(asked) - lag])[0, 1] for lag in lags]
+        return int(np.argmax(agree)) * STEP_S
+
+
+def drive(name: DriverName, where: str, track: Track, mph: float, laps: float, seed: int) -> Drive:
+    watched = Watched(make_driver(name, track.line, mph, NOISE, seed), Expert(track.line, mph))
+    steps = list(drive_for_recording(Course(track), watched, laps, recovery_share=0.0, seed=seed))
+    rows = [(step.time_s, MAX_STEERING_DEG * step.steering, step.speed_mph) for step in steps]
+    time_s, steering_deg, speed_mph = np.array(rows).T
+    left_road = sum(step.after_gap for step in steps)
+    return Drive(where, time_s, steering_deg, speed_mph, left_road, watched.lag_s())
+
+
+def presses(found: Drive) -> Presses:
+    side, piece = np.sign(found.steering_deg), found.piece
+    is_new = np.concatenate([[True], (np.diff(side) != 0) | (np.diff(piece) != 0)])
+    starts = np.flatnonzero(is_new)
+    ends = np.append(starts[1:], len(side))
+    steered = side[starts] != 0
+    lengths_s = (ends - starts) * step_s(found)
+    largest = np.maximum.reduceat(np.abs(found.steering_deg), starts)
+    return Presses(lengths_s[steered], largest[steered], lengths_s[~steered])
+
+
+def step_s(found: Drive) -> float:
+    steps = np.diff(found.time_s)
+    return float(np.median(steps[(steps > 0) & (steps <= GAP_S)]))
+
+
+def ceiling(found: Drive) -> float:
+    """The correlation of each row's steering with the mean of its neighbours': what any network may reach."""
+    others = neighbours_mean(found.steering_deg, found.time_s, AROUND_S)
+    known = np.isfinite(others)
+    return float(np.corrcoef(found.steering_deg[known], others[known])[0, 1])
+
+
+def print_head() -> None:
+    columns = (
+        "steered by", "where", "rows a second", "mean mph", "exactly 0", "presses a minute", "press, s",
+        "its largest, deg", "straight between, s", "values", "spread, deg", "at full lock", "ceiling",
+        "lag, s", "left the road",
+    )  # fmt: skip
+    print(f"| {' | '.join(columns)} |")
+    print("|" + "---|" * len(columns))
+
+
+def print_row(who: str, *drives: Drive) -> None:
+    """The means over drives; the quartiles of all their presses."""
+    found = [presses(each) for each in drives]
+    minutes = sum(len(each.time_s) * step_s(each) for each in drives) / 60
+
+    def mean(values: Sequence[float]) -> float:
+        return float(np.mean(values))
+
+    def quartiles(values: Sequence[Floats], digits: int) -> str:
+        low, middle, high = np.percentile(np.concatenate(values), [25, 50, 75])
+        return f"{low:.{digits}f} **{middle:.{digits}f}** {high:.{digits}f}"
+
+    is_person = who == "person"
+    cells = (
+        who,
+        drives[0].name,
+        f"{mean([1 / step_s(each) for each in drives]):.1f}",
+        f"{mean([each.speed_mph.mean() for each in drives]):.0f}",
+        f"{mean([(each.steering_deg == 0).mean() for each in drives]):.0%}".replace("%", " %"),
+        f"{sum(len(each.length_s) for each in found) / minutes:.0f}",
+        quartiles([each.length_s for each in found], 2),
+        quartiles([each.largest_deg for each in found], 0),
+        quartiles([each.straight_s for each in found], 2),
+        f"{mean([len(np.unique(each.steering_deg)) for each in drives]):.0f}",
+        f"{mean([each.steering_deg.std() for each in drives]):.1f}",
+        f"{mean([(np.abs(each.steering_deg) > 24.9).mean() for each in drives]):.1%}".replace("%", " %"),
+        f"{mean([ceiling(each) for each in drives]):.2f}",
+        "" if is_person else f"{mean([each.lag_s for each in drives]):.2f}",
+        "" if is_person else f"{sum(each.left_road for each in drives)}",
+    )
+    print(f"| {' | '.join(cells)} |", flush=True)
+
+
+def draw(pairs: Sequence[tuple[Drive, Drive]], path: Path) -> None:
+    """Strips of steering over time, each person above the driver that is to be alike; histograms under them."""
+    with figure_style():
+        figure = new_figure(7.0)
+        grid = figure.add_gridspec(5, 4, height_ratios=[1, 1, 1, 1, 1.7])
+        colours = (BLUE, ORANGE)
+        for pair, (person, driver) in enumerate(pairs):
+            for below, one in enumerate((person, driver)):
+                axes = figure.add_subplot(grid[2 * pair + below, :])
+                strip(
+                    axes,
+                    one,
+                    f"{('keyboard', 'mouse')[pair]} driver, {one.name}" if below else f"person, {one.name}",
+                )
+                axes.lines[0].set_color(colours[below])
+                if pair == below == 1:
+                    axes.set_xlabel("time, s")
+            lengths = [presses(one).length_s for one in (person, driver)]
+            values = [np.abs(one.steering_deg[one.steering_deg != 0]) for one in (person, driver)]
+            for column, (what, data, bins) in enumerate(
+                (
+                    ("length of a press, s", lengths, np.arange(0.05, 2.06, 0.2)),
+                    ("steering other than 0, deg", values, np.linspace(0.0, 25.0, 13)),
+                )
+            ):
+                axes = figure.add_subplot(grid[4, 2 * pair + column])
+                for one_of, colour in zip(data, colours, strict=True):
+                    weights = np.full(len(one_of), 1 / len(one_of))
+                    axes.hist(
+                        np.minimum(one_of, bins[-1]), bins.tolist(), weights=weights, histtype="step", color=colour
+                    )
+                axes.set_xlabel(what)
+                axes.set_title(("keyboard", "mouse")[pair])
+                if pair == column == 0:
+                    axes.set_ylabel("share")
+        figure.savefig(path, dpi=DPI, bbox_inches="tight")
+
+
+def strip(axes: Axes, found: Drive, title: str) -> None:
+    """Where it steers as much as it does on average: not its liveliest moment, nor its dullest."""
+    spread = found.steering_deg.std()
+    rows = round(STRIP_S / step_s(found))
+    begins = np.arange(0, max(1, len(found.time_s) - rows), 10)
+    sound = [at for at in begins.tolist() if found.piece[at] == found.piece[min(at + rows, len(found.time_s) - 1)]]
+    begin = min(sound, key=lambda at: abs(found.steering_deg[at : at + rows].std() - spread))
+    part = slice(begin, begin + rows)
+    axes.plot(found.time_s[part] - found.time_s[begin], found.steering_deg[part], linewidth=0.9)
+    axes.axhline(0.0, color="0.8", linewidth=0.5, zorder=0)
+    axes.set_title(title, loc="left")
+    axes.set_ylim(-27, 27)
+    axes.set_yticks([-25, 0, 25])
+    axes.set_xlim(0, STRIP_S)
+    axes.set_ylabel("deg")
+
+
+if __name__ == "__main__":
+    main()

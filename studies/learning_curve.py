@@ -1,0 +1,153 @@
+"""How many pictures a network needs: closed-loop autonomy and offline error after training on more and more.
+
+python studies/learning_curve.py FOLDER [--pictures 1000 2000 4000 8000] [--epochs 10] [--seed 0]
+    [--figure curve.png]
+
+Records a lap of both built-in tracks in FOLDER, trains on the beginning of both, and lets every network drive a
+full lap of both. All are measured offline on the same frames: the end of both laps, which none has seen. FOLDER is
+kept: what it has already is not made again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from dataset.figure_style import BLUE, ORANGE, figure_style, new_figure
+
+TRACKS: Final = ("lake", "mountain")
+CAMERAS: Final = 3
+UNSEEN: Final = 0.7  # of the lap: what comes after it, none is trained on
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--pictures", type=int, nargs="+", default=[1000, 2000, 4000, 8000])
+    parser.add_argument("--epochs", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--figure", type=Path)
+    arguments = parser.parse_args()
+    folder: Path = arguments.folder
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = {track: record(folder, track) for track in TRACKS}
+    for track in TRACKS:
+        trim(folder, track, "unseen", round(UNSEEN * rows[track]), rows[track] - 1)
+    found = [measured(folder, rows, count, arguments.epochs, arguments.seed) for count in arguments.pictures]
+    print_table(found)
+    if arguments.figure is not None:
+        draw(found, arguments.figure)
+
+
+def measured(folder: Path, rows: dict[str, int], pictures: int, epochs: int, seed: int) -> dict[str, Any]:
+    """Train on about so many pictures, drive, measure."""
+    name = f"{pictures}-{epochs}-{seed}"
+    kept = folder / "results" / f"{name}.json"
+    if kept.exists():
+        return dict(json.loads(kept.read_text()))
+    taken = round(pictures / CAMERAS / len(TRACKS))
+    for track in TRACKS:
+        if taken > UNSEEN * rows[track]:
+            sys.exit(f"{pictures} pictures are more than {UNSEEN:.0%} of a lap of {track}")
+        trim(folder, track, str(pictures), 0, taken - 1)
+    if not (folder / "runs" / name / "model.safetensors").exists():
+        bc(folder, "index", *(f"{track}-{pictures}" for track in TRACKS), "--index", f"index-{pictures}")
+        bc(folder, "train", "--index", f"index-{pictures}", "--name", name, "--epochs", epochs, "--seed", seed)
+    [offline] = told(bc(folder, "eval", name, "--session", *(f"{track}-unseen" for track in TRACKS), "--json"))
+    found = {
+        "pictures": CAMERAS * taken * len(TRACKS),
+        "shares": [taken / rows[track] for track in TRACKS],
+        "driven": told(bc(folder, "eval", name, "--simulator", *TRACKS, "--json", "--force")),
+        "offline": {name: offline[name] for name in ("network", "mean", "balanced_rmse_deg") if name in offline},
+    }
+    kept.parent.mkdir(exist_ok=True)
+    kept.write_text(json.dumps(found))
+    return found
+
+
+def print_table(found: Sequence[dict[str, Any]]) -> None:
+    of_tracks = " | ".join(f"{track}: interventions | autonomy | largest distance" for track in TRACKS)
+    print(f"| pictures | of a lap | {of_tracks} | RMSE | MAE on turns | correlation |")
+    print("|" + "---|" * (5 + 3 * len(TRACKS)))
+    for each in found:
+        network = each["offline"]["network"]
+        cells = [f"{each['pictures']:,}", " and ".join(f"{share:.0%}" for share in each["shares"])]
+        for book in each["driven"]:
+            cells += [str(book["interventions"]), f"{book['autonomy_percent']:.1f} %", f"{book['max_offset']:.2f}"]
+        cells += [f"{network[name]:.2f}" for name in ("rmse_deg", "turning_mae_deg", "correlation")]
+        print(f"| {' | '.join(cells)} |")
+    print(f"\nAlways the mean: RMSE {found[0]['offline']['mean']['rmse_deg']:.2f} deg.")
+
+
+def draw(found: Sequence[dict[str, Any]], path: Path) -> None:
+    with figure_style():
+        figure = new_figure(2.6)
+        autonomy, error = figure.subplots(1, 2)
+        pictures = [each["pictures"] for each in found]
+        for number, (track, color) in enumerate(zip(TRACKS, (BLUE, ORANGE), strict=True)):
+            values = [each["driven"][number]["autonomy_percent"] for each in found]
+            autonomy.plot(pictures, values, marker="o", color=color, label=track)
+        autonomy.set(ylabel="autonomy of a full lap [%]", ylim=(0, 105))
+        autonomy.legend()
+        error.plot(pictures, [each["offline"]["network"]["rmse_deg"] for each in found], marker="o", color=BLUE)
+        error.axhline(
+            found[0]["offline"]["mean"]["rmse_deg"], color="0.5", linestyle="--", label="always the mean"
+        )
+        error.set(ylabel="RMSE on unseen road [deg]", ylim=(0, None))
+        error.legend()
+        for axes in (autonomy, error):
+            axes.set_xscale("log", base=2)
+            axes.set_xticks(pictures, [f"{count:,}" for count in pictures])
+            axes.minorticks_off()
+            axes.set_xlabel("pictures trained on")
+        figure.savefig(path, dpi=200)
+
+
+def record(folder: Path, track: str) -> int:
+    """Record a lap, if there is none yet; its rows."""
+    log = folder / "laps" / f"{track}.mcap"
+    if not log.exists():
+        bc(folder, "record", track, "--track", track, "--laps", 1, "--sessions", "laps")
+    [info] = told(bc(folder, "log", "info", f"laps/{track}.mcap", "--json"))
+    return next(int(topic["messages"]) for topic in info["topics"] if topic["topic"] == "/vehicle")
+
+
+def trim(folder: Path, track: str, name: str, first: int, last: int) -> None:
+    part = f"sessions/{track}-{name}.mcap"
+    if not (folder / part).exists():
+        (folder / "sessions").mkdir(exist_ok=True)
+        bc(folder, "log", "trim", f"laps/{track}.mcap", "--rows", first, last, "--to", part)
+
+
+def told(output: str) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in output.splitlines()]
+
+
+MODULES: Final = {
+    "record": "recorder.cli",
+    "log": "recorder.log_cli",
+    "index": "dataset.cli",
+    "train": "model.cli",
+    "eval": "drive.evaluation.eval_cli",
+}
+
+
+def bc(folder: Path, name: str, *arguments: object) -> str:
+    """Run a `bc-` command in the folder; what it prints."""
+    code = f"from {MODULES[name]} import main; main()"
+    words = [str(argument) for argument in arguments]
+    print(f"bc-{name} {' '.join(words)}", file=sys.stderr, flush=True)
+    program = [sys.executable, "-c", code, *words]
+    done = subprocess.run(program, cwd=folder, stdout=subprocess.PIPE, text=True, check=False)
+    if done.returncode not in (0, 3):
+        sys.exit(done.returncode)
+    return done.stdout
+
+
+if __name__ == "__main__":
+    main()

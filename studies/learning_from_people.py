@@ -1,0 +1,168 @@
+"""What learns from people: recipes on recordings of people, on road and in recordings that no network has seen.
+
+python studies/learning_from_people.py FOLDER sessions/lake.mcap sessions/jungle.mcap ...
+    [--across lake:other_lake ...] [--recipes original people ...] [--seeds 0 1 2] [--epochs 6]
+    [--other-blocks] [--validation-share 0.2]
+
+For each recipe and seed: a network of all the logs' training blocks, measured on the blocks held out of each; and
+for each pair of --across, a network of the first session alone, measured on all of the second, and the other way
+round. Errors are shares of those of always predicting the mean of the very frames; with several seeds, their mean
+(least to most). "Best by a scale" is the least RMSE that any scale and offset of the same answers would have had,
+sqrt(1 - correlation^2). --other-blocks holds out other blocks for each seed, so that chance in what is held out
+averages out, too; --validation-share says how much. FOLDER is kept: what it has already is not made again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import statistics
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from dataset import IndexConfig, build_index
+from model import TrainConfig, train
+from model.evaluation.evaluate import evaluate, evaluate_sessions
+from model.metrics import Measures
+
+ORIGINAL: Final = IndexConfig.of("original"), TrainConfig.of("original")
+PEOPLE: Final = IndexConfig(), TrainConfig()
+HALF_BALANCED: Final = replace(PEOPLE[0], per_bin=1000, max_uses=1)
+
+RECIPES: Final[Mapping[str, tuple[IndexConfig, TrainConfig]]] = {
+    "original": ORIGINAL,
+    "original + labels": (PEOPLE[0], ORIGINAL[1]),
+    "original + answers": (ORIGINAL[0], replace(ORIGINAL[1], answers="natural")),
+    "original + averaged": (ORIGINAL[0], replace(ORIGINAL[1], average_steps=PEOPLE[1].average_steps)),
+    "original + keep rmse": (ORIGINAL[0], replace(ORIGINAL[1], keep="rmse")),
+    "original + keep last": (ORIGINAL[0], replace(ORIGINAL[1], keep="last")),
+    "people": PEOPLE,
+    "people, as learnt": (PEOPLE[0], replace(PEOPLE[1], answers="as-learnt")),
+    "people, half balanced": (HALF_BALANCED, PEOPLE[1]),
+    "people, dropout 0.7": (PEOPLE[0], replace(PEOPLE[1], dropout=0.7)),
+    "people, small": (PEOPLE[0], replace(PEOPLE[1], network="small")),
+    "people, half balanced, small": (HALF_BALANCED, replace(PEOPLE[1], network="small")),
+    "people, not balanced, small": (replace(PEOPLE[0], balance=False), replace(PEOPLE[1], network="small")),
+    "people, pilotnet": (PEOPLE[0], replace(PEOPLE[1], network="pilotnet")),
+    "people, resnet18": (PEOPLE[0], replace(PEOPLE[1], network="resnet18")),
+    "people, as recorded": (replace(PEOPLE[0], labels="as-recorded"), PEOPLE[1]),
+    "people, keep rmse": (PEOPLE[0], replace(PEOPLE[1], keep="rmse")),
+    "people, keep last": (PEOPLE[0], replace(PEOPLE[1], keep="last")),
+    "people, not balanced": (replace(PEOPLE[0], balance=False), PEOPLE[1]),
+    "people, side 0.1": (replace(PEOPLE[0], side_correction=0.1), PEOPLE[1]),
+    "people, viewpoints 1": (replace(PEOPLE[0], viewpoints=1), PEOPLE[1]),
+}
+
+MEASURED: Final[Mapping[str, Callable[[Measures], float]]] = {
+    "RMSE": lambda found: found.network.rmse_deg / found.mean.rmse_deg,
+    "error on turns": lambda found: found.network.turning_mae_deg / found.mean.turning_mae_deg,
+    "correlation": lambda found: found.network.correlation,
+    "best by a scale": lambda found: math.sqrt(1 - max(0.0, found.network.correlation) ** 2),
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("logs", type=Path, nargs="+")
+    parser.add_argument("--across", nargs="+", default=[], metavar="A:B", help="sessions of the same road")
+    parser.add_argument("--recipes", nargs="+", default=["original", "people"], choices=RECIPES)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--epochs", type=int, default=6)
+    parser.add_argument("--other-blocks", action="store_true")
+    parser.add_argument("--validation-share", type=float, default=IndexConfig().validation_share)
+    arguments = parser.parse_args()
+    logs: dict[str, Path] = {log.stem: log.resolve() for log in arguments.logs}
+    pairs = [(here, there) for here, _, there in (pair.partition(":") for pair in arguments.across)]
+    if any(name not in logs for pair in pairs for name in pair):
+        parser.error(f"--across: two of the logs' names, such as {':'.join(list(logs)[:2])}")
+    parts: list[Part] = [Part("held-out blocks of ", tuple(logs.values()))]
+    for here, there in [*pairs, *((there, here) for here, there in pairs)]:
+        parts.append(Part(f"{here} -> ", (logs[here],), (logs[there],)))
+    found: dict[str, dict[str, list[dict[str, float]]]] = {}
+    for seed in arguments.seeds:
+        for part in parts:
+            if arguments.other_blocks and not part.unseen:
+                part = replace(part, block_seed=seed, validation_share=arguments.validation_share)
+            for recipe in arguments.recipes:
+                measured = measures(arguments.folder, recipe, seed, arguments.epochs, part)
+                for session, values in measured.items():
+                    found.setdefault(part.heading + session, {}).setdefault(recipe, []).append(values)
+            print_table(found)
+
+
+@dataclass(frozen=True)
+class Part:
+    """What is learnt, and what it is measured on: other logs, or else the blocks that are held out."""
+
+    heading: str
+    learnt: tuple[Path, ...]
+    unseen: tuple[Path, ...] = ()
+    block_seed: int = 0
+    validation_share: float = IndexConfig().validation_share
+
+
+def measures(folder: Path, recipe: str, seed: int, epochs: int, part: Part) -> dict[str, dict[str, float]]:
+    """Train, and measure; by session."""
+    learnt, unseen = part.learnt, part.unseen
+    of_index, of_training = RECIPES[recipe]
+    other = part.block_seed or part.validation_share != IndexConfig().validation_share
+    blocks = [f"blocks{part.block_seed}", f"{part.validation_share:g}"] if other else []
+    name = "-".join([slug(recipe), *sorted(log.stem for log in learnt), *blocks])
+    result = folder / "results" / f"{name}-{epochs}-{seed}.json"
+    if not result.exists():
+        # where others are unseen nothing is needed to choose an epoch, but something has to be held out
+        share = 0.1 if unseen else part.validation_share
+        of_index = replace(of_index, validation_share=share, seed=part.block_seed)
+        index = build_index(list(learnt), folder / f"index-{name}", of_index).path
+        run = folder / "runs" / f"{name}-{epochs}-{seed}"
+        print(run.name, file=sys.stderr, flush=True)
+        config = replace(of_training, epochs=epochs, seed=seed)
+        train(index, run, config, resume=run.exists(), figures=False)
+        found = evaluate_sessions(run, unseen) if unseen else evaluate(run, index)
+        values = {session: values_of(measured) for session, measured in found.sessions.items()}
+        result.parent.mkdir(exist_ok=True)
+        unfinished = result.with_suffix(".part")
+        unfinished.write_text(json.dumps(values))
+        unfinished.rename(result)
+    return dict(json.loads(result.read_text()))
+
+
+def values_of(found: Measures) -> dict[str, float]:
+    return {name: value(found) for name, value in MEASURED.items()}
+
+
+def print_table(found: Mapping[str, Mapping[str, Sequence[Mapping[str, Any]]]]) -> None:
+    print(f"\n| measured on | recipe | {' | '.join(MEASURED)} |")
+    print("|" + "---|" * (2 + len(MEASURED)))
+    recipes = list(dict.fromkeys(recipe for of_recipes in found.values() for recipe in of_recipes))
+    for session, of_recipes in found.items():
+        for recipe, seeds in of_recipes.items():
+            print(f"| {session} | {recipe} | {' | '.join(cells(seeds))} |")
+    for recipe in recipes:
+        seeds = [seed for of_recipes in found.values() for seed in of_recipes.get(recipe, ())]
+        means = {name: [mean(seed[name] for seed in seeds)] for name in MEASURED}
+        print(f"| all | {recipe} | {' | '.join(f'{value[0]:.2f}' for value in means.values())} |")
+    sys.stdout.flush()
+
+
+def cells(seeds: Sequence[Mapping[str, float]]) -> list[str]:
+    columns = [[seed[name] for seed in seeds] for name in MEASURED]
+    return [f"{mean(values):.2f} ({min(values):.2f} to {max(values):.2f})" for values in columns]
+
+
+def mean(values: Iterable[float]) -> float:
+    numbers = [value for value in values if not math.isnan(value)]
+    return statistics.fmean(numbers) if numbers else math.nan
+
+
+def slug(recipe: str) -> str:
+    return recipe.replace(" + ", "+").replace(", ", "-").replace(" ", "-")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,215 @@
+"""The networks of the toolkit side by side: parameters, size, training speed, ms a picture, and how they drive.
+
+python studies/networks.py FOLDER [--networks original small] [--sessions lake.mcap mountain.mcap] [--epochs 10]
+    [--seeds 0] [--drive lake mountain random:1 random:2 random:3] [--speed 10] [--what speed train drive]
+    [--rounds 5]
+
+FOLDER is kept: what it has already is not made again, so that it may be stopped at any moment. Without --sessions
+the built-in expert records half a lap of each track there. Times are processor time of one thread, the least of
+several rounds that the networks take in turn: on a busy machine they are what they are on an idle one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+
+from common.files import atomic_file
+from dataset import IndexConfig, build_index
+from dataset.picture_spec import PictureSpec
+from model import Pilot, TrainConfig, train
+from model.adam import Adam
+from model.config import Precision
+from model.device import choose_machine, training_dtype
+from model.network.choice import NetworkChoice, choose_network
+from model.network.names import BUILT_IN
+from model.runs.history import read_history
+from model.training.step import training_step
+
+WHAT: Final = ("speed", "train", "drive")
+PICTURES: Final = 64  # in a step
+PREDICTIONS: Final = 20  # in a round
+RECORDED: Final = ("lake", "mountain")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--networks", nargs="+", default=list(BUILT_IN), choices=BUILT_IN)
+    parser.add_argument("--sessions", type=Path, nargs="+", default=[])
+    parser.add_argument("--epochs", type=int, default=10)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--drive", nargs="+", default=["lake", "mountain", "random:1", "random:2", "random:3"])
+    parser.add_argument("--speed", type=float, default=10.0)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--what", nargs="+", default=list(WHAT), choices=WHAT)
+    arguments = parser.parse_args()
+    folder: Path = arguments.folder
+    folder.mkdir(parents=True, exist_ok=True)
+    if "speed" in arguments.what:
+        print_speed(speeds(folder / "speed.json", arguments.networks, arguments.rounds))
+    if "train" in arguments.what:
+        index = index_of(folder, arguments.sessions)
+        for seed in arguments.seeds:
+            for network in arguments.networks:
+                trained(folder, index, network, seed, arguments.epochs)
+    if "drive" in arguments.what:
+        print_drives(folder, arguments)
+
+
+# Speed
+
+
+def speeds(path: Path, networks: list[str], rounds: int) -> dict[str, dict[str, Any]]:
+    """Of each network its size and speed, measured now or before."""
+    found: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.exists() else {}
+    torch.set_num_threads(1)
+    contenders = {name: Contender(name) for name in networks if name not in found}
+    for _ in range(rounds):
+        for contender in contenders.values():
+            contender.take_turn()
+    found |= {name: contender.result() for name, contender in contenders.items()}
+    with atomic_file(path, overwrite=True) as part:
+        part.write_text(json.dumps(found, indent=2) + "\n")
+    return {name: found[name] for name in networks}
+
+
+class Contender:
+    """A network that is trained and asked in turns with the others."""
+
+    def __init__(self, name: str) -> None:
+        config = TrainConfig(network=name, threads=1, device="cpu")
+        machine = choose_machine(config)
+        self.choice: NetworkChoice = choose_network(config)
+        self.picture: PictureSpec = self.choice.picture
+        self.arithmetic = machine.arithmetic
+        network = self.choice.build().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.parameters = sum(parameter.numel() for parameter in network.parameters())
+        optimizer = Adam(network.parameters(), config.rate)
+        height, width, _ = self.picture.shape
+        pictures = torch.randint(0, 256, (PICTURES, height, width, 3), dtype=torch.uint8).permute(0, 3, 1, 2)
+        steering = torch.rand(PICTURES) * 2 - 1
+
+        def step() -> None:
+            network.train()
+            training_step(network, optimizer, pictures, steering, dtype=machine.dtype, micro_batch=PICTURES)
+
+        self._step = step
+        precisions: tuple[Precision, ...] = ("auto", "float32")
+        self._pilots = {each: self._pilot(each) for each in precisions}
+        self._crop = np.random.default_rng(0).integers(0, 256, self.picture.shape, np.uint8)
+        self._step_s: list[float] = []
+        self._predict_s: dict[str, list[float]] = {each: [] for each in precisions}
+
+    def take_turn(self) -> None:
+        self._step_s.append(processor_s(self._step))
+        for name, pilot in self._pilots.items():
+            each_s = [processor_s(lambda: pilot.predict(self._crop)) for _ in range(PREDICTIONS)]  # noqa: B023
+            self._predict_s[name].append(statistics.median(each_s))
+
+    def result(self) -> dict[str, Any]:
+        return {
+            "parameters": self.parameters,
+            "picture": f"{self.picture.width_px} x {self.picture.height_px} {self.picture.channels}",
+            "mb": 4 * self.parameters / 1e6,
+            "samples_per_cpu_s": PICTURES / min(self._step_s),
+            "arithmetic": self.arithmetic,
+            "ms": {name: 1e3 * min(values) for name, values in self._predict_s.items()},
+        }
+
+    def _pilot(self, precision: Precision) -> Pilot:
+        dtype = training_dtype(precision, torch.device("cpu"))
+        return Pilot(self.choice.build(), dtype=dtype, picture=self.picture)
+
+
+def processor_s(action: Callable[[], object]) -> float:
+    before_s = time.thread_time()
+    action()
+    return time.thread_time() - before_s
+
+
+def print_speed(found: dict[str, dict[str, Any]]) -> None:
+    print("| network | it sees | parameters | weights | samples a second | ms a picture | in float32 |")
+    print("|---|---|---|---|---|---|---|")
+    for name, each in found.items():
+        print(
+            f"| `{name}` | {each['picture']} | {each['parameters']:,} | {each['mb']:.1f} MB"
+            f" | {each['samples_per_cpu_s']:,.0f} | {each['ms']['auto']:.2f} | {each['ms']['float32']:.2f} |"
+        )
+
+
+# Driving
+
+
+def index_of(folder: Path, sessions: list[Path]) -> Path:
+    """The index of the sessions, or of half a lap of each track."""
+    if not sessions:
+        sessions = [folder / "sessions" / f"{track}.mcap" for track in RECORDED]
+        for session in sessions:
+            if not session.exists():
+                where = ("--sessions", str(session.parent), "--track", session.stem, "--laps", "0.5")
+                command("bc_record", session.stem, *where)
+    return build_index(sessions, folder / "index", IndexConfig.of("original")).path
+
+
+def trained(folder: Path, index: Path, network: str, seed: int, epochs: int) -> Path:
+    run = folder / "runs" / f"{network}-{seed}"
+    config = replace(TrainConfig.of("original"), network=network, seed=seed, epochs=epochs)
+    if not run.exists():
+        train(index, run, config, figures=False)
+    elif len(read_history(run)[0].epochs) < epochs:
+        train(index, run, config, resume=True, figures=False)
+    return run
+
+
+def print_drives(folder: Path, arguments: argparse.Namespace) -> None:
+    print("| network | seed | RMSE held out | " + " | ".join(arguments.drive) + " |")
+    print("|---" * (3 + len(arguments.drive)) + "|")
+    for network in arguments.networks:
+        for seed in arguments.seeds:
+            run = folder / "runs" / f"{network}-{seed}"
+            best = read_history(run)[0].best
+            rmse_deg = math.nan if best is None else best.measures.network.rmse_deg
+            drives = [driven(run, track, arguments.speed) for track in arguments.drive]
+            cells = [
+                f"{each['autonomy_percent']:.0f} %, {each['interventions']}, {each['mean_offset']:.2f}"
+                for each in drives
+            ]
+            print(f"| `{network}` | {seed} | {rmse_deg:.2f} deg | {' | '.join(cells)} |", flush=True)
+    print("\nEach: autonomy, interventions, mean distance from the centre line as a share of the half width.")
+
+
+def driven(run: Path, track: str, mph: float) -> dict[str, Any]:
+    """What `bc-eval` says of a lap, now or before."""
+    kept = run / f"drive-{track.replace(':', '-')}-{mph:g}.json"
+    if not kept.exists():
+        logs = ("--logs", str(run / "drives"), "--force")
+        said = command("bc_eval", str(run), "--simulator", track, "--speed", f"{mph:g}", *logs, "--json")
+        with atomic_file(kept, overwrite=True) as part:
+            part.write_text(said)
+    found: dict[str, Any] = json.loads(kept.read_text())
+    return found
+
+
+def command(name: str, *arguments: str) -> str:
+    code = f"from behavioural_cloning_toolkit import {name}; {name}()"
+    done = subprocess.run([sys.executable, "-c", code, *arguments], stdout=subprocess.PIPE, text=True, check=False)
+    if done.returncode not in (0, 3):
+        raise SystemExit(f"{name} {' '.join(arguments)}: exit code {done.returncode}")
+    return done.stdout
+
+
+if __name__ == "__main__":
+    main()

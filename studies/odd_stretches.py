@@ -1,0 +1,196 @@
+"""Does `recorder.log.odd_stretches` find what is wrong with a drive, and nothing else?
+
+python studies/odd_stretches.py
+python studies/odd_stretches.py --logs sessions/*.mcap
+
+Drives the built-in simulator, without pictures, on four tracks at 10 and at 30 mph: as its expert and its keyboard
+driver do, and with a fault after every half minute. The speed has no sign, as in a recording of Udacity's. A fault
+is found where a stretch of its kind covers half of its rows; rows more than four seconds from one are false.
+With --logs, what is found in recordings.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from recorder import Log
+from recorder.log.odd_stretches import OddStretch, odd_stretches
+from recorder.log.row_quality import States
+from simulator.driving.course import Course
+from simulator.driving.recovery_driving import drive_for_recording
+from simulator.driving.simulated_driver import DriverName, SimulatedDriver, make_driver
+from simulator.rendering.world_maps import build_world
+from simulator.roads.track import load_track
+
+TRACKS: Final = ("lake", "mountain", "random:1", "random:2")
+SPEEDS_MPH: Final = (10.0, 30.0)
+FAULTS_EACH: Final = 4
+DRIVEN_S: Final = 30.0
+NEAR_S: Final = 4.0
+RATE_HZ: Final = 10
+STEPS_EACH: Final = 5
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A car, its driver, and the rows that were recorded."""
+
+    course: Course
+    driver: SimulatedDriver
+    rows: list[tuple[float, float, float, float, float]]
+
+    def row(self, steering: float, throttle: float) -> None:
+        course = self.course
+        speed_mph = abs(course.vehicle.speed_mph)
+        self.rows.append((course.time_s, steering, max(0.0, throttle), max(0.0, -throttle), speed_mph))
+        for _ in range(STEPS_EACH):
+            course.advance(steering, throttle)
+
+    def drives(self, seconds: float) -> None:
+        for _ in range(round(seconds * RATE_HZ)):
+            self.row(*self.driver.control(self.course))
+
+    def holds(self, seconds: float, throttle: float, steering: float | None = None) -> None:
+        """Hold a pedal, and the steering, or steer as the driver does."""
+        for _ in range(round(seconds * RATE_HZ)):
+            self.row(self.driver.control(self.course)[0] if steering is None else steering, throttle)
+
+    def stand(self) -> None:
+        self.course.vehicle = replace(self.course.vehicle, speed_mps=0.0, yaw_rate_radps=0.0)
+
+    def until_it_stands(self, throttle: float, most_s: float = 60.0) -> None:
+        for _ in range(round(most_s * RATE_HZ)):
+            if self.course.vehicle.speed_mph < 0.7:
+                self.stand()
+                return
+            self.holds(1 / RATE_HZ, throttle)
+
+
+def backwards(drive: Drive) -> None:
+    drive.until_it_stands(-1.0)
+    drive.holds(6.0, -1.0, 0.05)
+    drive.holds(2.0, 1.0)
+
+
+def crash(drive: Drive) -> None:
+    for _ in range(RATE_HZ):  # at a wall
+        drive.stand()
+        drive.holds(1 / RATE_HZ, 1.0, 0.0)
+    drive.stand()
+    drive.holds(2.5, -1.0, 1.0)
+    drive.holds(1.5, 1.0, -1.0)
+
+
+def parked(drive: Drive) -> None:
+    drive.until_it_stands(-1.0)
+    for _ in range(8 * RATE_HZ):
+        drive.stand()
+        drive.holds(1 / RATE_HZ, 0.0, 0.0)
+
+
+def coasting(drive: Drive) -> None:
+    drive.until_it_stands(0.0)
+    if drive.course.vehicle.speed_mps:  # downhill
+        drive.until_it_stands(-1.0)
+    drive.holds(0.5, 0.0)
+
+
+def creeping(drive: Drive) -> None:
+    drive.until_it_stands(-1.0)
+    for _ in range(6 * RATE_HZ):
+        drive.holds(1 / RATE_HZ, 0.3 if drive.course.vehicle.speed_mph < 0.8 else -0.1)
+
+
+def stuck_steering(drive: Drive) -> None:
+    drive.holds(4.0, 0.3, 0.07)
+
+
+FAULTS: Final[dict[str, Callable[[Drive], None]]] = {
+    each.__name__: each for each in (backwards, crash, parked, coasting, creeping, stuck_steering)
+}
+
+
+def states_of(rows: Sequence[tuple[float, ...]]) -> States:
+    table = np.array(rows, np.float64)
+    return States(np.arange(len(rows)), np.rint(table[:, 0] * 1e9).astype(np.int64), *table[:, 1:].T.copy())
+
+
+def drive_with(
+    course: Course, driver: SimulatedDriver, fault: Callable[[Drive], None]
+) -> tuple[States, list[tuple[int, int]]]:
+    """The rows of a drive, and the first and last of each of its faults."""
+    course.start()
+    drive = Drive(course, driver, [])
+    places = []
+    for _ in range(FAULTS_EACH):
+        drive.drives(DRIVEN_S)
+        first = len(drive.rows)
+        fault(drive)
+        places.append((first, len(drive.rows) - 1))
+        course.displace(0.0, 0.0, 2.0)  # somebody puts it back on the road, unrecorded
+    drive.drives(DRIVEN_S)
+    return states_of(drive.rows), places
+
+
+def measure(found: list[OddStretch], kind: str, places: list[tuple[int, int]]) -> tuple[int, int]:
+    """How many of the faults were found, and the rows that are none and were."""
+    covered = {row for each in found if each.kind == kind for row in range(each.first_row, each.last_row + 1)}
+    near = round(NEAR_S * RATE_HZ)
+    allowed = {row for first, last in places for row in range(first - near, last + near + 1)}
+    held = sum(2 * len(covered & {*range(a, b + 1)}) >= b + 1 - a for a, b in places)
+    rows = {row for each in found for row in range(each.first_row, each.last_row + 1)}
+    return held, len(rows - allowed)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--logs", type=Path, nargs="+", default=[])
+    logs = parser.parse_args().logs
+    for path in logs:
+        with Log(path) as log:
+            found = odd_stretches(States.of(log.vehicle()))
+        print(f"{path.stem}: {'; '.join(map(str, found)) or 'nothing'}")
+    if logs:
+        return
+    print("| drive | faults | found | missed | false rows | of rows |")
+    print("|---|---|---|---|---|---|")
+    results: dict[str, Counter[str]] = {}
+    for track_name in TRACKS:
+        track = load_track(track_name)
+        course = Course(track, build_world(track).height_m)
+        for mph in SPEEDS_MPH:
+            names: tuple[DriverName, ...] = ("expert", "keyboard")
+            for name in names:
+                driver = make_driver(name, track.line, mph, 0.03, 0)
+                steps = drive_for_recording(course, driver, 1.0, RATE_HZ, 0.35, 0)
+                states = states_of(
+                    [
+                        (each.time_s, each.steering, each.throttle, each.brake, abs(each.speed_mph))
+                        for each in steps
+                    ]
+                )
+                count = results.setdefault(f"{name}, a lap with recoveries", Counter())
+                found = odd_stretches(states)
+                count.update(rows=len(states.row), false=measure(found, "", [])[1])
+            for kind, fault in FAULTS.items():
+                driver = make_driver("expert", track.line, mph, 0.03, 0)
+                states, places = drive_with(course, driver, fault)
+                held, false = measure(odd_stretches(states), kind, places)
+                count = results.setdefault(kind, Counter())
+                count.update(rows=len(states.row), faults=len(places), found=held, false=false)
+    for kind, count in results.items():
+        missed = count["faults"] - count["found"]
+        print(
+            f"| {kind} | {count['faults']} | {count['found']} | {missed} | {count['false']} | {count['rows']:,} |"
+        )
+
+
+if __name__ == "__main__":
+    main()

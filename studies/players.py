@@ -1,0 +1,346 @@
+"""Does a person's drive teach a network? Scripted players stand in for people, in Chromium, at the page Drive.
+
+python studies/players.py FOLDER [--only "devices *"] [--kinds record train eval] [--list]
+
+Devices: half a lap of the lake and of the mountain, by keys, mouse and gamepad; a network of each pair; full laps
+of both tracks and of three unseen roads. Supervision: a beginner, from a fifth of a lap of the mountain; two
+rounds in which a player supervises it, on a road each that it is not measured on, each followed by `bc-train
+--init RUN --takeovers LOG`; and beside it a network of its recording and of as many minutes of recording
+on these roads. All train as the page's button does.
+
+The players know what the page shows and nothing else (scripted_player.py). FOLDER is kept: each step leaves a file
+in FOLDER/results and is not made again, so that the program can be ended and started at any time. Steps in
+studies/players.json were made on another machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from drive_page import DrivePage, chromium, done, running, wheel_of, workbench
+from scripted_player import DEVICES, Device, Player, Supervisor
+
+from recorder import Log
+from recorder.bc_pb2 import PilotCommand
+from web.data.wheels import EPOCHS_MORE, quick_epochs
+
+RECORDED: Final = ("lake", "mountain")
+DRIVEN: Final = ("lake", "mountain", "random:1", "random:2", "random:3")
+BEGINNERS: Final = "mountain"
+SUPERVISED: Final = ("random:6", "random:7")
+"""A road a round. On the mountain, of which it saw a fifth, the first beginner never erred."""
+BEGINNERS_DRIVEN: Final = ("mountain", *(f"random:{seed}" for seed in range(1, 6)))
+KINDS: Final = {"record": 150.0, "supervise": 330.0, "train": 180.0, "eval": 60.0}
+"""With the seconds that a step takes where none has been made."""
+MPH: Final = 10.0
+MADE: Final = Path(__file__).with_suffix(".json")
+
+Result = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing to do, once; `needs` are the steps before it."""
+
+    name: str
+    kind: str
+    act: Callable[[], Result]
+    needs: tuple[str, ...] = ()
+
+
+class Study:
+    """The steps of both studies in a folder."""
+
+    def __init__(self, folder: Path, asked: argparse.Namespace) -> None:
+        self.folder = folder
+        self.asked = asked
+        self._made: dict[str, Result] = json.loads(MADE.read_text()) if MADE.exists() else {}
+
+    def steps(self) -> Iterator[Step]:
+        for seed in self.asked.seeds:
+            for device in self.asked.devices:
+                yield from self._device(device, seed)
+        for seed in self.asked.seeds:
+            yield from self._supervision(seed)
+
+    def result(self, name: str) -> Result | None:
+        path = self._path(name)
+        return json.loads(path.read_text()) if path.exists() else self._made.get(name)
+
+    def keep(self, name: str, result: Result) -> None:
+        path = self._path(name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.with_suffix(".part").write_text(json.dumps(result, indent=1))
+        path.with_suffix(".part").replace(path)
+
+    def _path(self, name: str) -> Path:
+        return self.folder / "results" / f"{name.replace(' ', '_').replace(':', '')}.json"
+
+    def _device(self, device: Device, seed: int) -> Iterator[Step]:
+        run = f"{device}-{seed}"
+        sessions = [f"{run}-{track}" for track in RECORDED]
+        recordings = tuple(f"devices {run} record {track}" for track in RECORDED)
+        for name, session, track in zip(recordings, sessions, RECORDED, strict=True):
+            yield Step(
+                name,
+                "record",
+                partial(self._record, session, track, device, seed, laps=self.asked.laps),
+            )
+        yield self._train_step(f"devices {run} train", run, ["--on", *sessions], seed, recordings)
+        yield from self._evals(f"devices {run}", run, DRIVEN, f"devices {run} train")
+
+    def _supervision(self, seed: int) -> Iterator[Step]:
+        start, device = f"supervision {seed}", self.asked.supervisor
+        beginner = f"beginner-{seed}"
+        share = 0.4 * self.asked.laps  # a fifth of a lap
+        first = Step(
+            f"{start} record", "record", partial(self._record, beginner, BEGINNERS, device, seed, laps=share)
+        )
+        yield first
+        train = self._train_step(f"{start} train", beginner, ["--on", beginner], seed, (first.name,))
+        yield train
+        yield from self._evals(f"{start} before", beginner, BEGINNERS_DRIVEN, train.name)
+        supervised, run, before = [], beginner, train.name
+        for turn, road in enumerate(SUPERVISED, 1):
+            log = f"drives/supervised{turn}-{seed}.mcap"
+            name, new_run = f"{start} supervise {turn}", f"supervised{turn}-{seed}"
+            yield Step(
+                name,
+                "supervise",
+                partial(self._supervise, run, road, log, device, 10 * seed + turn),
+                (before,),
+            )
+            words = ["--init", run, "--takeovers", log]
+            supervised.append(name)
+            learn = self._train_step(f"{start} learn {turn}", new_run, words, seed, (name,))
+            yield learn
+            run, before = new_run, learn.name
+        yield from self._evals(f"{start} after", run, BEGINNERS_DRIVEN, before)
+        more = [f"more{turn}-{seed}" for turn in (1, 2)]
+        for turn, (session, name, road) in enumerate(zip(more, supervised, SUPERVISED, strict=True), 1):
+            yield Step(
+                f"{start} more {turn}",
+                "record",
+                partial(self._more, session, road, name, device, 10 * seed + turn),
+                (name,),
+            )
+        train = self._train_step(
+            f"{start} more train",
+            f"more-{seed}",
+            ["--on", beginner, *more],
+            seed,
+            (first.name, *(f"{start} more {turn}" for turn in (1, 2))),
+        )
+        yield train
+        yield from self._evals(f"{start} more", f"more-{seed}", BEGINNERS_DRIVEN, train.name)
+
+    def _train_step(self, name: str, run: str, words: list[str], seed: int, needs: tuple[str, ...]) -> Step:
+        return Step(name, "train", partial(self._train, run, words, seed, needs), needs)
+
+    def _evals(self, name: str, run: str, tracks: tuple[str, ...], needs: str) -> Iterator[Step]:
+        for track in tracks:
+            yield Step(
+                f"{name} eval {track}",
+                "eval",
+                partial(self._eval, run, track),
+                (needs,),
+            )
+
+    def _record(
+        self, session: str, track: str, device: Device, seed: int, *, laps: float | None = None, seconds: float = 0
+    ) -> Result:
+        """Drive `laps`, or for so long by this computer's clock."""
+        length = ["--laps", f"{laps:g}"] if laps else []
+        words = (session, "--driver", "me", "--no-page", "--force", "--track", track, *length)
+        with (
+            workbench(self.folder) as (_, address),
+            running(self.folder, "bc-record", *words) as drive,
+            chromium() as browser,
+        ):
+            page = DrivePage(browser, address, wheel_of(self.folder, drive))
+            player = Player(page, device, seed, MPH)
+            page.record()
+            begin_s, paces, aside = time.monotonic(), [], []
+            while not player.seen.is_ended and (laps or time.monotonic() < begin_s + seconds):
+                sight = player.step()
+                paces.append(player.seen.pace)
+                aside.append(sight.aside)
+            player.hands.let_go()
+            page.end()
+            seen = page.see()
+        return {
+            "rows": seen.rows,
+            "put back": seen.put_back,
+            "pace": round(statistics.mean(paces), 3),
+            "mean aside": round(statistics.mean(aside), 3),
+            "drive_s": round(time.monotonic() - begin_s, 1),
+        }
+
+    def _more(self, session: str, road: str, supervised: str, device: Device, seed: int) -> Result:
+        """As many minutes of recording as a supervised drive had."""
+        result = self.result(supervised)
+        assert result is not None  # noqa: S101  # it was needed
+        return self._record(session, road, device, seed, seconds=result["drive_s"])
+
+    def _supervise(self, run: str, road: str, log: str, device: Device, seed: int) -> Result:
+        words = ["--simulator", road, "--laps", "100", "--takeover", "me", "--no-page", "--viewer", "off"]
+        with (
+            workbench(self.folder) as (_, address),
+            running(self.folder, "bc-drive", run, *words, "--log", log, "--force") as drive,
+            chromium() as browser,
+        ):
+            page = DrivePage(browser, address, wheel_of(self.folder, drive))
+            player = Player(page, device, seed, MPH)
+            supervisor = Supervisor(page, player)
+            begin_s, paces = time.monotonic(), []
+            while not player.seen.is_ended and time.monotonic() < begin_s + 60 * self.asked.minutes:
+                supervisor.step()
+                paces.append(player.seen.pace)
+            drive_s, seen = time.monotonic() - begin_s, player.seen
+            player.hands.let_go()
+            page.end()
+        with Log(self.folder / log) as opened:
+            drivers = [command.driver for _, command in opened.commands()]
+        return {
+            "takeovers": seen.takeovers,
+            "put back": seen.put_back,
+            "laps": seen.laps,
+            "rows": len(drivers),
+            "rows by the player": drivers.count(PilotCommand.HUMAN),
+            "pace": round(statistics.mean(paces), 3),
+            "drive_s": round(drive_s, 1),
+        }
+
+    def _train(self, run: str, words: list[str], seed: int, recordings: tuple[str, ...]) -> Result:
+        """Train as the page's button does."""
+        rows = sum((self.result(name) or {})["rows"] for name in recordings)
+        epochs = EPOCHS_MORE if "--takeovers" in words else quick_epochs(rows)
+        self._make_way(run)
+        printed = done(self.folder, "bc-train", "--name", run, "--seed", seed, "--epochs", epochs, *words)
+        return {"epochs": epochs, "printed": printed[-2000:]}
+
+    def _make_way(self, run: str) -> None:
+        """Put aside what a killed training has left."""
+        for left in (self.folder / "runs" / run, self.folder / f"index-{run}"):
+            if left.exists():
+                left.rename(left.with_name(f"{left.name}.left-{time.time_ns()}"))
+
+    def _eval(self, run: str, track: str) -> Result:
+        words = ("--simulator", track, "--laps", f"{self.asked.eval_laps:g}", "--json", "--force")
+        return dict(json.loads(done(self.folder, "bc-eval", run, *words)))
+
+
+def make(study: Study, steps: list[Step]) -> int:
+    """Make the steps that are not made yet; how many have failed or wait for others."""
+    missing = [step for step in steps if study.result(step.name) is None]
+    undone = 0
+    for number, step in enumerate(missing):
+        if any(study.result(name) is None for name in step.needs):
+            print(f"{step.name}: waits for {', '.join(step.needs)}", file=sys.stderr)
+            undone += 1
+            continue
+        left_s = sum(seconds_of(study, later.kind) for later in missing[number:])
+        print(f"{step.name} ({len(missing) - number} left, about {left_s / 60:.0f} min)", file=sys.stderr)
+        begin_s = time.monotonic()
+        try:
+            result = step.act()
+        except Exception as error:  # the others can be made
+            print(f"{step.name}: {type(error).__name__}: {error}", file=sys.stderr)
+            undone += 1
+            continue
+        study.keep(step.name, {"kind": step.kind, "took_s": round(time.monotonic() - begin_s, 1), **result})
+    return undone
+
+
+def seconds_of(study: Study, kind: str) -> float:
+    """What a step of a kind takes, by those that were made."""
+    took = [
+        result["took_s"]
+        for path in (study.folder / "results").glob("*.json")
+        if (result := json.loads(path.read_text())).get("kind") == kind
+    ]
+    return statistics.mean(took) if took else KINDS[kind]
+
+
+def interventions(study: Study, name: str, tracks: tuple[str, ...]) -> list[int | None]:
+    results = [study.result(f"{name} eval {track}") for track in tracks]
+    return [None if result is None else int(result["interventions"]) for result in results]
+
+
+def print_tables(study: Study) -> None:
+    asked = study.asked
+    print(f"\n| device | seed | rows | put back | {' | '.join(DRIVEN)} |\n|{'---|' * (4 + len(DRIVEN))}")
+    for device in asked.devices:
+        for seed in asked.seeds:
+            name = f"devices {device}-{seed}"
+            recorded = [study.result(f"{name} record {track}") for track in RECORDED]
+            rows, put_back = (
+                total([None if each is None else int(each[what]) for each in recorded])
+                for what in ("rows", "put back")
+            )
+            print_row(device, seed, rows, put_back, *interventions(study, name, DRIVEN))
+    heads = ("takeovers", *BEGINNERS_DRIVEN, "all")
+    print(f"\n| seed | network | {' | '.join(heads)} |\n|{'---|' * (2 + len(heads))}")
+    for seed in asked.seeds:
+        start = f"supervision {seed}"
+        rounds = [study.result(f"{start} supervise {turn}") for turn in (1, 2)]
+        taken = " + ".join("-" if each is None else str(each["takeovers"]) for each in rounds)
+        for what, takeovers in (("before", ""), ("after", taken), ("more", "")):
+            numbers = interventions(study, f"{start} {what}", BEGINNERS_DRIVEN)
+            print_row(seed, what, takeovers, *numbers, total(numbers))
+
+
+def total(numbers: list[int | None]) -> int | None:
+    return None if None in numbers else sum(each or 0 for each in numbers)
+
+
+def print_row(*cells: object) -> None:
+    print(f"| {' | '.join('-' if cell is None else str(cell) for cell in cells)} |")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--only", nargs="+", default=["*"], metavar="PATTERN", help="steps, by name")
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
+    parser.add_argument("--list", action="store_true", help="show the steps, and make none")
+    parser.add_argument("--devices", nargs="+", default=list(DEVICES), choices=DEVICES)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--supervisor", default="gamepad", choices=DEVICES, help="device of the second study")
+    parser.add_argument("--laps", type=float, default=0.5, help="to record; the beginner has 0.4 times as much")
+    parser.add_argument("--minutes", type=float, default=5.0, help="of a round of supervision")
+    parser.add_argument("--eval-laps", type=float, default=1.0)
+    asked = parser.parse_args()
+    folder: Path = asked.folder.absolute()
+    (folder / "drives").mkdir(parents=True, exist_ok=True)
+    os.environ["BC_CACHE"] = str(folder / "cache")
+    study = Study(folder, asked)
+    steps = [
+        step
+        for step in study.steps()
+        if step.kind in asked.kinds and any(fnmatch(step.name, pattern) for pattern in asked.only)
+    ]
+    if asked.list:
+        for step in steps:
+            print(f"{'made' if study.result(step.name) else '    '}  {step.kind:10} {step.name}")
+        return 0
+    undone = make(study, steps)
+    print_tables(study)
+    results = {step.name: result for step in study.steps() if (result := study.result(step.name))}
+    (folder / "players.json").write_text(json.dumps(results, indent=1))
+    return 1 if undone else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
