@@ -44,7 +44,7 @@ class IndexConfig:
     side_correction: float = 0.2
     """Steering added for left-camera pictures, subtracted for right-camera ones."""
     labels: Labels = "auto"
-    """auto: smooth and shift people's steering, leave out crashes; as-recorded: change nothing."""
+    """auto: smooth and shift people's steering, leave out what is no driving; as-recorded: change nothing."""
     label_smooth_s: Annotated[float | None, arg(name="label-smooth", metavar="SECONDS")] = None
     """Average the steering over this time, in all sessions; 0: no smoothing."""
     label_shift_s: Annotated[float | None, arg(name="label-shift", metavar="SECONDS")] = None

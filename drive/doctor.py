@@ -21,7 +21,6 @@ from recorder.log.odd_stretches import ODD_KINDS
 
 MOST_COMMANDS: Final = 3
 _MOST_NAMED: Final = 5
-_FEW: Final = 0.01  # of a log's rows: a car stands before it begins
 _MUCH: Final = 0.05  # of a log's rows are odd: worth a look
 _S_PER_MIN: Final = 60.0
 
@@ -100,10 +99,12 @@ def _logs(project: Path, name: str, found: Diagnosis, wanted: _Wanted) -> list[L
 
 def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], found: Diagnosis, wanted: _Wanted) -> None:
     """The logs with the most odd rows; what is tagged is known."""
-    odd = sorted(((sum(info.odd_rows.values()), info) for info in logs), key=lambda pair: -pair[0])
-    odd = [(rows, info) for rows, info in odd if rows > _FEW * info.rows and not info.tags]
-    for rows, info in odd[:_MOST_NAMED]:
-        path, stretches = _shown(project, Path(info.path)), info.odd or ()
+    odd = sorted(
+        (info for info in logs if info.odd and not info.tags), key=lambda info: -sum(info.odd_rows.values())
+    )
+    for info in odd[:_MOST_NAMED]:
+        path = _shown(project, Path(info.path))
+        stretches, rows = info.odd or [], sum(info.odd_rows.values())
         kinds = ", ".join(f"{ODD_KINDS.get(kind, kind)}: {count:,}" for kind, count in info.odd_rows.items())
         longest = max(stretches, key=lambda each: each.last_row - each.first_row)
         at = f"the longest stretch: rows {longest.first_row} to {longest.last_row}"

@@ -14,7 +14,7 @@ import tyro
 from common.command import DONE, run_command, warn
 from common.errors import UsageError
 from common.location_flag import LocationFlag
-from common.output import print_message, print_result
+from common.output import print_message, print_next, print_result
 from common.store_record import cached_from
 from model.runs.run_arguments import RUNS
 
@@ -78,6 +78,7 @@ def _export_onnx(run: Path, config: Export) -> int:
     print_result(_written(path, difference), f"input {input_line(picture)}")
     print_message("to run it with onnxruntime and opencv-python-headless alone:")
     _print_code(example(picture, json.dumps(str(path)), '"picture.jpg"'))
+    print_next("python -m pip install onnxruntime opencv-python-headless", "where it is to run")
     return DONE
 
 
@@ -88,15 +89,16 @@ def _export_to_donkeycar(run: Path, folder: Path, *, overwrite: bool) -> int:
 
     path, difference = export_to_donkeycar(run, folder, overwrite=overwrite)
     print_result(_written(path, difference), f"input {input_line(picture_of_run(run), of_camera=True)}")
-    print_message("on the car, `env/bin/pip install onnxruntime`; copy both files to it:")
-    _print_code(f"scp {shlex.join(map(str, (path, folder / PART.name)))} pi@donkeypi.local:mycar/")
-    print_message("and add to its manage.py, above `aiLauncher = AiLaunch(` (docs/donkeycar.md):")
+    print_message("on the car, `env/bin/pip install onnxruntime`")
+    print_message("add to its manage.py, above `aiLauncher = AiLaunch(` (docs/donkeycar.md):")
     throttle = "" if "throttle" in targets_of_run(run) else ", throttle=0.2"
     _print_code(
         "    from donkeycar_part import OnnxPilot\n"
         f'    V.add(OnnxPilot({json.dumps(path.name)}{throttle}), inputs=["cam/image_array"],\n'
         '          outputs=["pilot/angle", "pilot/throttle"], run_condition="run_pilot")\n'
     )
+    files = shlex.join(map(str, (path, folder / PART.name)))
+    print_next(f"scp {files} pi@donkeypi.local:mycar/", "both files go to the car")
     return DONE
 
 
@@ -124,7 +126,8 @@ def _export_to_hub(run: Path, folder: Path, licence: str | None) -> int:
     if licence is None:
         print_message(f"{folder}: its card states no licence; give one with --license")
     print_result(f"{folder}: {', '.join(written.files)}")
-    print_result(f"nothing is uploaded; `hf upload {run_name(run)} {shlex.quote(str(folder))}` does that")
+    name = shlex.quote(run_name(run))
+    print_next(f"hf upload {name} {shlex.quote(str(folder))}", "to publish it; nothing is uploaded yet")
     return code
 
 

@@ -20,7 +20,7 @@ from common.output import print_message, print_next, print_result
 from common.preview import preview
 from recorder.errors import RecordingError
 from recorder.log.log_info import describe
-from recorder.log.odd_stretches import odd_lines
+from recorder.log.odd_stretches import odd_advice, odd_lines
 from recorder.log.session_car import named_car
 from recorder.log_copy_cli import copy_recording, refuse_copying, refuse_taken_name
 from recorder.log_made_cli import brought_as_they_are
@@ -107,8 +107,11 @@ def record(config: Record) -> int:
     print_result(
         f"{done.path}: {counted(done.rows, 'row')}, {counted(done.pictures, 'picture')}, {size_mb:,.1f} MB"
     )
-    for line in odd_lines(describe(done.path, with_tags=False).odd or (), done.path):
+    odd = describe(done.path, with_tags=False).odd or ()
+    for line in odd_lines(odd):
         print_message(line, heading="odd:", style="yellow")
+    for line in odd_advice(odd, done.path):
+        print_message(line)
     if config.copy_to is not None:
         code = max(code, copy_recording(done.path, config.copy_to, config.force))
     folder = done.path.parent

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from shlex import quote
 from typing import Annotated
 
 import tyro
@@ -14,7 +12,7 @@ import tyro
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, run_command, warn
 from common.errors import as_user_error, counted
 from common.location import Location
-from common.output import print_next, print_result
+from common.output import print_result
 from recorder.errors import RecordingError
 from recorder.log.check import check
 from recorder.log.log_info import describe
@@ -25,6 +23,7 @@ from recorder.log_edit_cli import Merge, Recover, Rewrite, Split, Trim, noted, r
 from recorder.log_export_cli import ExportLogs
 from recorder.log_flag import LogFlag
 from recorder.log_list_cli import ListLogs
+from recorder.log_next import NextStep, print_first, step_of_check, step_of_info
 from recorder.log_report import print_checked, print_info
 from recorder.log_tag_cli import NameRows, warn_stale
 
@@ -42,22 +41,20 @@ class ShowInfo:
     """Print one JSON object a log."""
 
     def run(self) -> int:
-        return _each(self.logs, self._one)
+        steps: list[NextStep] = []
+        code = _each(self.logs, lambda path: self._one(path, steps))
+        print_first(steps)
+        return code
 
-    def _one(self, path: Location) -> int:
+    def _one(self, path: Location, steps: list[NextStep]) -> int:
         info = describe(path, look=self.look)
         if self.json:
             print_result(info.as_json())
         else:
             print_info(info)
-            _next(self.logs, path)
+            steps.append(step_of_info(info))
         code = warn_stale(path, info.stale_tags)
         return warn(info.notice) if info.notice else code
-
-
-def _next(logs: tuple[Location, ...], path: Location) -> None:
-    if len(logs) == 1:
-        print_next("bc-index" if path.parent == Path("sessions") else f"bc-play {quote(str(path))}")
 
 
 @dataclass(frozen=True)
@@ -74,9 +71,12 @@ class Check:
     """Print one JSON object a log, with every finding."""
 
     def run(self) -> int:
-        return _each(self.logs, self._one)
+        steps: list[NextStep] = []
+        code = _each(self.logs, lambda path: self._one(path, steps))
+        print_first(steps)
+        return code
 
-    def _one(self, path: Location) -> int:
+    def _one(self, path: Location, steps: list[NextStep]) -> int:
         checked = check(path, look=self.look)
         if self.json:
             found = [finding._asdict() for finding in checked.findings]
@@ -88,8 +88,7 @@ class Check:
         else:
             print_checked(checked)
             remark_crcs(path, checked.has_crcs)
-            if not checked.findings:
-                _next(self.logs, path)
+            steps.append(step_of_check(describe(path), checked.odd, is_damaged=checked.is_damaged))
         return DONE_BUT_SKIPPED if checked.findings else DONE
 
 

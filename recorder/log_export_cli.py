@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import tyro
 
 from common.command import warn_skipped
 from common.errors import UsageError, counted
-from common.output import print_message, print_result
+from common.output import print_message, print_next, print_result
 from recorder.log_flag import LogFlag
 
 if TYPE_CHECKING:
     from recorder.lerobot.export import Exported
+
+UPLOADS: Final = "to publish it; nothing is uploaded yet"
 
 
 @dataclass(frozen=True)
@@ -68,4 +71,6 @@ def print_exported(done: Exported, *, has_licence: bool, is_video: bool) -> int:
         f"{done.folder}: {counted(done.episodes, 'episode')}, {counted(done.frames, 'frame')},"
         f" {counted(done.pictures, 'picture')}, {done.size_bytes / 1e6:,.1f} MB"
     )
+    folder = done.folder
+    print_next(f"hf upload {shlex.quote(folder.name)} {shlex.quote(str(folder))} --repo-type dataset", UPLOADS)
     return code

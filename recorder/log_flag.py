@@ -11,7 +11,8 @@ from tyro.constructors import PrimitiveConstructorSpec
 from common.errors import UserError
 from common.location import Location, Url, location
 
-FOLDERS: Final = (Path("sessions"), Path("drives"))
+SESSIONS: Final = Path("sessions")
+FOLDERS: Final = (SESSIONS, Path("drives"))
 """Where logs are looked for by name."""
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from shlex import quote
 from typing import Annotated, Any, Final, Literal
 
 import tyro
@@ -14,9 +13,10 @@ from common import UserError
 from common.command import DONE, print_error, warn
 from common.errors import as_user_error
 from common.location import Location, Url, location
-from common.output import print_next, print_result, print_table
+from common.output import print_result, print_table
 from recorder.log.log_info import LogInfo, describe, logs_in
 from recorder.log_flag import FOLDERS, LogFlag
+from recorder.log_next import print_first, step_of_list
 from recorder.log_report import plain
 
 SORTED_BY: Final[dict[str, Callable[[LogInfo], Any]]] = {
@@ -51,10 +51,10 @@ class ListLogs:
                 print_result(info.as_json())
         elif found:
             print_table(_table(found))
-            odd = [info for info in found if info.odd_rows and not info.tags]
-            oddest = max(odd, key=lambda info: sum(info.odd_rows.values()), default=None)
-            print_next(f"bc-log check {quote(oddest.path)}" if oddest else "bc-index")
-        return max([*codes, *(warn(info.notice) for info in found if info.notice)])
+        code = max([*codes, *(warn(info.notice) for info in found if info.notice)])
+        if found and not self.json:
+            print_first([step_of_list(found)])
+        return code
 
     def _logs(self) -> list[Location]:
         folders = [folder for folder in FOLDERS if folder.is_dir()]

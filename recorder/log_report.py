@@ -18,7 +18,7 @@ from recorder.log.check import Checked
 from recorder.log.check_contents import ODD_FINDINGS
 from recorder.log.derived_log import Written
 from recorder.log.log_info import LogInfo
-from recorder.log.odd_stretches import odd_lines
+from recorder.log.odd_stretches import odd_advice, odd_lines
 from recorder.log.session_car import is_angle_unknown
 from recorder.log.steering_report import steering_line
 from recorder.log.tags import Tag
@@ -71,7 +71,7 @@ def print_checked(checked: Checked) -> None:
             found.add(finding.kind, finding.where)
     for line in found.lines(MOST_PLACES):
         print_result(f"  {line}")
-    print_result(*(f"  {line}" for line in odd_lines(checked.odd, checked.path)))
+    print_result(*(f"  {line}" for line in (*odd_lines(checked.odd), *odd_advice(checked.odd, checked.path))))
     meant = Skipped()
     for where in checked.meant_gaps:
         meant.add("gaps in time that its events explain, so nothing is lost", where)
@@ -102,7 +102,8 @@ def _print_drives(info: LogInfo) -> None:
             print_table("  no rows: nothing was driven")
     elif info.drives:
         print_table(f"  {counted(info.drives, 'drive')}; {'odd:' if info.odd else 'no odd rows'}")
-        print_result(*(f"    {line}" for line in odd_lines(info.odd or (), location(info.path))))
+        odd = info.odd or ()
+        print_result(*(f"    {line}" for line in (*odd_lines(odd), *odd_advice(odd, location(info.path)))))
     if info.meant_gaps:
         print_table(f"  {counted(len(info.meant_gaps), 'gap')} that its events explain, so nothing is lost there")
     gaps = [each for each in info.stretches if each.flag == "gap" and each.last_row not in info.meant_gaps]

@@ -78,9 +78,11 @@ class NameRows:
             print_result(f"{tag.name}: {rows_of(tag)}")
         if not tags:
             print_message(f"{self.log}: no tags")
+        if not self.remove and self.tag not in {tag.name for tag in tags}:
+            return code  # nothing was tagged
         if self.tag == EXCLUDE:
             print_next("bc-index", "training then leaves out the rows that are tagged so, and no others")
-        elif self.tag is not None:
+        else:
             print_next(f"bc-play {shlex.quote(str(self.log))}")
         return code
 
@@ -141,15 +143,17 @@ class NameRows:
             raise UsageError("--look: give --odd, too")
         if self._is_everywhere() and not self.remove:
             raise UsageError(
-                f"{name}: which rows? Give --rows FIRST LAST, --start and --end (all: --start 0), --odd or --where"
+                f"{name}: which rows? Give --rows FIRST LAST, --start and --end (--start 0 for all), --where, or"
+                " --odd"
             )
         if self._is_everywhere():
             chosen = [tag for tag in tags if tag.name == name]
         else:
             chosen = self._chosen(name)
         if not chosen and not self.remove:
-            what = "nothing that is surely odd" if self.odd else "no row for which that holds"
-            print_message(f"{self.log}: {what}; nothing was tagged")
+            if self.where is not None:
+                raise UserError(f"{self.log}: no row for which that holds; nothing was tagged")
+            print_message(f"{self.log}: nothing that is surely odd; nothing was tagged")
             return tags
         if self.remove and not set(chosen) & set(tags):
             held = ", ".join(f"{tag.name} ({rows_of(tag)})" for tag in tags) or "none"

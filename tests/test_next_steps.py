@@ -11,7 +11,7 @@ from dataset.cli import main as bc_index
 from logs import write_log
 from recorder.cli import main as bc_record
 from recorder.log_cli import main as bc_log
-from udacity import call, make_recording, paths
+from udacity import call, jpeg, make_recording, paths
 
 STEERING = [0.1 * (row % 7 - 3) for row in range(60)]
 
@@ -33,12 +33,54 @@ def _project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (["tag", "sessions/a.mcap", "exclude", "--rows", 1, 2], "next: `bc-index`: "),
         (["trim", "sessions/a.mcap", "--to", "b c.mcap", "--rows", 1, 9], "next: `bc-log check 'b c.mcap'`"),
         (["recover", "sessions/a.mcap", "--to", "b.mcap"], "next: `bc-log check b.mcap`"),
+        (["ls"], "next: `bc-index`"),
+        (["info", "a"], "next: `bc-index`"),
+        (["check", "a", "--no-look"], "next: `bc-index`"),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",
 )
 def test_bc_log(arguments: list[object], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(bc_log, *arguments) == 0
     assert last_line(capsys).startswith(expected)
+
+
+def test_what_is_odd_is_excluded_first_and_then_looked_at(capsys: pytest.CaptureFixture[str]) -> None:
+    write_log(Path("sessions/b c.mcap"), [3.0] * 30 + STEERING[:30])
+    exclude = "next: `bc-log tag 'sessions/b c.mcap' exclude --odd`: "
+    assert call(bc_log, "ls") == 0
+    assert last_line(capsys).startswith("next: `bc-log info 'sessions/b c.mcap'`: ")
+    for arguments in (["info", "a", "b c"], ["check", "--no-look", "a", "b c"]):
+        call(bc_log, *arguments)
+        assert last_line(capsys).startswith(exclude)
+    assert call(bc_log, "tag", "b c", "exclude", "--odd") == 0
+    capsys.readouterr()
+    for arguments in (["ls"], ["info", "b c"], ["check", "--no-look", "b c"]):
+        call(bc_log, *arguments)
+        assert last_line(capsys) == "next: `bc-index`"
+    for command in ("ls", "info", "check"):
+        call(bc_log, command, "sessions/a.mcap", "--json")
+        assert capsys.readouterr().err == ""
+
+
+def test_a_dataset(capsys: pytest.CaptureFixture[str]) -> None:
+    write_log(Path("sessions/a.mcap"), STEERING[:3], lambda camera, row: jpeg(row), overwrite=True)
+    assert call(bc_log, "export", "a", "--lerobot", "my data") == 0
+    assert last_line(capsys).startswith("next: `hf upload 'my data' 'my data' --repo-type dataset`: ")
+
+
+def test_a_drive_is_looked_at(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("drives").mkdir()
+    write_log(Path("drives/first.mcap"), STEERING)
+    assert call(bc_log, "info", "first") == 0
+    assert last_line(capsys) == "next: `bc-play drives/first.mcap`"
+
+
+def test_a_damaged_log_is_recovered_first(capsys: pytest.CaptureFixture[str]) -> None:
+    data = bytearray(Path("sessions/a.mcap").read_bytes())
+    data[len(data) // 2] ^= 1
+    Path("sessions/a.mcap").write_bytes(data)
+    assert call(bc_log, "check", "a") == 3
+    assert last_line(capsys).startswith("next: `bc-log recover sessions/a.mcap`: ")
 
 
 def test_bc_index(capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from common import UserError
-from common.command import DONE, flags_given, run_command, usage_errors, warn, warn_skipped
+from common.command import DONE, DONE_BUT_SKIPPED, flags_given, run_command, usage_errors, warn, warn_skipped
 from common.errors import UsageError, counted
 from common.files import refuse_existing
 from common.location import Url
-from common.output import print_message, print_result
+from common.output import print_message, print_next, print_result
 from common.versions import package_line
 from viz.config import Play, check_files, check_video_flags, check_viewer_flags
 
@@ -57,10 +57,19 @@ def _prepare_rerun() -> None:
 def _show_or_save(config: Play, content: Content) -> int:
     """Show it, or write it to a file; return the exit code."""
     if config.save is None:
-        return content.show(_destination(config))
+        code = content.show(_destination(config))
+        if code in (DONE, DONE_BUT_SKIPPED) and not config.follow:
+            print_next(_next_of(config))
+        return code
     code = content.save(config.save, overwrite=config.force)
-    print_result(f"{config.save}: written; open it with `rerun {shlex.quote(str(config.save))}`")
+    print_result(f"{config.save}: written")
+    print_next(f"rerun {shlex.quote(str(config.save))}")
     return code
+
+
+def _next_of(config: Play) -> str:
+    place = shlex.quote(str(config.log))
+    return f"bc-eval {place}" if config.is_run else f"bc-log info {place}"
 
 
 def _content(config: Play) -> Content:
@@ -161,7 +170,9 @@ def _play_predicted(config: Play) -> int:
     load_named(config.network, [load_config(run) for run in runs] if config.network else [])
     if is_only_written:
         found = predict_log(config.log, runs)
-        return max(_report_predictions(config, found), _warn_unfinished(found.notice))
+        code = max(_report_predictions(config, found), _warn_unfinished(found.notice))
+        print_next(f"bc-play {shlex.quote(str(config.write))}")
+        return code
     codes = [DONE]
     whole = FinishedContent(
         lambda: prepare_predictions(
@@ -182,7 +193,7 @@ def _report_predictions(config: Play, found: LogPredictions) -> int:
 
     if config.write is not None:
         write_predictions(found, config.write, overwrite=config.force)
-        print_result(f"{config.write}: written; look at it with `bc-play {shlex.quote(str(config.write))}`")
+        print_result(f"{config.write}: written")
     for run in found.predicted:
         print_result(found.summary(run))
     return warn_skipped(found.skipped)

@@ -34,7 +34,7 @@ def sessions_table(indexed: Indexed) -> Table:
     table = Table(
         box=None, pad_edge=False, collapse_padding=True, title="frames, one a picture", title_justify="left"
     )
-    table.add_column("session", overflow="fold")
+    table.add_column("session")
     for heading in columns:
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("log", no_wrap=True)

@@ -1,4 +1,4 @@
-"""What the default labels leave out of training as no driving: crashes, driving backwards, parked cars."""
+"""What the default labels leave out of training: crashes, driving backwards, manoeuvres, parked cars."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ def not_learnt_line(counts: Mapping[str, SessionCounts]) -> list[str]:
         reasons = {
             "of crashes": of_session.crashed,
             "of driving backwards": of_session.backwards,
+            "of manoeuvres about them": of_session.manoeuvring,
             "of a parked car": of_session.parked,
         }
         if of_session.not_driven:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from common.stretches import stretches
 from dataset.errors import DatasetError
 from dataset.frames.distinct_rows import number_distinct
 from dataset.index.build_state import FRAMES_FOLDER
+from recorder.log.row_quality import NOT_LEARNT, ROW_FLAGS
 
 _COLUMNS = ("session", "row", "log_time_ns", "flags")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -54,7 +56,8 @@ def find_flagged_frames(index: Path | str) -> list[FlaggedFrames]:
 
 
 def print_quality_report(reported: Sequence[FlaggedFrames]) -> None:
-    """Print the stretches as a table, then how many rows each flag has."""
+    """Print the stretches as a table, then how many rows each flag has. What of a car that nobody drives lies
+    together, as a crash and the way out of it, is one line."""
     if not reported:
         print_table("no frame has a flag")
         return
@@ -64,12 +67,39 @@ def print_quality_report(reported: Sequence[FlaggedFrames]) -> None:
     flagged: dict[str, int] = {}
     for one in reported:
         flagged[one.flag] = flagged.get(one.flag, 0) + one.rows
+    for one in _joined(reported):
         # as `bc-log tag` and `bc-play` take them: rows and seconds that are typed have no thousands separators
         rows = f"{one.first_row}" if one.first_row == one.last_row else f"{one.first_row} to {one.last_row}"
         seconds = f"{one.begin_s:.2f} to {one.end_s:.2f}"
         table.add_row(escape(one.session), escape(one.flag), rows, seconds, one.begin_utc[:19].replace("T", " "))
     print_table(table)
     print_table(", ".join(f"{counted(count, 'row')} {escape(flag)}" for flag, count in sorted(flagged.items())))
+
+
+def _joined(reported: Sequence[FlaggedFrames]) -> list[FlaggedFrames]:
+    """The stretches, with those of `NOT_LEARNT` that overlap or touch as one, and without what its rows have of
+    other flags."""
+    whole = list[FlaggedFrames]()
+    for one in reported:
+        if one.flag not in NOT_LEARNT:
+            continue
+        last = whole[-1] if whole else None
+        if last is None or last.session != one.session or one.first_row > last.last_row + 1:
+            whole.append(one)
+        else:
+            flag = last.flag if one.flag in last.flag.split(", ") else f"{last.flag}, {one.flag}"
+            end_row, end_s = max((last.last_row, last.end_s), (one.last_row, one.end_s))
+            whole[-1] = replace(last, flag=flag, last_row=end_row, end_s=end_s)
+    begins = [(each.session, each.first_row) for each in whole]
+
+    def is_held(one: FlaggedFrames) -> bool:
+        at = bisect_right(begins, (one.session, one.first_row)) - 1
+        return at >= 0 and whole[at].session == one.session and one.last_row <= whole[at].last_row
+
+    others = [
+        one for one in reported if one.flag not in NOT_LEARNT and not (one.flag in ROW_FLAGS and is_held(one))
+    ]
+    return sorted([*whole, *others], key=lambda one: (one.session, one.first_row, one.flag))
 
 
 def _stretches_of(file: Path) -> Iterator[FlaggedFrames]:

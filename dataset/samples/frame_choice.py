@@ -16,6 +16,7 @@ from dataset.frames.frames_file import SPLITS, codes
 from dataset.samples.filter import Condition
 from dataset.samples.labels import planned_labels
 from dataset.samples.samples_format import SessionCounts, SessionLabels
+from recorder.log.row_quality import NOT_LEARNT
 
 
 @dataclass(frozen=True)
@@ -47,8 +48,12 @@ def choose_frames(
     usable = is_wanted & ~is_bad & ~is_tagged
     has_label = ~np.isnan(steering)
     is_left_out = is_odd & (split == 0)
-    is_crashed = lists_with(frames["flags"], "crash", "manoeuvring")
-    is_backwards = lists_with(frames["flags"], "backwards")
+    left_out = dict[str, int]()
+    is_open = usable & is_left_out
+    for flag in NOT_LEARNT:
+        is_flagged = is_open & lists_with(frames["flags"], flag)
+        left_out[flag] = int(is_flagged.sum())
+        is_open &= ~is_flagged
     chosen = usable & has_label & (split != 2) & ~is_left_out
     counts = SessionCounts(
         frames=len(frames),
@@ -59,9 +64,10 @@ def choose_frames(
         unusable=int((is_wanted & is_bad & ~is_tagged).sum()),
         unlabelled=int((usable & ~has_label & (split != 2) & ~is_left_out).sum()),
         not_asked_for=int((~is_selected).sum()),
-        crashed=int((usable & is_left_out & is_crashed).sum()),
+        crashed=left_out["crash"],
         not_taken_over=int((is_selected & ~is_wanted).sum()),
-        backwards=int((usable & is_left_out & is_backwards & ~is_crashed).sum()),
-        parked=int((usable & is_left_out & ~is_backwards & ~is_crashed).sum()),
+        backwards=left_out["backwards"],
+        manoeuvring=left_out["manoeuvring"],
+        parked=left_out["parked"],
     )
     return FrameChoice(chosen, split == 0, steering, counts)

@@ -136,20 +136,21 @@ class SessionCounts:
     unusable: int  # steering out of range, or a broken picture
     unlabelled: int  # so near the end of a stretch that --label-shift finds no steering for it
     not_asked_for: int  # another camera, or not what --where chooses
-    crashed: int  # for training otherwise, and left out of it as rows of crashes, or of manoeuvres about them
+    crashed: int  # for training otherwise, and left out of it as rows of crashes
     not_taken_over: int  # of a drive, and driven neither by an expert nor by a human, with --drives takeovers
     backwards: int = 0  # as crashed: the car drives backwards
+    manoeuvring: int = 0  # as crashed: the way into a crash, and out of it or of driving backwards
     parked: int = 0  # as crashed: it stands for long
 
     @property
     def not_driven(self) -> int:
-        return self.crashed + self.backwards + self.parked
+        return self.crashed + self.backwards + self.manoeuvring + self.parked
 
 
 COUNT_HEADINGS: Final = {
     "not_asked_for": "not asked for",
     "unlabelled": "no label",
-    "crashed": "crash or backwards",
+    "crashed": "crash",
     "not_taken_over": "not taken over",
 }
 """What counts are called where they are read, if not by their names."""

@@ -140,6 +140,7 @@ def nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) -> 
         "unlabelled": f"too near the end of a stretch for a label{shift}",
         "crashed": "of a crash",
         "backwards": "of driving backwards",
+        "manoeuvring": "of manoeuvres",
         "parked": "of a parked car",
         "gap": "between training and validation",
     }

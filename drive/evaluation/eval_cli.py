@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -22,7 +23,7 @@ from common.command import (
 )
 from common.errors import counted
 from common.location import Location, absolute
-from common.output import print_message, print_result
+from common.output import print_message, print_next, print_result
 from common.progress import track
 from common.tasks import tasks_of
 from drive.evaluation.eval_flags import Eval, refuse_contradictions
@@ -156,6 +157,7 @@ def _compare(config: Eval, runs: tuple[str, str]) -> int:
 def _compare_on_frames(config: Eval, a: Path, b: Path, names: tuple[str, str]) -> tuple[Verdict, int]:
     from model.evaluation.differences import overall
     from model.evaluation.run_comparison import Comparison
+    from model.runs.run_arguments import run_argument
 
     measured_on, (of_a, of_b) = _evaluations(config, [a, b])
     found = Comparison(of_a, of_b, config.tolerance or 0.0)
@@ -167,6 +169,9 @@ def _compare_on_frames(config: Eval, a: Path, b: Path, names: tuple[str, str]) -
         print_comparison(found, names)
         _print_measured_on(measured_on)
     code = max(_print_notices(of_a, measured_on), DONE if a == b else _print_learnt(of_b, measured_on))
+    if not config.json:
+        runs = f"{run_argument(a)} {run_argument(b)}"
+        print_next(f"bc-eval --compare {runs} --simulator lake", "what errors on frames mean for driving")
     return overall(found.differences), code
 
 
@@ -185,6 +190,7 @@ def _compare_by_driving(config: Eval, a: Path, b: Path, names: tuple[str, str]) 
         print_result(json.dumps(found.as_dict()))
     else:
         print_drive_comparison(found, names)
+        print_next(f"bc-play {shlex.join(str(drives[0].log) for drives in (of_a, of_b))} --by place")
     return found.verdict, code
 
 

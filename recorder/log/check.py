@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from common.location import Location
@@ -42,10 +42,11 @@ class Checked:
     messages: int
     pictures: int  # decoded
     findings: list[Finding]
+    is_damaged: bool  # the file itself, whatever it holds
     has_crcs: bool  # other programs may do without: damage is then not noticed
     meant_gaps: list[str]  # gaps in time that its events explain; no findings
+    pauses: list[str]  # of a recorder that people switch off and on; no findings
     odd: list[OddStretch]  # of its rows, also those that may be meant and are no findings
-    pauses: list[str] = field(default_factory=list)  # of a recorder that people switch off and on; no findings
 
 
 def check(path: Location, *, look: bool = True) -> Checked:
@@ -56,12 +57,13 @@ def check(path: Location, *, look: bool = True) -> Checked:
     of range; with `look`, of a log on this machine, also steering that contradicts the pictures. Raises LogError
     if it is no MCAP file.
     """
+    damage: list[Finding] = []
     findings: list[Finding] = []
     with McapFile(path) as file:
         structure = read_structure(file)
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             contents = Contents(structure, findings, pool if look else None, is_ours=file.is_ours)
-            chunks = sound_chunks(file, structure, findings)
+            chunks = sound_chunks(file, structure, damage)
             for records, messages in track(chunks, f"checking {path.name}", len(structure.chunks)):
                 for message in messages:
                     contents.add(records, message)
@@ -84,11 +86,12 @@ def check(path: Location, *, look: bool = True) -> Checked:
         path,
         sum(contents.counts.values()),
         contents.pictures,
-        [finding for finding in findings if finding not in pauses],
+        damage + [finding for finding in findings if finding not in pauses],
+        bool(damage),
         has_crcs,
         contents.meant_gaps,
-        odd,
         [finding.where for finding in pauses],
+        odd,
     )
 
 

@@ -71,6 +71,10 @@ class OddStretch:
         """False for what `bc-index` leaves out of training by itself."""
         return not self.is_sure or self.is_shown or self.kind not in NOT_LEARNT
 
+    @property
+    def rows(self) -> int:
+        return self.last_row - self.first_row + 1
+
     def command(self, log: Location) -> str:
         """The command that excludes it."""
         return f"bc-log tag {shlex.quote(str(log))} exclude --rows {self.first_row} {self.last_row}"
@@ -197,17 +201,27 @@ def odd_in(quality: Mapping[str, str]) -> list[OddStretch] | None:
     return json_as(quality.get(ODD, ""), list[OddStretch])
 
 
-def odd_lines(found: Sequence[OddStretch], log: Location) -> list[str]:
-    """What is odd in a log, and what to do about it, in words; none where nothing is."""
+def odd_lines(found: Sequence[OddStretch]) -> list[str]:
+    """What is odd in a log, in words."""
     lines = [str(each) for each in found[:MOST_NAMED]]
     if len(found) > MOST_NAMED:
         lines.append(f"and {counted(len(found) - MOST_NAMED, 'more stretch', 'more stretches')}")
-    place = shlex.quote(str(log))
+    return lines
+
+
+def exclude_command(found: Sequence[OddStretch], log: Location) -> str:
+    """The command that excludes all that is sure."""
+    look = " --look" * any(each.is_sure and each.is_shown for each in found)
+    return f"bc-log tag {shlex.quote(str(log))} exclude --odd{look}"
+
+
+def odd_advice(found: Sequence[OddStretch], log: Location) -> list[str]:
+    """What becomes of what is odd in a log, and what to do about it; nothing where nothing is."""
+    lines, place = [], shlex.quote(str(log))
     if any(not each.is_learnt for each in found):
-        lines.append("bc-index does not learn crashes, driving backwards and parked cars, if a person drove")
+        lines.append("crashes, driving backwards and parked cars are not learnt by default, if a person drove")
     if any(each.is_sure for each in found):
-        look = " --look" * any(each.is_sure and each.is_shown for each in found)
-        lines.append(f"`bc-log tag {place} exclude --odd{look}` excludes all that is sure")
+        lines.append(f"`{exclude_command(found, log)}` excludes all that is sure")
     if unsure := next((each for each in found if not each.is_sure), None):
         look = f"`bc-play {place}`, or let `bc-log check {place}` look at its pictures"
         lines.append(f"look at what is perhaps odd, {look}; `{unsure.command(log)}` excludes it")

@@ -244,3 +244,27 @@ def test_the_printed_report_has_a_whole_line_a_stretch_and_the_sums_in_rows(
         [LONG_NAME, "gap", "1200", "to", "1300", "100.00", "to", "110.00", "2024-07-13", "14:32:16"],
     ]
     assert lines[-1] == "102 rows gap"
+
+
+def test_the_printed_report_has_a_crash_and_what_belongs_to_it_in_one_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def rows(session: str, flag: str, first: int, last: int) -> FlaggedFrames:
+        when = "2024-07-13T14:30:16.100+00:00"
+        return FlaggedFrames(
+            session, flag, first, last, first / 10, last / 10, when, last + 1 - first, last + 1 - first
+        )
+
+    crash = [("manoeuvring", 4, 9), ("crash", 10, 30), ("standing_still", 12, 14), ("backwards", 14, 20)]
+    apart = [("manoeuvring", 31, 33), ("standing_still", 33, 50), ("frozen_picture", 12, 13), ("crash", 60, 61)]
+    found = [rows("a", *each) for each in crash + apart] + [rows("b", "parked", 62, 99)]
+    print_quality_report(sorted(found, key=lambda one: (one.session, one.first_row, one.flag)))
+    lines = [line.split("  ") for line in capsys.readouterr().out.splitlines()]
+    assert [[cell.strip() for cell in line if cell.strip()][:4] for line in lines[1:-1]] == [
+        ["a", "manoeuvring, crash, backwards", "4 to 33", "0.40 to 3.30"],
+        ["a", "frozen_picture", "12 to 13", "1.20 to 1.30"],
+        ["a", "standing_still", "33 to 50", "3.30 to 5.00"],
+        ["a", "crash", "60 to 61", "6.00 to 6.10"],
+        ["b", "parked", "62 to 99", "6.20 to 9.90"],
+    ]
+    assert "7 rows backwards" in "".join(lines[-1])

@@ -166,10 +166,10 @@ def test_crashes_are_not_learnt_but_measured_and_no_label_depends_on_them(tmp_pa
     assert not {row for row in crash | about if split[row] == "train"} & samples.keys()
     assert {row for row in crash if split[row] == "validation" and row + 2 in crash} <= samples.keys()
     assert max(abs(row["label"]) for row in samples.values() if row["row"] not in crash) <= 0.6 + 1e-9
-    assert learnt.counts["a"].crashed == sum(split[row] == "train" for row in crash | about)
+    assert learnt.counts["a"].not_driven == sum(split[row] == "train" for row in crash | about)
     everything = indexed(tmp_path, log, validation_share=0.5, seed=1, labels="as-recorded")
     assert {row["row"] for row in everything.samples.to_pylist()} == set(range(ROWS))
-    assert everything.counts["a"].crashed == 0
+    assert everything.counts["a"].not_driven == 0
 
 
 def test_an_index_of_an_earlier_version_is_read_as_recorded_and_rebuilt(tmp_path: Path) -> None:
@@ -234,4 +234,4 @@ def test_a_tagged_crash_stays_out_as_before(tmp_path: Path) -> None:
         add_tag(log, opened.fingerprint, Tag(300, 320, "exclude"))
     counts = indexed(tmp_path, log, validation_share=0.0).counts["a"]
     assert counts.excluded == 21
-    assert 59 < counts.crashed < 59 + 40
+    assert 59 < counts.not_driven < 59 + 40

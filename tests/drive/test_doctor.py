@@ -86,8 +86,8 @@ def test_odd_rows_are_named_with_their_longest_stretch() -> None:
     write_log(Path("sessions") / "sunday.mcap", steering, overwrite=True)
     odd = [line for line in examine().odd if "sunday" in line and "odd row" in line]
     assert odd == [
-        "sessions/sunday.mcap: 60 odd rows of 60 (steering that never changes: 60); the longest stretch:"
-        " rows 0 to 59"
+        "sessions/sunday.mcap: 60 odd rows of 60 (steering that never changes: 60); the longest stretch: rows 0 to"
+        " 59"
     ]
     assert not any("monday" in line for line in examine().odd)
 

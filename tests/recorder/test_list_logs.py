@@ -178,4 +178,4 @@ def test_a_car_that_starts_is_not_odd(here: Path) -> None:
 
     assert describe(log_at(here / "starts.mcap", *[0] * 20, *[9] * 20)).odd_rows == {}
     assert describe(log_at(here / "stops.mcap", *[9] * 20, 0, 0, *[9] * 20)).odd_rows == {}
-    assert describe(log_at(here / "waits.mcap", *[0] * 60, *[9] * 60)).odd_rows == {"parked": 60}
+    assert describe(log_at(here / "parked.mcap", *[0] * 60, *[9] * 20)).odd_rows == {"parked": 60}

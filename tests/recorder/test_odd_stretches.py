@@ -12,7 +12,7 @@ from common import Skipped
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.log_info import describe
-from recorder.log.odd_stretches import OddStretch, odd_lines, odd_stretches
+from recorder.log.odd_stretches import OddStretch, odd_advice, odd_lines, odd_stretches
 from recorder.log.row_quality import States
 from recorder.sources.udacity_recording import UdacityRecording
 
@@ -129,14 +129,15 @@ def test_a_log_keeps_what_is_odd_in_it_and_of_an_earlier_version_it_is_found(
 def test_what_is_odd_ends_with_the_command_that_excludes_it() -> None:
     sure = OddStretch("crash", 3, 9, 0.3, 0.9, "x", is_sure=True)
     unsure = OddStretch("creeping", 20, 29, 2.0, 2.9, "\x1b[1m", is_sure=False)
-    lines = odd_lines([sure] * 8 + [unsure], Path("sessions/a b.mcap"))
+    lines, log = odd_lines([sure] * 8 + [unsure]), Path("sessions/a b.mcap")
     assert lines[0] == "crash: rows 3 to 9, 0.3 to 0.9 s (x)"
     assert lines[6] == "and 3 more stretches"
-    assert "`bc-log tag 'sessions/a b.mcap' exclude --odd`" in lines[-2]
-    assert "`bc-log check 'sessions/a b.mcap'`" in lines[-1]
-    assert "`bc-log tag 'sessions/a b.mcap' exclude --rows 20 29`" in lines[-1]
+    *_, exclude, look = odd_advice([sure] * 8 + [unsure], log)
+    assert "`bc-log tag 'sessions/a b.mcap' exclude --odd`" in exclude
+    assert "`bc-log check 'sessions/a b.mcap'`" in look
+    assert "`bc-log tag 'sessions/a b.mcap' exclude --rows 20 29`" in look
     assert "\x1b" not in str(unsure)
-    assert odd_lines([], Path("a.mcap")) == []
+    assert odd_lines([]) == odd_advice([], log) == []
 
 
 def test_on_real_recordings_the_crashes_are_found_and_nothing_else(recordings: Path) -> None:

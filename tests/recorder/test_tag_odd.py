@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from common.errors import UsageError
+from logs import write_log
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.row_condition import rows_where
@@ -54,9 +55,13 @@ def test_rows_for_which_a_condition_holds_are_tagged_as_stretches(parked: Path) 
 
 
 def test_where_nothing_is_found_nothing_is_tagged(parked: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(main, "tag", parked, "exclude", "--where", "speed_mph > 100") == 0
+    assert call(main, "tag", parked, "exclude", "--where", "speed_mph > 100") == 1
     assert "no row for which that holds; nothing was tagged" in capsys.readouterr().err
     assert tags(parked) == []
+    clean = write_log(parked.with_name("clean.mcap"), [0.1 * (row % 7) for row in range(60)])
+    assert call(main, "tag", clean, "exclude", "--odd") == 0
+    assert "nothing that is surely odd; nothing was tagged" in (said := capsys.readouterr().err)
+    assert "next:" not in said
 
 
 @pytest.mark.parametrize(("answer", "expected"), [(True, [(80, 149, "exclude")]), (False, [])])

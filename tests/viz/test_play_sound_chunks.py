@@ -182,7 +182,8 @@ def test_a_damaged_chunk_of_pictures_is_left_out_and_told(
     capsys.readouterr()
     assert call(main, log, "--save", rrd) == 3
     said = capsys.readouterr()
-    (line,) = said.err.splitlines()
+    line, step = said.err.splitlines()
+    assert step.endswith(f"rerun {rrd}`")
     assert line.startswith(f"bc-play: skipped pictures in damaged chunks of {log} ")
     assert f"`bc-log recover {log}`" in line
     assert f": {len(lost)} ({lost[0]}, " in line
@@ -231,7 +232,7 @@ def test_of_compared_logs_the_sound_pictures_are_shown(tmp_path: Path) -> None:
     lost = damage(logs[1], picture_chunks(logs[1])[2], "a picture")
     done = run("bc-play", *logs, "--save", tmp_path / "x.rrd")
     assert done.returncode == 3
-    (line,) = done.stderr.splitlines()
+    line, _ = done.stderr.splitlines()
     assert str(logs[1]) in line
     assert str(logs[0]) not in line
     found = contents(tmp_path / "x.rrd")

@@ -56,7 +56,9 @@ def in_the_files(run: Path, name: str) -> list[dict[str, Any]]:
 def test_every_curve_has_the_values_of_the_runs_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run, rrd = write_run(tmp_path / "first", 3), tmp_path / "first.rrd"
     assert call(main, run, "--save", rrd) == 0
-    assert capsys.readouterr().out == f"{rrd}: written; open it with `rerun {rrd}`\n"
+    output = capsys.readouterr()
+    assert output.out == f"{rrd}: written\n"
+    assert output.err.splitlines()[-1].endswith(f"rerun {rrd}`")
     steps, epochs = in_the_files(run, "steps.jsonl"), in_the_files(run, "metrics.jsonl")
     assert points(rrd, "/loss/steps") == [(line["samples"], line["training_loss"]) for line in steps]
     for entity, values in {

@@ -280,7 +280,9 @@ def test_a_broken_picture_is_named_and_the_others_are_shown(
 
     log = write_log(tmp_path / "hurt.mcap", STEERING, broken, cameras=["center"])
     assert call(main, log, "--run", "first", "--write", tmp_path / "kept.mcap") == 3
-    assert capsys.readouterr().err == f"skipped pictures that do not decode: 1 (hurt row {BROKEN} center)\n"
+    skipped, step = capsys.readouterr().err.splitlines()
+    assert skipped == f"skipped pictures that do not decode: 1 (hurt row {BROKEN} center)"
+    assert step.endswith(f"bc-play {tmp_path / 'kept.mcap'}`")
     found = read_messages(tmp_path / "kept.mcap")["/prediction/first"]
     rows = [row for row in range(ROWS) if row != BROKEN]
     assert [message.sequence for message, _ in found] == rows
@@ -294,7 +296,7 @@ def test_an_unfinished_log_is_looked_at_as_far_as_it_goes(
     log = tmp_path / "killed.mcap.ab12cd.part"
     log.write_bytes(whole[: int(0.8 * len(whole))])
     assert call(main, log, "--run", "first", "--save", tmp_path / "x.rrd") == 3
-    (line,) = capsys.readouterr().err.splitlines()
+    line, _ = capsys.readouterr().err.splitlines()
     assert f"{log}: unfinished" in line
     found = values(tmp_path / "x.rrd", "/steering/predicted_by/first")
     assert 20 < len(found) < ROWS
