@@ -37,10 +37,9 @@ from dataset.samples.samples_format import sample_files
 
 @dataclass(frozen=True)
 class Index:
-    """Build the index: frames and balanced samples, as parquet, from the logs.
+    """Build the index of the logs: frames and balanced samples, as parquet.
 
-    Only sessions that changed are read again; of people's, some pictures are decoded once, of others none without
-    --look.
+    Only changed sessions are read again. Without --look, few pictures are decoded, or none.
 
     bc-index
     bc-index lake mountain --where "speed_mph > 5" --figures figures

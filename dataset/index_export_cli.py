@@ -18,8 +18,7 @@ from recorder.log_export_cli import print_exported, refuse_no_text
 
 @dataclass(frozen=True)
 class ExportIndex:
-    """Write what the index uses of its logs as a LeRobot dataset (v3.0): without what its settings, tags and
-    --where leave out, with the side of the split that each row is on."""
+    """Write the rows that the index uses as a LeRobot dataset (v3.0), with the split of each row."""
 
     lerobot: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """The new folder of the dataset."""

@@ -30,8 +30,7 @@ from common.untrusted_json import json_as
 class Demo:
     """Record half a lap of each track, index, train, and drive a full lap of both.
 
-    Every command is printed before it runs. Takes about 5 minutes on two idle cores, and 0.9 GB of disk. The same
-    command goes on with one that was stopped.
+    About 5 minutes on two idle cores, 0.9 GB of disk. The same command continues a stopped one.
     """
 
     folder: Path | None = None

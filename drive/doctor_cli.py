@@ -20,8 +20,8 @@ from drive.doctor import examine
 
 @dataclass(frozen=True)
 class Doctor:
-    """Look at a project: its sessions, index, runs and drives, what is odd in them, how good the newest network
-    is, and the next three commands. Reads numbers only, so it is quick. Exit code 3 if something cannot be read.
+    """Summarise a project: its folders, odd rows, the newest network, and the next three commands. Exit code 3 if
+    something cannot be read.
 
     bc-doctor
     bc-doctor ~/driving

@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Sweep:
-    """Train with many settings, each with several seeds, and let each drive; one table at the end.
+    """Train with many settings and seeds, and let each network drive.
 
-    The runs are runs/FILE-SETTINGS-seedN; `bc-runs` lists them, too. What is done is not done again: after Ctrl-C,
-    a kill or a failure the same command goes on. FILE.toml names the settings (docs/scale.md), such as
+    Runs are runs/FILE-SETTINGS-seedN. The same command continues after Ctrl-C, a kill or a failure. FILE.toml names
+    the settings (docs/scale.md), such as
 
     seeds = [0, 1, 2]
     train = { epochs = 5 }

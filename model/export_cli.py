@@ -21,8 +21,7 @@ from model.runs.run_arguments import RUNS
 
 @dataclass(frozen=True)
 class Export:
-    """Give a run's network to others: --onnx writes one file, checked in ONNX Runtime; --donkeycar that file for a
-    DonkeyCar, and the part that drives; --hub a folder for the Hugging Face hub."""
+    """Export a run's network: as an ONNX file, for a DonkeyCar, or as a folder for the Hugging Face hub."""
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """The run, by name or folder."""

@@ -40,9 +40,7 @@ _OF_HELD_OUT: Final = ("rmse", "balanced-rmse", "correlation")
 
 @dataclass(frozen=True)
 class Runs:
-    """List trained runs, the newest first: what they learnt from, their errors on the frames that they hold out,
-    and how they drove: in `bc-eval`, and supervised by a person (`bc-drive --takeover me`). Both are kept in their
-    folders.
+    """List runs, the newest first: what they learnt from, held-out errors, and kept results of drives.
 
     bc-runs
     bc-runs --sort interventions

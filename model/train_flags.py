@@ -24,11 +24,10 @@ _MOST_WORKERS: Final = 10_000
 
 @dataclass(frozen=True)
 class Train:
-    """Train the network on the index; the run is kept in runs/NAME/.
+    """Train the network on the index and keep the run in runs/NAME/.
 
-    The index is built from all sessions if there is none yet, and --index names no other folder. Ctrl-C stops
-    after the current batch, and --resume goes on from there. `bc-train export RUN --onnx` gives a trained network
-    to other programs, --hub FOLDER to the Hugging Face hub.
+    A missing index is built from all sessions. Ctrl-C stops after the current batch; --resume continues.
+    `bc-train export RUN` writes a network for other programs (--onnx) or the Hugging Face hub (--hub).
     """
 
     name: str = ""

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Record:
-    """Record a session to sessions/NAME.mcap: of the built-in simulator, of one that runs, or from a recording.
+    """Record a session to sessions/NAME.mcap: from the built-in simulator, a running one, or a recording.
 
     bc-record lake --track lake --laps 0.5
     bc-record mine --driver me --track lake --open

@@ -30,8 +30,7 @@ from recorder.log_tag_cli import NameRows, warn_stale
 
 @dataclass(frozen=True)
 class ShowInfo:
-    """What a log holds, where it comes from, and how it was steered; reads its end only, so it is quick however
-    long the log is."""
+    """Show what logs hold, their origin, and how they were steered. Reads only their ends."""
 
     logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to describe."""
@@ -59,9 +58,8 @@ class ShowInfo:
 
 @dataclass(frozen=True)
 class Check:
-    """Read logs through and say what is wrong: CRCs, indexes, order; pictures that do not decode or are frozen,
-    rows without one, gaps, stuck steering, steering that contradicts the pictures, values out of range. Exit code
-    3 if something was found."""
+    """Check whole logs: CRCs, indexes, order, gaps, broken or frozen pictures, rows without one, stuck or
+    contradicting steering, values out of range. Exit code 3 if something is wrong."""
 
     logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to check."""
@@ -94,8 +92,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Cameras:
-    """How far the side cameras are from the centre one, measured in their pictures, and the `bc-index
-    --side-correction` that goes with it: 0.2 is that of Udacity's."""
+    """Measure the side cameras' distance and the `bc-index --side-correction` for it (Udacity's: 0.2)."""
 
     logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """Logs with pictures of all three cameras."""
@@ -151,10 +148,9 @@ def _each(logs: tuple[Location, ...], action: Callable[[Location], int]) -> int:
     return FAILED if FAILED in codes else max(codes)
 
 
-ABOUT = """Look after logs: what is in one, is it sound, make new ones of it, name stretches of it.
+ABOUT = """Inspect, check, edit, tag and copy logs.
 
-Nothing edits a log in place. A log is named by its file or URL, or as a session or drive: lake is
-sessions/lake.mcap.
+No log is edited in place. Give a log by path, URL or name: lake is sessions/lake.mcap.
 
     bc-log ls
     bc-log info lake

@@ -28,9 +28,8 @@ _MOST_NAMED: Final = 8
 
 @dataclass(frozen=True)
 class CopyLogs:
-    """Copy logs, and their tags, to a store or from one: whole or not at all, every CRC compared. Give the same
-    command again after one that was stopped: it goes on where that was. What is there already is left alone, and
-    nothing is replaced unasked."""
+    """Copy logs and tags to or from a store, whole or not at all, with every CRC compared. The same command
+    continues a stopped copy."""
 
     places: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...] TO")]
     """Logs or folders of logs, then the target: a folder, a URL, or a new name."""

@@ -29,9 +29,8 @@ from recorder.log_tag_cli import LogPlace
 
 @dataclass(frozen=True)
 class Recover(MakesLogsOfOne):
-    """Make a finished log out of one that is not (its recording was killed), or out of a damaged one. The original
-    stays. Everything is kept whose CRC holds; what is lost is named, with exit code 3. A log that is
-    whole is not copied, unless --to asks for it."""
+    """Make a finished log from an unfinished or damaged one. Keeps everything with a correct CRC; names what is
+    lost (exit code 3). The original stays."""
 
     log: LogPlace
     """The unfinished or damaged log."""
@@ -88,7 +87,7 @@ class Trim(MakesLogsOfOne):
 
 @dataclass(frozen=True)
 class Merge(MakesLogs):
-    """Write several logs into one new log, in the order given; its rows are numbered anew."""
+    """Join logs, in the order given, and renumber their rows."""
 
     logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG LOG [LOG ...]")]
     """The logs to merge."""
@@ -110,8 +109,7 @@ class Merge(MakesLogs):
 
 @dataclass(frozen=True)
 class Rewrite(MakesLogsOfOne):
-    """Write a log of an earlier version as this one writes logs: pictures in chunks of their own, so that numbers
-    are read without them. Pictures, rows, times and tags stay as they are, and runs recognise it."""
+    """Rewrite an old log so that numbers are read without pictures. Content, tags and fingerprint stay."""
 
     log: LogPlace
     """The log to rewrite."""
@@ -131,8 +129,8 @@ class Rewrite(MakesLogsOfOne):
 
 @dataclass(frozen=True)
 class Split(MakesLogsOfOne):
-    """Write each drive of a log to a new log of its own: NAME-1.mcap, NAME-2.mcap and so on. A new drive begins
-    after a gap of more than a second, or where time goes back."""
+    """Write each drive to a log of its own: NAME-1.mcap, NAME-2.mcap and so on. A new drive begins after a gap of
+    more than a second, or where time goes back."""
 
     log: LogPlace
     """The log to split."""

@@ -22,8 +22,7 @@ UPLOADS: Final = "to publish it; nothing is uploaded yet"
 
 @dataclass(frozen=True)
 class ExportLogs:
-    """Write logs as a LeRobot dataset (v3.0), an episode a drive: the original JPEGs, steering, times. Rows tagged
-    `exclude` stay out."""
+    """Write logs as a LeRobot dataset (v3.0), one episode a drive. Rows tagged `exclude` stay out."""
 
     logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to export."""

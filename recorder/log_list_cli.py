@@ -29,7 +29,7 @@ SORTED_BY: Final[dict[str, Callable[[LogInfo], Any]]] = {
 
 @dataclass(frozen=True)
 class ListLogs:
-    """List sessions and drives, the newest first: when, how long, how many rows, who drove, what is odd."""
+    """List sessions and drives, the newest first: time, duration, rows, driver, odd rows."""
 
     places: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FOLDER|LOG ...]")] = ()
     """Logs or folders; by default sessions and drives."""

@@ -38,8 +38,8 @@ LogPlace = Annotated[LogFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")
 
 @dataclass(frozen=True)
 class NameRows:
-    """Name stretches of a log, or take the name away again. Names are kept beside the log, in NAME.tags.jsonl;
-    rows tagged `exclude` are never trained on. Without a name, the tags are listed."""
+    """Tag rows, remove tags, or list them. Tags are in NAME.tags.jsonl next to the log. Rows tagged `exclude` are
+    never trained on."""
 
     log: LogPlace
     """The log to tag."""

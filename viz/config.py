@@ -22,9 +22,9 @@ from recorder.log_flag import LogFlag
 
 @dataclass(frozen=True)
 class Play:
-    """Open logs in the Rerun viewer: cameras, the network's crop, steering, speed. Several are compared.
+    """Show a log in the Rerun viewer, or compare several.
 
-    Of a run's folder, it shows how training went: losses, errors beside those of constant predictors, and by bin.
+    Given a run's folder, show its training: losses and errors.
     Without a display, the viewer is served to browsers on this machine.
     """
 

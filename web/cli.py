@@ -19,7 +19,7 @@ from common.versions import install_line
 
 @dataclass(frozen=True)
 class Web:
-    """See and clean all sessions in the browser, until Ctrl-C. Changes are made as the commands make them.
+    """Serve the workbench for the browser, until Ctrl-C.
 
     bc-web --open
     """

@@ -22,7 +22,7 @@ def _default(metavar: str, value: str) -> Any:
 
 @dataclass(frozen=True)
 class Eval:
-    """Measure a trained network: on recorded frames that were held out, or driving: a recording, or the simulator.
+    """Measure a trained network: on held-out frames, driving a recording, or in the simulator.
 
     bc-eval first
     bc-eval first --session sunday
