@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 class Sweep:
     """Train with many settings and seeds, and let each network drive.
 
-    Runs are runs/FILE-SETTINGS-seedN. The same command continues after Ctrl-C, a kill or a failure. FILE.toml names
-    the settings (docs/scale.md), such as
+    Runs are runs/FILE-SETTINGS-seedN. The same command continues after Ctrl-C, a kill or a failure. FILE.toml
+    names the settings (docs/scale.md), such as
 
     seeds = [0, 1, 2]
     train = { epochs = 5 }
