@@ -190,7 +190,9 @@ def test_the_frames_are_those_that_the_index_of_a_holds_out(
 def test_the_table_tells_what_the_json_does(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _, found, _ = compared(capsys, "good", "shifted", "--session", "new")
     assert call(main, "--compare", "good", "shifted", "--session", "new") == 1
-    lines = capsys.readouterr().out.splitlines()
+    shown = capsys.readouterr()
+    assert "bc-eval --compare good shifted --simulator lake`" in shown.err.splitlines()[-1]
+    lines = shown.out.splitlines()
     assert max(map(len, lines)) <= 80
     assert [line.rstrip() for line in lines[:2]] == ["A: good", "B: shifted"]
     assert lines[2].startswith("60 frames in 12 blocks of 5 s")

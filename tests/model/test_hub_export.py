@@ -152,6 +152,7 @@ def test_of_a_run_that_says_nothing_the_card_says_so(tmp_path: Path, capsys: pyt
     assert call(main, "export", run, "--hub", tmp_path / "hub") == 0
     said, told = capsys.readouterr().err, (tmp_path / "hub" / "README.md").read_text()
     assert "bc-eval" in said
+    assert said.splitlines()[-1].startswith(f"next: `hf upload first {tmp_path / 'hub'}`")
     assert "--license" in said
     assert "Not stated: ask whoever trained it" in told
     assert "Nobody has measured it" in told

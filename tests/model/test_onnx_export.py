@@ -160,7 +160,8 @@ def test_without_a_name_the_file_lies_in_the_run_and_the_printed_python_runs_it(
     assert taken == "input pictures: uint8 (N, 128, 128, 3), BGR, 0..255, cropped and resized"
     assert (copy / "first.onnx").read_bytes() == exported.read_bytes()
     picture = pictures(tmp_path)[-1]
-    heading, *code, _ = done.stderr.splitlines()
+    heading, *code, step = done.stderr.splitlines()
+    assert step.startswith("next: `python -m pip install onnxruntime opencv-python-headless`")
     shown = textwrap.dedent("\n".join(code)).replace("picture.jpg", picture.as_posix())
     shown = shown.replace("runs/first/first.onnx", (copy / "first.onnx").as_posix())
     assert heading == "to run it with onnxruntime and opencv-python-headless alone:"

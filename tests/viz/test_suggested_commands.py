@@ -28,9 +28,9 @@ def test_a_file_that_was_written_is_opened_by_the_command_that_is_named(
     log = write_log(tmp_path / "a.mcap", STEERING, road, cameras=["center"])
     shown, kept = tmp_path / "my drive.rrd", tmp_path / "what it says.mcap"
     assert call(main, log, "--save", shown) == 0
-    assert suggested(capsys.readouterr().out)[-1] == str(shown)
+    assert suggested(capsys.readouterr().err)[-1] == str(shown)
     assert call(main, log, "--run", untrained_run(tmp_path / "run"), "--write", kept) == 0
-    assert suggested(capsys.readouterr().out)[-1] == str(kept)
+    assert suggested(capsys.readouterr().err)[-1] == str(kept)
 
 
 def test_a_run_that_was_taken_for_a_log_is_named_with_its_folder(
