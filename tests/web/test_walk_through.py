@@ -61,7 +61,7 @@ def made(page: Page, state: str = "done") -> None:
     """Wait on the page of a job until it has ended in this way, and go to what it has made."""
     page.wait_for_selector("#job .state:not(:text('running'))")
     assert page.inner_text("#job .state") == state, page.inner_text("pre")
-    page.click("text=what it has made")
+    page.click("#job p:has(.state) a")  # a run, which has its page from the beginning, or what else was made
 
 
 def test_from_a_damaged_session_to_its_drive(
