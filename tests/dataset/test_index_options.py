@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 import threading
-import traceback
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from dataset.cli import main
 from dataset.frames.split import near_validation
 from dataset.index.leaks import find_leaks
 from dataset.samples.balance import balance
+from dataset.samples.filter import Condition
 from layouts import write_as_before
 from logs import write_log
 from plain_mcap import contents
@@ -150,13 +151,20 @@ def test_a_condition_that_takes_long_can_be_interrupted(
     monkeypatch.chdir(tmp_path)
     log_of(tmp_path / "sessions" / "a.mcap")
 
+    holds, begun = Condition.holds, threading.Event()
+
+    def holding(condition: Condition, frames: pa.Table) -> object:
+        begun.set()
+        return holds(condition, frames)
+
     def stop_what_takes_long() -> None:
-        seen = 0
-        while seen < 20:  # it has been in DuckDB's hands for a while
-            stacks = [traceback.walk_stack(frame) for frame in sys._current_frames().values()]
-            seen += any(frame.f_code.co_name == "fetchnumpy" for stack in stacks for frame, _ in stack)
+        begun.wait()
+        used_s = time.process_time()
+        while time.process_time() < used_s + 0.3:  # it has been in DuckDB's hands for a while
             threading.Event().wait(0.01)
         os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(Condition, "holds", holding)
 
     stopping = threading.Thread(target=stop_what_takes_long)
     stopping.start()
