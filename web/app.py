@@ -30,6 +30,7 @@ from web.data.where_search import WhereSearches
 from web.pages.altered_page import altered_routes
 from web.pages.attention_page import attention_routes
 from web.pages.changes import change_routes
+from web.pages.course_page import course_routes
 from web.pages.drives_page import drive_routes
 from web.pages.index_page import index_routes
 from web.pages.jobs_page import job_routes
@@ -59,6 +60,7 @@ _AS_THEY_ARE: Final = (  # compressed already, or sent bit by bit
 )
 _OF_A_LOG: Final = (
     session_routes,
+    course_routes,
     log_file_routes,
     log_link_routes,
     rerun_log_routes,

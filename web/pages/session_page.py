@@ -18,6 +18,7 @@ from common.stretches import stretches
 from recorder.log.row_condition import rows_where
 from recorder.log.tags import EXCLUDE, tags_path
 from recorder.log.topics import camera_topic
+from web.data.drive_course import is_driven
 from web.data.open_logs import OpenLog
 from web.data.project_folders import Place
 from web.data.rerun_viewers import command_of
@@ -44,6 +45,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
                 at=f"/{place}/{request.path_params['log']}",
                 info=info,
                 cameras=CAMERAS,
+                is_driven=is_driven(topic.topic for topic in info.topics),
                 path=printable(str(path)),
                 log_jobs=shown_log_jobs(path),
                 others=_others(bench, place, path),
