@@ -50,7 +50,7 @@ export class Curves {
     if (!this.data.length) return;
     const color = this.colorReader();
     this.colors = {
-      odd: color("--odd-band"), oddBack: color("--odd-band-back"), tag: color("--tag-band"),
+      notLearnt: color("--dim"), odd: color("--odd-band"), oddBack: color("--odd-band-back"), tag: color("--tag-band"),
       break: color("--dim"), exclude: color("--exclude-band"), excludeBack: color("--exclude-band-back"), selection: color("--selection"),
     };
     const x = Float64Array.from({ length: this.data.length }, (_, at) => at);

@@ -249,6 +249,9 @@ function showRerun() {
 }
 
 function showTags() {
+  const leftOut = data.state.not_learnt.reduce((sum, [first, last]) => sum + last - first + 1, 0);
+  by("not-learnt").hidden = !leftOut;
+  by("not-learnt").textContent = `hatched: ${leftOut.toLocaleString("en")} rows that training leaves out by default`;
   toDo = left(groups, data.tags);
   const undone = new Set(toDo);
   listOdd(by("odd"), groups, data, { isLeft: (group) => undone.has(group), onPick: goTo });
