@@ -30,6 +30,8 @@ from web.data.where_search import WhereSearches
 from web.pages.altered_page import altered_routes
 from web.pages.attention_page import attention_routes
 from web.pages.changes import change_routes
+from web.pages.compare_page import compare_routes
+from web.pages.course_page import course_routes
 from web.pages.drives_page import drive_routes
 from web.pages.index_page import index_routes
 from web.pages.jobs_page import job_routes
@@ -59,6 +61,7 @@ _AS_THEY_ARE: Final = (  # compressed already, or sent bit by bit
 )
 _OF_A_LOG: Final = (
     session_routes,
+    course_routes,
     log_file_routes,
     log_link_routes,
     rerun_log_routes,
@@ -121,6 +124,7 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
         *job_routes(bench),
         *wheel_routes(bench),
         *wheel_socket_routes(),
+        *compare_routes(bench),
         *run_list_routes(bench),
         *run_routes(bench),
         Mount(STATIC, PageFiles()),

@@ -90,7 +90,16 @@ def drive_and_log(
     """
     with (
         stop_signals() as stopped,
-        DriveServer(pilot, config, log, overwrite=overwrite, port=0, mode=mode, is_built_in=True) as server,
+        DriveServer(
+            pilot,
+            config,
+            log,
+            overwrite=overwrite,
+            port=0,
+            mode=mode,
+            is_built_in=True,
+            track=simulator.track,
+        ) as server,
     ):
         report = drive_built_in(server, simulator, stopped, shows_progress=shows_progress)
         if not report:

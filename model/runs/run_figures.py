@@ -22,14 +22,12 @@ from dataset.figure_style import BLUE, DPI, GREEN, GREY, ORANGE, figure_style, n
 from model.errors import RunError
 from model.metrics import BinErrors, Measures, measure
 from model.runs.history import History, read_history
-from model.runs.run_files import replaced_file
+from model.runs.run_files import CURVES, STEERING, replaced_file
 from model.runs.training_progress import Epoch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-CURVES, STEERING = "curves.png", "steering.png"
 
 _MOST_MARKED: Final = 40  # epochs: beyond that, marks touch each other
 _SHOWN_FRAMES: Final = 300  # in a row, so that single frames can be told apart

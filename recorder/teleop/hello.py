@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
 
-from simulator.roads.track import Track
+from simulator.roads.track import Track, load_track
 
 _EDGE_EVERY_M: Final = 4.0
 
@@ -43,3 +44,14 @@ def road_edges(track: Track) -> dict[str, object]:
     to_left = np.stack([-np.sin(heading), np.cos(heading)], axis=1) * track.half_width_m[::every, None]
     edges = {"left": middle + to_left, "right": middle - to_left}
     return {name: points.round(2).tolist() for name, points in edges.items()} | {"closed": True}
+
+
+@lru_cache(8)
+def road_named(name: str, fingerprint: str = "") -> dict[str, object] | None:
+    """The edges of the built-in road of that name (`road_edges`); None for any other name, and where its
+    `Track.fingerprint` is known and another one: another version had that road."""
+    try:
+        track = load_track(name)
+    except ValueError:
+        return None
+    return road_edges(track) if fingerprint in ("", track.fingerprint()) else None

@@ -257,6 +257,7 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
     ]
     with Log(here.log) as log:
         assert log.read_metadata("bc.simulator")["trajectory_sha256"] == there["trajectory_sha256"]
+        assert log.metadata["track"] == "lake"  # of its map
         assert car_in(log.metadata, log.path) == built_in()  # where its cameras stand, and how it turns
 
 

@@ -34,6 +34,8 @@ PAGES: Final = {
     "/runs?run=r": "#plots canvas",
     "/runs/r": "#plots canvas",
     "/drives?log=d&by=speed": "circle",
+    "/drives/d": "#session[data-course] circle",
+    "/runs.compare?a=r&b=other": "form button",
     "/jobs?start=train": "details[open] button",
     "/wheel?driver=run": "form.begin",
     "/wheel/after/sessions/faulty": "form",
@@ -80,6 +82,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     frame = {"session": "faulty", "row": 7, "log_time_ns": 7, "log_time_utc": "then", "recorded_deg": 1.0}
     shown = {**frame, "predicted_deg": 9.0, "error_deg": 8.0, "jpeg": base64.b64encode(road_jpeg(7)).decode()}
     write_lines(run / "worst.jsonl", [{"epoch": 2, "frames": [shown]}])
+    untrained_run(folder / "runs" / "other")
     a_drive(folder / "drives" / "d.mcap", "r")
     with served(folder) as found:
         wait_until(lambda: "reading" not in found.get("/runs.rows").text)

@@ -165,9 +165,27 @@ def test_worst_frames_are_a_gallery(tmp_path: Path) -> None:
         text = bench.get("/runs/r").text
         assert "8.0° too far to the right" in text
         assert 'href="/sessions/sunday#row=7&amp;run=' in text
+        # 25 degrees are drawn as 60: the sine and cosine of 21.6 degrees, and of 2.4
+        assert '<polyline class="predicted" points="64,128 97.1,44.3"/>' in text
+        assert '<polyline class="recorded" points="64,128 67.8,38.1"/>' in text
         assert bench.get("/runs/r/worst/1/1.jpg").body == road_jpeg(3)
         assert bench.get("/runs/r/worst/1/2.jpg").status == 404
         assert "6.0°" not in bench.get("/runs/r?epoch=2").text
+
+
+def test_errors_and_bias_stand_beside_the_steering_that_was_recorded(tmp_path: Path) -> None:
+    run = a_run(tmp_path / "runs", "r", 2.0)
+    with served(tmp_path) as bench:
+        wait_until(lambda: "As numbers" in bench.get("/runs/r/body").text)
+        text = bench.get("/runs/r").text
+        # of 25 bins over -25 to 25 degrees; after the first epoch, which was kept
+        assert "-19.0° -17.0° 10 18.00 -0.50" in plain(text)
+        assert "-1.0° 1.0° 90 6.00 -0.50" in plain(text)
+        assert re.findall(r'<rect class="predicted" x="([\d.]+)" width', text) == ["12.0", "48.0"]
+        assert "frame by frame" not in text
+        (run / "steering.png").write_bytes(b"drawn")
+        assert "frame by frame" in bench.get("/runs/r").text
+        assert bench.get("/runs/r/steering.png").body == b"drawn"
 
 
 def test_of_a_car_whose_angle_is_unknown_errors_are_shares_of_full_lock(tmp_path: Path) -> None:

@@ -5,14 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from concurrent.futures import Executor
+from itertools import islice
 from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from common import UserError
 from common.errors import printable
 from common.location import Location, absolute
+from drive.control.person_takeover import TAKES_OVER
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
 from recorder.log import topics
@@ -24,7 +27,7 @@ from web.data.project_folders import ProjectFolders
 
 _MOST_POINTS: Final = 1500
 _MOST_EVENTS: Final = 200
-_INTERVENTIONS: Final = ("off the road, or stuck", "the expert takes over", HUMAN_DRIVES)
+_INTERVENTIONS: Final = ("off the road, or stuck", "the expert takes over", TAKES_OVER, HUMAN_DRIVES)
 
 
 class DriveEvent(msgspec.Struct, frozen=True):
@@ -77,20 +80,14 @@ class DriveViews:
             self._folders.refuse_unanswered(log)
             return _read(log)
 
-        return self._cache.struct(f"drive 2 {absolute(log)} {version}", DriveView, read)
+        return self._cache.struct(f"drive 3 {absolute(log)} {version}", DriveView, read)
 
 
 def _read(path: Location) -> DriveView:
     with Log(path) as log:
         states = log.vehicle()
         rows, time_ns, mph = (states[name].to_numpy() for name in ("row", "log_time_ns", "speed_mph"))
-        events: list[DriveEvent] = []
-        for message, event in log.decoded(topics.EVENTS) if topics.EVENTS in log.counts else ():
-            if len(rows) and len(events) < _MOST_EVENTS:
-                at = min(int(np.searchsorted(time_ns, message.log_time_ns)), len(rows) - 1)
-                text = printable(event.message)[:300]
-                seconds = float(time_ns[at] - time_ns[0]) / 1e9
-                events.append(DriveEvent(int(rows[at]), seconds, text, text.startswith(_INTERVENTIONS)))
+        events = drive_events(log, rows, time_ns)
         sent: dict[int, tuple[int, float | None]] = {}
         if topics.PILOT_COMMAND in log.counts:
             full_deg = max_steering_deg_of(log)
@@ -116,6 +113,19 @@ def _read(path: Location) -> DriveView:
             printable(name): printable(value) for name, value in log.read_metadata(topics.DRIVE_METADATA).items()
         }
         return DriveView(counted, events, path_of_car)
+
+
+def drive_events(log: Log, rows: NDArray[np.int64], time_ns: NDArray[np.int64]) -> list[DriveEvent]:
+    """The first events of a log with these rows, at these log times (N,)."""
+    if topics.EVENTS not in log.counts or not len(rows):
+        return []
+    events = []
+    for message, event in islice(log.decoded(topics.EVENTS), _MOST_EVENTS):
+        at = min(int(np.searchsorted(time_ns, message.log_time_ns)), len(rows) - 1)
+        text = printable(event.message)[:300]
+        seconds = float(time_ns[at] - time_ns[0]) / 1e9
+        events.append(DriveEvent(int(rows[at]), seconds, text, text.startswith(_INTERVENTIONS)))
+    return events
 
 
 def _error_deg(command: PilotCommand, full_deg: float) -> float | None:

@@ -143,7 +143,7 @@ class Jobs:
 
     def __init__(self, cache: Path) -> None:
         here = hashlib.sha256(os.fsencode(Path.cwd())).hexdigest()[:16]
-        self._folder = cache / "jobs" / here
+        self.folder = cache / "jobs" / here
         self._lock = threading.Lock()
 
     def all(self) -> list[Job]:
@@ -177,7 +177,7 @@ class Jobs:
         """Start a command of the project: `words` are its command line, which a form made of `values`."""
         now = datetime.now(UTC)
         key = f"{now:%Y%m%d-%H%M%S-%f}-{secrets.token_hex(2)}"
-        folder = self._folder / key
+        folder = self.folder / key
         with self._lock:
             self._tidy()
             folder.mkdir(parents=True)
@@ -213,7 +213,7 @@ class Jobs:
 
     def _found(self) -> Iterator[Job]:
         with contextlib.suppress(OSError):
-            for folder in self._folder.iterdir():
+            for folder in self.folder.iterdir():
                 with contextlib.suppress(OSError, ValueError):
                     if about := json_as((folder / ABOUT).read_bytes(), About):
                         datetime.fromisoformat(about.began)

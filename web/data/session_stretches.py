@@ -17,7 +17,7 @@ from dataset.frames.frames_table import frames_of
 from recorder import Log
 from recorder.log.meant_gaps import meant_rows
 from recorder.log.odd_stretches import odd_stretches
-from recorder.log.row_quality import States, row_flags
+from recorder.log.row_quality import NOT_LEARNT, States, row_flags
 from recorder.log.topics import QUALITY_METADATA, camera_topic
 
 _SURE: Final = ("broken_picture", "steering_against_pictures")
@@ -51,6 +51,14 @@ def shown_stretches(log: Log, states: States, findings: ImageFindings | None) ->
         for first, last in stretches(mask)
     ]
     return sorted(found, key=lambda stretch: (stretch.first, stretch.last, stretch.kind))
+
+
+def not_learnt_stretches(states: States) -> list[tuple[int, int]]:
+    """The rows that training leaves out by default, as the first and last positions of stretches."""
+    if not len(states.row):
+        return []
+    flags = row_flags(states)
+    return stretches(np.logical_or.reduce([flags[flag] for flag in NOT_LEARNT]))
 
 
 def _of_pictures(log: Log, states: States, findings: ImageFindings | None) -> dict[PictureFlag, NDArray[np.bool_]]:

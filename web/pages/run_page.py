@@ -8,15 +8,17 @@ from pathlib import Path
 from typing import Any, Final
 
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, Response
+from starlette.responses import FileResponse, HTMLResponse, Response
 from starlette.routing import Route
 
 from common import UserError
 from common.car import MAX_STEERING_DEG
 from common.errors import printable
-from common.steering_unit import DEGREES, SteeringUnit, steering_unit
+from common.steering_unit import DEGREES, SteeringUnit, assumed_deg, steering_unit
 from common.whole_number import whole_number
+from model.runs.run_files import STEERING
 from web.data.project_folders import PLACES, ProjectFolders, key_of
+from web.data.run_bins import bin_bars
 from web.data.run_cards import RunCard
 from web.data.run_origins import index_checksum, origin_of
 from web.data.run_settings import run_settings
@@ -28,6 +30,8 @@ from web.pages.workbench import Workbench
 from web.server.templates import render
 
 _MOST_NUMBERS: Final = 14  # of a result
+_FULL_LOCK_RAD: Final = math.pi / 3  # as full lock is drawn: more than it is, so that a few degrees are visible
+_LINE: Final = 90.0  # of such a picture
 
 
 def run_routes(bench: Workbench) -> list[Route]:
@@ -47,6 +51,14 @@ def run_routes(bench: Workbench) -> list[Route]:
             raise WebError(f"{path}: no such frame after epoch {epoch}", 404)
         return Response(pictures.jpegs[number], media_type="image/jpeg")
 
+    def steering(request: Request) -> Response:
+        """The picture that bc-train draws of predicted against recorded steering."""
+        path = bench.folders.run(request.path_params["run"])
+        bench.folders.bring_run(path, (STEERING,))
+        if not (path / STEERING).is_file():
+            raise WebError(f"{path}: no {STEERING}; bc-train draws it where matplotlib is installed", 404)
+        return FileResponse(path / STEERING, media_type="image/png")
+
     def _context(request: Request) -> dict[str, Any]:
         key = request.path_params["run"]
         path = bench.folders.run(key)
@@ -64,12 +76,14 @@ def run_routes(bench: Workbench) -> list[Route]:
             "is_of_index": _is_of_index(path, bench.folders.index_here),
             "results": _results(pages, card),
             "drives": _drives(bench, path.name),
+            "has_scatter": (path / STEERING).is_file(),
             **_worst(bench, pages, path, card, request.query_params.get("epoch", "")),
         }
 
     return [
         Route("/runs/{run}", page),
         Route("/runs/{run}/body", body),
+        Route("/runs/{run}/steering.png", steering),
         Route("/runs/{run}/worst/{epoch}/{number}.jpg", worst_picture),
     ]
 
@@ -89,6 +103,13 @@ def _settings(path: Path) -> dict[str, str]:
 def _sessions(pages: Mapping[str, str], card: RunCard) -> list[tuple[str, str]]:
     """The sessions that it learnt from, and the addresses of their pages; "" for those that are not here."""
     return [(printable(name), _page_of(pages, name)) for name in (card.summary.sessions if card.summary else ())]
+
+
+def _end_of_line(steering_deg: float, max_deg: float | None) -> str:
+    """Where a line of steering ends in a picture of 128 by 128, from the middle of its lower edge: the point."""
+    share = max(-1.0, min(1.0, steering_deg / assumed_deg(max_deg)))
+    turn = share * _FULL_LOCK_RAD
+    return f"{64 + _LINE * math.sin(turn):.1f},{128 - _LINE * math.cos(turn):.1f}"
 
 
 def _log_pages(folders: ProjectFolders) -> dict[str, str]:
@@ -158,7 +179,7 @@ def _worst(
     try:
         history = bench.runs.history(path)
     except UserError as error:
-        return {"worst": [], "epochs": [], "epoch": 0, "kept": 0, "problem": printable(str(error))}
+        return {"worst": [], "epochs": [], "epoch": 0, "kept": 0, "bins": None, "problem": printable(str(error))}
     kept = card.summary.kept_epoch if card.summary else 0
     by_epoch = {found.epoch: found for found in history.worst}
     epoch = kept if (number := whole_number(requested)) is None else number
@@ -172,12 +193,16 @@ def _worst(
                 "picture": f"/runs/{card.key}/worst/{epoch}/{number}.jpg",
                 "session": printable(frame.session),
                 "frame": frame,
+                "predicted": _end_of_line(frame.predicted_deg, by_epoch[epoch].max_deg),
+                "recorded": _end_of_line(frame.recorded_deg, by_epoch[epoch].max_deg),
                 "address": f"{address}#row={frame.row}&run={card.key}" if address else "",
             }
         )
+    measured = next((found.measures for found in history.epochs if found.epoch == epoch), None)
     unit = steering_unit(by_epoch[epoch].max_deg) if epoch in by_epoch else DEGREES
     return {
         "worst": frames,
+        "bins": bin_bars(measured) if measured else None,
         "worst_unit": unit,
         "epochs": list(by_epoch),
         "epoch": epoch,

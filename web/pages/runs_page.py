@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
+from urllib.parse import urlencode
 
 from starlette.datastructures import QueryParams
 from starlette.requests import Request
@@ -102,7 +103,8 @@ def run_list_routes(bench: Workbench) -> list[Route]:
                 problems.append(printable(str(error)))
             else:
                 names.append(printable(path.name))
-        return {"names": names, "rows": differing(settings), "problems": problems}
+        both = urlencode(dict(zip("ab", (key for key, _ in _chosen(query)), strict=False)))
+        return {"names": names, "rows": differing(settings), "problems": problems, "compare": both}
 
     return [
         Route("/runs", page),

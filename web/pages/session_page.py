@@ -18,10 +18,11 @@ from common.stretches import stretches
 from recorder.log.row_condition import rows_where
 from recorder.log.tags import EXCLUDE, tags_path
 from recorder.log.topics import camera_topic
+from web.data.drive_course import is_driven
 from web.data.open_logs import OpenLog
 from web.data.project_folders import Place
 from web.data.rerun_viewers import command_of
-from web.data.session_stretches import shown_stretches
+from web.data.session_stretches import not_learnt_stretches, shown_stretches
 from web.pages.log_jobs_page import shown_log_jobs
 from web.pages.tagging import change_tags, names_known
 from web.pages.workbench import Workbench
@@ -44,6 +45,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
                 at=f"/{place}/{request.path_params['log']}",
                 info=info,
                 cameras=CAMERAS,
+                is_driven=is_driven(topic.topic for topic in info.topics),
                 path=printable(str(path)),
                 log_jobs=shown_log_jobs(path),
                 others=_others(bench, place, path),
@@ -145,5 +147,6 @@ def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
         "pictures": sum(log.counts.get(camera_topic(camera), 0) for camera in CAMERAS),
         "problem": printable(log.notice),  # tags of what is not finished would be lost with its recovery
         "odd": shown_stretches(log, states, findings) if len(states.row) else [],
+        "not_learnt": not_learnt_stretches(states),
         "pictures_checked": findings is not None and findings.against is not None,
     }

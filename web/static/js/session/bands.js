@@ -1,7 +1,8 @@
 // The coloured bands behind the curves: excluded rows over the full height, other tags at the top, odd stretches at
-// the bottom, the selection over all; and where drives begin. Only what is visible is drawn, and of many in one column of pixels, one.
+// the bottom, the selection over all; where drives begin; and hatched, what training leaves out by default. Only what is visible is drawn, and of many in one column of pixels, one.
 
 const LANE = 8;
+const HATCH = 6; // pixels between its lines
 
 export function drawBands(plot, data, odd, selection, colors) {
   const { ctx, bbox } = plot;
@@ -24,9 +25,33 @@ export function drawBands(plot, data, odd, selection, colors) {
     data.tags.filter((tag) => tag.name === "exclude"),
     () => [[colors.excludeBack, ...whole], [colors.exclude, bbox.top, lane]],
   );
+  drawHatched(plot, data.state.not_learnt, colors.notLearnt);
   drawBreaks(plot, data.breaks, colors.break, whole);
   if (selection) drawAll(plot, [selection], () => [[colors.selection, ...whole]]);
   ctx.restore();
+}
+
+function drawHatched(plot, stretches, color) {
+  const { ctx, bbox } = plot;
+  const step = HATCH * devicePixelRatio;
+  ctx.strokeStyle = color;
+  ctx.lineWidth = devicePixelRatio;
+  for (const [first, last] of stretches) {
+    const left = Math.max(plot.valToPos(first - 0.5, "x", true), bbox.left);
+    const right = Math.min(plot.valToPos(last + 0.5, "x", true), bbox.left + bbox.width);
+    if (right <= left) continue;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(left, bbox.top, Math.max(right - left, devicePixelRatio), bbox.height);
+    ctx.clip();
+    ctx.beginPath();
+    for (let at = left - (left % step) - bbox.height; at < right; at += step) {
+      ctx.moveTo(at, bbox.top + bbox.height);
+      ctx.lineTo(at + bbox.height, bbox.top);
+    }
+    ctx.stroke();
+    ctx.restore();
+  }
 }
 
 function drawAll(plot, stretches, rectangles) {

@@ -11,14 +11,20 @@ const AXIS_WIDTH = 46;
 const LEAST_TICK = 90; // pixels between two times
 const STEPS_S = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200];
 const PLOTS = [
-  { share: 0.24, scales: { y: [-1.05, 1.05] }, lines: [["steering", "y", "--steering"], ["predicted", "y", "--predicted"]] },
+  { share: 0.24, scales: { y: [-1.05, 1.05] }, lines: [
+    ["steering", "y", "--steering"], ["sent", "y", "--sent"], ["expert", "y", "--expert"], ["network", "y", "--network"],
+    ["predicted", "y", "--predicted"], ["kept_1", "y", "--kept_1"], ["kept_2", "y", "--kept_2"], ["kept_3", "y", "--kept_3"],
+  ] },
   {
     share: 0.16,
     scales: { pedal: [0, 1.05], mph: null },
     lines: [["throttle", "pedal", "--throttle"], ["brake", "pedal", "--brake"], ["speed_mph", "mph", "--speed"]],
   },
 ];
-const NAMES = { steering: "steering (right is up)", predicted: "predicted", throttle: "throttle", brake: "brake", speed_mph: "speed, mph" };
+const NAMES = {
+  steering: "steering (right is up)", sent: "sent", expert: "the expert's", network: "the network's", predicted: "predicted",
+  throttle: "throttle", brake: "brake", speed_mph: "speed, mph",
+};
 
 export class Curves {
   /** `onMove(position)`: the mouse points there; `onSelect({first, last})`: a stretch was dragged over. */
@@ -29,6 +35,8 @@ export class Curves {
     this.selection = null;
     this.view = null;
     this.position = 0;
+    this.names = { ...NAMES };
+    this.onView = () => {}; // other rows are shown, or in another width
     new ResizeObserver(() => this.resize()).observe(element);
     addEventListener("resize", () => this.resize());
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.build());
@@ -42,7 +50,7 @@ export class Curves {
     if (!this.data.length) return;
     const color = this.colorReader();
     this.colors = {
-      odd: color("--odd-band"), oddBack: color("--odd-band-back"), tag: color("--tag-band"),
+      notLearnt: color("--dim"), odd: color("--odd-band"), oddBack: color("--odd-band-back"), tag: color("--tag-band"),
       break: color("--dim"), exclude: color("--exclude-band"), excludeBack: color("--exclude-band-back"), selection: color("--selection"),
     };
     const x = Float64Array.from({ length: this.data.length }, (_, at) => at);
@@ -102,7 +110,7 @@ export class Curves {
           axis({ scale: names[1] ?? names[0], side: 1, grid: { show: false }, show: true }),
         ],
         series: [{}, ...lines.map(([name, scale, variable]) => ({
-          label: NAMES[name], scale, stroke: color(variable), width: 1.5, points: { show: false }, spanGaps: false,
+          label: this.names[name], scale, stroke: color(variable), width: 1.5, points: { show: false }, spanGaps: false,
         }))],
         hooks: {
           drawClear: [(drawn) => drawBands(drawn, this.data, this.odd, this.selection, this.colors)],
@@ -118,7 +126,7 @@ export class Curves {
     for (const [name] of lines) {
       const item = document.createElement("span");
       item.className = name;
-      item.textContent = NAMES[name];
+      item.textContent = this.names[name];
       key.append(item);
     }
     plot.over.append(key);
@@ -204,6 +212,7 @@ export class Curves {
     const visible = { min: from, max: from + size };
     for (const plot of this.plots) plot.batch(() => plot.setScale("x", visible)); // at once: the markers go by it
     this.placeMarkers();
+    this.onView();
   }
 
   /** Bring a stretch into view, with as much again on either side. */
@@ -245,6 +254,7 @@ export class Curves {
   resize() {
     this.plots.forEach((plot, at) => plot.setSize({ width: this.element.clientWidth, height: this.heightOf(PLOTS[at].share) }));
     this.placeMarkers();
+    this.onView();
   }
 }
 

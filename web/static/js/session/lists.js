@@ -26,6 +26,13 @@ export function listTags(element, data, { canChange, onPick, onRemove }) {
   });
 }
 
+export function listEvents(element, events, onPick) {
+  fill(element, events, (event) => [
+    button(clock(event.seconds), () => onPick(event), event.is_intervention ? "exclude" : "tag"),
+    text("span", event.text, "dim"),
+  ]);
+}
+
 export function listWorst(element, moments, onPick) {
   fill(element, moments, (moment) => [button(moment.short, () => onPick(moment), ""), text("span", moment.words, "dim")]);
 }

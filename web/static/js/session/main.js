@@ -3,13 +3,16 @@
 import { showStatus } from "../live.js";
 import { Attention } from "./attention.js";
 import { clock } from "./clock.js";
+import { Course } from "./course.js";
+import { CourseMap } from "./course_map.js";
 import { Curves } from "./curves.js";
+import { DriverBand } from "./drivers.js";
 import { History } from "./history.js";
 import { listen } from "./keys.js";
-import { listOdd, listTags, listWorst } from "./lists.js";
+import { listEvents, listOdd, listTags, listWorst } from "./lists.js";
 import { ask, LogData } from "./log_data.js";
 import { Predictions } from "./predictions.js";
-import { following, grouped, left, words } from "./odd.js";
+import { grouped, left, Round, words } from "./odd.js";
 import { Makers } from "./make.js";
 import { Many } from "./many.js";
 import { Pictures } from "./pictures.js";
@@ -29,6 +32,12 @@ const makers = new Makers(by("make"), data);
 const rerun = new RerunFrame(by("rerun"), data, { onChange: showRerun, onProblem: showStatus });
 const predictions = new Predictions(data, { onChange: showPredicted });
 const attention = new Attention(document.querySelector("figure[data-camera=center]"), data, { onChange: showAttention });
+const course = by("course-map") && new Course(data, { onChange: showCourse }); // of a log that was driven
+const drivers = course && new DriverBand(by("drivers"), course, curves);
+const map = course && new CourseMap(by("course-map"), course, {
+  picture: document.querySelector("figure[data-camera=center] img"), onPoint: point, onPick: goTo,
+});
+const round = new Round();
 let groups = [];
 let toDo = [];
 let selection = null;
@@ -45,13 +54,15 @@ function move(position) {
   pictures.show(curves.position);
   attention.show(curves.position);
   rerun.moveTo(curves.position);
+  map?.move(curves.position);
   const at = curves.position;
-  const { row, driven_s, steering, throttle, brake, speed_mph, predicted } = data.columns;
+  const { row, driven_s, steering, throttle, brake, speed_mph } = data.columns;
+  const more = [["sent", "sent"], ["expert", "the expert's"], ["network", "the network's"], ["predicted", "predicted"]];
   const fixed = (value) => (Number.isFinite(value) ? value.toFixed(2) : "-");
   const text =
     `row ${row[at]} · ${clock(driven_s[at])} · steering ${fixed(steering[at])} · throttle ${fixed(throttle[at])}` +
     ` · brake ${fixed(brake[at])} · ${fixed(speed_mph[at])} mph` +
-    (predicted ? ` · predicted ${fixed(predicted[at])}` : "");
+    more.filter(([name]) => data.columns[name]).map(([name, words]) => ` · ${words} ${fixed(data.columns[name][at])}`).join("");
   by("now").textContent = text;
   by("curves").setAttribute("aria-valuenow", at);
   by("curves").setAttribute("aria-valuetext", text);
@@ -128,13 +139,16 @@ function goTo(stretch) {
 function goToOdd(step) {
   queue = queue.then(() => {
     const from = selection ?? { first: curves.position - 1, last: curves.position };
-    const found = following(toDo, step > 0 ? from.first : from.last, step);
+    const interventions = left(course?.interventions ?? [], data.tags);
+    const found = round.next([interventions, toDo], step > 0 ? from.first : from.last, step);
     if (!found) {
       showStatus(groups.length ? "all odd stretches are excluded" : "nothing odd in this log");
       return;
     }
     goTo(found);
-    showStatus(`${words(found)}; ${toDo.length} of ${groups.length} odd stretches are not excluded`);
+    const number = interventions.indexOf(found) + 1;
+    if (number) showStatus(`${words(found)}; ${number} of ${interventions.length} interventions`);
+    else showStatus(`${words(found)}; ${toDo.length} of ${groups.length} odd stretches are not excluded`);
   });
 }
 
@@ -154,12 +168,37 @@ function setSpeed(speed) {
   by("speed").value = speed;
 }
 
+/** Its line stays while other runs are chosen; with none chosen, all that were kept go. */
+function keepRun() {
+  if (predictions.about) predictions.keep();
+  else predictions.forgetKept();
+  showPredicted();
+}
+
+/** What the log has of a drive. */
+function showCourse() {
+  by("events-part").hidden = !course.events.length;
+  listEvents(by("events"), course.events, goToMoment);
+  curves.build();
+  drivers.show();
+  map.show();
+  move(curves.position);
+  page.dataset.course = data.length; // what is shown now, for scripts that wait for it
+}
+
 /** The prediction of the chosen run, as far as it is there. */
 function showPredicted() {
   by("predicted").textContent = predictions.summary;
   by("predicted").className = predictions.problem ? "problem" : "dim";
   const run = predictions.problem ? "" : predictions.run; // then it can be chosen again
   by("run").value = run;
+  by("keep-run").disabled = !predictions.canKeep && (predictions.about || !predictions.kept.length);
+  by("keep-run").textContent = predictions.about || !predictions.kept.length ? "Keep its line" : "Remove kept lines";
+  by("kept").replaceChildren(
+    ...predictions.kept.map(({ column, summary }) => Object.assign(document.createElement("span"), { className: column, textContent: `${summary} ` })),
+  );
+  for (const { column, name } of predictions.kept) curves.names[column] = name;
+  curves.names.predicted = predictions.kept.length && predictions.about ? predictions.name : "predicted";
   by("predict-stop").hidden = !predictions.isWaiting;
   attention.use(run);
   by("attention").disabled = !run;
@@ -210,6 +249,9 @@ function showRerun() {
 }
 
 function showTags() {
+  const leftOut = data.state.not_learnt.reduce((sum, [first, last]) => sum + last - first + 1, 0);
+  by("not-learnt").hidden = !leftOut;
+  by("not-learnt").textContent = `hatched: ${leftOut.toLocaleString("en")} rows that training leaves out by default`;
   toDo = left(groups, data.tags);
   const undone = new Set(toDo);
   listOdd(by("odd"), groups, data, { isLeft: (group) => undone.has(group), onPick: goTo });
@@ -232,8 +274,10 @@ data.addEventListener("rows", () => {
   groups = grouped(data.state.odd);
   pictures.useCameras();
   curves.odd = groups;
+  predictions.forgetKept(); // they were of the log as it was
   if (predictions.run) predictions.choose(predictions.run); // it was of the log as it was
   else curves.build();
+  course?.load().catch((error) => showStatus(error.message));
   makers.select(selection && data.rowsOf(selection));
   by("curves").setAttribute("aria-valuemax", Math.max(data.length - 1, 0));
   move(curves.position);
@@ -293,6 +337,7 @@ by("predict-stop").addEventListener("click", async () => {
     showStatus(error.message);
   }
 });
+by("keep-run").addEventListener("click", keepRun);
 by("attention").addEventListener("click", toggleAttention);
 by("worst-next").addEventListener("click", () => goToWorst(1));
 by("rerun-button").addEventListener("click", toggleRerun);
@@ -361,8 +406,8 @@ listen({
   "?": toggleHelp,
 });
 
-/** The address names a row, a run: when the page is opened, and when a link leads to another row of the same page. */
-function followAddress() {
+/** The address names a row, and runs: when the page is opened, and when a link leads to another row of the same page. */
+async function followAddress() {
   const named = new URLSearchParams(location.hash.slice(1));
   const row = named.get("row");
   if (row !== null && data.length) {
@@ -371,9 +416,11 @@ function followAddress() {
     curves.reveal({ first: at, last: at }); // before the move: the mouse, if it is over the curves, points as well
     move(at);
   }
-  if (named.get("run")) {
-    by("run").value = named.get("run");
-    predictions.choose(by("run").value);
+  const runs = named.getAll("run");
+  for (const run of runs) {
+    by("run").value = run;
+    await predictions.choose(by("run").value);
+    if (run !== runs.at(-1)) keepRun();
   }
 }
 

@@ -36,11 +36,24 @@ export function left(groups, tags) {
   return found;
 }
 
-/** The next one behind a position, or the one before it (`step` -1); from the other end, where there is none. */
-export function following(groups, position, step) {
-  if (!groups.length) return null;
-  if (step > 0) return groups.find((group) => group.first > position) ?? groups[0];
-  return groups.findLast((group) => group.last < position) ?? groups.at(-1);
+/** Goes through lists of stretches, one list after the other; behind the last list comes the first one again. */
+export class Round {
+  #at = 0; // the list
+
+  /** The next one behind a position, or the one before it (`step` -1); null where all lists are empty. */
+  next(lists, position, step) {
+    const filled = lists.filter((list) => list.length);
+    if (!filled.length) return null;
+    this.#at = Math.min(this.#at, filled.length - 1);
+    for (let tried = 0; tried <= filled.length; tried += 1) {
+      const list = filled[this.#at];
+      const found = step > 0 ? list.find((each) => each.first > position) : list.findLast((each) => each.last < position);
+      if (found) return found;
+      this.#at = (this.#at + step + filled.length) % filled.length;
+      position = step > 0 ? -1 : Infinity;
+    }
+    return null;
+  }
 }
 
 export function words(group) {

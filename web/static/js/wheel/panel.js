@@ -1,6 +1,6 @@
 // What a frame has beside its picture: numbers, the steering wheel, the map, who drives.
 
-import { RoadMap } from "./map.js";
+import { RoadMap } from "../road_map.js";
 
 const WHEEL_DEG = 135; // of the steering wheel at full lock
 const SLOW_PACE = 0.97;

@@ -1,0 +1,114 @@
+"""Two runs compared on the same frames from the page: `bc-eval --compare` as a job, its numbers with intervals."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from pathlib import Path
+from urllib.parse import urlencode
+
+import numpy as np
+
+from driving import road_jpeg, untrained_run
+from logs import write_log
+from waiting import wait_until
+from web.data.job_runner import ABOUT, EXIT, OUTPUT
+from web.data.jobs import Jobs
+from workbench import Served, served
+
+FORM = {"Content_Type": "application/x-www-form-urlencoded"}
+
+
+def measured(**changed: object) -> dict[str, object]:
+    """What `bc-eval --compare --json` prints, as far as the page is concerned."""
+    rmse = {"a": 2.0, "b": 3.0, "difference": 1.0, "low": 0.5, "high": 1.5, "allowed": 0.0, "verdict": "worse"}
+    nothing = {
+        "a": None,
+        "b": 0.5,
+        "difference": None,
+        "low": None,
+        "high": None,
+        "allowed": 0,
+        "verdict": "unknown",
+    }
+    return {
+        "frames": 1200,
+        "blocks": 40,
+        "confidence": 0.95,
+        "answers_apart_deg": 1.25,
+        "measures": {"rmse_deg": rmse, "correlation": nothing},
+        "verdict": "worse",
+        **changed,
+    }
+
+
+def a_job(bench: Served, printed: str, code: int) -> None:
+    """A comparison of the runs a and b that has ended, as a bc-web of before has left it."""
+    job = Jobs(bench.folder / "cache").folder / "20990101-000000-000000-0000"
+    job.mkdir(parents=True)
+    words = ["bc-eval", "--compare", "a", "b", "--json", *(f"--{name}={bench.folder / name}" for name in NAMES)]
+    (job / ABOUT).write_text(json.dumps({"words": words, "began": "2099-01-01T00:00:00+00:00", "made": ""}))
+    (job / OUTPUT).write_text(printed)
+    (job / EXIT).write_text(str(code))
+
+
+NAMES = ("runs", "sessions")
+
+
+def plain(text: str) -> str:
+    return " ".join(re.sub(r"<[^>]*>", " ", text).split())
+
+
+def test_the_intervals_stand_beside_one_another(tmp_path: Path) -> None:
+    for name in "ab":
+        untrained_run(tmp_path / "runs" / name)
+    with served(tmp_path) as bench:
+        assert "Not compared yet" in bench.get("/runs.compare?a=a&b=b").text
+        a_job(bench, f"progress\n{json.dumps(measured())}\n", 1)
+        text = plain(bench.get("/runs.compare.body?a=a&b=b").text)
+        assert "B is worse than A." in text
+        assert "1,200 frames held out, in 40 blocks; errors in degrees" in text
+        assert "RMSE 2.00 3.00 +1.00 +0.50 .. +1.50 worse" in text
+        assert "correlation - 0.500 - - unknown" in text
+        assert "compare them again" not in text
+        os.utime(tmp_path / "runs" / "b" / "model.safetensors", (5e9, 5e9))  # it has learnt since
+        assert "compare them again" in bench.get("/runs.compare?a=a&b=b").text
+        assert bench.get("/runs.compare?a=a&b=a").status == 422
+        assert bench.get("/runs.compare?a=a&b=none").status == 404
+
+
+def test_a_comparison_that_failed_says_why(tmp_path: Path) -> None:
+    for name in "ab":
+        untrained_run(tmp_path / "runs" / name)
+    with served(tmp_path) as bench:
+        a_job(bench, "bc-eval: no <index>\n", 2)
+        text = bench.get("/runs.compare?a=a&b=b").text
+        assert "refused: bc-eval: no &lt;index&gt;" in text
+        assert "<button>Compare</button>" in text
+
+
+def test_other_json_is_no_comparison(tmp_path: Path) -> None:
+    for name in "ab":
+        untrained_run(tmp_path / "runs" / name)
+    with served(tmp_path) as bench:
+        a_job(bench, json.dumps(measured(measures={"rmse_deg": 3})), 0)
+        assert bench.get("/runs.compare?a=a&b=b").status == 200
+
+
+def test_the_button_is_the_command(tmp_path: Path) -> None:
+    steering = 0.3 * np.sin(np.arange(300) / 9)
+    write_log(tmp_path / "sessions" / "s.mcap", steering.tolist(), lambda camera, row: road_jpeg(row))
+    for name in "ab":
+        untrained_run(tmp_path / "runs" / name)
+    with served(tmp_path) as bench:
+        asked = urlencode({"a": "a", "b": "b", "session": "s"})
+        compared = f"/runs.compare?{asked}"
+        answer = bench.ask("POST", "/runs.compare", asked.encode(), **FORM)
+        assert (answer.status, answer.headers["location"]) == (303, compared)
+        wait_until(lambda: "running" not in bench.get(compared).text)
+        shown = plain(bench.get(compared).text)
+        assert "Their answers are 0.00 degrees apart" in shown
+        assert "300 frames, in 6 blocks" in shown  # 30 s
+        assert f"bc-eval --compare a b --json --session s --runs={tmp_path / 'runs'}" in shown
+        assert bench.get("/runs.compare?a=a&b=b&session=none").status == 404

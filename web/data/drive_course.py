@@ -1,0 +1,56 @@
+"""The course of a drive, row by row: who drove, what was predicted and sent, where the car was, and its road."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder import Log
+from recorder.log import topics
+from recorder.teleop.hello import road_named
+
+Values = NDArray[np.float64]
+
+COLUMNS: Final = ("driver", "network", "sent", "expert", "x_m", "y_m")
+_COMMAND: Final = ("driver", "predicted_steering", "steering", "expert_steering")
+_PLACE: Final = ("pose.position.x", "pose.position.y")
+_FARTHEST_M: Final = 1e6  # a place beyond is no place
+
+
+def is_driven(topics_of_log: Iterable[str]) -> bool:
+    """Whether a log with these topics has more of a drive than its vehicle states: commands, or where it was."""
+    return not {topics.PILOT_COMMAND, topics.POSE}.isdisjoint(topics_of_log)
+
+
+def course_columns(log: Log, rows: NDArray[np.int64]) -> Values:
+    """`COLUMNS` of the rows (N,) of a log: (6, N); NaN where a row has none.
+
+    The driver is a number of `PilotCommand.Driver`; steering is -1 (left) to 1 (right), that of the network before
+    any clamp; places are metres east and north. Raises LogError for a damaged log.
+    """
+    found = np.full((len(COLUMNS), len(rows)), np.nan)
+    for topic, fields, at in ((topics.PILOT_COMMAND, _COMMAND, 0), (topics.POSE, _PLACE, len(_COMMAND))):
+        if log.counts.get(topic):
+            table = log.numbers(topic, fields)
+            values = np.stack([table[name].to_numpy() for name in fields])
+            found[at : at + len(fields)] = _at_rows(table["row"].to_numpy(), values, rows)
+    is_place = (np.abs(found[4:]) < _FARTHEST_M).all(axis=0)  # False for NaN
+    found[4:, ~is_place] = np.nan
+    return found
+
+
+def road_of(log: Log) -> dict[str, Any] | None:
+    """The edges of the road that a log names (`road_named`); None where it names none that is built in."""
+    name = log.metadata.get("track", "")
+    is_placed = name and log.counts.get(topics.POSE)
+    return road_named(name, log.metadata.get("track_fingerprint", "")) if is_placed else None
+
+
+def _at_rows(row: NDArray[np.int64], values: Values, rows: NDArray[np.int64]) -> Values:
+    """The values (K, M) of messages with these row numbers (M,) at `rows` (N,): (K, N)."""
+    order = np.argsort(row, kind="stable")
+    place = np.minimum(np.searchsorted(row[order], rows), len(order) - 1)
+    return np.where(row[order][place] == rows, values[:, order[place]], np.nan)

@@ -1,0 +1,139 @@
+// Where the car drove, beside the curves: the road, the path by who drove, interventions, start, direction and scale.
+// The mouse over it points at a moment, as it does over the curves, and brings that moment's picture.
+
+import { RoadMap } from "../road_map.js";
+import { DRIVERS } from "./course.js";
+import { clock } from "./clock.js";
+
+const MOST_POINTS = 3000;
+const ARROWS = 8; // along the path
+const FARTHEST_STEP_M = 25; // from one row to the next; a car that was put elsewhere has not driven there
+const BAR_SHARE = 1 / 4; // of the map's width, at most
+const NEAR = 1 / 25; // of its size: within that, the mouse points at the path
+
+export class CourseMap {
+  /** `onPoint(position)`: the mouse is near the path there; `onPick(stretch)`: an intervention was chosen. */
+  constructor(figure, course, { picture, onPoint, onPick }) {
+    Object.assign(this, { figure, course, picture, onPoint, onPick });
+    this.svg = figure.querySelector("svg");
+    this.hover = figure.querySelector(".under-mouse");
+    this.map = new RoadMap(this.svg);
+    this.svg.addEventListener("pointermove", (event) => this.point(event));
+    this.svg.addEventListener("pointerleave", () => (this.hover.hidden = true));
+    picture?.addEventListener("load", () => (this.hover.src = picture.src)); // it is at hand: nothing is fetched
+  }
+
+  /** The course is there. */
+  show() {
+    const { course, map } = this;
+    const { x_m: x, y_m: y } = course.columns;
+    const there = [];
+    const every = Math.ceil(x.length / MOST_POINTS);
+    for (let at = 0; at < x.length; at += every) if (course.hasPlace(at)) there.push(at);
+    this.there = there;
+    const places = there.map((at) => [x[at], y[at]]);
+    map.show(course.road, places);
+    if (!places.length) return;
+    for (const { driver, first, last } of course.stretches.length ? course.stretches : [{ driver: 0, first: 0, last: x.length - 1 }]) {
+      for (const line of this.lines(first, last, every)) {
+        map.add("polyline", { class: `path by-${DRIVERS[driver][0]}`, points: line.map((at) => `${x[at]},${-y[at]}`).join(" ") });
+      }
+    }
+    this.showDirection();
+    for (const stretch of course.interventions) this.showIntervention(stretch);
+    this.showScale();
+  }
+
+  /** Positions along a stretch, in lines that end where the car was put elsewhere. */
+  lines(first, last, every) {
+    const { x_m: x, y_m: y } = this.course.columns;
+    const end = Math.min(last + 1, x.length - 1); // where the next one begins
+    const found = [[]];
+    for (let at = first; at <= end; at = at < end ? Math.min(at + every, end) : end + 1) {
+      if (!this.course.hasPlace(at)) continue;
+      const before = found.at(-1).at(-1) ?? at;
+      if (Math.hypot(x[at] - x[before], y[at] - y[before]) > FARTHEST_STEP_M * every) found.push([]);
+      found.at(-1).push(at);
+    }
+    return found.filter((line) => line.length > 1);
+  }
+
+  showDirection() {
+    const { map, there } = this;
+    for (let number = 1; number <= ARROWS; number += 1) {
+      const { x, y, heading_rad } = this.course.placeAt(there[Math.floor(((number - 0.5) / ARROWS) * there.length)]);
+      map.add("path", { class: "direction", d: "M-1.2,-1.4L1.2,0L-1.2,1.4", transform: map.placed(x, y, heading_rad) });
+    }
+    const { x, y, heading_rad } = this.course.placeAt(there[0]);
+    map.add("path", { class: "start", d: "M0,-3.2L0,3.2", transform: map.placed(x, y, heading_rad) });
+    // beside the road, where the map has more room
+    const { box } = map;
+    const toLeft = [-Math.sin(heading_rad) * (map.size / 12), Math.cos(heading_rad) * (map.size / 12)];
+    const isInwards = toLeft[0] * (box.x + box.width / 2 - x) + toLeft[1] * (-box.y - box.height / 2 - y) > 0;
+    const side = isInwards ? 1 : -1;
+    this.text("start", x + side * toLeft[0], -y - side * toLeft[1] + map.size / 60, "start-name");
+  }
+
+  showIntervention(stretch) {
+    const at = stretch.last;
+    if (!this.course.hasPlace(at)) return;
+    const { x, y } = this.course.placeAt(at);
+    const words = `${clock(this.course.data.columns.driven_s[at])}: ${[...stretch.flags].join(", ")}`;
+    const link = this.map.add("a", { href: `#row=${this.course.data.columns.row[at]}`, "aria-label": words });
+    link.addEventListener("click", (event) => {
+      event.preventDefault();
+      this.onPick(stretch);
+    });
+    const circle = this.map.add("circle", { cx: x, cy: -y, r: this.map.size / 70 }, link);
+    this.map.add("title", {}, circle).textContent = words;
+  }
+
+  /** A bar of a round length, at the lower left. */
+  showScale() {
+    const { box } = this.map;
+    const most = box.width * BAR_SHARE;
+    const power = 10 ** Math.floor(Math.log10(most));
+    const length = [5, 2, 1].map((times) => times * power).find((metres) => metres <= most);
+    const [left, low] = [box.x + box.width * 0.02, box.y + box.height * 0.97];
+    this.map.add("path", { class: "scale", d: `M${left},${low}h${length}` });
+    this.text(length >= 1 ? `${length} m` : `${length * 100} cm`, left, low - this.map.size / 80, "scale-name");
+  }
+
+  text(words, x, y, style) {
+    this.map.add("text", { class: style, x, y, "font-size": this.map.size / 24 }).textContent = words;
+  }
+
+  /** The moment is this one now. */
+  move(position) {
+    this.position = position;
+    if (!this.there?.length) return;
+    this.map.move(this.course.hasPlace(position) ? this.course.placeAt(position) : {});
+  }
+
+  point(event) {
+    const found = this.nearest(event);
+    this.hover.hidden = found === null || !this.hover.src;
+    if (found === null) return;
+    const box = this.figure.getBoundingClientRect();
+    const isRight = event.clientX - box.left > box.width / 2;
+    this.hover.style.translate = `calc(${event.clientX - box.left}px ${isRight ? "- 100% - 1rem" : "+ 1rem"}) calc(${event.clientY - box.top}px + 0.5rem)`;
+    this.onPoint(found);
+  }
+
+  /** The position of the path that is nearest to the mouse; where several laps are, on that nearest to the moment
+   * that is shown. */
+  nearest(event) {
+    if (!this.there?.length) return null;
+    const { x_m: x, y_m: y } = this.course.columns;
+    const { x: east, y: south } = new DOMPoint(event.clientX, event.clientY).matrixTransform(this.svg.getScreenCTM().inverse());
+    const far = (at) => Math.hypot(x[at] - east, y[at] + south);
+    const { there } = this;
+    const least = there.reduce((most, at) => Math.min(most, far(at)), Infinity);
+    if (least > this.map.size * NEAR) return null;
+    const near = there.filter((at) => far(at) <= least + this.map.size / 150);
+    const ofLap = near.reduce((best, at) => (Math.abs(at - this.position) < Math.abs(best - this.position) ? at : best));
+    let found = there.indexOf(ofLap);
+    for (const step of [1, -1]) while (far(there[found + step]) < far(there[found])) found += step;
+    return there[found];
+  }
+}

@@ -1,0 +1,50 @@
+// Who drove when, as a band below the curves.
+
+import { DRIVERS } from "./course.js";
+
+export class DriverBand {
+  constructor(figure, course, curves) {
+    Object.assign(this, { figure, course, curves, canvas: figure.querySelector("canvas") });
+    curves.onView = () => this.draw();
+  }
+
+  /** The course is there: the names and shares, and the band. */
+  show() {
+    const { shares } = this.course;
+    this.figure.hidden = !shares.length;
+    const words = shares.map(([style, name, share]) => {
+      const item = document.createElement("span");
+      item.className = `by-${style}`;
+      item.textContent = `${name} ${percent(share)}`;
+      return item;
+    });
+    this.figure.querySelector("figcaption").replaceChildren("who drove: ", ...words);
+    this.draw();
+  }
+
+  draw() {
+    const { canvas } = this;
+    const [plot] = this.curves.plots;
+    if (this.figure.hidden || !plot) return;
+    const scale = devicePixelRatio;
+    canvas.style.marginLeft = `${plot.bbox.left / scale}px`;
+    canvas.style.width = `${plot.bbox.width / scale}px`;
+    canvas.width = plot.bbox.width;
+    canvas.height = canvas.clientHeight * scale;
+    const context = canvas.getContext("2d");
+    const color = this.curves.colorReader();
+    const { min, max } = plot.scales.x;
+    const across = (at) => ((at - min) / (max - min)) * canvas.width;
+    for (const { driver, first, last } of this.course.stretches) {
+      if (last < min - 1 || first > max + 1) continue;
+      const left = across(first - 0.5);
+      context.fillStyle = color(`--by-${DRIVERS[driver][0]}`);
+      context.fillRect(left, 0, Math.max(across(last + 0.5) - left, scale), canvas.height);
+    }
+  }
+}
+
+function percent(share) {
+  const whole = Math.round(share * 100);
+  return whole > 0 && (whole < 100 || share === 1) ? `${whole} %` : `${(share * 100).toFixed(1)} %`;
+}
