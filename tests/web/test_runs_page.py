@@ -103,7 +103,7 @@ def test_a_run_links_to_what_it_learnt_from_and_to_its_worst_frames(bench: Serve
     assert 'href="/sessions/sunday"' in text
     assert "monday" in text
     assert "/sessions/monday" not in text  # not there
-    assert 'used by run <a href="/runs/' in bench.get("/sessions/sunday/links").text
+    assert 'used by runs <a href="/runs/' in bench.get("/sessions/sunday/links").text
     assert 'href="/runs/good"' in bench.get("/sessions/sunday/links").text
     assert "another one" in text  # of which there is no index here
     assert "lake" in plain(text)
