@@ -247,8 +247,10 @@ def test_the_printed_report_has_a_whole_line_a_stretch_and_the_sums_in_rows(
 
 
 def test_the_printed_report_has_a_crash_and_what_belongs_to_it_in_one_line(
-    capsys: pytest.CaptureFixture[str],
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+
     def rows(session: str, flag: str, first: int, last: int) -> FlaggedFrames:
         when = "2024-07-13T14:30:16.100+00:00"
         return FlaggedFrames(

@@ -303,6 +303,19 @@ def test_what_was_chosen_is_remembered(browser: Browser, bench: Served, host: Ho
         wait_until(lambda: host.control.hold_mph == 20)
 
 
+def test_a_reloaded_page_gets_the_wheel_though_its_old_connection_still_holds_it(
+    browser: Browser, bench: Served, host: Host
+) -> None:
+    with at_wheel(browser, bench, host) as page:
+        page.evaluate("dispatchEvent(new Event('pagehide'))")
+        with page.expect_popup() as opened:
+            page.evaluate("window.open(location.href) && 0")  # with what this tab has kept, as a reload has it
+        again = opened.value
+        again.wait_for_selector("#wheel[data-holder=false][data-frame]")
+        page.goto(bench.address)
+        again.wait_for_selector("#wheel[data-holder=true][data-frame]")
+
+
 def test_a_newcomer_drives_and_finds_the_session_and_what_to_do_next(browser: Browser, bench: Served) -> None:
     """By the real command, from the form to the buttons after the drive."""
     with opened_page(browser, f"{bench.address}/wheel") as page:

@@ -9,7 +9,7 @@ import { Keys } from "./keys.js";
 import { Link } from "./link.js";
 import { Panel, write } from "./panel.js";
 import { Picture } from "./picture.js";
-import { loadSettings, saveSetting } from "./settings.js";
+import { heldBefore, keepHeld, loadSettings, saveSetting } from "./settings.js";
 
 const AT_LEAST_EVERY_MS = 100;
 const LONGEST_STEP_S = 0.1; // the steering does not jump after a pause
@@ -37,7 +37,7 @@ let sent_ms = -Infinity;
 let before_ms = performance.now();
 let event_ms = null; // of the first event that is not sent yet
 let isHolder = false;
-let wasHolder = false;
+let wasHolder = heldBefore(page.dataset.at); // its old connection may still hold the wheel for a moment
 let asksLeft = 0;
 let isAsked = false;
 let isFree = false; // nobody holds the wheel
@@ -140,7 +140,10 @@ function seat({ holder, asked, free }) {
   sent = {};
   page.dataset.holder = holder;
   if (holder) asksLeft = 0;
-  else if (wasHolder) asksLeft = ASK_AGAIN.times; // it was this page, before the connection was lost
+  else if (wasHolder) {
+    asksLeft = ASK_AGAIN.times; // it was this page, before the connection was lost
+    link.send({ type: "ask" });
+  }
   wasHolder = false;
   let [text, action] = ["Another page has the wheel: this one watches.", "Ask for it"];
   if (free) [text, action] = ["Nobody has the wheel. Steer, and you have it.", "Take the wheel"];
@@ -270,7 +273,10 @@ document.addEventListener("keydown", (event) => {
 document.addEventListener("keyup", (event) => Keys.isOne(event.code) && turn(event, () => keys.up(event.code)));
 document.addEventListener("focusin", (event) => isTyping(event) && letGo());
 addEventListener("blur", letGo);
-addEventListener("pagehide", letGo);
+addEventListener("pagehide", () => {
+  if (isHolder) keepHeld(page.dataset.at);
+  letGo();
+});
 document.addEventListener("visibilitychange", () => document.hidden && letGo());
 for (const name of ["gamepadconnected", "gamepaddisconnected"]) {
   addEventListener(name, () => {

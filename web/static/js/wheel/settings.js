@@ -35,6 +35,28 @@ export function saveSetting(settings, name, value) {
   }
 }
 
+const HELD = "wheel held";
+
+/** This tab holds the wheel of a drive and goes away; it may be a reload. */
+export function keepHeld(drive) {
+  try {
+    sessionStorage.setItem(HELD, drive);
+  } catch {
+    // no storage here: a reloaded page gets the wheel if it is free
+  }
+}
+
+/** Whether this tab held the wheel of that drive before it was reloaded. */
+export function heldBefore(drive) {
+  try {
+    const held = sessionStorage.getItem(HELD);
+    sessionStorage.removeItem(HELD);
+    return held === drive;
+  } catch {
+    return false;
+  }
+}
+
 function valid(name, value, otherwise) {
   if (typeof value !== typeof otherwise || Number.isNaN(value)) return otherwise;
   if (typeof value !== "number") return value;
