@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 from typing import Final
 
+from common.errors import counted
 from common.interrupts import StopEvent
 from drive.config import DriveConfig
 from drive.control.driver import Decision
@@ -37,6 +38,7 @@ class AtWheel:
         self._counted = 0
         self._was_human = False
         self._began_s: float | None = None
+        self._driven = ""  # how far, and how well
         self.last_rows = LastRows(wheel)
 
     def attend(self) -> list[str]:
@@ -82,6 +84,9 @@ class AtWheel:
             self._began_s = time_s
         self._rates.add(now_s, simulated_s)
         self.last_rows.add(round(time_s * 1e9), row)
+        if world is not None and world.laps is not None:
+            put_back = counted(world.interventions or 0, "time")
+            self._driven = f" after {world.laps:.2f} laps; the car was put back {put_back}"
         is_human = decision.driver == "human"
         if is_human and not self._was_human:
             self._counted += 1
@@ -118,6 +123,5 @@ class AtWheel:
 
     def end(self, log: Path, rows: int) -> None:
         """The drive has ended, and its log is finished."""
-        self._wheel.end(
-            {"log": str(log), "rows": rows, "takeovers": self._takeovers, "why": "the drive has ended"}
-        )
+        why = f"the drive has ended{self._driven}"
+        self._wheel.end({"log": str(log), "rows": rows, "takeovers": self._takeovers, "why": why})

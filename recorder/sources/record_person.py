@@ -188,7 +188,7 @@ class _Drive:
                 f"{recording}: {counted(self._rows.count, 'row')}, {self._course.laps:.2f} laps,"
                 f" {self._real_time.pace:.0%} of real time"
             )
-        self._watch(throttle)
+        self._watch(0.0 if control.is_absent else throttle)
 
     def _watch(self, throttle: float) -> None:
         """Put a car back that has left the road, or that does not move where it is to drive on."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -75,8 +76,9 @@ def test_the_page_sees_large_pictures_or_the_recorded_ones_and_has_the_car_put_b
             while page.frame().state["put_back"] == before:
                 page.steer(0.0, 0.5)
             page.send("end")
-            page.text("ended")
+            why = page.text("ended")["why"]
         assert process.join() == 0, process.stderr
+    assert re.fullmatch(r"the drive has ended after 0\.\d\d laps; the car was put back [1-9] times?", why)
     assert (hello["track"], hello["picture_hz"], size_of(large)) == ("lake", 25, (640, 320))
     with Log(Path("drive.mcap")) as log:
         texts = [event.message for _, event in log.decoded("/events")]

@@ -227,6 +227,19 @@ def test_a_car_without_its_person_is_braked_and_nothing_is_recorded(tmp_path: Pa
     assert not check(drive.log).findings
 
 
+def test_a_car_that_stands_because_nobody_is_there_is_not_stuck(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("recorder.sources.record_person.STUCK_S", 0.2)
+    drive = Drive(tmp_path / "a.mcap")  # uphill: a little throttle holds the car
+    with drive.page() as page:
+        state = page.frame().state
+        while state["time_s"] < 1:
+            state = page.frame().state
+        assert (state["drives"], state["throttle"] > 0, state["put_back"]) == ("nobody", True, 0)
+        drive.end(page)
+
+
 @pytest.mark.parametrize("slope_at", [0.1, 0.3, 0.5, 0.7])
 def test_an_absent_persons_car_does_not_roll_away(slope_at: float) -> None:
     track = load_track("mountain")

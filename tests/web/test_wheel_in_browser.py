@@ -277,6 +277,11 @@ def test_a_person_takes_over_from_a_network_hands_back_and_ends_the_drive(browse
         wait_until(lambda: page.inner_text("#driver") == "the network drives: a-run")
         page.keyboard.press("x")
         wait_until(lambda: host.number_of("bad") == 1)
+        page.keyboard.press("?")
+        page.wait_for_selector("#help")
+        page.keyboard.press("Escape")  # closes the keys alone
+        page.wait_for_selector("#help", state="hidden")
+        assert not page.is_visible("#confirm")
         page.keyboard.press("Escape")
         page.keyboard.press("Escape")  # go on
         page.wait_for_selector("#confirm", state="hidden")

@@ -265,6 +265,7 @@ document.addEventListener("keydown", (event) => {
     if (!event.repeat) turn(event, () => keys.down(event.code));
     return;
   }
+  if (event.key === "Escape" && !by("help").hidden) return toggleHelp();
   const action = actions[event.key.toLowerCase()];
   if (!action || event.repeat) return;
   event.preventDefault();
