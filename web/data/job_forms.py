@@ -19,7 +19,7 @@ from web.errors import WebError
 
 MOST_CHARACTERS: Final = 1000  # of a value
 
-Known = Literal["", "sessions", "runs"]
+Known = Literal["", "sessions", "runs", "pictures", "topics"]
 
 
 @dataclass(frozen=True)
@@ -162,6 +162,15 @@ FORMS: Final[Sequence[JobForm]] = (
         (
             Field("name", "name of the session", is_needed=True),
             Field("source", "folder or file on this machine", "--from", is_needed=True),
+            Field("image", "topic of the pictures", "--image", hint="of a log or bag", known="pictures"),
+            Field(
+                "steering", "topic.field of the steering", "--steering", hint="/cmd_vel.angular.z", known="topics"
+            ),
+            Field("steering_scale", "factor of the steering", "--steering-scale", hint="1; -1 for ROS"),
+            Field("columns", "columns of a csv", "--columns", hint="image=frame steering=angle", is_several=True),
+            Field("rate", "rows a second", "--rate", hint="as recorded"),
+            Field("car", "car", "--car", hint="Udacity's; or built-in"),
+            Field("all_catalogs", "all catalogues of a tub", "--all-catalogs", is_switch=True),
         ),
         (("--sessions", "sessions"),),
         _session,
