@@ -31,7 +31,7 @@ def drop(page: Page, *dropped: Path) -> None:
 def test_a_chosen_folder_becomes_a_session_by_the_keyboard(browser: Browser, tmp_path: Path) -> None:
     make_recording(tmp_path / "mine" / "lake", CSV)
     with served(tmp_path / "project") as bench, opened_page(browser, f"{bench.address}/sessions") as page:
-        page.click("text=Import a recording")
+        page.click(".cards a[href='/import']")
         page.wait_for_selector("#drop")
         page.keyboard.press("Tab")
         page.focus("#folder")

@@ -9,7 +9,8 @@ const [bar, words] = progress.children;
 const cancel = document.getElementById("cancel");
 const problem = document.getElementById("problem");
 const chosen = [document.getElementById("folder"), document.getElementById("file")];
-let sending = null;
+const CANCELLED = "Cancelled: nothing was kept.";
+let sending = null; // what can be aborted
 
 function showProblem(text) {
   problem.textContent = text;
@@ -56,7 +57,7 @@ function send(files) {
     else showProblem(found.error ?? `the server answers ${request.status}`);
   };
   request.onerror = () => showProblem("It could not be sent: a file has changed or cannot be read, or bc-web was ended. Nothing was kept.");
-  request.onabort = () => showStatus("Cancelled: nothing was kept.");
+  request.onabort = () => showStatus(CANCELLED);
   request.onloadend = () => {
     sending = null;
     setBusy(false);
@@ -80,18 +81,26 @@ async function filesOf(entry) {
   for (;;) {
     const some = await read(reader); // a hundred at a time
     if (!some.length) return files;
-    for (const each of some) files.push(...(await filesOf(each)));
+    files.push(...(await Promise.all(some.map(filesOf))).flat());
   }
 }
 
 async function dropped(transfer) {
   const entries = [...transfer.items].map((item) => [item.webkitGetAsEntry?.(), item.getAsFile()]);
+  if (sending) return;
+  const listing = new AbortController();
+  sending = listing;
+  showProblem("");
+  bar.removeAttribute("value");
+  words.textContent = "its files are listed";
+  setBusy(true);
   const found = entries.map(([entry, file]) => (entry ? filesOf(entry) : file ? [[file.name, file]] : []));
-  try {
-    send((await Promise.all(found)).flat());
-  } catch (error) {
-    showProblem(`It cannot be read: ${error.message}`);
-  }
+  const files = await Promise.all(found).catch((error) => error);
+  sending = null;
+  setBusy(false);
+  if (listing.signal.aborted) return showStatus(CANCELLED);
+  if (files instanceof Error) showProblem(`It cannot be read: ${files.message}`);
+  else send(files.flat());
 }
 
 // anywhere on the page: a drop beside the frame would make the browser leave it
