@@ -30,11 +30,11 @@ def recordings_near(source: Path) -> str:
     return f" did you mean {' or '.join(map(str, found[:_MOST_SUGGESTED]))}{more}?"
 
 
-def recordings_in(folder: Path) -> list[Path]:
-    """The recordings in a folder, at most three levels deep: itself, or folders, logs and csv files in it."""
+def recordings_in(folder: Path, levels: int = 2) -> list[Path]:
+    """The recordings in a folder: itself, or folders so many levels below, logs and csv files in it."""
     if _is_recording(folder):
         return [folder]
-    folders = [folder, *(inner for level in _levels_below(folder) for inner in level)]
+    folders = [folder, *(inner for level in islice(_levels_below(folder), levels) for inner in level)]
     found = [each for each in folders if _is_recording(each)]
     others = [each for each in folders if not any(each.is_relative_to(one) for one in found)]
     return [*found, *(path for each in others for path in _files_in(each))]
@@ -54,7 +54,7 @@ def _levels_below(folder: Path) -> Iterator[list[Path]]:
     """The folders in a folder, then those in these."""
     folders = [folder]
     for _ in range(2):
-        folders = list(islice((inner for each in folders for inner in _folders_in(each)), _MOST_FOLDERS))
+        folders = list(islice((inner for each in folders for inner in folders_in(each)), _MOST_FOLDERS))
         yield folders
 
 
@@ -72,7 +72,8 @@ def _is_recording(folder: Path) -> bool:
     return is_udacity(folder) or is_tub(folder) or is_bag(folder) or is_lerobot(folder)
 
 
-def _folders_in(folder: Path) -> list[Path]:
+def folders_in(folder: Path) -> list[Path]:
+    """The folders in a folder, by name; none where it cannot be read."""
     try:
         with os.scandir(folder) as entries:
             some = islice(entries, 100 * _MOST_FOLDERS)

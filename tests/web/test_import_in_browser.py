@@ -33,10 +33,9 @@ def test_a_chosen_folder_becomes_a_session_by_the_keyboard(browser: Browser, tmp
     with served(tmp_path / "project") as bench, opened_page(browser, f"{bench.address}/sessions") as page:
         page.click(".cards a[href='/import']")
         page.wait_for_selector("#drop")
-        page.keyboard.press("Tab")
-        page.focus("#folder")
+        page.wait_for_load_state()  # with its scripts
         with page.expect_file_chooser() as chooser:
-            page.keyboard.press("Enter")
+            page.press("#folder", "Enter")
         chooser.value.set_files(tmp_path / "mine" / "lake")
         page.wait_for_selector("text=3 rows")
         assert page.input_value("input[name=name]") == "lake"

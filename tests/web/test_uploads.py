@@ -70,6 +70,32 @@ def test_an_upload_is_imported_as_by_the_command(bench: Served, tmp_path: Path, 
     assert bench.get(page).status == 404
 
 
+def test_a_recording_on_the_machine_is_found_by_its_folders(
+    bench: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = tmp_path / "home"
+    lake(home / "my drives")
+    (home / ".hidden").mkdir()
+    (home / "<b>\n").mkdir()
+    (home / "notes.txt").write_text("no recording")
+    write_log(home / "own.mcap", [0.1])
+    monkeypatch.setenv("HOME", str(home))
+    first = bench.get("/import.at").text
+    assert "copy it to your sessions" in first
+    addresses = re.findall(r'href="(/import.at[^"]*)"', first)
+    assert len(addresses) == 2  # the folder above, and the one that can be shown
+    second = bench.get(addresses[1]).text
+    (lake_page,) = (each for each in re.findall(r'href="(/import.at[^"]*)"', second) if each.endswith("lake"))
+    shown = bench.get(lake_page).text
+    assert "4 rows" in shown
+    assert values_of(shown)["source"] == str(home / "my drives" / "lake")
+    assert values_of(shown)["name"] == "lake"
+    assert "<h2 id=" not in bench.get(f"/import.at?source={home}/notes.txt").text
+    for missing in ("/nowhere", "~nobody", "%00", "x" * 5000):
+        assert bench.get(f"/import.at?source={missing}").status == 404, missing
+    assert bench.get("/import.at", Sec_Fetch_Site="cross-site").status == 403
+
+
 def test_a_session_of_this_toolkit_is_taken_as_it_is(bench: Served, tmp_path: Path) -> None:
     data = write_log(tmp_path / "own.mcap", [0.1, 0.2]).read_bytes()
     page = upload(bench, {"own.mcap": data}).json["page"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
@@ -13,9 +14,10 @@ from common.errors import printable
 from common.files import publish
 from common.interrupts import uninterrupted
 from common.location import Url
+from common.untrusted import real_path
 from common.whole_number import whole_number
 from recorder.log.tags import tags_path
-from recorder.sources.find_recording import recordings_in
+from recorder.sources.find_recording import folders_in, recordings_in
 from recorder.sources.import_mcap import is_own_log
 from recorder.sources.recording_summary import summarize_recording
 from web.data.job_forms import form_of
@@ -27,7 +29,9 @@ from web.pages.workbench import Workbench
 from web.server.request_guard import UPLOAD
 from web.server.templates import render
 
-_MAX_SHOWN = 50  # recordings of an upload
+_MAX_SHOWN = 50  # recordings of a folder
+_MAX_FOLDERS = 500
+_FILES = (".mcap", ".csv")  # that may be recordings
 
 
 def import_routes(bench: Workbench) -> list[Route]:
@@ -35,9 +39,7 @@ def import_routes(bench: Workbench) -> list[Route]:
 
     def page(request: Request) -> Response:
         limits = {"bytes": MAX_UPLOAD_BYTES, "files": MAX_FILES}
-        return HTMLResponse(
-            render("import.html", limits=limits, uploads=list(uploads_in(folder)), form=form_of("import"))
-        )
+        return HTMLResponse(render("import.html", limits=limits, uploads=list(uploads_in(folder))))
 
     async def upload(request: Request) -> Response:
         """Receive an upload; `manifest` in the address: the length of what it begins with."""
@@ -61,14 +63,39 @@ def import_routes(bench: Workbench) -> list[Route]:
 
     def one(request: Request) -> Response:
         path = _upload(request)
-        found = recordings_in(path)
+        return HTMLResponse(render("import_one.html", title=path.name, **_found(path, recordings_in(path))))
+
+    def browse(request: Request) -> Response:
+        """A folder or file of this machine: the recordings in it, and its folders."""
+        given = request.query_params.get("source", "").strip()
+        try:
+            place = real_path(Path(given).expanduser() if given else Path.home())
+            is_folder = place.is_dir()
+            if not is_folder and not place.is_file():
+                raise FileNotFoundError
+        except (OSError, RuntimeError, ValueError):
+            raise WebError(f"{printable(given)}: no such folder or file on the machine of bc-web", 404) from None
+        files = recordings_in(place, levels=0) if is_folder else [place]
+        found = [each for each in files if each.is_dir() or each.suffix.lower() in _FILES]
+        inner = [each for each in folders_in(place) if not each.name.startswith(".")] if is_folder else []
+        found, inner = ([each for each in some if str(each).isprintable()] for some in (found, inner))
+        context = {"inner": inner[:_MAX_FOLDERS], "above": place.parent, "title": printable(str(place))}
+        return HTMLResponse(render("import_at.html", **context, **_found(place, found)))
+
+    def _found(place: Path, found: list[Path]) -> dict[str, Any]:
         taken = {log.name.removesuffix(".mcap") for log in bench.folders.logs("sessions").values()}
-        shown = [(summarize_recording(each), _free_name(each, path, taken)) for each in found[:_MAX_SHOWN]]
+        shown = []
+        for each in found[:_MAX_SHOWN]:
+            name = place.name if each.is_dir() and len(found) == 1 else each.name
+            shown.append((summarize_recording(each), _free_name(plain_name(name), taken)))
         fields = {field.name: field for field in form_of("import").fields}
-        more = len(found) - len(shown)
-        return HTMLResponse(
-            render("import_one.html", name=path.name, folder=path, found=shown, fields=fields, more=more)
-        )
+        return {
+            "name": place.name,
+            "folder": place,
+            "found": shown,
+            "fields": fields,
+            "more": len(found) - len(shown),
+        }
 
     async def take(request: Request) -> Response:
         """Make a log of this toolkit a session: it gets its place there, as it is."""
@@ -109,6 +136,7 @@ def import_routes(bench: Workbench) -> list[Route]:
 
     return [
         Route("/import", page),
+        Route("/import.at", browse),
         Route(UPLOAD, upload, methods=["POST"]),
         Route("/import/{name}", one),
         Route("/import/{name}/take", take, methods=["POST"]),
@@ -116,8 +144,6 @@ def import_routes(bench: Workbench) -> list[Route]:
     ]
 
 
-def _free_name(recording: Path, upload: Path, taken: set[str]) -> str:
-    """A name for its session that no other has."""
-    is_only = recording == upload or recording.parent == upload
-    name = plain_name(upload.name if is_only else recording.name)
+def _free_name(name: str, taken: set[str]) -> str:
+    """A name for a session that no other has."""
     return next(each for each in (name, *(f"{name}-{number}" for number in range(2, 10_000))) if each not in taken)
