@@ -1,6 +1,7 @@
 """Makes the pictures of docs/web.md: the pages of a project in Chromium without a window.
 
-    python docs/web_pictures.py PROJECT --cleaned SESSION --predicted SESSION RUN --runs RUN RUN RUN --drives DRIVE
+    python docs/web_pictures.py PROJECT --cleaned SESSION --predicted SESSION RUN --runs RUN RUN RUN
+        --drives DRIVE DRIVE --compared SESSION --recording FOLDER
 
 PROJECT is a copy of one with sessions, an index, runs and drives: a stretch is excluded in it, and an index tried.
 Needs Playwright and Chromium; of what is drawn in Rerun, Debian's mesa-vulkan-drivers.
@@ -8,14 +9,10 @@ Needs Playwright and Chromium; of what is drawn in Rerun, Debian's mesa-vulkan-d
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import io
 import os
 import shutil
 import tempfile
-import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final
@@ -23,16 +20,14 @@ from urllib.parse import urlencode
 
 import tyro
 from PIL import Image
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, sync_playwright
 
-from web.app import workbench_app
 from web.data.project_folders import ProjectFolders
-from web.server.workbench_server import WorkbenchServer
+from web_browser import Pages, serving
 
-_WIDTH: Final = 1280
-_COLORS: Final = 256
-_LARGE_BYTES: Final = 120_000
-_PATIENCE_MS: Final = 600_000  # a network looks at a whole session
+_PHONE: Final = (390, 844)
+_BETWEEN: Final = 16
+_PLACES: Final = ("sessions", "index", "runs", "drives")
 
 
 @dataclass(frozen=True)
@@ -48,45 +43,21 @@ class WebPictures:
     runs: tuple[str, ...]
     """Runs to compare; of the first one, the page is shown, too."""
     drives: tuple[str, ...]
-    """Drives on one map."""
+    """Drives on one map; of the first one, the page is shown, too."""
+    compared: str
+    """A session on which the first two runs are compared."""
+    recording: Path
+    """A recording of another program, which is dropped onto the page of imports."""
     only: tuple[str, ...] = ()
     """The names of the pictures to make; by default, all."""
     folder: Path = Path(__file__).parent / "pictures"
     """Where pictures are written; existing ones are replaced."""
 
 
-class Shown:
-    """The workbench in a browser, and the pictures that are made of it."""
-
+class Shown(Pages):
     def __init__(self, browser: Browser, address: str, config: WebPictures) -> None:
+        super().__init__(browser, address, config.folder)
         self.config = config
-        self._browser = browser
-        self._address = address
-
-    @contextlib.contextmanager
-    def page(self, path: str, height: int, *, is_dark: bool = False) -> Iterator[Page]:
-        size = {"width": _WIDTH, "height": height}
-        scheme = "dark" if is_dark else "light"
-        # bypass_csp: wait_for_function polls by an eval in the page, which the pages' policy forbids
-        page = self._browser.new_page(viewport=size, color_scheme=scheme, bypass_csp=True)  # type: ignore[arg-type]
-        page.set_default_timeout(_PATIENCE_MS)
-        page.goto(f"{self._address}{path}", wait_until="networkidle")
-        if path.startswith("/sessions/"):
-            page.wait_for_selector("#session[data-ready]")
-        yield page
-        page.close()
-
-    def keep(self, page: Page, name: str, selector: str = "") -> None:
-        """All of the window, or an element of it; once all its pictures are there."""
-        page.wait_for_function("[...document.images].every(each => each.complete || each.loading === 'lazy')")
-        time.sleep(1)
-        data = page.locator(selector).screenshot() if selector else page.screenshot()
-        picture = Image.open(io.BytesIO(data)).convert("RGB")
-        if len(data) > _LARGE_BYTES:
-            picture = picture.quantize(_COLORS)
-        path = self.config.folder / f"web-{name}.png"
-        picture.save(path, optimize=True)
-        print(path)
 
 
 def sessions(shown: Shown) -> None:
@@ -94,6 +65,27 @@ def sessions(shown: Shown) -> None:
         with shown.page("/sessions", 700, is_dark=is_dark) as page:
             page.wait_for_function("!document.querySelector('.count').textContent.includes('being read')")
             shown.keep(page, name)
+
+
+def first_screen(shown: Shown) -> None:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        serving(ProjectFolders(*map(Path(folder).joinpath, _PLACES))) as address,
+    ):
+        empty = Shown(shown.browser, address, shown.config)
+        with empty.page("/sessions", 330) as page:
+            page.locator(".first-screen code").evaluate_all("all => all[0].textContent = 'sessions'")
+            page.locator(".first-screen code").evaluate_all("all => all[1].textContent = 'bc-demo --folder=.'")
+            shown.keep(page, "first")
+
+
+def imports(shown: Shown) -> None:
+    """A recording is sent, and removed again."""
+    with shown.page("/import", 420) as page:
+        page.set_input_files("#folder", shown.config.recording)
+        page.wait_for_selector(".found")
+        shown.keep(page, "import")
+        page.click("text=Remove")
 
 
 def wheel(shown: Shown) -> None:
@@ -191,6 +183,35 @@ def drives(shown: Shown) -> None:
         shown.keep(page, "drives")
 
 
+def drive(shown: Shown) -> None:
+    """A drive's page, with the mouse on its map."""
+    with shown.page(f"/drives/{shown.config.drives[0]}", 800) as page:
+        page.wait_for_selector("#course-map circle", state="attached")
+        page.locator("#course-map svg").hover(position={"x": 28, "y": 213})
+        shown.keep(page, "drive")
+
+
+def comparison(shown: Shown) -> None:
+    asked = urlencode({**dict(zip("ab", shown.config.runs, strict=False)), "session": shown.config.compared})
+    with shown.page(f"/runs.compare?{asked}", 620) as page:
+        page.click("#compared button")
+        page.wait_for_selector("#compared svg")
+        shown.keep(page, "compare")
+
+
+def phone(shown: Shown) -> None:
+    """Three pages side by side, as a phone shows them."""
+    pages = ("/sessions", f"/sessions/{shown.config.cleaned}", f"/drives/{shown.config.drives[0]}")
+    pictures = []
+    for path in pages:
+        with shown.page(path, _PHONE[1], width=_PHONE[0]) as page:
+            pictures.append(shown.picture(page))
+    together = Image.new("RGB", (len(pages) * (_PHONE[0] + _BETWEEN) - _BETWEEN, _PHONE[1]), "grey")
+    for at, picture in enumerate(pictures):
+        together.paste(picture, (at * (_PHONE[0] + _BETWEEN), 0))
+    shown.save(together, "phone")
+
+
 def jobs(shown: Shown) -> None:
     """What was started is a recording, which is removed again."""
     with shown.page("/jobs?start=record", 760) as page:
@@ -206,7 +227,23 @@ def jobs(shown: Shown) -> None:
         shown.keep(page, "jobs")
 
 
-PICTURES: Final = (wheel, sessions, jobs, index, session, prediction, in_rerun, makers, runs, drives)
+PICTURES: Final = (
+    first_screen,
+    imports,
+    wheel,
+    sessions,
+    jobs,
+    index,
+    session,
+    prediction,
+    in_rerun,
+    makers,
+    runs,
+    comparison,
+    drives,
+    drive,
+    phone,
+)
 
 
 def main(config: WebPictures) -> None:
@@ -215,23 +252,14 @@ def main(config: WebPictures) -> None:
         "--enable-unsafe-swiftshader",
         *(["--no-sandbox"] if os.name == "posix" and os.geteuid() == 0 else []),
     ]
-    config = dataclasses.replace(config, folder=config.folder.absolute())
+    config = dataclasses.replace(config, folder=config.folder.absolute(), recording=config.recording.absolute())
     os.chdir(config.project)  # paths are shown as they are typed there
     wanted = [make for make in PICTURES if not config.only or make.__name__ in config.only]
-    with (
-        tempfile.TemporaryDirectory() as cache,
-        workbench_app(ProjectFolders(), "127.0.0.1", "", Path(cache)) as app,
-        sync_playwright() as playwright,
-    ):
-        server = WorkbenchServer(app, "127.0.0.1", 0)
-        server.start()
-        try:
-            browser = playwright.chromium.launch(executable_path=program, args=flags)
-            for make in wanted:
-                make(Shown(browser, f"http://127.0.0.1:{server.port}", config))
-            browser.close()
-        finally:
-            server.stop()
+    with serving(ProjectFolders()) as address, sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=flags)
+        for make in wanted:
+            make(Shown(browser, address, config))
+        browser.close()
 
 
 if __name__ == "__main__":

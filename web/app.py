@@ -33,6 +33,7 @@ from web.pages.changes import change_routes
 from web.pages.compare_page import compare_routes
 from web.pages.course_page import course_routes
 from web.pages.drives_page import drive_routes
+from web.pages.import_page import import_routes
 from web.pages.index_page import index_routes
 from web.pages.jobs_page import job_routes
 from web.pages.log_files import log_file_routes
@@ -122,6 +123,7 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
         *index_routes(bench),
         *altered_routes(bench),
         *job_routes(bench),
+        *import_routes(bench),
         *wheel_routes(bench),
         *wheel_socket_routes(),
         *compare_routes(bench),

@@ -1,4 +1,4 @@
-"""Finding the recording near a path that is none: a folder above it, a folder in it, or one of its files."""
+"""Finding recordings: those in a folder, and the one near a path that is none."""
 
 from __future__ import annotations
 
@@ -30,23 +30,50 @@ def recordings_near(source: Path) -> str:
     return f" did you mean {' or '.join(map(str, found[:_MOST_SUGGESTED]))}{more}?"
 
 
+def recordings_in(folder: Path, levels: int = 2) -> list[Path]:
+    """The recordings in a folder: itself, or folders so many levels below, logs and csv files in it."""
+    if _is_recording(folder):
+        return [folder]
+    folders = [folder, *(inner for level in islice(_levels_below(folder), levels) for inner in level)]
+    found = [each for each in folders if _is_recording(each)]
+    others = [each for each in folders if not any(each.is_relative_to(one) for one in found)]
+    return [*found, *(path for each in others for path in _files_in(each))]
+
+
 def _search(source: Path) -> Iterator[Path]:
     """The recording that `source` is a part of; else those in it, and in the folders in it."""
     for folder in list(source.absolute().parents)[:2]:
         if _is_recording(folder) and source.exists():
             yield _as_given(folder, source)
             return
-    folders = [source]
+    for level in _levels_below(source):
+        yield from filter(_is_recording, level)
+
+
+def _levels_below(folder: Path) -> Iterator[list[Path]]:
+    """The folders in a folder, then those in these."""
+    folders = [folder]
     for _ in range(2):
-        folders = list(islice((inner for folder in folders for inner in _folders_in(folder)), _MOST_FOLDERS))
-        yield from filter(_is_recording, folders)
+        folders = list(islice((inner for each in folders for inner in folders_in(each)), _MOST_FOLDERS))
+        yield folders
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """The logs of a folder; without any, its csv if there is only one."""
+    try:
+        files = sorted(path for path in islice(folder.iterdir(), 100 * _MOST_FOLDERS) if path.is_file())
+    except OSError:
+        return []
+    tables = [path for path in files if path.suffix.lower() == ".csv"]
+    return [path for path in files if path.suffix == ".mcap"] or (tables if len(tables) == 1 else [])
 
 
 def _is_recording(folder: Path) -> bool:
     return is_udacity(folder) or is_tub(folder) or is_bag(folder) or is_lerobot(folder)
 
 
-def _folders_in(folder: Path) -> list[Path]:
+def folders_in(folder: Path) -> list[Path]:
+    """The folders in a folder, by name; none where it cannot be read."""
     try:
         with os.scandir(folder) as entries:
             some = islice(entries, 100 * _MOST_FOLDERS)

@@ -158,6 +158,11 @@ def import_mcap(
     return Imported(log, count, pictures, skipped, [*notices, *writer.notices])
 
 
+def topics_in(source: Path, skipped: Skipped) -> dict[str, str]:
+    """The topics of another program's log or a bag, with the type of their messages. Raises UserError."""
+    return {topic: kind for file in _files(source, skipped) for topic, kind in file.types(skipped).items()}
+
+
 def _files(source: Path, skipped: Skipped) -> list[_File]:
     if source.is_dir():
         paths = bag_files(source, skipped)

@@ -18,7 +18,7 @@ from driving import road_jpeg, untrained_run
 from histories import epoch_line, step_lines, write_lines
 from logs import write_log
 from pages import window_of
-from udacity import call
+from udacity import call, make_recording, paths
 from waiting import wait_until
 from wheel_host import Host, driving_host
 from workbench import Served, served
@@ -36,6 +36,8 @@ PAGES: Final = {
     "/drives?log=d&by=speed": "circle",
     "/drives/d": "#session[data-course] circle",
     "/runs.compare?a=r&b=other": "form button",
+    "/import": "#drop",
+    "/import/lake": "form .main",
     "/jobs?start=train": "details[open] button",
     "/wheel?driver=run": "form.begin",
     "/wheel/after/sessions/faulty": "form",
@@ -83,6 +85,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     shown = {**frame, "predicted_deg": 9.0, "error_deg": 8.0, "jpeg": base64.b64encode(road_jpeg(7)).decode()}
     write_lines(run / "worst.jsonl", [{"epoch": 2, "frames": [shown]}])
     untrained_run(folder / "runs" / "other")
+    make_recording(folder / "recordings" / "lake", f"{paths(0)},0.1,0.5,0,9.5\n")
     a_drive(folder / "drives" / "d.mcap", "r")
     with served(folder) as found:
         wait_until(lambda: "reading" not in found.get("/runs.rows").text)

@@ -147,7 +147,7 @@ def test_a_run_without_an_epoch_tells_how_to_go_on(tmp_path: Path) -> None:
     run = a_run(tmp_path / "runs", "killed", 2.0)
     (run / "metrics.jsonl").unlink()
     with served(tmp_path) as bench:
-        wait_until(lambda: "no epoch yet" in bench.get("/runs/killed/body").text)
+        wait_until(lambda: "no epoch yet" in bench.get("/runs/killed/top").text)
         assert "not measured before the first epoch is finished; bc-train --resume killed" in page(bench, "killed")
 
 

@@ -166,7 +166,7 @@ def test_what_is_kept_in_the_cache_may_be_deleted_or_damaged(bench: Served) -> N
 
 def test_what_commands_change_appears(tmp_path: Path) -> None:
     with served(tmp_path) as bench:
-        assert "bc-record first" in bench.get("/sessions").text  # how to begin
+        assert "Import a recording" in bench.get("/sessions").text  # how to begin
         before = bench.get("/changes").json
         log = write_log(tmp_path / "sessions" / "a.mcap", [0.1, 0.2])
         after = wait_until(lambda: (found := bench.get("/changes").json) != before and found)

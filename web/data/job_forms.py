@@ -13,13 +13,15 @@ from typing import Final, Literal
 
 from common.location import Location, Url
 from dataset.config import IndexConfig
+from model.config import TrainConfig
+from model.network.names import BUILT_IN
 from model.runs.run_arguments import new_run_name
 from web.data.project_folders import ProjectFolders, key_of
 from web.errors import WebError
 
 MOST_CHARACTERS: Final = 1000  # of a value
 
-Known = Literal["", "sessions", "runs"]
+Known = Literal["", "sessions", "runs", "pictures", "topics"]
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Field:
     is_several: bool = False  # words, separated by blanks
     is_switch: bool = False  # given or not
     is_needed: bool = False
+    is_more: bool = False  # folded away: few people change it
 
     def words(self, value: str) -> list[str]:
         if self.is_switch:
@@ -113,6 +116,7 @@ def _run(values: Mapping[str, str]) -> str:
 
 
 _INDEX: Final = IndexConfig()
+_TRAIN: Final = TrainConfig()
 INDEX_FIELDS: Final = (
     Field("sessions", "sessions", hint="all of them", known="sessions", is_several=True),
     Field("recipe", "recipe", "--recipe", choices=("people", "original")),
@@ -162,6 +166,31 @@ FORMS: Final[Sequence[JobForm]] = (
         (
             Field("name", "name of the session", is_needed=True),
             Field("source", "folder or file on this machine", "--from", is_needed=True),
+            Field(
+                "image", "topic of the pictures", "--image", hint="of a log or bag", known="pictures", is_more=True
+            ),
+            Field(
+                "steering",
+                "topic.field of the steering",
+                "--steering",
+                hint="/cmd_vel.angular.z",
+                known="topics",
+                is_more=True,
+            ),
+            Field(
+                "steering_scale", "factor of the steering", "--steering-scale", hint="1; -1 for ROS", is_more=True
+            ),
+            Field(
+                "columns",
+                "columns of a csv",
+                "--columns",
+                hint="image=frame steering=angle",
+                is_several=True,
+                is_more=True,
+            ),
+            Field("rate", "rows a second", "--rate", hint="as recorded", is_more=True),
+            Field("car", "car", "--car", hint="Udacity's; or built-in", is_more=True),
+            Field("all_catalogs", "all catalogues of a tub", "--all-catalogs", is_switch=True, is_more=True),
         ),
         (("--sessions", "sessions"),),
         _session,
@@ -183,12 +212,33 @@ FORMS: Final[Sequence[JobForm]] = (
         ("bc-train",),
         (
             Field("name", "name of the run", "--name", hint="date and time"),
-            Field("epochs", "epochs", "--epochs", hint="10"),
-            Field("network", "network", "--network", choices=("original", "pilotnet", "small", "resnet18")),
+            Field("network", "network", "--network", choices=tuple(BUILT_IN)),
+            Field("epochs", "epochs", "--epochs", hint=str(_TRAIN.epochs)),
+            Field("rate", "learning rate", "--rate", hint=str(_TRAIN.rate)),
+            Field("batch", "samples in a step", "--batch", hint=str(_TRAIN.batch)),
+            Field(
+                "targets",
+                "what it learns",
+                "--targets",
+                choices=("steering", "steering speed", "steering throttle", "steering speed throttle"),
+                is_several=True,
+            ),
+            Field("recipe", "recipe", "--recipe", choices=("people", "original")),
+            Field("device", "computes on", "--device", choices=("cpu", "cuda")),
             Field("on", "on these sessions alone", "--on", hint="the index", known="sessions", is_several=True),
             Field("init", "start from the run", "--init", hint="random weights", known="runs"),
-            Field("patience", "patience", "--patience", hint="0: all epochs"),
-            Field("seed", "seed", "--seed", hint="0"),
+            Field("patience", "patience, epochs", "--patience", hint="0: all epochs", is_more=True),
+            Field("dropout", "dropout", "--dropout", hint=str(_TRAIN.dropout), is_more=True),
+            Field(
+                "keep",
+                "epoch that is kept",
+                "--keep",
+                choices=("driving-error", "balanced-rmse", "rmse", "last"),
+                is_more=True,
+            ),
+            Field("picture_px", "width and height of the picture", "--picture-px", is_several=True, is_more=True),
+            Field("threads", "processor threads", "--threads", hint="one a core", is_more=True),
+            Field("seed", "seed", "--seed", hint="0", is_more=True),
         ),
         (("--index", "index"), ("--sessions", "sessions"), ("--runs", "runs")),
         _run,

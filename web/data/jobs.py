@@ -32,6 +32,7 @@ from common.locks import is_being_written
 from common.untrusted import real_path
 from common.untrusted_json import json_as
 from web.data.file_versions import version_of
+from web.data.job_forms import FORMS
 from web.data.job_runner import ABOUT, EXIT, LOCK, OUTPUT, READY
 from web.errors import WebError
 
@@ -79,6 +80,14 @@ class Job:
         return printable(shlex.join(self.about.words))
 
     @property
+    def title(self) -> str:
+        """Its name for people: its form, and what it is about."""
+        about = self.about
+        form = next((form.title for form in FORMS if form.name == about.form), "")
+        words = [word for word in about.words[1:] if not word.startswith("-")]
+        return printable(f"{form or about.words[0]} {self.run if form else ' '.join(words[:2])}".strip())
+
+    @property
     def state(self) -> str:
         if self.is_running:
             return "running"
@@ -103,7 +112,7 @@ class Job:
 
     @property
     def run(self) -> str:
-        """The name of the run of a training."""
+        """The name that its form was given: of a training, that of the run."""
         return self.about.values.get("name") or self.about.values.get("run", "")
 
     @property

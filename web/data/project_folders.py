@@ -67,6 +67,11 @@ class ProjectFolders:
         usual = (parent / name for name in ("sessions", "index", "runs", "drives"))
         return parent if (self.sessions, self.index, self.runs, self.drives) == tuple(usual) else None
 
+    @property
+    def recordings(self) -> Path:
+        """The folder of recordings that a browser has sent, to be imported."""
+        return (Path() if isinstance(self.sessions, Url) else self.sessions.parent) / "recordings"
+
     @cached_property
     def _index_copy(self) -> StoredCopy | None:
         return StoredCopy(self.index) if isinstance(self.index, Url) else None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import math
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -18,6 +20,7 @@ from model.runs.training_progress import METRICS_FILE, STEPS_FILE
 from model.runs.worst_pictures import WORST_FILE
 from web.data.background import Background
 from web.data.project_folders import ProjectFolders, key_of
+from web.data.training_cost import EarlierTraining
 
 if TYPE_CHECKING:  # these load PyTorch, which only pages of runs need
     from model.runs.history import History
@@ -26,6 +29,7 @@ if TYPE_CHECKING:  # these load PyTorch, which only pages of runs need
 _SUMMED_UP: Final = CONFIG, METRICS_FILE, RESULTS_FILE, WEIGHTS
 _GROWING: Final = STEPS_FILE, WORST_FILE
 _HISTORY: Final = METRICS_FILE, *_GROWING
+_TRAININGS: Final = 8  # that say how fast one is
 _HISTORIES: Final = 16  # kept in memory, of the runs shown last
 
 
@@ -102,6 +106,27 @@ class RunCards:
                 while len(self._histories) > _HISTORIES:
                     self._histories.pop(next(iter(self._histories)))
         return known[1]
+
+
+def earlier_trainings(runs: RunCards, patience_s: float) -> list[EarlierTraining]:
+    """The speed of the newest trainings of this project, the newest first."""
+    cards = [card for card in runs.cards(patience_s) if card.summary is not None and card.summary.epochs]
+    cards.sort(key=lambda card: card.summary.written_at if card.summary else "", reverse=True)
+    found = []
+    for card in cards[:_TRAININGS]:
+        with contextlib.suppress(UserError):
+            found.append(_earlier(card, runs))
+    return found
+
+
+def _earlier(card: RunCard, runs: RunCards) -> EarlierTraining:
+    from model.runs.run_config import load_config
+
+    machine = load_config(card.path).get("machine")
+    device = str(machine.get("device", "")) if isinstance(machine, dict) else ""
+    network = card.summary.network if card.summary else ""
+    speeds = [epoch.samples_per_s for epoch in runs.history(card.path).epochs]
+    return EarlierTraining(card.name, network, device, speeds[-1] if speeds else math.nan)
 
 
 def _card(path: Path, found: RunSummary | UserError | None, place: Location) -> RunCard:

@@ -18,7 +18,7 @@ from common.errors import counted, printable
 from dataset.index.build_state import STATE_NAME
 from dataset.index.leaks import find_leaks
 from dataset.index.sessions import logs_not_indexed
-from dataset.samples.samples_format import COUNT_HEADINGS
+from dataset.samples.samples_format import COUNT_HEADINGS, SAMPLES_NAME
 from web.data.file_versions import version_of
 from web.data.index_view import IndexView, bins_sketch, session_bins_sketch, split_sketch, view_index
 from web.data.job_forms import INDEX_FIELDS, form_of
@@ -52,6 +52,7 @@ def index_routes(bench: Workbench) -> list[Route]:
         )
         context["now"], problem = _view(here)
         context["folder"] = printable(str(bench.folders.index))
+        context["is_missing"] = not (here / SAMPLES_NAME).exists() and not store_problem
         context["problem"] = store_problem or problem.replace(printable(str(here)), context["folder"])
         context["stale"] = _stale()
         context["then"], context["trial_problem"] = _view(bench.trials.get(trial)) if trial else (None, "")

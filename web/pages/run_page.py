@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
+from urllib.parse import urlencode
 
 from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, Response
@@ -16,6 +17,7 @@ from common.car import MAX_STEERING_DEG
 from common.errors import printable
 from common.steering_unit import DEGREES, SteeringUnit, assumed_deg, steering_unit
 from common.whole_number import whole_number
+from model.network.names import BUILT_IN
 from model.runs.run_files import STEERING
 from web.data.project_folders import PLACES, ProjectFolders, key_of
 from web.data.run_bins import bin_bars
@@ -38,6 +40,9 @@ def run_routes(bench: Workbench) -> list[Route]:
     def page(request: Request) -> Response:
         live = runs_version(bench)
         return HTMLResponse(render("run.html", live=live, **_context(request)))
+
+    def top(request: Request) -> Response:
+        return HTMLResponse(render("run_top.html", **_context(request)))
 
     def body(request: Request) -> Response:
         return HTMLResponse(render("run_body.html", **_context(request)))
@@ -71,6 +76,7 @@ def run_routes(bench: Workbench) -> list[Route]:
             "path": printable(str(bench.folders.run_place(path))),
             "summary": card.summary,
             "job": bench.jobs.training(f"/runs/{key}"),
+            "again": _again(card),
             "settings": _settings(path) if not card.problem else {},
             "sessions": _sessions(pages, card),
             "is_of_index": _is_of_index(path, bench.folders.index_here),
@@ -82,10 +88,21 @@ def run_routes(bench: Workbench) -> list[Route]:
 
     return [
         Route("/runs/{run}", page),
+        Route("/runs/{run}/top", top),
         Route("/runs/{run}/body", body),
         Route("/runs/{run}/steering.png", steering),
         Route("/runs/{run}/worst/{epoch}/{number}.jpg", worst_picture),
     ]
+
+
+def _again(card: RunCard) -> str:
+    """The query of a training form with the settings of this run; "" where they are not known."""
+    run = card.summary
+    if run is None:
+        return ""
+    values = {"network": run.network if run.network in BUILT_IN else "", "epochs": str(run.epochs_asked)}
+    values |= {"recipe": run.recipe, "targets": " ".join(run.targets), "seed": str(run.seed)}
+    return urlencode({"start": "train", **{name: value for name, value in values.items() if value}})
 
 
 def _is_of_index(run: Path, index: Path) -> bool:

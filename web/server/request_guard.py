@@ -21,12 +21,15 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from common.whole_number import whole_number
 from recorder.server.allowed_hosts import AllowedHosts, is_loopback
+from web.data.uploads import MAX_UPLOAD_BYTES
 from web.errors import WebError
 from web.server.error_pages import error_answer
 
 TOKEN: Final = "token"
 _COOKIE: Final = "bc-web-token"
 MOST_BODY_BYTES: Final = 1 << 20
+UPLOAD: Final = "/import.upload"
+"""The address that takes more: a recording."""
 
 CONTENT_SECURITY_POLICY: Final = "; ".join(
     (
@@ -152,5 +155,6 @@ def _check_size(scope: Scope) -> None:
     length = whole_number(Headers(scope=scope).get("content-length", ""))
     if length is None:
         raise WebError("a request with a body needs its length (Content-Length)", 411)
-    if length > MOST_BODY_BYTES:
-        raise WebError(f"a request of {length:,} bytes: at most {MOST_BODY_BYTES:,} are taken", 413)
+    most = MAX_UPLOAD_BYTES if scope["path"] == UPLOAD else MOST_BODY_BYTES
+    if length > most:
+        raise WebError(f"a request of {length:,} bytes: at most {most:,} are taken", 413)

@@ -7,6 +7,7 @@ const HEIGHT = 240;
 const WHOLE = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000]; // epochs between two ticks
 const COLORS = 8;
 const DASHES = [[], [6, 4], [2, 3]];
+const LEGEND_DASHES = ["solid", "dashed", "dotted"];
 const PLOTS = [
   ["Loss", (line) => line.endsWith("loss")],
   ["Errors, as shares of those of the mean", (line) => line.includes("RMSE")],
@@ -74,6 +75,7 @@ function draw(runs) {
           scales: { x: { time: false } },
           axes: [{ ...axis, incrs: WHOLE, label: "epoch", labelSize: 18, size: 32 }, { ...axis, size: 56 }],
           series,
+          legend: { markers: { dash: (plot, at) => LEGEND_DASHES[DASHES.findIndex((dash) => `${dash}` === `${plot.series[at].dash ?? []}`)] ?? "solid" } },
           cursor: { sync: { key: "runs" } },
         },
         uPlot.join(tables),

@@ -103,7 +103,7 @@ export class Curves {
         axes: [
           axis({
             size: 24,
-            splits: (drawn, _, min, max) => this.roundTimes(min, max, drawn.over.clientWidth / LEAST_TICK),
+            splits: (drawn, _, min, max) => this.roundTimes(min, max, drawn.bbox.width / devicePixelRatio / LEAST_TICK),
             values: (_, splits) => splits.map((at) => this.roundTime(at)),
           }),
           axis({ scale: names[0] }),

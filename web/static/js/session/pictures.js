@@ -37,6 +37,7 @@ async function load(camera) {
     try {
       await camera.image.decode();
       camera.figure.classList.remove("missing");
+      camera.image.classList.toggle("enlarged", camera.image.naturalWidth < camera.image.clientWidth * devicePixelRatio);
     } catch {
       camera.figure.classList.add("missing"); // none at this row, or one that does not decode
     }

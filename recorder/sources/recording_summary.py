@@ -1,0 +1,104 @@
+"""What a recording is, before it is imported: its kind, rows, oddities, and what an import has to be given."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import Final, Literal
+
+from common import Skipped, UserError
+from common.errors import counted, printable
+from common.untrusted import open_regular
+from recorder.errors import RecordingError
+from recorder.sources.csv_columns import MOST_LINE_CHARACTERS
+from recorder.sources.donkeycar_tub import is_tub, open_tub
+from recorder.sources.find_recording import is_udacity
+from recorder.sources.import_mcap import is_mcap_or_bag, is_own_log, topics_in
+from recorder.sources.lerobot_dataset import is_lerobot, open_dataset
+from recorder.sources.mcap_messages import is_picture_type
+from recorder.sources.udacity_recording import UdacityRecording
+
+MAX_COUNTED_ROWS: Final = 100_000
+_MAX_LISTED: Final = 200  # topics, columns
+
+Needs = Literal["", "topics", "columns"]
+
+
+@dataclass(frozen=True)
+class RecordingSummary:
+    """A recording in short. `problem`: why it cannot be imported; "" if nothing is known against it."""
+
+    path: Path
+    kind: str
+    rows: str = ""  # counted, in words; "" where only an import counts them
+    oddities: tuple[str, ...] = ()  # what an import leaves out, or cannot find
+    needs: Needs = ""  # what an import has to be given
+    names: tuple[str, ...] = ()  # the topics or columns to choose among
+    pictures: tuple[str, ...] = ()  # those of the topics that are pictures
+    is_own: bool = False  # a log of this toolkit: a session as it is
+    problem: str = field(default="", compare=False)
+
+
+def summarize_recording(source: Path) -> RecordingSummary:
+    """The summary of a recording that `find_recording` has found. At most `MAX_COUNTED_ROWS` rows are read."""
+    try:
+        return _summary(source)
+    except (UserError, OSError) as error:
+        return RecordingSummary(source, "", problem=printable(str(error)))
+
+
+def _summary(source: Path) -> RecordingSummary:
+    skipped = Skipped()
+    if is_mcap_or_bag(source):
+        return _log(source, skipped)
+    if is_lerobot(source):
+        dataset = open_dataset(source)
+        rows = f"{counted(dataset.frames, 'frame')} in {counted(dataset.episodes, 'episode')}"
+        pictures = tuple(dataset.image_keys[:_MAX_LISTED])
+        return RecordingSummary(source, "LeRobot dataset", rows, pictures=pictures)
+    if is_tub(source):
+        tub = open_tub(source, False, skipped)
+        deleted = (f"{counted(len(tub.deleted), 'record')} marked as deleted",) if tub.deleted else ()
+        records = counted(tub.count, "record")
+        return RecordingSummary(source, f"DonkeyCar tub, version {tub.version}", records, _lines(skipped, deleted))
+    if is_udacity(source):
+        return _udacity(source, skipped)
+    return _csv(source)
+
+
+def _log(source: Path, skipped: Skipped) -> RecordingSummary:
+    if is_own_log(source):
+        return RecordingSummary(source, "session of this toolkit", is_own=True)
+    types = topics_in(source, skipped)
+    kind = "ROS 2 bag" if source.is_dir() else "MCAP log of another program"
+    pictures = tuple(topic for topic, type_name in types.items() if is_picture_type(type_name))[:_MAX_LISTED]
+    others = tuple(topic for topic in types if topic not in pictures)[:_MAX_LISTED]
+    return RecordingSummary(source, kind, "", _lines(skipped), "topics", others, pictures)
+
+
+def _udacity(source: Path, skipped: Skipped) -> RecordingSummary:
+    count = 0
+    for _ in islice(UdacityRecording(source, skipped).rows(), MAX_COUNTED_ROWS):
+        count += 1
+    rows = f"{counted(count, 'row')}{' or more' if count == MAX_COUNTED_ROWS else ''}"
+    return RecordingSummary(source, "recording of Udacity's simulator", rows, _lines(skipped))
+
+
+def _csv(source: Path) -> RecordingSummary:
+    try:
+        with open_regular(source) as stream:
+            first = stream.readline(MOST_LINE_CHARACTERS).decode("utf-8-sig", errors="replace")
+            lines = iter(lambda: stream.readline(MOST_LINE_CHARACTERS), b"")
+            count = sum(1 for _ in islice(lines, MAX_COUNTED_ROWS))
+        names = next(csv.reader([first], delimiter=max(",;\t", key=first.count)), [])
+    except csv.Error as error:
+        raise RecordingError(f"{source}: no csv ({error})") from None
+    rows = f"{counted(count, 'row')}{' or more' if count == MAX_COUNTED_ROWS else ''}"
+    columns = tuple(printable(name.strip()) for name in names[:_MAX_LISTED])
+    return RecordingSummary(source, "pictures with a csv", rows, needs="columns", names=columns)
+
+
+def _lines(skipped: Skipped, more: tuple[str, ...] = ()) -> tuple[str, ...]:
+    return (*more, *skipped.lines(max_names=3))

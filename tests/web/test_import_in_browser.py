@@ -1,0 +1,92 @@
+"""Importing in a real browser: a folder is chosen, a zip or folder dropped, and cancelled while it is sent."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import recorder.cli
+from pages import open_session, opened_page
+from recorder import Log
+from udacity import call, make_recording, paths
+from upload_bodies import zipped
+from waiting import wait_until
+from workbench import served
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+CSV = "".join(f"{paths(number)},0.1,0.5,0,9.5\n" for number in range(3))
+
+
+def drop(page: Page, *dropped: Path) -> None:
+    """Drop files or folders of this machine onto the page, as from a file manager."""
+    session = page.context.new_cdp_session(page)
+    data = {"items": [], "files": [str(path) for path in dropped], "dragOperationsMask": 1}
+    for kind in ("dragEnter", "dragOver", "drop"):
+        session.send("Input.dispatchDragEvent", {"type": kind, "x": 300, "y": 400, "data": data})
+    session.detach()
+
+
+def test_a_chosen_folder_becomes_a_session_by_the_keyboard(browser: Browser, tmp_path: Path) -> None:
+    make_recording(tmp_path / "mine" / "lake", CSV)
+    with served(tmp_path / "project") as bench, opened_page(browser, f"{bench.address}/sessions") as page:
+        page.click(".cards a[href='/import']")
+        page.wait_for_selector("#drop")
+        page.wait_for_load_state()  # with its scripts
+        with page.expect_file_chooser() as chooser:
+            page.press("#folder", "Enter")
+        chooser.value.set_files(tmp_path / "mine" / "lake")
+        page.wait_for_selector("text=3 rows")
+        assert page.input_value("input[name=name]") == "lake"
+        page.press("input[name=name]", "Enter")
+        page.click("text=what it has made")
+        open_session(page)
+    sessions = tmp_path / "mine" / "sessions"
+    assert call(recorder.cli.main, "lake", "--from", tmp_path / "mine" / "lake", "--sessions", sessions) == 0
+    with Log(tmp_path / "project" / "sessions" / "lake.mcap") as here, Log(sessions / "lake.mcap") as there:
+        assert here.vehicle() == there.vehicle()
+
+
+def test_a_folder_and_a_zip_are_dropped(browser: Browser, tmp_path: Path) -> None:
+    folder = tmp_path / "mine" / "lake"
+    make_recording(folder, CSV)
+    # more than a browser lists at a time
+    for number in range(150):
+        (folder / "IMG" / f"other_{number}.txt").write_bytes(b"")
+    (tmp_path / "second.zip").write_bytes(zipped({"driving_log.csv": CSV.encode()}))
+    with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/import") as page:
+        drop(page, folder)
+        page.wait_for_selector("text=3 rows")
+        sent = sorted(path.name for path in (tmp_path / "recordings" / "lake").rglob("*"))
+        assert sent == sorted(path.name for path in folder.rglob("*"))
+        page.click("text=Import another")
+        drop(page, tmp_path / "second.zip")
+        page.wait_for_selector("text=none of its pictures is there")
+        page.click("text=Remove")
+        page.wait_for_selector("text=Sent before")
+        assert not (tmp_path / "recordings" / "second").exists()
+
+
+def test_a_cancelled_upload_leaves_nothing(browser: Browser, tmp_path: Path) -> None:
+    (tmp_path / "large").mkdir()
+    with (tmp_path / "large" / "hole").open("wb") as stream:
+        stream.truncate(3 << 30)
+    with served(tmp_path / "project") as bench, opened_page(browser, f"{bench.address}/import") as page:
+        drop(page, tmp_path / "large")
+        page.wait_for_selector("#cancel:focus")
+        wait_until(lambda: list((tmp_path / "project").glob("recordings/*")))
+        page.keyboard.press("Enter")
+        wait_until(lambda: "nothing was kept" in page.inner_text("#status"))
+        wait_until(lambda: not (tmp_path / "project" / "recordings").exists())
+        assert page.is_hidden("#progress")
+
+
+def test_what_is_refused_is_shown_in_the_page(browser: Browser, tmp_path: Path) -> None:
+    (tmp_path / "a.zip").write_bytes(b"no zip")
+    with served(tmp_path / "project") as bench, opened_page(browser, f"{bench.address}/import") as page:
+        drop(page, tmp_path / "a.zip")
+        page.wait_for_selector("#problem:text('cannot be unpacked')")
+        (tmp_path / "empty").mkdir()
+        drop(page, tmp_path / "empty")
+        page.wait_for_selector("#problem:text('no file in it')")

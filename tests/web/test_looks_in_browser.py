@@ -1,0 +1,118 @@
+"""What a page looks like: one primary action, a first screen that leads on, and a phone's width that is used."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from driving import road_jpeg, untrained_run
+from histories import epoch_line, write_lines
+from logs import write_log
+from pages import open_session, opened_page
+from udacity import make_recording, paths
+from waiting import wait_until
+from workbench import served
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+PRIMARY: Final = {
+    "/sessions": "Import a recording",
+    "/import": "Choose a folder",
+    "/import/lake": "Import",
+    "/index": "Build the index",
+    "/runs": "Train a network",
+    "/runs/r": "Let it drive, and take over",
+    "/drives": "Let a run drive",
+    "/jobs?start=train": "Start",
+    "/wheel": "Take the wheel",
+}
+
+SWAPPED: Final = """() => new Promise((done) => {
+  document.addEventListener("htmx:after:swap", done, {once: true});
+  document.getElementById("list").dispatchEvent(new CustomEvent("folders-changed"));
+})"""
+"""Let the list be replaced."""
+
+
+def primary(page: Page) -> list[str]:
+    return page.locator(".main:visible").all_inner_texts()
+
+
+def test_each_page_has_one_primary_action(browser: Browser, tmp_path: Path) -> None:
+    write_log(tmp_path / "sessions" / "a.mcap", [0.1] * 20, lambda camera, row: road_jpeg(row))
+    make_recording(tmp_path / "recordings" / "lake", f"{paths(0)},0.1,0.5,0,9.5\n")
+    run = untrained_run(tmp_path / "runs" / "r")
+    config = json.loads((run / "config.json").read_text())
+    config.update(training={"epochs": 2, "recipe": "original", "seed": 3}, data={})
+    (run / "config.json").write_text(json.dumps(config))
+    write_lines(run / "metrics.jsonl", [epoch_line(1), epoch_line(2)])
+    with served(tmp_path) as bench, opened_page(browser, bench.address) as page:
+        wait_until(lambda: "Let it drive" in bench.get("/runs/r/top").text)
+        for path, action in PRIMARY.items():
+            page.goto(f"{bench.address}{path}", wait_until="networkidle")
+            assert primary(page) == [action], path
+        page.goto(f"{bench.address}/runs/r")
+        page.click("text=Train again")
+        page.wait_for_selector("#command-train:visible")
+        given = {
+            name: page.input_value(f"#form-train [name={name}]")
+            for name in ("network", "epochs", "recipe", "seed")
+        }
+        assert given == {"network": "small", "epochs": "2", "recipe": "original", "seed": "3"}
+
+
+def test_the_first_screen_leads_to_all_that_can_be_done_first(browser: Browser, tmp_path: Path) -> None:
+    with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/sessions") as page:
+        cards = page.locator(".cards li")
+        assert cards.locator("h3").all_inner_texts() == [
+            "Drive it yourself",
+            "Import a recording",
+            "Watch the demo",
+        ]
+        assert page.is_hidden("#filters")
+        assert primary(page) == ["Take the wheel"]
+        for card, leads_to in ((0, "/wheel"), (1, "/import")):
+            cards.nth(card).locator("a").click()
+            page.wait_for_url(f"**{leads_to}")
+            page.go_back()
+        write_log(tmp_path / "sessions" / "a.mcap", [0.1] * 20, lambda camera, row: road_jpeg(row))
+        page.wait_for_selector("#s-a")
+        page.wait_for_selector("#filters")
+        assert primary(page) == ["Import a recording"]
+
+
+def test_a_session_uses_the_width_of_a_phone(browser: Browser, tmp_path: Path) -> None:
+    write_log(
+        tmp_path / "sessions" / "a.mcap",
+        [0.1] * 20,
+        lambda camera, row: road_jpeg(row),
+        cameras=["center", "left", "right"],
+    )
+    with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/sessions/a", width=390) as page:
+        open_session(page)
+        page.wait_for_selector("[data-camera=center] img.enlarged")
+        lists = [page.locator(f"section[aria-labelledby={name}-title]").bounding_box() for name in ("odd", "tags")]
+        center = page.locator("[data-camera=center]").bounding_box()
+        for box in (*lists, center):
+            assert box is not None
+            assert box["width"] > 350  # of 390
+        assert lists[0] is not None
+        assert lists[1] is not None
+        assert lists[1]["y"] >= lists[0]["y"] + lists[0]["height"]  # one under the other
+
+
+def test_a_command_stays_unfolded_while_the_list_changes(browser: Browser, tmp_path: Path) -> None:
+    with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/jobs?start=record") as page:
+        page.fill("details[open] [name=name]", "first lap")
+        page.fill("details[open] [name=laps]", "none")
+        page.click("details[open] button")
+        page.click("text=Back to the form")
+        page.goto(f"{bench.address}/jobs")
+        entry = page.locator(".jobs li").first
+        assert entry.locator("a").inner_text() == "Record first lap"
+        entry.locator("summary").click()
+        page.evaluate(SWAPPED)
+        assert entry.locator("code").is_visible()
+        assert "bc-record 'first lap' --laps=none" in entry.locator("code").inner_text()

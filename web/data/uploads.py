@@ -1,0 +1,244 @@
+"""Recordings that a browser sends to the project, each a folder in `recordings/`, whole or not at all.
+
+A body begins with a manifest in JSON, the paths and sizes of its files, and goes on with the files themselves, one
+after the other. A single zip is unpacked. Everything in it is untrusted: names are checked before a file is made.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import shutil
+import zipfile
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Final
+
+import msgspec
+
+from common.errors import counted, printable
+from common.files import PART_SUFFIX, make_folder, part_path, remove_empty
+from common.untrusted_json import json_as
+from web.errors import WebError
+
+MAX_UPLOAD_BYTES: Final = 64 << 30  # sent, and again unpacked
+MAX_FILES: Final = 300_000
+_MAX_MANIFEST_BYTES: Final = 64 << 20
+_MAX_DIRECTORY_BYTES: Final = 64 << 20  # of a zip, which is read into memory
+_MAX_DEPTH: Final = 16
+_MAX_NAME_BYTES: Final = 240
+_SPARE_BYTES: Final = 64 << 20  # of the disk
+_BLOCK_BYTES: Final = 1 << 20
+_ZIP: Final = ".upload.zip"
+_UNWANTED: Final = frozenset({"__MACOSX", ".DS_Store", "Thumbs.db", _ZIP})
+_UNSAFE: Final = re.compile(r"[^A-Za-z0-9_.-]+")
+
+
+class Manifest(msgspec.Struct):
+    """The files of an upload, in their order."""
+
+    files: list[tuple[str, int]]  # path with slashes, bytes
+
+
+class Upload:
+    """An upload that is being received: `write` its bytes, `finish` it. Left early, it leaves nothing."""
+
+    def __init__(self, folder: Path, manifest_bytes: int, total_bytes: int) -> None:
+        """`folder`: of all uploads. Raises WebError for what is too large."""
+        if not 0 < manifest_bytes <= min(_MAX_MANIFEST_BYTES, total_bytes) or total_bytes > MAX_UPLOAD_BYTES:
+            raise WebError(f"an upload of {total_bytes:,} bytes: at most {MAX_UPLOAD_BYTES:,} are taken", 413)
+        self._parent = folder
+        self._above: list[Path] = []
+        self._name = "recording"
+        self._part = part_path(folder / self._name)
+        self._manifest = bytearray()
+        self._left = manifest_bytes  # bytes of the manifest or file that is being received
+        self._total_bytes = total_bytes - manifest_bytes
+        self._files: list[tuple[Path | None, int]] | None = None  # still to come; None for one that is left out
+        self._stream: IO[bytes] | None = None
+        self._zip: Path | None = None
+
+    def __enter__(self) -> Upload:
+        self._above = make_folder(self._parent)
+        try:
+            refuse_full(self._parent, self._total_bytes)
+            self._part.mkdir()
+        except BaseException:
+            remove_empty(self._above)
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._close()
+        shutil.rmtree(self._part, ignore_errors=True)  # gone already if it was finished
+        remove_empty(self._above)
+
+    def write(self, data: bytes) -> None:
+        """Take the next bytes. Raises WebError for names or sizes that cannot be."""
+        view = memoryview(data)
+        while view:
+            if not self._left:
+                raise WebError("an upload with more bytes than its manifest names", 422)
+            block, view = view[: self._left], view[self._left :]
+            self._left -= len(block)
+            if self._files is None:
+                self._manifest += block
+                if not self._left:
+                    self._begin_files()
+            else:
+                if self._stream is not None:
+                    self._stream.write(block)
+                self._next_file()
+
+    def finish(self) -> Path:
+        """The folder of the upload, which has got its name. Raises WebError if it is not whole."""
+        if self._files is None or self._files or self._left:
+            raise WebError("an upload that is not whole: it was broken off", 422)
+        self._close()
+        if self._zip is not None:
+            unpack(self._zip, self._part)
+            self._zip.unlink()
+        if not any(self._part.iterdir()):
+            raise WebError("an upload without a file", 422)
+        return self._named()
+
+    def _begin_files(self) -> None:
+        manifest = json_as(bytes(self._manifest), Manifest)
+        self._manifest.clear()
+        if manifest is None or not 0 < len(manifest.files) <= MAX_FILES:
+            raise WebError(f"an upload of 1 to {MAX_FILES:,} files was expected", 422)
+        sizes = [size for _, size in manifest.files]
+        if min(sizes) < 0 or sum(sizes) != self._total_bytes:
+            raise WebError("an upload whose files have other sizes than its manifest names", 422)
+        places = [checked_name(name) for name, _ in manifest.files]
+        top = {place[0] for place in places if place}
+        has_top = len(top) == 1 and all(len(place) > 1 for place in places if place)
+        self._name = plain_name(next(iter(top))) if len(top) == 1 else self._name
+        files = [place[has_top:] for place in places]
+        self._files = [
+            (self._part.joinpath(*parts) if parts else None, size)
+            for parts, size in zip(reversed(files), reversed(sizes), strict=True)
+        ]
+        if len(files) == 1 and files[0] and files[0][-1].lower().endswith(".zip"):
+            self._zip = self._part / _ZIP
+            self._files = [(self._zip, sizes[0])]
+        self._next_file()
+
+    def _next_file(self) -> None:
+        """Open the file whose bytes come next, once those of the one before are there."""
+        while not self._left and self._files:
+            self._close()
+            path, self._left = self._files.pop()
+            if path is not None:
+                self._stream = _new_file(path)
+
+    def _close(self) -> None:
+        if self._stream is not None:
+            self._stream.close()
+            self._stream = None
+
+    def _named(self) -> Path:
+        for number in range(1, 1000):
+            folder = self._parent / (self._name if number == 1 else f"{self._name}-{number}")
+            if not folder.exists() and not folder.is_symlink():
+                with contextlib.suppress(FileExistsError):
+                    self._part.rename(folder)
+                    return folder
+        raise WebError(f"{self._parent}: too many folders are called {self._name}", 422)
+
+
+def uploads_in(folder: Path) -> dict[str, Path]:
+    """The uploads in a folder by their names, which are plain."""
+    try:
+        found = [path for path in sorted(folder.iterdir()) if path.is_dir() and path.suffix != PART_SUFFIX]
+    except OSError:
+        return {}
+    return {path.name: path for path in found}
+
+
+def remove_upload(upload: Path) -> None:
+    """Delete an upload, and the folder of all of them if it was the last one."""
+    shutil.rmtree(upload)
+    remove_empty([upload.parent])
+
+
+def unpack(archive: Path, folder: Path) -> None:
+    """Unpack a zip into a folder. Raises WebError for one that is damaged, too large, or leads out of it."""
+    try:
+        with archive.open("rb") as stream:
+            if _directory_bytes(stream) > _MAX_DIRECTORY_BYTES:
+                raise WebError("the zip has a directory that is too large", 413)
+        with zipfile.ZipFile(archive) as found:
+            _unpack(found, folder)
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError) as error:
+        raise WebError(f"the zip cannot be unpacked ({printable(str(error))[:200]})", 422) from None
+
+
+def _unpack(archive: zipfile.ZipFile, folder: Path) -> None:
+    members = archive.infolist()
+    if len(members) > MAX_FILES:
+        raise WebError(f"the zip has {counted(len(members), 'file')}: at most {MAX_FILES:,} are taken", 413)
+    left = MAX_UPLOAD_BYTES
+    refuse_full(folder, sum(member.file_size for member in members))
+    for member in members:
+        parts = checked_name(member.filename.rstrip("/"))
+        if not parts or member.is_dir():
+            continue
+        if (member.external_attr >> 28) == 0xA:  # a link, as Unix writes it
+            raise WebError(f"{printable(member.filename)}: a link, which is not unpacked", 422)
+        if member.flag_bits & 1:
+            raise WebError("the zip has a password; unpack it, and drop the folder", 422)
+        with archive.open(member) as source, _new_file(folder.joinpath(*parts)) as target:
+            while block := source.read(_BLOCK_BYTES):
+                left -= len(block)
+                if left < 0:
+                    raise WebError(f"the zip unpacks to more than {MAX_UPLOAD_BYTES:,} bytes", 413)
+                target.write(block)
+
+
+def _directory_bytes(stream: IO[bytes]) -> int:
+    """The length of a zip's directory, as its end says it: the largest number that may be one."""
+    stream.seek(-min(stream.seek(0, 2), (1 << 16) + 200), 2)
+    end = stream.read()
+    short = [end[at.start() + 12 : at.start() + 16] for at in re.finditer(b"PK\5\6", end)]
+    long = [end[at.start() + 40 : at.start() + 48] for at in re.finditer(b"PK\6\6", end)]
+    sizes = [int.from_bytes(each, "little") for each in [*short, *long]]
+    return max((size for size in sizes if size != 0xFFFFFFFF), default=0)  # which stands for "see the long one"
+
+
+def checked_name(name: str) -> Sequence[str]:
+    """The parts of a file's path in an upload; none for a file that systems add. Raises WebError for one that
+    leads elsewhere, or has a name that not every system takes."""
+    parts = name.split("/")
+    if len(parts) > _MAX_DEPTH:
+        raise WebError(f"{printable(name)[:200]}: more than {_MAX_DEPTH} folders deep", 422)
+    for part in parts:
+        is_plain = part not in ("", ".", "..") and part.isprintable() and not set(part) & set('\\:*?"<>|')
+        if not is_plain or len(part.encode()) > _MAX_NAME_BYTES:
+            raise WebError(f"{printable(name)[:200]}: not a name that a file here can have", 422)
+    return () if _UNWANTED & set(parts) else parts
+
+
+def plain_name(name: str) -> str:
+    """A name for a folder or session out of that of a file or folder: plain letters, at most 60."""
+    stem = re.sub(r"\.(zip|mcap|csv)$", "", name, flags=re.IGNORECASE)
+    return _UNSAFE.sub("-", stem).strip("-.")[:60] or "recording"
+
+
+def refuse_full(folder: Path, size: int) -> None:
+    """Raise WebError where a disk has no room for so many bytes."""
+    free = shutil.disk_usage(folder).free - _SPARE_BYTES
+    if size > free:
+        raise WebError(f"{folder}: {size / 1e6:,.0f} MB, but the disk has room for {max(0, free) / 1e6:,.0f}", 507)
+
+
+def _new_file(path: Path) -> IO[bytes]:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path.open("xb")
+    except (FileExistsError, NotADirectoryError, IsADirectoryError):
+        raise WebError(f"{printable(path.name)}: twice in the upload", 422) from None

@@ -1,0 +1,149 @@
+"""Import: a recording is dropped or chosen, what it holds is shown, and a job makes a session of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
+from starlette.routing import Route
+
+from common.errors import printable
+from common.files import publish
+from common.interrupts import uninterrupted
+from common.location import Url
+from common.untrusted import real_path
+from common.whole_number import whole_number
+from recorder.log.tags import tags_path
+from recorder.sources.find_recording import folders_in, recordings_in
+from recorder.sources.import_mcap import is_own_log
+from recorder.sources.recording_summary import summarize_recording
+from web.data.job_forms import form_of
+from web.data.project_folders import key_of
+from web.data.uploads import MAX_FILES, MAX_UPLOAD_BYTES, Upload, plain_name, remove_upload, uploads_in
+from web.errors import WebError
+from web.pages.form_values import form_values
+from web.pages.workbench import Workbench
+from web.server.request_guard import UPLOAD
+from web.server.templates import render
+
+_MAX_SHOWN = 50  # recordings of a folder
+_MAX_FOLDERS = 500
+_FILES = (".mcap", ".csv")  # that may be recordings
+
+
+def import_routes(bench: Workbench) -> list[Route]:
+    folder = bench.folders.recordings
+
+    def page(request: Request) -> Response:
+        limits = {"bytes": MAX_UPLOAD_BYTES, "files": MAX_FILES}
+        return HTMLResponse(render("import.html", limits=limits, uploads=list(uploads_in(folder))))
+
+    async def upload(request: Request) -> Response:
+        """Receive an upload; `manifest` in the address: the length of what it begins with."""
+        total = whole_number(request.headers["content-length"])
+        manifest = whole_number(request.query_params.get("manifest", ""))
+        chunks = request.stream()
+        try:
+            with Upload(folder, manifest or 0, total or 0) as received:
+                async for chunk in chunks:
+                    await run_in_threadpool(received.write, chunk)
+                found = await run_in_threadpool(received.finish)
+        except ClientDisconnect:
+            return Response(status_code=400)  # to nobody
+        except (WebError, OSError):
+            async for _ in chunks:  # else the browser shows that the connection broke, and not why
+                pass
+            raise
+        if await request.is_disconnected():  # cancelled while it was unpacked
+            await run_in_threadpool(remove_upload, found)
+        return JSONResponse({"page": f"/import/{found.name}"})
+
+    def one(request: Request) -> Response:
+        path = _upload(request)
+        return HTMLResponse(render("import_one.html", title=path.name, **_found(path, recordings_in(path))))
+
+    def browse(request: Request) -> Response:
+        """A folder or file of this machine: the recordings in it, and its folders."""
+        given = request.query_params.get("source", "").strip()
+        try:
+            place = real_path(Path(given).expanduser() if given else Path.home())
+            is_folder = place.is_dir()
+            if not is_folder and not place.is_file():
+                raise FileNotFoundError
+        except (OSError, RuntimeError, ValueError):
+            raise WebError(f"{printable(given)}: no such folder or file on the machine of bc-web", 404) from None
+        files = recordings_in(place, levels=0) if is_folder else [place]
+        found = [each for each in files if each.is_dir() or each.suffix.lower() in _FILES]
+        inner = [each for each in folders_in(place) if not each.name.startswith(".")] if is_folder else []
+        found, inner = ([each for each in some if str(each).isprintable()] for some in (found, inner))
+        context = {"inner": inner[:_MAX_FOLDERS], "above": place.parent, "title": printable(str(place))}
+        return HTMLResponse(render("import_at.html", **context, **_found(place, found)))
+
+    def _found(place: Path, found: list[Path]) -> dict[str, Any]:
+        taken = {log.name.removesuffix(".mcap") for log in bench.folders.logs("sessions").values()}
+        shown = []
+        for each in found[:_MAX_SHOWN]:
+            name = place.name if each.is_dir() and len(found) == 1 else each.name
+            shown.append((summarize_recording(each), _free_name(plain_name(name), taken)))
+        fields = {field.name: field for field in form_of("import").fields}
+        return {
+            "name": place.name,
+            "folder": place,
+            "found": shown,
+            "fields": fields,
+            "more": len(found) - len(shown),
+        }
+
+    async def take(request: Request) -> Response:
+        """Make a log of this toolkit a session: it gets its place there, as it is."""
+        values = await form_values(request)
+        path = _upload(request)
+        log = next((each for each in recordings_in(path) if str(each) == values.get("source")), None)
+        if log is None or not is_own_log(log):
+            raise WebError(f"{path}: no such log in it; open its page anew", 404)
+        page_of = await run_in_threadpool(_take, log, values.get("name", ""))
+        if not recordings_in(path):
+            await run_in_threadpool(remove_upload, path)
+        return RedirectResponse(page_of, status_code=303)
+
+    def _take(log: Path, name: str) -> str:
+        sessions = bench.folders.sessions
+        if isinstance(sessions, Url):
+            raise WebError(f"`bc-log copy {printable(str(log))} {sessions}` copies it there", 422)
+        if not name or plain_name(name) != name:
+            raise WebError(f"{printable(name)!r}: a plain name was expected, such as {plain_name(name)}", 422)
+        to = sessions / f"{name}.mcap"
+        sessions.mkdir(parents=True, exist_ok=True)
+        with uninterrupted():
+            publish(log, to, overwrite=False)
+            if tags_path(log).is_file():
+                publish(tags_path(log), tags_path(to), overwrite=False)
+        return f"/sessions/{key_of(to)}"
+
+    def remove(request: Request) -> Response:
+        remove_upload(_upload(request))
+        return RedirectResponse("/import", status_code=303)
+
+    def _upload(request: Request) -> Path:
+        name = request.path_params["name"]
+        path = uploads_in(folder).get(name)
+        if path is None:
+            raise WebError(f"{folder}: no upload {name!r} in it; it may have been removed", 404)
+        return path
+
+    return [
+        Route("/import", page),
+        Route("/import.at", browse),
+        Route(UPLOAD, upload, methods=["POST"]),
+        Route("/import/{name}", one),
+        Route("/import/{name}/take", take, methods=["POST"]),
+        Route("/import/{name}/remove", remove, methods=["POST"]),
+    ]
+
+
+def _free_name(name: str, taken: set[str]) -> str:
+    """A name for a session that no other has."""
+    return next(each for each in (name, *(f"{name}-{number}" for number in range(2, 10_000))) if each not in taken)
