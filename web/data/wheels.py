@@ -128,11 +128,12 @@ def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list
 
 
 def quick_epochs(rows: int) -> int:
-    """The epochs in which a network learns to drive from so many rows in about two minutes on two quick cores.
+    """The epochs in which a network learns to drive from so many rows: two minutes for half a lap on quick cores.
 
-    6,000 rows, about 25,000 samples, are enough to drive both built-in tracks (docs/studies/which-number.md).
+    Six for half a lap of both tracks: after three, two of three networks needed help (docs/at-the-wheel.md).
     """
-    return max(2, min(10, round(6000 / max(1, rows))))
+    rows = max(1, rows)
+    return round(max(2, min(10, max(6000 / rows, min(6, 13_000 / rows)))))
 
 
 def is_training_on(job: Job, log: Location) -> bool:
