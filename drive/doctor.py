@@ -18,6 +18,7 @@ from common.locks import is_being_written
 from model.runs.advice import Advice
 from recorder.log.log_info import LogInfo, describe, logs_in
 from recorder.log.odd_stretches import ODD_KINDS
+from recorder.log.tags import FINE
 
 MOST_COMMANDS: Final = 3
 _MOST_NAMED: Final = 5
@@ -100,7 +101,8 @@ def _logs(project: Path, name: str, found: Diagnosis, wanted: _Wanted) -> list[L
 def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], found: Diagnosis, wanted: _Wanted) -> None:
     """The logs with the most odd rows; what is tagged is known."""
     odd = sorted(
-        (info for info in logs if info.odd and not info.tags), key=lambda info: -sum(info.odd_rows.values())
+        (info for info in logs if info.odd and all(tag.name == FINE for tag in info.tags)),
+        key=lambda info: -sum(info.odd_rows.values()),
     )
     for info in odd[:_MOST_NAMED]:
         path = _shown(project, Path(info.path))

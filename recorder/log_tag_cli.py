@@ -14,6 +14,7 @@ from common.errors import UsageError, counted, did_you_mean
 from common.location import Location
 from common.output import ask, print_message, print_next, print_result
 from common.stretches import stretches
+from recorder.log.fine_rows import fine_rows
 from recorder.log.odd_stretches import odd_stretches
 from recorder.log.reader import Log
 from recorder.log.row_condition import rows_where
@@ -44,7 +45,7 @@ class NameRows:
     log: LogPlace
     """The log to tag."""
     tag: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[TAG]")] = None
-    """The tag: `exclude`, `recovery`, or any name; none: list tags."""
+    """The tag: `exclude`, `fine` (looked at, and not odd), or any name; none: list tags."""
     start: float | None = None
     """First second, counted from the log's first row."""
     end: float | None = None
@@ -108,6 +109,8 @@ class NameRows:
             words = [rows_of(tag) for tag in chosen]
         else:
             found = [each for each in odd if each.is_sure]
+            if not self.remove:
+                found = fine_rows(self.log).left(found)
             chosen = [Tag(each.first_row, each.last_row, name) for each in found]
             words = [str(each) for each in found]
         for line in words[:MAX_LINES]:

@@ -13,6 +13,7 @@ from common.progress import track
 from recorder.errors import LogError
 from recorder.log.check_contents import GAPS, Contents, Finding, odd_findings
 from recorder.log.check_structure import sound_chunks
+from recorder.log.fine_rows import fine_rows
 from recorder.log.mcap_file import McapFile
 from recorder.log.odd_stretches import OddStretch
 from recorder.log.reader import Log
@@ -46,7 +47,7 @@ class Checked:
     has_crcs: bool  # other programs may do without: damage is then not noticed
     meant_gaps: list[str]  # gaps in time that its events explain; no findings
     pauses: list[str]  # of a recorder that people switch off and on; no findings
-    odd: list[OddStretch]  # of its rows, also those that may be meant and are no findings
+    odd: list[OddStretch]  # not tagged fine; also those that may be meant and are no findings
 
 
 def check(path: Location, *, look: bool = True) -> Checked:
@@ -59,10 +60,11 @@ def check(path: Location, *, look: bool = True) -> Checked:
     """
     damage: list[Finding] = []
     findings: list[Finding] = []
+    fine = fine_rows(path)
     with McapFile(path) as file:
         structure = read_structure(file)
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-            contents = Contents(structure, findings, pool if look else None, is_ours=file.is_ours)
+            contents = Contents(structure, findings, pool if look else None, is_ours=file.is_ours, fine=fine)
             chunks = sound_chunks(file, structure, damage)
             for records, messages in track(chunks, f"checking {path.name}", len(structure.chunks)):
                 for message in messages:
@@ -80,6 +82,7 @@ def check(path: Location, *, look: bool = True) -> Checked:
             if are_swapped(log):
                 left_out = "`bc-index --cameras center` leaves them out"
                 findings.append(Finding("side cameras that are swapped", f"left and right; {left_out}"))
+    odd = fine.left(odd)
     findings += odd_findings(odd)
     pauses = [finding for finding in findings if finding.kind == GAPS and _is_paused_by_people(path)]
     return Checked(

@@ -15,6 +15,7 @@ from recorder.bc_pb2 import VehicleState
 from recorder.log import topics
 from recorder.log.bad_telemetry import read_event
 from recorder.log.compressed_image import image_data
+from recorder.log.fine_rows import FineRows
 from recorder.log.mcap_file import StoredMessage
 from recorder.log.meant_gaps import NotRecorded
 from recorder.log.message_index import LAST_TIME_NS
@@ -49,9 +50,16 @@ class Contents:
     """Collects findings from messages that are added one by one, in the order of the log."""
 
     def __init__(
-        self, structure: Structure, findings: list[Finding], pool: Executor | None, *, is_ours: bool
+        self,
+        structure: Structure,
+        findings: list[Finding],
+        pool: Executor | None,
+        *,
+        is_ours: bool,
+        fine: FineRows,
     ) -> None:
         self._is_ours = is_ours
+        self._fine = fine
         self._topics = {number: channel.topic for number, channel in structure.channels.items()}
         of_type = structure.is_protobuf
         self._images = structure.image_channels
@@ -141,7 +149,8 @@ class Contents:
         meant = self._not_recorded.gaps(states)
         self.meant_gaps = [f"before row {row}" for row in states.row[meant].tolist()]
         for row in states.row[row_flags(states)["gap"] & ~meant].tolist():
-            self._findings.append(Finding(GAPS, f"before row {row}"))
+            if not self._fine.hold(row, row):
+                self._findings.append(Finding(GAPS, f"before row {row}"))
         self.odd = odd_stretches(states)
 
     def _cameras(self, *, has_rows: bool) -> frozenset[str]:
@@ -164,8 +173,9 @@ class Contents:
                 self._findings.append(Finding(kind, f"{topic} {rows_named(first, last)}"))
         standing = {key for key, speed in speed_mph.items() if speed < STANDING_MPH}  # not an unknown speed, NaN
         for first, last in pictures.frozen(standing):
-            where = rows_named(pictures.rows[first], pictures.rows[last])
-            self._findings.append(Finding("stretches of frozen pictures", f"{topic} {where}"))
+            rows = (pictures.rows[first], pictures.rows[last])
+            if not self._fine.hold(*rows):
+                self._findings.append(Finding("stretches of frozen pictures", f"{topic} {rows_named(*rows)}"))
 
 
 def odd_findings(found: Iterable[OddStretch]) -> list[Finding]:

@@ -15,6 +15,7 @@ from common.location import Location, Url
 from common.untrusted_json import json_as
 from recorder.log import topics
 from recorder.log.devices import device_numbers, most_used_of
+from recorder.log.fine_rows import FineRows
 from recorder.log.label_plan import goes_by_lag, plan_labels
 from recorder.log.meant_gaps import NotRecorded, meant_rows
 from recorder.log.odd_stretches import OddStretch, odd_in, odd_stretches, odd_summary
@@ -58,7 +59,7 @@ class LogInfo:
     drives: int | None
     flags: dict[str, int] | None  # rows that each flag holds for
     stretches: list[FlaggedRows]  # the first of them
-    odd: list[OddStretch] | None  # what is wrong, the first of them; None: its rows were not measured
+    odd: list[OddStretch] | None  # not tagged fine, the first of them; None: its rows were not measured
     steering: SteeringHabits | None  # None: its rows were not measured, or it has none
     lag: SteeringLag | None  # of the steering; None: not measured, or not to be found in its pictures
     labels: str  # what an index makes of its steering, as far as is known; empty if nothing is
@@ -130,6 +131,8 @@ def describe(place: Location | Log, *, look: bool = False, with_tags: bool = Tru
         by_content = tags_by_content(log.path) if with_tags else {}
         fingerprint = log.fingerprint if by_content else ""  # without tags, it need not be made
         rate_s = duration_s if driven_s is None else driven_s
+        tags = sorted(by_content.get(fingerprint, ()))
+        odd = _odd(log, quality)
         steering, lag = _steering(log, quality), None
         if look and steering and goes_by_lag(steering, driven_by(log)):
             from recorder.log.steering_lag import measure_lag  # OpenCV
@@ -149,12 +152,12 @@ def describe(place: Location | Log, *, look: bool = False, with_tags: bool = Tru
             drives=_count(quality.get("drives")) if quality else None,
             flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS} if quality else None,
             stretches=_stretches(quality.get("stretches", "")),
-            odd=_odd(log, quality),
+            odd=FineRows(tags).left(odd) if odd is not None else None,
             steering=steering,
             lag=lag,
             labels=str(plan_labels(steering, lag, driven_by(log))) if steering else "",
             picture_sizes=_texts(quality.get("picture_sizes", "")),
-            tags=sorted(by_content.get(fingerprint, ())),
+            tags=tags,
             stale_tags=sum(len(tags) for content, tags in by_content.items() if content != fingerprint),
             notice=log.notice,
             is_ours=log.is_ours,

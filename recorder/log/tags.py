@@ -27,6 +27,8 @@ from recorder.errors import LogError
 
 EXCLUDE: Final = "exclude"
 """Rows with this tag are never trained on."""
+FINE: Final = "fine"
+"""Odd rows with this tag were looked at, and do not count as odd."""
 _ENDING: Final = ".tags.jsonl"
 _LONGEST_NAME: Final = 64
 _MOST_ROWS: Final = 2**32
@@ -74,10 +76,10 @@ def read_tags(log: Location, fingerprint: str) -> list[Tag]:
 
 
 def names_used(folder: Location) -> set[str]:
-    """The names of the tags of all logs in a folder; EXCLUDE is always among them. Raises StoreError."""
+    """The names of the tags of all logs in a folder; EXCLUDE and FINE are always among them. Raises StoreError."""
     with ThreadPoolExecutor() as pool:  # each file of a store is a request
         found = list(pool.map(_names_in, _tag_files(folder)))
-    return {EXCLUDE}.union(*found)
+    return {EXCLUDE, FINE}.union(*found)
 
 
 def _tag_files(folder: Location) -> list[Path] | list[Url]:

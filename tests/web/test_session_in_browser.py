@@ -185,6 +185,20 @@ def test_all_that_is_sure_and_what_a_condition_says_are_excluded_by_a_button_eac
         wait_until(lambda: "was expected before 'speed'" in page.inner_text("#status"))
 
 
+def test_j_passes_over_what_was_seen_and_is_fine(browser: Browser, bench: Served) -> None:
+    with opened(browser, bench) as page:
+        page.keyboard.press("j")
+        press(page, "f", 1)
+        assert tags(bench) == [("fine", *STUCK)]
+        page.click("#exclude-odd")
+        wait_until(lambda: tags(bench)[1:] == [("exclude", *CRASH)])
+        page.keyboard.press("j")
+        wait_until(lambda: "gap; 1 of 3" in page.inner_text("#status"))
+        press(page, "u", 1)
+        page.keyboard.press("k")
+        wait_until(lambda: "1 of 3" not in page.inner_text("#status"))
+
+
 def test_j_and_k_go_through_the_odd_stretches_and_x_excludes_each(browser: Browser, bench: Served) -> None:
     """Planted faults are found and removed with nine actions."""
     with opened(browser, bench) as page:

@@ -24,6 +24,7 @@ from dataset.frames.frames_file import read_frames, session_name
 from dataset.index.build_state import FRAMES_FOLDER, BuildState, Sources, Stat, read_state, sources_of
 from dataset.parquet_file import read_metadata
 from recorder import Log
+from recorder.log.fine_rows import FineRows
 from recorder.log.log_info import LogInfo, describe
 from recorder.log.tags import Tag
 from web.data.background import Background
@@ -149,7 +150,7 @@ class SessionCards:
     def _card(
         self, path: Location, version: str, glance: Glance | UserError | None, index: InIndex
     ) -> SessionCard:
-        problem, tags_problem, counts = "", "", Counter[str]()
+        problem, tags_problem, tags = "", "", list[Tag]()
         is_recording = path.name.endswith(PART_SUFFIX) and is_being_written(path)
         if isinstance(glance, StoreError):
             tags_problem, glance = printable(str(glance)), None  # it is not known to be damaged
@@ -159,16 +160,19 @@ class SessionCards:
             glance = None
         if glance is not None:
             try:
-                counts = rows_by_name(self.tags(path, glance.fingerprint).tags)
+                tags = self.tags(path, glance.fingerprint).tags
             except UserError as error:
                 tags_problem = printable(str(error))
+        info = glance.info if glance else None
+        if info and info.odd:
+            info = dataclasses.replace(info, odd=FineRows(tags).left(info.odd))
         return SessionCard(
             key=key_of(path),
             path=path,
             version=version,
-            info=glance.info if glance else None,
+            info=info,
             problem=problem,
-            tags=dict(counts),
+            tags=dict(rows_by_name(tags)),
             tags_problem=tags_problem,
             index=index,
             is_recording=is_recording,

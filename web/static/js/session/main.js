@@ -20,6 +20,7 @@ import { Player } from "./player.js";
 import { RerunFrame } from "./rerun.js";
 
 const EXCLUDE = "exclude";
+const FINE = "fine";
 const by = (id) => document.getElementById(id);
 const page = by("session");
 const data = new LogData(page.dataset.log);
@@ -72,7 +73,7 @@ function select(stretch) {
   selection = stretch;
   curves.mark({ selection });
   const canTag = Boolean(selection) && !data.state.problem;
-  by("exclude").disabled = by("tag").disabled = !canTag;
+  by("exclude").disabled = by("fine").disabled = by("tag").disabled = !canTag;
   const rows = selection && data.rowsOf(selection);
   makers.select(rows);
   by("selected").textContent = rows ? `rows ${rows[0]} to ${rows[1]} selected` : "";
@@ -142,13 +143,13 @@ function goToOdd(step) {
     const interventions = left(course?.interventions ?? [], data.tags);
     const found = round.next([interventions, toDo], step > 0 ? from.first : from.last, step);
     if (!found) {
-      showStatus(groups.length ? "all odd stretches are excluded" : "nothing odd in this log");
+      showStatus(groups.length ? "all odd stretches are excluded or fine" : "nothing odd in this log");
       return;
     }
     goTo(found);
     const number = interventions.indexOf(found) + 1;
     if (number) showStatus(`${words(found)}; ${number} of ${interventions.length} interventions`);
-    else showStatus(`${words(found)}; ${toDo.length} of ${groups.length} odd stretches are not excluded`);
+    else showStatus(`${words(found)}; ${toDo.length} of ${groups.length} odd stretches are left`);
   });
 }
 
@@ -323,6 +324,7 @@ by("speed").addEventListener("change", () => setSpeed(Number(by("speed").value))
 by("next").addEventListener("click", () => goToOdd(1));
 by("before").addEventListener("click", () => goToOdd(-1));
 by("exclude").addEventListener("click", () => tag(EXCLUDE));
+by("fine").addEventListener("click", () => tag(FINE));
 by("undo").addEventListener("click", undo);
 by("look").addEventListener("click", checkPictures);
 by("run").addEventListener("change", () => {
@@ -388,6 +390,7 @@ listen({
   j: () => goToOdd(1),
   k: () => goToOdd(-1),
   x: () => tag(EXCLUDE),
+  f: () => tag(FINE),
   t: () => by("name").focus(),
   u: undo,
   r: redo,

@@ -12,7 +12,7 @@ export class Many {
   constructor(data, done, { change, onPick, showStatus }) {
     Object.assign(this, { data, done, change, onPick, showStatus, found: [] });
     by("exclude-odd").addEventListener("click", () => this.exclude(() => left(sure(data.state.odd), data.tags)));
-    by("exclude-where").addEventListener("click", () => this.exclude(() => left(this.found, data.tags)));
+    by("exclude-where").addEventListener("click", () => this.exclude(() => left(this.found, data.tags, [EXCLUDE])));
     by("where-form").addEventListener("submit", (event) => {
       event.preventDefault();
       this.find(by("where").value);
@@ -47,6 +47,6 @@ export class Many {
   show() {
     const { state, tags } = this.data;
     by("exclude-odd").disabled = Boolean(state.problem) || !left(sure(state.odd), tags).length;
-    by("exclude-where").disabled = Boolean(state.problem) || !left(this.found, tags).length;
+    by("exclude-where").disabled = Boolean(state.problem) || !left(this.found, tags, [EXCLUDE]).length;
   }
 }

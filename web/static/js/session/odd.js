@@ -20,16 +20,16 @@ export function sure(stretches) {
   return stretches.filter((stretch) => stretch[4]).map(([, first, last]) => ({ first, last }));
 }
 
-/** Those of which some row is not excluded. */
-export function left(groups, tags) {
-  const excluded = tags.filter((tag) => tag.name === "exclude");
+/** Those with a row that has no tag of these names. */
+export function left(groups, tags, names = ["exclude", "fine"]) {
+  const done = tags.filter((tag) => names.includes(tag.name));
   let at = 0;
   const found = [];
   for (const group of groups) {
-    while (at < excluded.length && excluded[at].last < group.first) at += 1;
+    while (at < done.length && done[at].last < group.first) at += 1;
     let reached = group.first;
-    for (let each = at; each < excluded.length && excluded[each].first <= reached; each += 1) {
-      reached = Math.max(reached, excluded[each].last + 1);
+    for (let each = at; each < done.length && done[each].first <= reached; each += 1) {
+      reached = Math.max(reached, done[each].last + 1);
     }
     if (reached <= group.last) found.push(group);
   }
