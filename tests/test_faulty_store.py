@@ -135,7 +135,7 @@ REQUESTS: dict[Callable[[Store], None], int] = {
     upload_in_parts: 10,
     download: 5,
     index: 6,
-    read: 8,
+    read: 9,
     keep: 10,
     add: 24,
 }

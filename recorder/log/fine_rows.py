@@ -9,7 +9,7 @@ from common.location import Location
 from recorder.errors import LogError
 from recorder.log.odd_stretches import OddStretch
 from recorder.log.reader import Log
-from recorder.log.tags import FINE, Tag, read_tags
+from recorder.log.tags import FINE, Tag, tags_by_content
 
 
 class FineRows:
@@ -38,7 +38,10 @@ class FineRows:
 def fine_rows(path: Location) -> FineRows:
     """The fine rows of a log; none where the log or its tags cannot be read."""
     try:
-        with Log(path, brief=True) as log:
-            return FineRows(read_tags(path, log.fingerprint))
+        tags = tags_by_content(path)
+        if not any(tag.name == FINE for of_one in tags.values() for tag in of_one):
+            return FineRows(())
+        with Log(path, brief=True) as log:  # its fingerprint
+            return FineRows(tags[log.fingerprint])
     except LogError:
         return FineRows(())

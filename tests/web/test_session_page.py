@@ -114,7 +114,7 @@ def test_only_json_changes_anything(bench: Served, log: Path) -> None:
 def test_a_new_name_that_is_nearly_an_old_one_is_noticed(bench: Served, log: Path) -> None:
     assert change(bench, name="exlude").json["notice"] == "new tag 'exlude'. did you mean exclude?"
     assert change(bench, name="exlude", rows=[50, 60]).json["notice"] == ""
-    assert bench.get("/sessions/a/names").json == ["exclude", "exlude"]
+    assert bench.get("/sessions/a/names").json == ["exclude", "exlude", "fine"]
 
 
 def test_the_rows_are_those_of_the_log(bench: Served) -> None:

@@ -14,7 +14,7 @@ from starlette.responses import JSONResponse, Response
 from common.errors import did_you_mean, printable
 from common.location import Location
 from recorder.log.edit import check_rows
-from recorder.log.tags import EXCLUDE, Tag, add_tag, check_name, names_used, remove_tag, tags_path
+from recorder.log.tags import EXCLUDE, FINE, Tag, add_tag, check_name, names_used, remove_tag, tags_path
 from web.data.project_folders import Place
 from web.errors import WebError
 from web.pages.workbench import Workbench
@@ -68,11 +68,11 @@ def _changed(bench: Workbench, place: Place, path: Location, change: TagChange) 
 
 
 def names_known(bench: Workbench, place: Place, path: Location) -> set[str]:
-    """The names that tags have in the folder of a log; EXCLUDE is always among them. In a store, those of the logs
-    that were read by now: each file of tags would be a request."""
+    """The names that tags have in the folder of a log; EXCLUDE and FINE are always among them. In a
+    store, those of the logs that were read by now: each file of tags would be a request."""
     if isinstance(path, Path):
         return names_used(path.parent)
-    return {EXCLUDE}.union(*(card.tags for card in bench.cards.cards(place, 0)))
+    return {EXCLUDE, FINE}.union(*(card.tags for card in bench.cards.cards(place, 0)))
 
 
 def _notice(name: str, there: set[Tag], used: set[str]) -> str:
