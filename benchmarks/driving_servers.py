@@ -23,7 +23,7 @@ import numpy as np
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 
 from recorder import Log
-from recorder.log.topics import camera_topic
+from recorder.topics import camera_topic
 from simulator.driving.simulation import Simulation
 from simulator.pose import Pose
 

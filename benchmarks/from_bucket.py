@@ -39,7 +39,7 @@ from model.config import TrainConfig
 from model.runs.training_progress import Epoch, Step
 from model.training.trainer import train
 from recorder import Log
-from recorder.log.log_info import describe
+from recorder.upkeep.log_info import describe
 
 BUCKET: Final = "logs"
 GET_USD: Final = 0.0004 / 1000  # S3 Standard, us-east-1: a GET; bytes to the same region are free

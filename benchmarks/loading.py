@@ -32,8 +32,8 @@ from torch.utils.data import DataLoader
 from common.location import local_path
 from dataset import Loader, Samples, decode, preprocess
 from recorder import Log
-from recorder.log.compressed_image import image_data
-from recorder.log.topics import camera_topic
+from recorder.mcap.compressed_image import image_data
+from recorder.topics import camera_topic
 
 ROUNDS, BATCH = 5, 256
 BY_TIME = 500  # pictures read through mcap's own reader: it is slow

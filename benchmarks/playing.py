@@ -30,7 +30,7 @@ from rerun.experimental import ViewerClient
 
 from common.car import CAMERAS
 from recorder import Log, LogWriter
-from recorder.log.topics import PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic
+from recorder.topics import PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic
 from viz.targets import WINDOW_MEMORY
 from viz.timelines import LOG_TIME
 from viz.viewer_process import free_port, viewer_program
@@ -39,7 +39,7 @@ ROWS_A_SECOND: Final = 25
 REPEATED: Final = 500  # rows
 GREEN: Final = (0, 255, 0)
 PATIENCE_S: Final = 300.0
-LEAST_FREE_MB: Final = 1500  # a machine without memory measures nothing, and may end other programs
+MIN_FREE_MB: Final = 1500  # a machine without memory measures nothing, and may end other programs
 
 
 @dataclass(frozen=True)
@@ -238,7 +238,7 @@ def memory_mb(pid: int) -> float:
 def refuse_full_memory(filling: subprocess.Popen[bytes]) -> None:
     lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
     free_mb = next(int(line.split()[1]) / 1024 for line in lines if line.startswith("MemAvailable"))
-    if free_mb < LEAST_FREE_MB:
+    if free_mb < MIN_FREE_MB:
         filling.kill()
         sys.exit(f"only {free_mb:.0f} MB of memory are left")
 

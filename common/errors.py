@@ -26,7 +26,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Final
 
 MAX_KEPT_NAMES: Final = 1000
-_MOST_WRITTEN_OUT: Final = 1e6
+_MAX_WRITTEN_OUT: Final = 1e6
 _MAX_ERROR_CHARACTERS: Final = 200  # characters
 
 
@@ -47,7 +47,7 @@ def decimal(value: float, places: int, *, signed: bool = False) -> str:
     if math.isnan(value):
         return "-"
     sign = "+" if signed else ""
-    return f"{value:{sign}.1e}" if abs(value) >= _MOST_WRITTEN_OUT else f"{value:{sign}.{places}f}"
+    return f"{value:{sign}.1e}" if abs(value) >= _MAX_WRITTEN_OUT else f"{value:{sign}.{places}f}"
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:

@@ -11,17 +11,17 @@ from common.text_lines import LineSplitter
 from common.untrusted import open_regular
 
 _COMPARED_BYTES: Final = 1024
-_MOST_AT_ONCE: Final = 1 << 20
+_MAX_AT_ONCE: Final = 1 << 20
 
 
 class FileTail:
     """Reads on where it stopped; a file that was made shorter or replaced is read again from its start.
 
-    Lines end with \\n, \\r\\n or \\r. Of a line that is longer than `most_line_bytes`, so much and a byte more is
+    Lines end with \\n, \\r\\n or \\r. Of a line that is longer than `max_line_bytes`, so much and a byte more is
     given.
     """
 
-    def __init__(self, path: Path, most_line_bytes: int) -> None:
+    def __init__(self, path: Path, max_line_bytes: int) -> None:
         self.path = path
         self.line_count = 0
         """Lines of the present file that were read so far."""
@@ -29,11 +29,11 @@ class FileTail:
         """True if there is more than the last call has read: it reads a megabyte, so that nothing waits long."""
         self.was_replaced = False
         """True if the file was ever replaced, or made shorter, after it was first read."""
-        self._most_line_bytes = most_line_bytes
+        self._most_line_bytes = max_line_bytes
         self._status: tuple[int, ...] = ()  # of the file, when it was last read
         self._offset = 0
         self._end = b""  # of what was read: still there, unless the file was replaced
-        self._splitter = LineSplitter(most_line_bytes)
+        self._splitter = LineSplitter(max_line_bytes)
 
     def new_lines(self, end: int | None = None) -> list[tuple[int, bytes]]:
         """The lines that were completed since the last call, with their numbers in the file, from 1.
@@ -72,9 +72,9 @@ class FileTail:
             if not is_same or stream.read(len(self._end)) != self._end:
                 self._start_again()
                 stream.seek(0)
-            wanted = _MOST_AT_ONCE if end is None else min(_MOST_AT_ONCE, max(end - self._offset, 0))
+            wanted = _MAX_AT_ONCE if end is None else min(_MAX_AT_ONCE, max(end - self._offset, 0))
             data = stream.read(wanted)
-        self.is_behind = len(data) == _MOST_AT_ONCE
+        self.is_behind = len(data) == _MAX_AT_ONCE
         self._offset += len(data)
         self._status = status if self._offset >= stat.st_size else (*status[:2], -1, -1)
         self._end = (self._end + data)[-_COMPARED_BYTES:]

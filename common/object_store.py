@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 from common.errors import ObjectChangedError, StoreError
 from common.location import Url
 from common.object_file import CUT_OFF, LARGEST_READ, ObjectFile, ObjectVersion, read_part
-from common.parted_file import AT_ONCE, MOST_PARTS
+from common.parted_file import AT_ONCE, MAX_PARTS
 from common.store_connection import store_of
 from common.store_errors import as_store_error, is_cut_off, is_no_bucket, is_refused, obstore
 from common.store_errors import exceptions as failures
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-MOST_IN_ONE_REQUEST: Final = 5 << 30
+MAX_IN_ONE_REQUEST: Final = 5 << 30
 """The largest object that S3 writes or copies in one request, and so on a condition."""
 
 
@@ -116,7 +116,7 @@ def put_file(url: Url, file: Path, replaces: ObjectVersion | None) -> ObjectVers
     Raises ObjectChangedError where there is another one, which stays; StoreError, also for a file of more than
     5 GB.
     """
-    if (size := file.stat().st_size) > MOST_IN_ONE_REQUEST:
+    if (size := file.stat().st_size) > MAX_IN_ONE_REQUEST:
         raise StoreError(f"{url}: {size:,} bytes are more than a store takes at once")
     there = find_object(url) if replaces is not None else None  # not every store knows the condition
     with as_store_error(url):
@@ -146,7 +146,7 @@ def _version_if_same(url: Url, file: Path) -> ObjectVersion | None:
 def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
     """Write an object of `size` bytes in parts, several at once; it appears whole or not at all, over whatever had
     its name. Raises StoreError, also where it has appeared and the answer to that was lost."""
-    part_bytes = max(LARGEST_READ, -(-size // MOST_PARTS))
+    part_bytes = max(LARGEST_READ, -(-size // MAX_PARTS))
     has_begun = False
 
     def given() -> Iterator[bytes]:

@@ -14,7 +14,7 @@ OnBytes: TypeAlias = Callable[[int], object]
 
 AT_ONCE: Final = 4
 """Parts that are on their way at a time."""
-MOST_PARTS: Final = 9000
+MAX_PARTS: Final = 9000
 """Of a file; a store takes 10,000, and more."""
 
 
@@ -25,7 +25,7 @@ class PartedFile:
         """`part_bytes`: of each part but the last; more where there would be too many."""
         self.path = path
         self._status = path.stat()
-        self._part_bytes = max(part_bytes, -(-self._status.st_size // MOST_PARTS))
+        self._part_bytes = max(part_bytes, -(-self._status.st_size // MAX_PARTS))
         self.count = -(-self._status.st_size // self._part_bytes)
 
     def length(self, number: int) -> int:

@@ -40,7 +40,7 @@ MAX_RETRIES: Final = 5
 """A call whose worker died for the sixth time is given up: it may be the call that kills it."""
 
 _MAX_MESSAGE_CHARACTERS: Final = 300  # of a node's message
-_MOST_TASKS: Final = 4_000
+_MAX_TASKS: Final = 4_000
 """Each costs the driver a millisecond or two: of more calls, several are one task."""
 
 _IN_FLIGHT: Final = 1_000
@@ -212,7 +212,7 @@ def _results(
     call = ray.remote(_call).options(**of_tasks)
     versions, folder = package_versions(), Path.cwd()
     # once its process has died, each call of a task gets a task of its own
-    size = -(-len(calls) // _MOST_TASKS) if lost is None else 1
+    size = -(-len(calls) // _MAX_TASKS) if lost is None else 1
     firsts: dict[Any, int] = {}  # of each task that goes on, the number of its first call
     to_do = iter(range(0, len(calls), max(1, size)))
     try:

@@ -47,9 +47,9 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 _LOCK: Final = ".store.lock"
-_MOST_BYTES: Final = 1 << 28
+_MAX_BYTES: Final = 1 << 28
 _AT_ONCE: Final = 8  # files
-_MOST_WRITERS: Final = 20  # that add lines to one file at the same time
+_MAX_WRITERS: Final = 20  # that add lines to one file at the same time
 
 
 class StoredFolder(Closeable):
@@ -107,7 +107,7 @@ class StoredFolder(Closeable):
         recorded: Mapping[str, Copy] = {**self._copies, **self._record.left}
         record_version = "" if record is None else record.version
         if differ and record is not None and record.version != self._record.record_version:
-            recorded = record_of(read_object(record.url, _MOST_BYTES) or b"").files
+            recorded = record_of(read_object(record.url, _MAX_BYTES) or b"").files
         elif not differ:
             record_version = self._record.record_version
         fetched = [name for name in differ if wanted is None or name in wanted]
@@ -168,7 +168,7 @@ class StoredFolder(Closeable):
 
     def _sent(self, name: str) -> Copy:
         path = self.here / name
-        for is_last in (*(False,) * _MOST_WRITERS, True):
+        for is_last in (*(False,) * _MAX_WRITERS, True):
             status, sha256 = path.stat(), _sha256_of(path)
             copy = self._copies.get(name)
             try:
@@ -185,7 +185,7 @@ class StoredFolder(Closeable):
 
     def _put_record(self, changed: Sequence[str], gone: Sequence[str]) -> None:
         """Enter the files that were sent into the store's record; the entries of other machines stay."""
-        there = record_of(read_object(self.url / RECORD_NAME, _MOST_BYTES) or b"").files
+        there = record_of(read_object(self.url / RECORD_NAME, _MAX_BYTES) or b"").files
         sent = {name: self._copies[name] for name in changed}
         known = {**self._copies, **self._record.left, **there, **sent}
         files = {name: copy for name, copy in known.items() if name not in gone}

@@ -6,11 +6,11 @@ from __future__ import annotations
 class LineSplitter:
     """Splits bytes at \\n, \\r\\n and \\r, as bytes.splitlines does.
 
-    A line that is longer than `most_bytes` is cut: so many of its bytes are given, and one more.
+    A line that is longer than `max_bytes` is cut: so many of its bytes are given, and one more.
     """
 
-    def __init__(self, most_bytes: int) -> None:
-        self._kept_bytes = most_bytes + 1
+    def __init__(self, max_bytes: int) -> None:
+        self._kept_bytes = max_bytes + 1
         self._partial = b""  # a line whose end was not there yet
         self._skips_newline = False  # the last line ended with a \r that may be half of a \r\n
 

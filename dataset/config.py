@@ -11,7 +11,7 @@ from tyro.conf import arg
 from common.car import Camera
 from common.recipe import Recipe
 from dataset.augment import Alteration
-from dataset.prediction_targets import MOST_AHEAD_S
+from dataset.prediction_targets import MAX_AHEAD_S
 
 CORRECTION_SIGNS: Final[Mapping[Camera, float]] = {"center": 0.0, "left": 1.0, "right": -1.0}
 """The side correction's sign in the label of each camera that is trained on by default."""
@@ -106,8 +106,8 @@ class IndexConfig:
             (
                 "--speed-ahead",
                 self.speed_ahead_s,
-                0 <= self.speed_ahead_s <= MOST_AHEAD_S,
-                f"0 to {MOST_AHEAD_S:g} seconds",
+                0 <= self.speed_ahead_s <= MAX_AHEAD_S,
+                f"0 to {MAX_AHEAD_S:g} seconds",
             ),
             (
                 "--alter",

@@ -20,8 +20,8 @@ from recorder.log.session_car import OUTLINE_PX, UDACITY
 
 VIEWPOINT: Final = "viewpoint"
 """The alteration of a sample that shows such a view."""
-MOST_LEFT_M: Final = 0.8  # to either side, about as far as the side cameras
-MOST_TURN_RAD: Final = math.radians(6.0)
+MAX_LEFT_M: Final = 0.8  # to either side, about as far as the side cameras
+MAX_TURN_RAD: Final = math.radians(6.0)
 
 LAST_VIEW: Final = 0xFFFF_FFFF
 """The largest number of a view. In a sample's seed the bits above are those of its other alterations, 0 where it
@@ -47,7 +47,7 @@ def place_of(view: Numbers | int) -> tuple[Values, Values]:
     """Metres to the left of the line, and the turn to the left in rad, of views by their numbers, or by the seeds
     that hold them in their lowest 32 bits."""
     shares = [(np.asarray(view) >> bits & _MOST) / (_MOST / 2) - 1.0 for bits in (0, 16)]
-    return shares[0] * MOST_LEFT_M, shares[1] * MOST_TURN_RAD
+    return shares[0] * MAX_LEFT_M, shares[1] * MAX_TURN_RAD
 
 
 def crop_from(crop: Image, seed: int, cameras: Viewpoint | None = None) -> Image:

@@ -23,10 +23,10 @@ def write_findings(path: Path, findings: msgspec.Struct) -> None:
         part.write_text(json.dumps(msgspec.to_builtins(findings)) + "\n", encoding="utf-8")
 
 
-def read_findings(path: Path, kind: type[Findings], most_bytes: int) -> Findings | None:
-    """The findings in the file; None if there is none, or it is a link, larger than `most_bytes`, or damaged."""
+def read_findings(path: Path, kind: type[Findings], max_bytes: int) -> Findings | None:
+    """The findings in the file; None if there is none, or it is a link, larger than `max_bytes`, or damaged."""
     try:
-        if path.is_symlink() or path.stat().st_size > most_bytes:
+        if path.is_symlink() or path.stat().st_size > max_bytes:
             return None
         return msgspec.convert(json.loads(path.read_bytes()), kind)
     except (OSError, ValueError, RecursionError):

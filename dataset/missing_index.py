@@ -12,7 +12,7 @@ from dataset.errors import DatasetError
 from dataset.samples.samples_format import SAMPLES_NAME
 
 DEFAULT_INDEX: Final = Path("index")
-_MOST_NAMED: Final = 5
+_MAX_NAMED: Final = 5
 _RUN_CONFIG: Final = "config.json"
 
 
@@ -33,8 +33,8 @@ def missing_index(index: Location) -> DatasetError:
     beside = [str(found.parent) for found in sorted(folder.glob(f"*/{SAMPLES_NAME}"))]
     hint = did_you_mean(str(index), beside)
     if beside and not hint:
-        more = " and others" if len(beside) > _MOST_NAMED else ""
-        hint = f"these are: {', '.join(beside[:_MOST_NAMED])}{more};"
+        more = " and others" if len(beside) > _MAX_NAMED else ""
+        hint = f"these are: {', '.join(beside[:_MAX_NAMED])}{more};"
     flag = "" if index == DEFAULT_INDEX else f" --index {shlex.quote(str(index))}"
     return DatasetError(f"{index}: no index; {f'{hint} ' if hint else ''}build it with `bc-index{flag}`")
 

@@ -11,7 +11,7 @@ Channels = Literal["BGR", "RGB", "YUV"]
 
 ROWS: Final = 160
 """The height of the simulator's pictures; crops are given in their rows, of others the same share is cut off."""
-LEAST_PX, MOST_PX = 8, 1024
+MIN_PX, MAX_PX = 8, 1024
 
 _ROWS_CUT: Final = re.compile(rf"(\d{{1,3}})/{ROWS}", re.ASCII)
 _PX: Final = re.compile(r"\d{1,4}", re.ASCII)
@@ -33,8 +33,8 @@ class PictureSpec:
 
     def __post_init__(self) -> None:
         for size in (self.width_px, self.height_px):
-            if not LEAST_PX <= size <= MOST_PX:
-                raise ValueError(f"pictures of {LEAST_PX} to {MOST_PX:,} px a side were expected, not {size:,}")
+            if not MIN_PX <= size <= MAX_PX:
+                raise ValueError(f"pictures of {MIN_PX} to {MAX_PX:,} px a side were expected, not {size:,}")
         cut = self.crop_top + self.crop_bottom
         if min(self.crop_top, self.crop_bottom) < 0 or cut >= ROWS:
             raise ValueError(f"fewer than {ROWS} rows can be cut off, not {self.crop_top} and {self.crop_bottom}")

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.car import MAX_STEERING_DEG
-from recorder.log.row_quality import SPEED_RANGE_MPH
+from recorder.rows.row_quality import SPEED_RANGE_MPH
 
 Values = TypeVar("Values", NDArray[np.float32], NDArray[np.float64])
 
@@ -35,7 +35,7 @@ class Target:
     most: float  # that a label is, above 0 and below
 
 
-MOST_AHEAD_S: Final = 10.0
+MAX_AHEAD_S: Final = 10.0
 """So much later at most is the speed driven that is learnt."""
 
 TARGETS: Final = {
@@ -59,7 +59,7 @@ def speed_ahead_s_in(settings: object) -> float:
     """The time from a picture to the speed that is its label, from the settings of an index (`IndexConfig`) as a
     file has them; 0 if they do not have it."""
     seconds = settings.get("speed_ahead_s") if isinstance(settings, dict) else None
-    return float(seconds) if isinstance(seconds, int | float) and 0 <= seconds <= MOST_AHEAD_S else 0.0
+    return float(seconds) if isinstance(seconds, int | float) and 0 <= seconds <= MAX_AHEAD_S else 0.0
 
 
 def check_targets(names: Sequence[str]) -> None:

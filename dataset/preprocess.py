@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import counted
-from dataset.picture_spec import MOST_PX, ORIGINAL, PictureSpec
+from dataset.picture_spec import MAX_PX, ORIGINAL, PictureSpec
 from recorder.pictures.decoding import decode_picture
 from recorder.pictures.picture_size import decoding_problem, pixels
 
@@ -31,7 +31,7 @@ def decode(encoded: bytes) -> Image:
 
 def may_be_crop(encoded: bytes) -> bool:
     """True for the header of a JPEG or PNG of no more pixels than a network may see; nothing is unpacked."""
-    return 0 < (pixels(encoded) or 0) <= MOST_PX**2
+    return 0 < (pixels(encoded) or 0) <= MAX_PX**2
 
 
 def preprocess(picture: Image, spec: PictureSpec = ORIGINAL) -> Image:

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.car import MPS_PER_MPH
-from recorder.log.row_quality import GAP_S, States, row_flags
 from recorder.log.session_car import Car
+from recorder.rows.row_quality import GAP_S, States, row_flags
 
 SLOW_MPH: Final = 5.0
 """Slower than this, people set off, or manoeuvre at walls with the wheels turned to their stop."""
@@ -24,7 +24,7 @@ HIT_MPS2: Final = 10.0
 AROUND_HIT_S: Final = 1.0
 SHORTEST_S: Final = 2.0  # no network can leave the line before
 _STEP_S: Final = 0.02
-_MOST_TURN_RAD: Final = math.radians(45.0)
+_MAX_TURN_RAD: Final = math.radians(45.0)
 
 Values = NDArray[np.float64]
 
@@ -106,4 +106,4 @@ class CarBesideLine:
             own_m = way_m * (1.0 - self._recorded * self.left_m) / math.cos(self.turn_rad)
             turn = self.turn_rad + own_m * self._own - way_m * self._recorded
             self.left_m += own_m * math.sin((self.turn_rad + turn) / 2)
-            self.turn_rad = min(_MOST_TURN_RAD, max(-_MOST_TURN_RAD, turn))
+            self.turn_rad = min(_MAX_TURN_RAD, max(-_MAX_TURN_RAD, turn))

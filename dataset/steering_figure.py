@@ -19,14 +19,14 @@ from dataset.frames.frames_file import read_frames
 from dataset.samples.labels import planned_labels
 from dataset.samples.samples_format import SessionLabels
 from dataset.samples.samples_reader import Samples
-from recorder.log.row_quality import APART_S, Values, drive_numbers, elapsed_s
-from recorder.log.steering_report import in_words
+from recorder.rows.row_quality import APART_S, Values, drive_numbers, elapsed_s
+from recorder.rows.steering_report import in_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST_SESSIONS: Final = 6  # the first ones by name: more are too small to read
+MAX_SESSIONS: Final = 6  # the first ones by name: more are too small to read
 SHOWN_S: Final = 30.0
 _BINS: Final = np.linspace(-1, 1, 26).tolist()
 
@@ -49,7 +49,7 @@ def steered_sessions(samples: Samples) -> list[SteeredSession]:
     version."""
     found: list[SteeredSession] = []
     for name in samples.sources:
-        if len(found) == MOST_SESSIONS:
+        if len(found) == MAX_SESSIONS:
             break
         try:
             labels = msgspec.convert(samples.metadata["labels"][name], SessionLabels)

@@ -24,7 +24,7 @@ from recorder.log.session_car import OUTLINE_PX, Car, Outline
 Mask = NDArray[np.bool_]
 Matrix = NDArray[np.float64]
 
-MOST_TURN_RAD: Final = math.pi / 3
+MAX_TURN_RAD: Final = math.pi / 3
 """No camera here sees as far to the side; a view that is turned further has nothing in it."""
 _KNOWN: Final = 255
 
@@ -86,7 +86,7 @@ class Viewpoint:
 
         `pictures` are those of one moment, (height, width, 3) BGR; that of `camera` is warped, by default the
         nearest. The car's bonnet stays where it is in the centre camera's, if that is among them. Raises
-        ValueError for a picture of another size, or a turn of more than `MOST_TURN_RAD`.
+        ValueError for a picture of another size, or a turn of more than `MAX_TURN_RAD`.
         """
         camera = camera or self.nearest(left_m, turn_rad, pictures.keys())
         picture = self._picture(pictures, left_m, turn_rad, camera)
@@ -103,7 +103,7 @@ class Viewpoint:
         return self._picture({"center": picture}, left_m, turn_rad, "center")
 
     def _picture(self, pictures: Mapping[Camera, Image], left_m: float, turn_rad: float, camera: Camera) -> Image:
-        if not (abs(turn_rad) <= MOST_TURN_RAD and math.isfinite(left_m)):
+        if not (abs(turn_rad) <= MAX_TURN_RAD and math.isfinite(left_m)):
             raise ValueError(f"no picture can be warped by {left_m} m and {turn_rad} rad")
         picture = pictures[camera]
         if picture.shape != (self.height_px, self.width_px, 3):

@@ -16,12 +16,12 @@ from common.errors import UserError, as_user_error, counted, printable
 from common.files import short_path
 from common.locks import is_being_written
 from model.runs.advice import Advice
-from recorder.log.log_info import LogInfo, describe, logs_in
-from recorder.log.odd_stretches import ODD_KINDS
 from recorder.log.tags import FINE
+from recorder.rows.odd_stretches import ODD_KINDS
+from recorder.upkeep.log_info import LogInfo, describe, logs_in
 
-MOST_COMMANDS: Final = 3
-_MOST_NAMED: Final = 5
+MAX_COMMANDS: Final = 3
+_MAX_NAMED: Final = 5
 _MUCH: Final = 0.05  # of a log's rows are odd: worth a look
 _S_PER_MIN: Final = 60.0
 
@@ -52,7 +52,7 @@ def examine(project: Path | str = ".") -> Diagnosis:
     if drives:
         newest = max(drives, key=lambda info: info.start)
         wanted.last.append(Advice("the newest drive", f"bc-play {_shown(project, Path(newest.path))}"))
-    found.advice.extend(wanted.first(MOST_COMMANDS))
+    found.advice.extend(wanted.first(MAX_COMMANDS))
     return found
 
 
@@ -104,7 +104,7 @@ def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], found: Diagnosi
         (info for info in logs if info.odd and all(tag.name == FINE for tag in info.tags)),
         key=lambda info: -sum(info.odd_rows.values()),
     )
-    for info in odd[:_MOST_NAMED]:
+    for info in odd[:_MAX_NAMED]:
         path = _shown(project, Path(info.path))
         stretches, rows = info.odd or [], sum(info.odd_rows.values())
         kinds = ", ".join(f"{ODD_KINDS.get(kind, kind)}: {count:,}" for kind, count in info.odd_rows.items())
@@ -115,8 +115,8 @@ def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], found: Diagnosi
             is_sure = any(each.is_sure for each in stretches)
             command = f"bc-log tag {path} exclude --odd" if is_sure else f"bc-log check {path}"
             wanted.look.append(Advice(f"{counted(rows, 'odd row')} of {info.rows:,}", command))
-    if len(odd) > _MOST_NAMED:
-        found.odd.append(f"and {counted(len(odd) - _MOST_NAMED, 'more log')} in {name}: `bc-log ls {name}`")
+    if len(odd) > _MAX_NAMED:
+        found.odd.append(f"and {counted(len(odd) - _MAX_NAMED, 'more log')} in {name}: `bc-log ls {name}`")
 
 
 def _index(project: Path, found: Diagnosis, wanted: _Wanted, *, has_sessions: bool) -> None:
@@ -144,8 +144,8 @@ def _index(project: Path, found: Diagnosis, wanted: _Wanted, *, has_sessions: bo
     found.here.append(f"index: {counted(len(counts), 'session')}, {sizes}")
     absent = _tried(lambda: sessions_not_indexed(index, sessions), index, found) if has_sessions else []
     if absent:
-        names = ", ".join(map(printable, absent[:_MOST_NAMED])) + (
-            " and others" if len(absent) > _MOST_NAMED else ""
+        names = ", ".join(map(printable, absent[:_MAX_NAMED])) + (
+            " and others" if len(absent) > _MAX_NAMED else ""
         )
         found.odd.append(f"index: does not hold {names}")
         wanted.learn.append(Advice(f"{counted(len(absent), 'session')} not in the index", "bc-index"))

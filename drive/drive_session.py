@@ -17,10 +17,10 @@ from drive.log.drive_summary import DriveSummary
 from drive.log.live_status import LiveStatus
 from model import Pilot
 from recorder import LogWriter
-from recorder.log.derived_log import close_with_tags
-from recorder.log.topics import DRIVE_METADATA
 from recorder.server.running_clock import RunningClock
 from recorder.server.telemetry_server import Answer, Steer
+from recorder.topics import DRIVE_METADATA
+from recorder.upkeep.derived_log import close_with_tags
 
 WATCHDOG_S: Final = 1.0
 """The silence after which a command is sent: the real simulator sends no more telemetry once all of it is lost,

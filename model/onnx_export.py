@@ -51,7 +51,7 @@ _ABOUT: Final = {
 }
 _CAMERA_PX: Final = ((320, 160), (160, 120), (640, 480), (128, 128), (97, 61), (224, 224), (40, 30), (320, 240))
 """Widths and heights of the cameras' pictures with which a file with preprocessing is compared."""
-MOST_DIFFERENCE: Final = 1e-4  # of steering -1..1: 0.0025 degrees; float32 leaves about 1e-6
+MAX_DIFFERENCE: Final = 1e-4  # of steering -1..1: 0.0025 degrees; float32 leaves about 1e-6
 
 
 def export_onnx(run: Path | str, path: Path | str, *, of_camera: bool = False, overwrite: bool = False) -> float:
@@ -77,10 +77,10 @@ def export_onnx(run: Path | str, path: Path | str, *, of_camera: bool = False, o
         part.write_bytes(model.SerializeToString())
         compare = _largest_difference_of_camera if of_camera else _largest_difference
         difference = compare(part, network, picture, targets)
-        if not difference < MOST_DIFFERENCE:  # not a number, too
+        if not difference < MAX_DIFFERENCE:  # not a number, too
             raise RunError(
                 f"{path}: not written: ONNX Runtime steers {difference:.1g} off PyTorch, less than"
-                f" {MOST_DIFFERENCE:g} was expected; its weights are huge or no numbers: train {run.name} again"
+                f" {MAX_DIFFERENCE:g} was expected; its weights are huge or no numbers: train {run.name} again"
             )
     return difference
 

@@ -19,7 +19,7 @@ from common.whole_number import whole_number
 from model.config import TrainConfig
 from model.runs.run_arguments import RUNS
 
-_MOST_WORKERS: Final = 10_000
+_MAX_WORKERS: Final = 10_000
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def workers_of(ray: tuple[str, ...] | None) -> tuple[int, str] | None:
 
     number, *address = ray or ("",)
     workers = whole_number(number)
-    if workers is None or not 0 < workers <= _MOST_WORKERS:
+    if workers is None or not 0 < workers <= _MAX_WORKERS:
         raise UsageError(f"--ray {' '.join(ray)}: a number of workers was expected, and perhaps an address")
     if "WORLD_SIZE" in os.environ:
         raise UsageError("--ray and torchrun each start the workers: give one of them")

@@ -19,12 +19,11 @@ from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result
 from common.preview import preview
 from recorder.errors import RecordingError
-from recorder.log.log_info import describe
-from recorder.log.odd_stretches import odd_advice, odd_lines
 from recorder.log.session_car import named_car
 from recorder.log_copy_cli import copy_recording, refuse_copying, refuse_taken_name
 from recorder.log_made_cli import brought_as_they_are
 from recorder.person_cli import AtTheWheel, check_at_the_wheel, listen_at_the_wheel, record_at_the_wheel
+from recorder.rows.odd_stretches import odd_advice, odd_lines
 from recorder.sources.built_in_simulator import SimulatedDrive, check_drive, record_simulated
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.gymnasium_flags import GYM_FLAGS, GymFlags
@@ -32,6 +31,7 @@ from recorder.sources.import_mcap import check_scale
 from recorder.sources.import_result import Imported
 from recorder.sources.listen_settings import ListenSettings
 from recorder.sources.recording_kinds import Topics, import_recording, refuse_to_watch
+from recorder.upkeep.log_info import describe
 
 if TYPE_CHECKING:
     from recorder.sources.record_gymnasium import GymRecording

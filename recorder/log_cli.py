@@ -14,8 +14,6 @@ from common.errors import as_user_error, counted
 from common.location import Location
 from common.output import print_result
 from recorder.errors import RecordingError
-from recorder.log.check import check
-from recorder.log.log_info import describe
 from recorder.log.reader import Log
 from recorder.log.session_car import UDACITY, car_of
 from recorder.log_copy_cli import CopyLogs
@@ -26,6 +24,8 @@ from recorder.log_list_cli import ListLogs
 from recorder.log_next import NextStep, print_first, step_of_check, step_of_info
 from recorder.log_report import print_checked, print_info
 from recorder.log_tag_cli import NameRows, warn_stale
+from recorder.upkeep.check import check
+from recorder.upkeep.log_info import describe
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,12 @@ class Cameras:
         return _each(self.logs, self._one)
 
     def _one(self, path: Location) -> int:
-        from recorder.log.side_cameras import UDACITY_MPH, UDACITY_SPACING, side_cameras, usual_speed_mph  # OpenCV
+        from recorder.seen.side_cameras import (  # OpenCV
+            UDACITY_MPH,
+            UDACITY_SPACING,
+            side_cameras,
+            usual_speed_mph,
+        )
 
         code = noted(path)
         with Log(path) as log:

@@ -20,10 +20,10 @@ from common.location import Location, Url
 from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result
 from common.progress import progress_bar
-from recorder.log.log_info import logs_in
 from recorder.log_flag import named_log
+from recorder.upkeep.log_info import logs_in
 
-_MOST_NAMED: Final = 8
+_MAX_NAMED: Final = 8
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class CopyLogs:
 
 def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = False, prog: str = "bc-log") -> int:
     """Copy logs and folders of logs, also those behind one that cannot be; the worst of the exit codes."""
-    from recorder.log.copy_log import copy_log  # obstore, an extra
+    from recorder.upkeep.copy_log import copy_log  # obstore, an extra
 
     pairs = _pairs(places, to)
     codes = [DONE]
@@ -140,8 +140,8 @@ def copy_recording(log: Path, to: Location, overwrite: bool, *, prog: str = "bc-
         there = set()
     missing = [each for each in logs_in(log.parent) if each.suffix == ".mcap" and each.name not in there]
     if missing:
-        names = ", ".join(printable(each.name) for each in missing[:_MOST_NAMED])
-        more = f" and {len(missing) - _MOST_NAMED:,} more" if len(missing) > _MOST_NAMED else ""
+        names = ", ".join(printable(each.name) for each in missing[:_MAX_NAMED])
+        more = f" and {len(missing) - _MAX_NAMED:,} more" if len(missing) > _MAX_NAMED else ""
         print_message(f"not in {to} yet: {names}{more}; `bc-log copy {log.parent} {to}` copies them")
     return code
 
@@ -150,7 +150,7 @@ def copy_recording(log: Path, to: Location, overwrite: bool, *, prog: str = "bc-
 def brought_here(places: Sequence[Location]) -> Iterator[tuple[Path, ...]]:
     """The same logs as files of this machine: those in a store as copies, which are gone afterwards. Raises what
     `copy_log` does."""
-    from recorder.log.copy_log import copy_log  # obstore, an extra
+    from recorder.upkeep.copy_log import copy_log  # obstore, an extra
 
     with tempfile.TemporaryDirectory(prefix="bc-logs-") as folder:
         found: list[Path] = []

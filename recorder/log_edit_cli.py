@@ -15,16 +15,16 @@ from common.files import final_path
 from common.location import Location
 from common.location_flag import LocationFlag
 from common.output import print_message, print_result
-from recorder.log.check import is_whole
-from recorder.log.edit import merge, rewrite, split, trim, trim_times
-from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.reader import Log
-from recorder.log.recover import recover, recovered_name
 from recorder.log_flag import LogFlag
 from recorder.log_made_cli import MakesLogs, MakesLogsOfOne
 from recorder.log_report import print_written
 from recorder.log_row_flags import rows_of_flags, times_of_flags
 from recorder.log_tag_cli import LogPlace
+from recorder.mcap.mcap_file import WITHOUT_CRCS
+from recorder.upkeep.check import is_whole
+from recorder.upkeep.edit import merge, rewrite, split, trim, trim_times
+from recorder.upkeep.recover import recover, recovered_name
 
 
 @dataclass(frozen=True)

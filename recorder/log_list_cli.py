@@ -14,10 +14,10 @@ from common.command import DONE, print_error, warn
 from common.errors import as_user_error
 from common.location import Location, Url, location
 from common.output import print_result, print_table
-from recorder.log.log_info import LogInfo, describe, logs_in
 from recorder.log_flag import FOLDERS, LogFlag
 from recorder.log_next import print_first, step_of_list
 from recorder.log_report import plain
+from recorder.upkeep.log_info import LogInfo, describe, logs_in
 
 SORTED_BY: Final[dict[str, Callable[[LogInfo], Any]]] = {
     "newest": lambda info: tuple(-ord(character) for character in info.start),

@@ -107,7 +107,7 @@ def brought_as_they_are(places: Sequence[Location]) -> Iterator[list[Path]]:
     if not any(isinstance(place, Url) for place in places):
         yield [local_path(place) for place in places]
         return
-    from recorder.log.copy_log import bring_log  # obstore, an extra
+    from recorder.upkeep.copy_log import bring_log  # obstore, an extra
 
     with tempfile.TemporaryDirectory(prefix="bc-logs-") as folder:
         here: list[Path] = []

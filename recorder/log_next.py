@@ -8,10 +8,10 @@ from typing import Final, NamedTuple
 
 from common.location import Location, location
 from common.output import print_next
-from recorder.log.log_info import LogInfo
-from recorder.log.odd_stretches import OddStretch, exclude_command
 from recorder.log.tags import EXCLUDE, Tag
 from recorder.log_flag import SESSIONS
+from recorder.rows.odd_stretches import OddStretch, exclude_command
+from recorder.upkeep.log_info import LogInfo
 
 _EXCLUDES: Final = "excludes all that is surely odd"
 

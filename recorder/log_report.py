@@ -14,17 +14,17 @@ from common.errors import counted, printable
 from common.location import location
 from common.output import print_result, print_table
 from common.steering_unit import DEGREES, FULL_LOCK
-from recorder.log.check import Checked
-from recorder.log.check_contents import ODD_FINDINGS
-from recorder.log.derived_log import Written
-from recorder.log.log_info import LogInfo
-from recorder.log.odd_stretches import odd_advice, odd_lines
 from recorder.log.session_car import is_angle_unknown
-from recorder.log.steering_report import steering_line
 from recorder.log.tags import Tag
-from recorder.log.topics import VEHICLE
+from recorder.rows.odd_stretches import odd_advice, odd_lines
+from recorder.rows.steering_report import steering_line
+from recorder.topics import VEHICLE
+from recorder.upkeep.check import Checked
+from recorder.upkeep.check_contents import ODD_FINDINGS
+from recorder.upkeep.derived_log import Written
+from recorder.upkeep.log_info import LogInfo
 
-MOST_PLACES: Final = 6
+MAX_PLACES: Final = 6
 """So many are named of a kind; --json names all."""
 MAX_LINES: Final = 200
 """So many topics, settings and tags are shown of a log: a terminal takes a millisecond for each."""
@@ -69,7 +69,7 @@ def print_checked(checked: Checked) -> None:
     for finding in checked.findings:
         if finding.kind not in ODD_FINDINGS.values():  # those are named with their causes
             found.add(finding.kind, finding.where)
-    for line in found.lines(MOST_PLACES):
+    for line in found.lines(MAX_PLACES):
         print_result(f"  {line}")
     print_result(*(f"  {line}" for line in (*odd_lines(checked.odd), *odd_advice(checked.odd, checked.path))))
     meant = Skipped()
@@ -77,7 +77,7 @@ def print_checked(checked: Checked) -> None:
         meant.add("gaps in time that its events explain, so nothing is lost", where)
     for where in checked.pauses:
         meant.add("pauses of the recording, behind each of which a new drive begins", where)
-    for line in meant.lines(MOST_PLACES):
+    for line in meant.lines(MAX_PLACES):
         print_result(f"  {line}")
 
 
@@ -107,12 +107,12 @@ def _print_drives(info: LogInfo) -> None:
     if info.meant_gaps:
         print_table(f"  {counted(len(info.meant_gaps), 'gap')} that its events explain, so nothing is lost there")
     gaps = [each for each in info.stretches if each.flag == "gap" and each.last_row not in info.meant_gaps]
-    for gap in gaps[:MOST_PLACES]:
+    for gap in gaps[:MAX_PLACES]:
         goes_back = " (time goes back)" if gap.end_s < gap.begin_s else ""
         print_table(
             f"    gap: rows {gap.first_row} to {gap.last_row}, {gap.begin_s:.1f} to {gap.end_s:.1f} s{goes_back}"
         )
-    _print_more(len(gaps), "more gap", MOST_PLACES)
+    _print_more(len(gaps), "more gap", MAX_PLACES)
 
 
 def _has_rows(info: LogInfo) -> bool:

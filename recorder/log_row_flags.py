@@ -6,8 +6,8 @@ import math
 
 from common.errors import UsageError
 from common.location import Location
-from recorder.log.edit import check_rows, rows_between
 from recorder.log.reader import Log
+from recorder.upkeep.edit import check_rows, rows_between
 
 
 def rows_of_flags(

@@ -15,10 +15,7 @@ from common.location import Location
 from common.output import ask, print_message, print_next, print_result
 from common.stretches import stretches
 from recorder.log.fine_rows import fine_rows
-from recorder.log.odd_stretches import odd_stretches
 from recorder.log.reader import Log
-from recorder.log.row_condition import rows_where
-from recorder.log.row_quality import States
 from recorder.log.tags import (
     EXCLUDE,
     Tag,
@@ -33,6 +30,9 @@ from recorder.log.tags import (
 from recorder.log_flag import LogFlag
 from recorder.log_report import MAX_LINES, rows_of
 from recorder.log_row_flags import rows_of_flags
+from recorder.rows.odd_stretches import odd_stretches
+from recorder.rows.row_condition import rows_where
+from recorder.rows.row_quality import States
 
 LogPlace = Annotated[LogFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 
@@ -100,7 +100,7 @@ class NameRows:
             states = States.of(log.vehicle())
             odd = odd_stretches(states) if self.odd else []
             if self.look:
-                from recorder.log.shown_stretches import with_pictures  # OpenCV
+                from recorder.seen.shown_stretches import with_pictures  # OpenCV
 
                 odd = with_pictures(log, odd)
         if self.where is not None:

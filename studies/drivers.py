@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from common.car import MAX_STEERING_DEG
 from dataset.figure_style import BLUE, DPI, ORANGE, figure_style, new_figure
 from recorder import Log
-from recorder.log.steering_habits import neighbours_mean
+from recorder.rows.steering_habits import neighbours_mean
 from simulator.driving.course import Course
 from simulator.driving.expert import Expert
 from simulator.driving.recovery_driving import drive_for_recording

@@ -1,4 +1,4 @@
-"""Does `recorder.log.odd_stretches` find what is wrong with a drive, and nothing else?
+"""Does `recorder.rows.odd_stretches` find what is wrong with a drive, and nothing else?
 
 python studies/odd_stretches.py
 python studies/odd_stretches.py --logs sessions/*.mcap
@@ -21,8 +21,8 @@ from typing import Final
 import numpy as np
 
 from recorder import Log
-from recorder.log.odd_stretches import OddStretch, odd_stretches
-from recorder.log.row_quality import States
+from recorder.rows.odd_stretches import OddStretch, odd_stretches
+from recorder.rows.row_quality import States
 from simulator.driving.course import Course
 from simulator.driving.recovery_driving import drive_for_recording
 from simulator.driving.simulated_driver import DriverName, SimulatedDriver, make_driver
@@ -65,8 +65,8 @@ class Drive:
     def stand(self) -> None:
         self.course.vehicle = replace(self.course.vehicle, speed_mps=0.0, yaw_rate_radps=0.0)
 
-    def until_it_stands(self, throttle: float, most_s: float = 60.0) -> None:
-        for _ in range(round(most_s * RATE_HZ)):
+    def until_it_stands(self, throttle: float, max_s: float = 60.0) -> None:
+        for _ in range(round(max_s * RATE_HZ)):
             if self.course.vehicle.speed_mph < 0.7:
                 self.stand()
                 return

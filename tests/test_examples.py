@@ -17,8 +17,8 @@ from model import load_pilot
 from own_simulator import MAX_DEG, Car
 from recorder import Log
 from recorder.log.session_car import car_of, named_car
-from recorder.log.topics import POSE
 from recorder.server import in_flight
+from recorder.topics import POSE
 from repository import ROOT
 from simulator import SimulatorClient, SimulatorTelemetry
 from waiting import PATIENCE_S, wait_until

@@ -23,7 +23,7 @@ from model import load_pilot
 from model.cli import main as bc_train
 from model.network.own_code import load_code
 from recorder import Log
-from recorder.log.check import check
+from recorder.upkeep.check import check
 from repository import ROOT
 from rrd import arrived, contents
 from steering_over_time import steering_over_time

@@ -23,7 +23,7 @@ from model.runs.run_config import DRIVABLE
 from model.runs.run_config import FORMAT as RUN_FORMAT
 from model.runs.run_summary import summarize_run
 from recorder import Log
-from recorder.log.check import check
+from recorder.upkeep.check import check
 from repository import ROOT
 
 VERSIONS = sorted(path.name for path in DATA.iterdir())

@@ -49,7 +49,7 @@ from driving import Process, command, one_line_of, run, run_code, untrained_run
 from logs import not_a_picture, write_log
 from model.runs.checkpoint import read_position
 from ports import free_ports
-from recorder.log.check import check
+from recorder.upkeep.check import check
 from repository import ROOT
 from toy import toy_index
 from waiting import wait_until

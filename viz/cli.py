@@ -106,7 +106,7 @@ def _content(config: Play) -> Content:
 def _check_logs(paths: Sequence[Path]) -> None:
     """Raise LogError for a file that is no log, before a viewer opens; print a notice for a log without CRCs."""
     from recorder import Log
-    from recorder.log.mcap_file import WITHOUT_CRCS, McapFile
+    from recorder.mcap.mcap_file import WITHOUT_CRCS, McapFile
 
     for path in dict.fromkeys(paths):
         with McapFile(path) as file:

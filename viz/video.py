@@ -24,8 +24,8 @@ from common.progress import track
 from common.versions import install_line
 from dataset.preprocess import decode
 from recorder import Log, LogError
-from recorder.log.row_quality import GAP_S
-from recorder.log.topics import camera_topic
+from recorder.rows.row_quality import GAP_S
+from recorder.topics import camera_topic
 from viz.video_overlay import Image, Panel
 from viz.video_readings import Readings
 

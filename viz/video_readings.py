@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
-from recorder.log.row_quality import GAP_S
 from recorder.log.session_car import known_max_steering_deg
-from recorder.log.topics import DRIVE_METADATA
+from recorder.rows.row_quality import GAP_S
+from recorder.topics import DRIVE_METADATA
 from viz.video_overlay import Driver, Reading
 
 _DRIVERS: Final[dict[float, Driver]] = {

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from dataset.frames.pairing import moments
 from recorder import Log
-from recorder.log.row_quality import NOT_LEARNT, States, row_flags
+from recorder.rows.row_quality import NOT_LEARNT, States, row_flags
 
 
 def in_crashes(frames: pa.Table, log: Log) -> NDArray[np.bool_]:

@@ -13,8 +13,8 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from common.car import Camera
-from recorder.log.row_quality import NOT_LEARNT, ROW_FLAGS, RowFlag, States, row_flags
 from recorder.log.tags import EXCLUDE
+from recorder.rows.row_quality import NOT_LEARNT, ROW_FLAGS, RowFlag, States, row_flags
 
 PictureFlag = Literal["missing_picture", "broken_picture", "frozen_picture", "steering_against_pictures"]
 FrameFlag = RowFlag | PictureFlag
@@ -46,7 +46,7 @@ class Paired:
 def frame_flags(states: States, frames: Mapping[Camera, Paired], findings: ImageFindings | None) -> pa.ListArray:
     """The flags of each frame, as lists of strings, for the frames of all cameras one after the other.
 
-    Those of `recorder.log.row_quality.row_flags`, and `missing_picture`: its row lacks the picture of another
+    Those of `recorder.rows.row_quality.row_flags`, and `missing_picture`: its row lacks the picture of another
     camera that the session has. Only with `findings`: `broken_picture`, which does not decode, `frozen_picture`,
     one of three or more equal ones in a row from a moving car, and `steering_against_pictures`.
     """

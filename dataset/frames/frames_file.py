@@ -24,7 +24,7 @@ from dataset.frames.image_check_cache import read_image_check
 from dataset.frames.topic_columns import TOPIC_COLUMNS
 from recorder import Log
 from recorder.log.tags import Tag
-from recorder.log.topics import VEHICLE_COLUMNS
+from recorder.topics import VEHICLE_COLUMNS
 
 FRAMES_FORMAT: Final = 9
 

@@ -22,10 +22,11 @@ from dataset.frames.split import block_numbers, near_validation, validation_bloc
 from dataset.frames.topic_columns import TOPIC_COLUMNS, topic_columns
 from dataset.steering_bins import bin_of
 from recorder import Log, Pictures
-from recorder.log.devices import DEVICES, device_numbers
-from recorder.log.row_quality import States, drive_numbers
+from recorder.log.row_devices import device_numbers
 from recorder.log.tags import Tag
-from recorder.log.topics import VEHICLE_COLUMNS, camera_topic
+from recorder.rows.devices import DEVICES
+from recorder.rows.row_quality import States, drive_numbers
+from recorder.topics import VEHICLE_COLUMNS, camera_topic
 
 
 def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> pa.Table:

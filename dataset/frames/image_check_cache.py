@@ -28,13 +28,13 @@ from dataset.errors import log_problem
 from dataset.findings_file import read_findings, write_findings
 from dataset.frames.frame_flags import ImageFindings, Position, Stretches
 from recorder import Log, LogError
-from recorder.log.message_index import UNCOMPRESSED
-from recorder.log.row_quality import STANDING_MPH
-from recorder.log.topics import camera_topic
+from recorder.mcap.message_index import UNCOMPRESSED
 from recorder.pictures.image_check import ImageCheck
+from recorder.rows.row_quality import STANDING_MPH
+from recorder.topics import camera_topic
 
 IMAGE_CHECKS_FOLDER: Final = "looks"
-_MOST_BYTES: Final = 1 << 26
+_MAX_BYTES: Final = 1 << 26
 
 
 def check_images(
@@ -45,7 +45,7 @@ def check_images(
 
     `on_decoded` is called with the number decoded since the last call. Raises LogError if the log is damaged.
     """
-    from recorder.log.steering_against_pictures import against_pictures  # OpenCV
+    from recorder.seen.steering_against_pictures import against_pictures  # OpenCV
 
     topics = {camera: camera_topic(camera) for camera in CAMERAS}
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
@@ -137,7 +137,7 @@ def write_image_check(index: Path, session: str, fingerprint: str, found: ImageF
 
 def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindings | None:
     """The findings in the log with this fingerprint; None if it was not checked, or the file is damaged."""
-    stored = read_findings(image_check_path(index, session), _Stored, _MOST_BYTES)
+    stored = read_findings(image_check_path(index, session), _Stored, _MAX_BYTES)
     if stored is None:
         return None
     of_all = itertools.chain(stored.broken.values(), stored.frozen.values(), [stored.against or ()])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dataset.frames.distinct_rows import number_distinct
 from dataset.frames.drivers import Commands
 from recorder import Pictures
-from recorder.log.row_quality import States
+from recorder.rows.row_quality import States
 
 
 @dataclass(frozen=True)

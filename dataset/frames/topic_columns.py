@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from dataset.frames.pairing import Moments, paired_rows
 from recorder import Log
-from recorder.log.row_quality import States
-from recorder.log.topics import TOPICS, VEHICLE
+from recorder.rows.row_quality import States
+from recorder.topics import TOPICS, VEHICLE
 
 _TOPICS: Final = tuple(topic for topic in TOPICS.values() if topic.columns and topic.name != VEHICLE)
 

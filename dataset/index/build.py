@@ -70,12 +70,12 @@ from dataset.samples.samples_format import (
 )
 from dataset.samples.samples_writer import write_samples
 from recorder import LogError
-from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.session_car import (
     CAR_KEY,
     Car,
     metadata_of,
 )
+from recorder.mcap.mcap_file import WITHOUT_CRCS
 
 _Made = tuple[Balance, dict[str, SessionCounts], dict[str, SessionLabels]]
 """How samples are balanced; and of each session what becomes of its frames, and how it is learnt."""

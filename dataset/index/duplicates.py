@@ -31,8 +31,8 @@ from dataset.errors import DatasetError, SessionError
 from dataset.frames.frame_flags import is_excluded
 from dataset.frames.frames_file import Extent, read_frames
 from recorder import Log, LogError
-from recorder.log.chunk_cache import default_cache
-from recorder.log.row_quality import STANDING_MPH
+from recorder.mcap.chunk_cache import default_cache
+from recorder.rows.row_quality import STANDING_MPH
 
 _PRIME: Final = np.uint64(0x9E3779B97F4A7C15)
 

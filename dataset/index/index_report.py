@@ -15,11 +15,11 @@ from dataset.index.build import Indexed
 from dataset.index.not_learnt import not_learnt_line
 from dataset.index.sessions import unfinished_recordings
 from dataset.samples.samples_format import COUNT_HEADINGS, Balance, SessionLabels
-from recorder.log.steering_report import STEERING_HEADINGS, steering_cells
+from recorder.rows.steering_report import STEERING_HEADINGS, steering_cells
 
 BAR_CELLS = 13  # so that a line fits 80 columns
-_MOST_NAMES = 8
-MOST_BINS = 101  # more lines than that nobody reads
+_MAX_NAMES = 8
+MAX_BINS = 101  # more lines than that nobody reads
 
 
 def sessions_table(indexed: Indexed) -> Table:
@@ -69,7 +69,7 @@ def balance_table(balance: Balance) -> Table:
     table = Table("|steering|" if is_mirrored else "steering", title=f"training samples{sides}{target}")
     for heading in ("before", "", "after", "", "note"):
         table.add_column(heading)
-    if bins > MOST_BINS:
+    if bins > MAX_BINS:
         return table
     widest = max(1, int(balance.before.max()), int(balance.after.max()))
     for i in range(bins // 2 if is_mirrored else 0, bins):
@@ -103,9 +103,9 @@ def _shared_rows(labels: Mapping[str, SessionLabels]) -> list[str]:
     parts = [f"{name} ({counted(len(rows), 'row')} from row {rows[0]})" for name, rows in shared.items() if rows]
     if not parts:
         return []
-    more = f" and {len(parts) - _MOST_NAMES:,} more" if len(parts) > _MOST_NAMES else ""
+    more = f" and {len(parts) - _MAX_NAMES:,} more" if len(parts) > _MAX_NAMES else ""
     return [
-        f"the same pictures of a standing car in several sessions: {', '.join(parts[:_MOST_NAMES])}{more}; none of"
+        f"the same pictures of a standing car in several sessions: {', '.join(parts[:_MAX_NAMES])}{more}; none of"
         " them is held out"
     ]
 
@@ -120,8 +120,8 @@ def mixed_sizes(sizes_px: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:
         return []
     parts = []
     for (width, height), names in sorted(sessions.items(), reverse=True):
-        more = f" and {len(names) - _MOST_NAMES:,} more" if len(names) > _MOST_NAMES else ""
-        parts.append(f"{width:,} x {height:,} px in {', '.join(map(printable, names[:_MOST_NAMES]))}{more}")
+        more = f" and {len(names) - _MAX_NAMES:,} more" if len(names) > _MAX_NAMES else ""
+        parts.append(f"{width:,} x {height:,} px in {', '.join(map(printable, names[:_MAX_NAMES]))}{more}")
     return [
         f"pictures of different sizes: {'; '.join(parts)}. Of each the same share is cut off, and the rest is"
         " brought to the size that the network sees: they should show the same part of the world"

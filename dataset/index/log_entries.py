@@ -26,7 +26,6 @@ from dataset.index.sessions import name_problem
 from dataset.parquet_file import read_metadata, write_table
 from recorder import Log, LogError
 from recorder.errors import RecordingError
-from recorder.log.log_info import driven_by, first_picture_sizes, set_speeds_mph
 from recorder.log.session_car import (
     CAR_KEY,
     UDACITY,
@@ -39,8 +38,9 @@ from recorder.log.session_car import (
     stored_car,
 )
 from recorder.log.tags import read_tags
-from recorder.log.topics import QUALITY_METADATA, camera_topic
 from recorder.pictures.picture_size import width_and_height
+from recorder.topics import QUALITY_METADATA, camera_topic
+from recorder.upkeep.log_info import driven_by, first_picture_sizes, set_speeds_mph
 
 
 def log_entries(

@@ -12,7 +12,7 @@ from common.errors import counted, printable
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME, SessionCounts
 
-_MOST_NAMES: Final = 8
+_MAX_NAMES: Final = 8
 
 
 def not_learnt_line(counts: Mapping[str, SessionCounts]) -> list[str]:
@@ -30,9 +30,9 @@ def not_learnt_line(counts: Mapping[str, SessionCounts]) -> list[str]:
             parts.append(f"{printable(session)} ({named})")
     if not parts:
         return []
-    more = f" and {len(parts) - _MOST_NAMES:,} more" if len(parts) > _MOST_NAMES else ""
+    more = f" and {len(parts) - _MAX_NAMES:,} more" if len(parts) > _MAX_NAMES else ""
     return [
-        f"not learnt: {', '.join(parts[:_MOST_NAMES])}{more}; `bc-index --report` lists their rows,"
+        f"not learnt: {', '.join(parts[:_MAX_NAMES])}{more}; `bc-index --report` lists their rows,"
         " `--labels as-recorded` learns them"
     ]
 

@@ -21,7 +21,7 @@ from common.stretches import stretches
 from dataset.errors import DatasetError
 from dataset.frames.distinct_rows import number_distinct
 from dataset.index.build_state import FRAMES_FOLDER
-from recorder.log.row_quality import NOT_LEARNT, ROW_FLAGS
+from recorder.rows.row_quality import NOT_LEARNT, ROW_FLAGS
 
 _COLUMNS = ("session", "row", "log_time_ns", "flags")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)

@@ -27,15 +27,15 @@ from dataset.frames.frames_file import codes, read_frames
 from dataset.index.build_state import BuiltLog
 from dataset.samples.samples_format import SessionLabels
 from recorder import Log, LogError
-from recorder.log.devices import DEVICES, most_used_of
-from recorder.log.label_plan import AS_RECORDED, goes_by_lag, plan_labels
-from recorder.log.log_info import set_speeds_mph
-from recorder.log.row_quality import States
-from recorder.log.steering_habits import SteeringHabits, SteeringLag, steering_habits
-from recorder.log.topics import VEHICLE_COLUMNS
+from recorder.rows.devices import DEVICES, most_used_of
+from recorder.rows.label_plan import AS_RECORDED, goes_by_lag, plan_labels
+from recorder.rows.row_quality import States
+from recorder.rows.steering_habits import SteeringHabits, SteeringLag, steering_habits
+from recorder.topics import VEHICLE_COLUMNS
+from recorder.upkeep.log_info import set_speeds_mph
 
 LAGS_FOLDER: Final = "lags"
-_MOST_BYTES: Final = 1 << 16
+_MAX_BYTES: Final = 1 << 16
 
 
 def labels_of_sessions(
@@ -113,7 +113,7 @@ class _Stored(msgspec.Struct):
 
 def _measure(path: Location, index: Path, session: str, fingerprint: str) -> _Stored | LogError:
     """Measure the lag of a session in its pictures, and keep it; or why it cannot be measured."""
-    from recorder.log.steering_lag import measure_lag  # OpenCV
+    from recorder.seen.steering_lag import measure_lag  # OpenCV
 
     try:
         with Log(path) as log:
@@ -126,7 +126,7 @@ def _measure(path: Location, index: Path, session: str, fingerprint: str) -> _St
 
 def _read_lag(index: Path, session: str, fingerprint: str) -> _Stored | None:
     """The lag measured in the log with this fingerprint; None if none was, or the file is damaged."""
-    stored = read_findings(_path(index, session), _Stored, _MOST_BYTES)
+    stored = read_findings(_path(index, session), _Stored, _MAX_BYTES)
     return stored if stored is not None and stored.fingerprint == fingerprint else None
 
 

@@ -12,7 +12,7 @@ from dataset.config import IndexConfig
 from dataset.frames.frames_table import driven_states, frames_of
 from dataset.frames.pairing import moments
 from recorder import Log
-from recorder.log.topics import camera_topic
+from recorder.topics import camera_topic
 
 
 def is_for_training(frames: pa.Table, log: Log, session: str, config: IndexConfig) -> NDArray[np.bool_]:

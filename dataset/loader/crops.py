@@ -25,8 +25,8 @@ from dataset.viewpoint import Viewpoint
 from recorder import Log, LogError
 from recorder.errors import RecordingError, damaged_pictures
 from recorder.log.session_car import OUTLINE_PX, UDACITY, car_of
-from recorder.log.topics import camera_topic
 from recorder.pictures.picture_size import width_and_height
+from recorder.topics import camera_topic
 
 
 def different_crops(rows: Rows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -27,7 +27,7 @@ from dataset.preprocess import Image
 from dataset.samples.sample_rows import Rows
 from recorder import Log, Pictures
 from recorder.log.session_car import known_max_steering_deg, metadata_of, stored_car
-from recorder.log.topics import camera_topic
+from recorder.topics import camera_topic
 
 _AT_ONCE: Final = 4  # batches that are worked on
 

@@ -19,10 +19,10 @@ from dataset.recorded_line import DrivableStretch, stretches_to_drive
 from dataset.viewpoint import Viewpoint
 from recorder import Log, LogError
 from recorder.errors import damaged_pictures
-from recorder.log.row_quality import States
 from recorder.log.session_car import Car, car_of
 from recorder.log.tags import EXCLUDE, read_tags
-from recorder.log.topics import camera_topic
+from recorder.rows.row_quality import States
+from recorder.topics import camera_topic
 
 _CENTER: Final[Camera] = "center"
 

@@ -21,8 +21,8 @@ from dataset.samples.sample_rows import Rows
 from recorder import Log
 
 _AT_ONCE: Final = 16  # requests: at 50 ms each and 4 MB, more than 1 GB/s
-_MOST_BYTES: Final = 1 << 28  # on their way
-_MOST_SAMPLES: Final = 1 << 15  # ahead of the batch that is wanted now
+_MAX_BYTES: Final = 1 << 28  # on their way
+_MAX_SAMPLES: Final = 1 << 15  # ahead of the batch that is wanted now
 
 _LOG: Final = logging.getLogger(__name__)
 
@@ -66,8 +66,8 @@ class LookAhead(Closeable):
         while True:
             new: list[Numbers] = []
             new_bytes = 0
-            while not is_over and (not ahead or self._coming_bytes + new_bytes < _MOST_BYTES):
-                if ahead and samples > _MOST_SAMPLES:
+            while not is_over and (not ahead or self._coming_bytes + new_bytes < _MAX_BYTES):
+                if ahead and samples > _MAX_SAMPLES:
                     break
                 part = next(coming, None)
                 if part is None:
@@ -131,7 +131,7 @@ class LookAhead(Closeable):
         for number, log in enumerate(self._logs):
             if log.fetched is not None:
                 size += log.fetched.sizes(np.unique(self._chunk[self._session == number]).tolist())
-                most = log.fetched.most_bytes
+                most = log.fetched.max_bytes
         if size > most:
             _LOG.warning(
                 "the pictures take %.1f GB, but only %.1f GB of them are kept here: the same are fetched again and"

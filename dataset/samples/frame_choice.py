@@ -16,7 +16,7 @@ from dataset.frames.frames_file import SPLITS, codes
 from dataset.samples.filter import Condition
 from dataset.samples.labels import planned_labels
 from dataset.samples.samples_format import SessionCounts, SessionLabels
-from recorder.log.row_quality import NOT_LEARNT
+from recorder.rows.row_quality import NOT_LEARNT
 
 
 @dataclass(frozen=True)

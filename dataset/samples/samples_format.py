@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from common.location import Location
 from dataset.parquet_file import read_metadata
-from recorder.log.label_plan import LabelPlan
-from recorder.log.steering_habits import SteeringHabits, SteeringLag
+from recorder.rows.label_plan import LabelPlan
+from recorder.rows.steering_habits import SteeringHabits, SteeringLag
 
 SAMPLES_NAME: Final = "samples.parquet"
 

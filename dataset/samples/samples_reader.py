@@ -36,7 +36,7 @@ from dataset.samples.fetched_parts import part_files_here, read_part
 from dataset.samples.sample_rows import Rows, joined_rows, numbers, rows_of, target_labels, words_as_numbers
 from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA, Division
 from recorder import Log, LogError
-from recorder.log.chunk_cache import default_cache
+from recorder.mcap.chunk_cache import default_cache
 
 Split = Literal["train", "validation"]
 
@@ -57,7 +57,7 @@ def loaded_columns(targets: Sequence[TargetName] = STEERING_ONLY) -> tuple[str, 
 _WORDS: Final = ("session", "camera", "alteration", "split")  # of those, few different ones: read as numbers
 
 _OPENED_AT_ONCE: Final = 16
-_MOST_BYTES: Final = 1 << 34
+_MAX_BYTES: Final = 1 << 34
 
 _UNREADABLE: Final = (
     OSError,
@@ -311,7 +311,7 @@ class Samples(Closeable):
 
 def _fetched(url: Url) -> bytes:
     """All of an index in a store, which is small beside its pictures."""
-    data = read_bytes(url, _MOST_BYTES)
+    data = read_bytes(url, _MAX_BYTES)
     if data is None:
         raise missing_index(url.parent)
     return data

@@ -31,6 +31,6 @@ def label_back(steering: Values, speed_mph: Values, view: Numbers, car: Car) -> 
     left_m, turn_rad = place_of(view)
     way_m = speed_mph * MPS_PER_MPH * BACK_S
     to_the_right = (6.0 * left_m / way_m + 4.0 * turn_rad) / way_m
-    most_rad = car.max_wheel_rad
-    bend = np.tan(steering * most_rad) / car.wheelbase_m + to_the_right
-    return np.clip(np.arctan(bend * car.wheelbase_m) / most_rad, -1.0, 1.0) + 0.0
+    max_rad = car.max_wheel_rad
+    bend = np.tan(steering * max_rad) / car.wheelbase_m + to_the_right
+    return np.clip(np.arctan(bend * car.wheelbase_m) / max_rad, -1.0, 1.0) + 0.0

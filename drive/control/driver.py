@@ -20,14 +20,14 @@ from drive.control.takeover import Takeover
 from drive.control.telemetry_picture import camera_picture
 from model import Pilot
 from model.pilot import NetworkAnswer
-from recorder.log.devices import Device
 from recorder.log.session_car import UDACITY
+from recorder.rows.devices import Device
 from recorder.server.locale_numbers import POINT
 from recorder.server.telemetry import Telemetry, TelemetryError, parse_telemetry
 from recorder.server.world import World, WorldNotices
 
 USUAL_SIZE: Final = (160, 320)  # height, width
-LEAST_AHEAD_S: Final = 0.5
+MIN_AHEAD_S: Final = 0.5
 """A car does not change its speed at once, also where the network answers the one that was driven at the
 picture."""
 
@@ -85,7 +85,7 @@ class Driver:
         self._clock = DriveClock()
         self._filter = SteeringFilter(config.smooth_s, config.max_steering_per_s)
         self._car = config.car or UDACITY
-        ahead_s = max(pilot.speed_ahead_s, LEAST_AHEAD_S)
+        ahead_s = max(pilot.speed_ahead_s, MIN_AHEAD_S)
         self._speed = SpeedController(config.set_speed_mph, config.slow_in_curves, ahead_s, config.car)
         self._brake = EmergencyBrake()
         self._last_brake: EmergencyBrake | None = None

@@ -6,8 +6,8 @@ from typing import Final
 
 from drive.control.speed_controller import SpeedController
 from drive.control.takeover import PILOT_DRIVES
-from recorder.log.devices import Device
 from recorder.log.session_car import Car
+from recorder.rows.devices import Device
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Wheel
 

@@ -51,7 +51,7 @@ class LogFolder:
         log = self.here / name
         if self.store is None:
             return log, ""
-        from recorder.log.copy_log import copy_log  # obstore, an extra
+        from recorder.upkeep.copy_log import copy_log  # obstore, an extra
 
         try:
             return copy_log(log, self.store / name, overwrite=overwrite).place, ""

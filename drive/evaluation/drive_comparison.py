@@ -27,7 +27,7 @@ from model.evaluation.differences import (
     overall,
 )
 from recorder import Log
-from recorder.log.topics import EVENTS, POSE
+from recorder.topics import EVENTS, POSE
 from simulator.driving.vehicle import AXLE_TO_CENTRE_M
 from simulator.roads.track import Track, load_track
 

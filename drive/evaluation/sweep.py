@@ -29,7 +29,7 @@ from model.runs.run_summary import RunSummary, summarize_run
 from model.runs.runs_in_store import bring_summary, run_at
 from model.runs.stored_run import RunCopy, copy_of_run
 
-_MOST_OVERSHOOT_LAPS: Final = 0.05
+_MAX_OVERSHOOT_LAPS: Final = 0.05
 """A drive ends with the first telemetry after its laps."""
 
 
@@ -140,7 +140,7 @@ def _is_driven(summary: RunSummary, simulator: BuiltInSimulator, config: DriveCo
         (kept.get("track"), kept["set_speed_mph"]) == (simulator.track, config.set_speed_mph)
         and (
             kept.get("gave_up")
-            or simulator.laps <= (kept.get("laps") or 0.0) < simulator.laps + _MOST_OVERSHOOT_LAPS
+            or simulator.laps <= (kept.get("laps") or 0.0) < simulator.laps + _MAX_OVERSHOOT_LAPS
         )
         for kept in summary.drives
     )

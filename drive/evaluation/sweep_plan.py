@@ -37,9 +37,9 @@ from drive.evaluation.simulator_process import BuiltInSimulator
 from model.config import TrainConfig
 
 _EXPECTED: Final = "a file of settings was expected, as `bc-sweep --help` shows one"
-_MOST_BYTES: Final = 1 << 20
-_MOST_TRAININGS: Final = 10_000
-_MOST_NAME: Final = 100
+_MAX_BYTES: Final = 1 << 20
+_MAX_TRAININGS: Final = 10_000
+_MAX_NAME: Final = 100
 _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9.+-]+")
 
 
@@ -76,7 +76,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 def read_sweep(path: Path) -> SweepPlan:
     """Raises UserError for a file that is none, or settings that bc-train or bc-eval would not take."""
     try:
-        stored = msgspec.convert(tomllib.loads(read_bounded(path, _MOST_BYTES).decode()), _File)
+        stored = msgspec.convert(tomllib.loads(read_bounded(path, _MAX_BYTES).decode()), _File)
     except OSError as error:
         meant = did_you_mean(str(path), map(str, path.parent.glob("*.toml")))
         raise UserError(f"{path}: cannot be read ({error.strerror}); {meant or _EXPECTED}") from None
@@ -106,8 +106,8 @@ def _combinations(path: Path, stored: _File) -> list[dict[str, Any]]:
     count = len(stored.seeds)
     for values in stored.grid.values():
         count *= len(values)
-    if count > _MOST_TRAININGS:
-        raise UserError(f"{path}: {count:,} trainings; at most {_MOST_TRAININGS:,} were expected")
+    if count > _MAX_TRAININGS:
+        raise UserError(f"{path}: {count:,} trainings; at most {_MAX_TRAININGS:,} were expected")
     return [dict(zip(stored.grid, chosen, strict=True)) for chosen in itertools.product(*stored.grid.values())]
 
 
@@ -122,8 +122,8 @@ def _training(path: Path, sweep: str, of_all: Mapping[str, Any], varied: Mapping
         raise UserError(f"{path}: {error}") from None
     parts = [sweep, *(f"{name}_{_text(value)}" for name, value in varied.items())]
     run = "-".join(_NOT_IN_NAMES.sub("_", part) for part in parts)
-    if len(run) > _MOST_NAME:  # for example the path of a network of one's own
-        run = f"{run[:_MOST_NAME]}-{hashlib.sha256(run.encode()).hexdigest()[:8]}"
+    if len(run) > _MAX_NAME:  # for example the path of a network of one's own
+        run = f"{run[:_MAX_NAME]}-{hashlib.sha256(run.encode()).hexdigest()[:8]}"
     texts = ", ".join(f"{name} {_text(value)}" for name, value in varied.items())
     return Training(f"{run}-seed{seed}", texts, config)
 

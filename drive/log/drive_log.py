@@ -15,11 +15,11 @@ from drive.log.log_thread import LogThread
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.bad_telemetry import BadTelemetry
-from recorder.log.devices import device_value
 from recorder.log.log_time import LogClock
 from recorder.log.meant_gaps import DISCONNECTED, HUMAN_DRIVES, PILOT_DRIVES_AGAIN
 from recorder.log.pose_message import pose_message
 from recorder.log.writer import EventLevel
+from recorder.rows.devices import device_value
 from recorder.server.telemetry import Telemetry
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from common.autonomy import autonomy_percent
 from common.car import MPS_PER_MPH
 from drive.control.drive_clock import DriveClock
 from drive.log.latency_histogram import LatencyHistogram
-from recorder.log.row_quality import GAP_S
+from recorder.rows.row_quality import GAP_S
 from recorder.server.world import World
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ STAGES: Final = ("parse", "decode", "network", "total")
 class DriveSummary:
     """Counts the same decisions as the log holds. Its clock is the simulator's where that sends its time.
 
-    Time counts while telemetry comes: pauses of more than a second (`recorder.log.row_quality.GAP_S`) by this
+    Time counts while telemetry comes: pauses of more than a second (`recorder.rows.row_quality.GAP_S`) by this
     computer's clock are not driving.
     """
 

@@ -22,7 +22,7 @@ from common.untrusted import read_bounded
 from model.errors import RunError
 from model.network.names import check_network_name, is_file
 
-MOST_SOURCE_BYTES: Final = 1 << 20
+MAX_SOURCE_BYTES: Final = 1 << 20
 
 _loaded: dict[tuple[str, str], OwnCode] = {}
 """The code that was named in this process: by the hash of its file, or its module, and its class."""
@@ -88,7 +88,7 @@ def named_otherwise(label: str) -> OwnCode | None:
 
 def _read(name: str, path: Path) -> bytes:
     try:
-        return read_bounded(path, MOST_SOURCE_BYTES)
+        return read_bounded(path, MAX_SOURCE_BYTES)
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else error
         beside = [str(each) for each in path.parent.glob("*.py")]

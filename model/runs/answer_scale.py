@@ -26,14 +26,14 @@ if TYPE_CHECKING:  # a run's history is read and shown without PyTorch
 Floats = NDArray[np.float64]
 Steering = TypeVar("Steering", Floats, "Tensor")
 
-LEAST_SCALE, MOST_SCALE = 0.1, 2.0
+MIN_SCALE, MAX_SCALE = 0.1, 2.0
 """The bounds of a fit. Below, a network would ignore whatever is a little to the side; above, it has learnt
 nothing of the road."""
 
-MOST_CURVE: Final = 4.0
+MAX_CURVE: Final = 4.0
 """From 0, so that the answer never falls while the steering learnt grows."""
 
-MOST_OFFSET: Final = 0.2
+MAX_OFFSET: Final = 0.2
 
 _PREFIX: Final = "natural_"
 
@@ -58,12 +58,12 @@ class AnswerScale:
         found = [*_inside(line, bend, wanted), *_at_edges(line, bend, wanted)]
         scale, curve = min(found, key=lambda each: float(np.sum((wanted - each[0] * line - each[1] * bend) ** 2)))
         offset = np.mean(steering - cls(scale, 0.0, curve).natural(learnt))
-        return cls(scale, float(np.clip(offset, -MOST_OFFSET, MOST_OFFSET)), curve)
+        return cls(scale, float(np.clip(offset, -MAX_OFFSET, MAX_OFFSET)), curve)
 
     def __post_init__(self) -> None:
         """Raises ValueError for what no fit gives."""
-        is_known = LEAST_SCALE <= self.scale <= MOST_SCALE and 0 <= self.curve <= MOST_CURVE
-        if not (is_known and abs(self.offset) <= MOST_OFFSET):
+        is_known = MIN_SCALE <= self.scale <= MAX_SCALE and 0 <= self.curve <= MAX_CURVE
+        if not (is_known and abs(self.offset) <= MAX_OFFSET):
             raise ValueError(f"an answer scale of {self.scale:g}, {self.curve:g} and {self.offset:g}")
 
     @classmethod
@@ -97,13 +97,13 @@ class AnswerScale:
 def _inside(line: Floats, bend: Floats, wanted: Floats) -> list[tuple[float, float]]:
     """The scale and curve of least squares, if they are within bounds."""
     (scale, curve), *_ = np.linalg.lstsq(np.stack([line, bend], 1), wanted)
-    is_inside = LEAST_SCALE <= scale <= MOST_SCALE and 0 <= curve <= MOST_CURVE
+    is_inside = MIN_SCALE <= scale <= MAX_SCALE and 0 <= curve <= MAX_CURVE
     return [(float(scale), float(curve))] if is_inside else []
 
 
 def _at_edges(line: Floats, bend: Floats, wanted: Floats) -> list[tuple[float, float]]:
     """The best scale at either bound of the curve, and the best curve at either bound of the scale."""
-    scales, curves = (LEAST_SCALE, MOST_SCALE), (0.0, MOST_CURVE)
+    scales, curves = (MIN_SCALE, MAX_SCALE), (0.0, MAX_CURVE)
     of_curves = [(_slope(line, wanted - curve * bend, *scales), curve) for curve in curves]
     return of_curves + [(scale, _slope(bend, wanted - scale * line, *curves)) for scale in scales]
 

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from model.adam import Adam
 from model.errors import RunError
-from model.runs.answer_scale import LEAST_SCALE, MOST_CURVE, MOST_OFFSET, MOST_SCALE
+from model.runs.answer_scale import MAX_CURVE, MAX_OFFSET, MAX_SCALE, MIN_SCALE
 from model.runs.checksums import load_checksummed, save_checksummed
 from model.runs.run_arguments import run_argument
 from model.runs.run_files import CHECKPOINT, LAST
@@ -57,9 +57,9 @@ class Position(
     reported_squared_error: Sum = 0.0  # the part of these two that is in steps.jsonl
     reported_samples: Count = 0
     best_epoch: Count = 0  # 0: none yet
-    answer_scale: Annotated[float, Meta(ge=LEAST_SCALE, le=MOST_SCALE)] = 1.0  # of the last finished epoch
-    answer_offset: Annotated[float, Meta(ge=-MOST_OFFSET, le=MOST_OFFSET)] = 0.0
-    answer_curve: Annotated[float, Meta(ge=0, le=MOST_CURVE)] = 0.0
+    answer_scale: Annotated[float, Meta(ge=MIN_SCALE, le=MAX_SCALE)] = 1.0  # of the last finished epoch
+    answer_offset: Annotated[float, Meta(ge=-MAX_OFFSET, le=MAX_OFFSET)] = 0.0
+    answer_curve: Annotated[float, Meta(ge=0, le=MAX_CURVE)] = 0.0
     best_error: Sum = math.inf  # the error by which it is kept; infinite where nothing is held out
 
 

@@ -28,7 +28,7 @@ from model.runs.run_files import replaced_file
 CHECKSUM: Final = "sha256"
 
 _ZEROS: Final = "0" * 64
-_MOST_BYTES: Final = 1 << 30  # a checkpoint has 60 MB
+_MAX_BYTES: Final = 1 << 30  # a checkpoint has 60 MB
 
 
 def save_checksummed(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
@@ -52,7 +52,7 @@ def load_checksummed(path: Path, run: Path, otherwise: str) -> tuple[dict[str, T
     damaged file; `otherwise` is what to do then.
     """
     try:
-        data = read_bounded(path, _MOST_BYTES)
+        data = read_bounded(path, _MAX_BYTES)
         tensors = load(data)
         header, values = _halves(data)
         metadata = json.loads(header).get("__metadata__") or {}  # null in a file of another program

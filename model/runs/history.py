@@ -22,8 +22,8 @@ from model.runs.history_lines import parse_epoch, parse_step, parse_worst_pictur
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Epoch, Step
 from model.runs.worst_pictures import WORST_FILE, WorstPictures
 
-_MOST_BYTES: Final = 64 << 20  # of a file: half a million steps
-_MOST_LINE_BYTES: Final = 1 << 20
+_MAX_BYTES: Final = 64 << 20  # of a file: half a million steps
+_MAX_LINE_BYTES: Final = 1 << 20
 
 Line = TypeVar("Line")
 
@@ -108,7 +108,7 @@ class _HistoryFile(Generic[Line]):
     def __init__(
         self, path: Path, parse: Callable[[bytes], Line], order: Callable[[Line], int], skipped: Skipped
     ) -> None:
-        self._tail = FileTail(path, _MOST_LINE_BYTES)
+        self._tail = FileTail(path, _MAX_LINE_BYTES)
         self._parse = parse
         self._order = order
         self._skipped = skipped
@@ -132,7 +132,7 @@ class _HistoryFile(Generic[Line]):
             self._skipped.add("lines that were cut off", f"{self._tail.path.name} line {number}")
 
     def _next(self, content: bytes) -> Line:
-        if len(content) > _MOST_LINE_BYTES:
+        if len(content) > _MAX_LINE_BYTES:
             raise ValueError("longer than any line that bc-train writes")
         line = self._parse(content)
         if self._order(line) <= self._last:
@@ -147,8 +147,8 @@ class _HistoryFile(Generic[Line]):
             status = file.path.lstat()
             if stat.S_ISLNK(status.st_mode):
                 raise RunError(f"{file.path}: a link; a run's files lie in its folder, copy it there")
-            if status.st_size > _MOST_BYTES:
-                raise RunError(f"{file.path}: larger than {_MOST_BYTES >> 20} MiB, no training writes so much")
+            if status.st_size > _MAX_BYTES:
+                raise RunError(f"{file.path}: larger than {_MAX_BYTES >> 20} MiB, no training writes so much")
             found = file.new_lines(status.st_size)
             while file.is_behind:
                 found += file.new_lines(status.st_size)

@@ -23,7 +23,7 @@ from model.worst_moments import WorstFrame
 
 _LARGEST_COUNT: Final = 1 << 62  # samples, or ns; beyond it, nothing was ever trained
 _LARGEST_NUMBER: Final = 1e100  # its square is still a number
-_MOST_CHARACTERS: Final = 1000  # of a session's name
+_MAX_CHARACTERS: Final = 1000  # of a session's name
 
 
 def parse_epoch(line: bytes) -> Epoch:
@@ -147,6 +147,6 @@ def _number(value: Any) -> float:
 
 
 def _text(value: Any) -> str:
-    if type(value) is not str or len(value) > _MOST_CHARACTERS:
+    if type(value) is not str or len(value) > _MAX_CHARACTERS:
         raise ValueError("not a name")
     return value

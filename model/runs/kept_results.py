@@ -20,7 +20,7 @@ from model.runs.run_config import config_folder, weights_checksum
 from model.runs.run_files import RESULTS_FILE as RESULTS_FILE
 from model.runs.run_files import append_json_line
 
-_MOST_BYTES: Final = 64 << 20  # a hundred thousand results
+_MAX_BYTES: Final = 64 << 20  # a hundred thousand results
 
 Way = Literal["frames", "recording", "simulator", "supervised"]
 """Of "supervised", a person took over from the network (`bc-drive --takeover me`)."""
@@ -47,7 +47,7 @@ def kept_results(run: Path) -> tuple[list[KeptResult], int]:
     """The results in a run's folder, the oldest first, and the number of lines that are none."""
     path = run / RESULTS_FILE
     try:
-        content = read_bounded(path, _MOST_BYTES)
+        content = read_bounded(path, _MAX_BYTES)
     except FileNotFoundError:
         return [], 0
     except (OSError, ValueError) as error:

@@ -16,7 +16,7 @@ from common.store_record import cached_from
 RUNS: Final = Path("runs")
 """The default folder of runs."""
 
-_MOST_NAMES: Final = 8
+_MAX_NAMES: Final = 8
 
 
 def new_run_name() -> str:
@@ -38,5 +38,5 @@ def suggest_runs(name: str, names: Sequence[str], runs: Location) -> str:
         return f"none is in {runs}: `bc-train{flag}` makes one"
     if meant := did_you_mean(name, names):
         return meant
-    more = f" and {len(names) - _MOST_NAMES:,} more" if len(names) > _MOST_NAMES else ""
-    return f"in {runs} are {', '.join(names[:_MOST_NAMES])}{more}"
+    more = f" and {len(names) - _MAX_NAMES:,} more" if len(names) > _MAX_NAMES else ""
+    return f"in {runs} are {', '.join(names[:_MAX_NAMES])}{more}"

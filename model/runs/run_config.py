@@ -15,14 +15,14 @@ from model.runs.run_files import CHECKPOINT, CONFIG, LAST, WEIGHTS
 FORMAT: Final = 4
 DRIVABLE: Final = (1, 2, 3, 4)
 """1 has less about its training; 2 may have a scale of its answers in its last layer; up to 3, steering is all."""
-MOST_CONFIG_BYTES: Final = 64 << 20  # it names every log
+MAX_CONFIG_BYTES: Final = 64 << 20  # it names every log
 
 
 def load_config(folder: Path) -> dict[str, Any]:
     """The run's config.json. Raises RunError if it is damaged, or newer than this toolkit."""
     path = config_folder(folder) / CONFIG
     try:
-        config = json.loads(read_bounded(path, MOST_CONFIG_BYTES))
+        config = json.loads(read_bounded(path, MAX_CONFIG_BYTES))
         version = config["format"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise RunError(f"{path}: cannot be read ({error}); was it written by bc-train?") from None

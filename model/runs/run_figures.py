@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_MOST_MARKED: Final = 40  # epochs: beyond that, marks touch each other
+_MAX_MARKED: Final = 40  # epochs: beyond that, marks touch each other
 _SHOWN_FRAMES: Final = 300  # in a row, so that single frames can be told apart
 _TICKS: Final = (-1.0, -0.5, 0.0, 0.5, 1.0)
 _FARTHEST: Final = 1.25  # a prediction beyond is drawn at the edge
@@ -66,7 +66,7 @@ def draw_curves(history: History) -> Figure:
     loss, errors = figure.subplots(1, 2)
     epochs = history.epochs
     unit = epochs[-1].measures.unit if epochs else DEGREES
-    marker = "." if len(epochs) <= _MOST_MARKED else ""
+    marker = "." if len(epochs) <= _MAX_MARKED else ""
 
     def curve(axes: Axes, value: Callable[[Epoch], float], label: str, **style: Any) -> None:
         values = [value(epoch) for epoch in epochs]

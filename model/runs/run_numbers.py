@@ -25,7 +25,7 @@ BUILT_IN_CAR: Final = {"wheelbase_m": 2.6, "height_m": 1.4}
 
 
 class StoredHabits(msgspec.Struct):
-    """How a session was steered, as far as a judgement needs it (`recorder.log.steering_habits`)."""
+    """How a session was steered, as far as a judgement needs it (`recorder.rows.steering_habits`)."""
 
     kind: str = ""
     rows: int = 0

@@ -22,7 +22,7 @@ from model.worst_moments import WorstFrame, worst_frames
 
 WORST_FILE: Final = "worst.jsonl"
 """One line an epoch: `WorstPictures.as_dict`."""
-MOST_WORST_BYTES: Final = 32 << 20
+MAX_WORST_BYTES: Final = 32 << 20
 """Size limit of that file: some 500 epochs. Of longer trainings, the last ones are kept."""
 WORST_COUNT: Final = 6
 WORST_COLUMNS: Final = ("session", "row", "log_time_ns")

@@ -21,7 +21,7 @@ from model.evaluation.predict import predict
 from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
 
-MOST_FRAMES: Final = 1000
+MAX_FRAMES: Final = 1000
 """Enough for three numbers; they take a hundredth of the time of an epoch of 30,000 samples."""
 
 TOWARDS_BALANCE: Final = 0.25
@@ -53,7 +53,7 @@ class NaturalFrames:
 
 
 def _at_natural_frequency(samples: Samples) -> pa.Table:
-    """At most `MOST_FRAMES` originals of the centre camera (of all, where there are none of it).
+    """At most `MAX_FRAMES` originals of the centre camera (of all, where there are none of it).
 
     Balancing has left each bin a random part of its frames and their views from beside the line, `after` of
     `before`. Each original that was left stands for others of its bin.
@@ -74,7 +74,7 @@ def _at_natural_frequency(samples: Samples) -> pa.Table:
     on_road = before * of_bin / np.maximum(after, 1)
     stands_for = (on_road ** (1 - TOWARDS_BALANCE) / np.maximum(of_bin, 1))[bins]
     stands_for = np.where(is_center, stands_for, 0.0) if is_center.any() else stands_for
-    count = min(MOST_FRAMES, int(np.count_nonzero(stands_for)))
+    count = min(MAX_FRAMES, int(np.count_nonzero(stands_for)))
     quantiles = (np.arange(count) + 0.5) / count * stands_for.sum()
     at = np.minimum(np.searchsorted(np.cumsum(stands_for), quantiles), len(bins) - 1)
     return _originals(samples, at)

@@ -14,7 +14,7 @@ from model.runs.checkpoint import Position, save_checkpoint
 from model.runs.run_files import append_json_line, keep_json_lines
 from model.runs.run_folder import WEIGHTS, save_weights
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Epoch, Step
-from model.runs.worst_pictures import MOST_WORST_BYTES, WORST_FILE, WorstPictures
+from model.runs.worst_pictures import MAX_WORST_BYTES, WORST_FILE, WorstPictures
 
 
 class RunWriter:
@@ -72,6 +72,6 @@ class RunWriter:
     def _trim_worst(self, epoch: int) -> None:
         """Once the worst pictures' file is large, keep the later half of its epochs."""
         path = self.run / WORST_FILE
-        if path.exists() and path.stat().st_size > MOST_WORST_BYTES:
+        if path.exists() and path.stat().st_size > MAX_WORST_BYTES:
             first = epoch - path.read_bytes().count(b"\n") // 2
             keep_json_lines(path, lambda line: line["epoch"] >= first)

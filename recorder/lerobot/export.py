@@ -37,11 +37,11 @@ from recorder.lerobot.row_pictures import RowPictures, Sizes
 from recorder.lerobot.video_files import require_av, video_info
 from recorder.log.meant_gaps import NotRecorded, is_not_recorded, not_recorded
 from recorder.log.reader import Log
-from recorder.log.row_quality import States
 from recorder.log.session_car import CAR_KEY, car_of, metadata_of
-from recorder.log.topics import EVENTS
 from recorder.pictures.decoding import decode_picture
 from recorder.pictures.picture_size import PNG_START
+from recorder.rows.row_quality import States
+from recorder.topics import EVENTS
 
 TASK: Final = "Drive along the road."
 ROBOT: Final = "car"

@@ -18,8 +18,8 @@ from recorder.lerobot.dataset_format import LOG_TIME, LOG_VEHICLE, STATE
 from recorder.lerobot.log_episodes import ChosenRows, log_episodes
 from recorder.log.reader import Log
 from recorder.log.session_car import known_max_steering_deg
-from recorder.log.topics import camera_topic
-from recorder.log.usual_step import usual_step
+from recorder.rows.usual_step import usual_step
+from recorder.topics import camera_topic
 
 RATES_DIFFER: Final = 1.2
 """Sessions whose rates differ by this factor get a notice: the format has one rate for all."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
-LEAST_PICTURES: Final = 10
+MIN_PICTURES: Final = 10
 PICTURE_SHARE: Final = 0.1
 """At most this share of an episode's pictures is sampled: decoding is by far the dearest part of an export.
 LeRobot samples N ** 0.75 of them, and at least 100."""
@@ -28,7 +28,7 @@ Statistics = dict[str, Values]
 def sampled(count: int) -> NDArray[np.int64]:
     """The positions of the sampled pictures in an episode of `count`."""
     wanted = min(int(count**0.75), round(count * PICTURE_SHARE))
-    chosen = np.linspace(0, count - 1, max(min(LEAST_PICTURES, count), wanted))
+    chosen = np.linspace(0, count - 1, max(min(MIN_PICTURES, count), wanted))
     return np.unique(np.rint(chosen).astype(np.int64))
 
 

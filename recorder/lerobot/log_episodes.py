@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from common import Skipped
 from common.car import Camera
 from recorder.log.reader import Log, Pictures
-from recorder.log.row_quality import States, drive_numbers, row_flags
 from recorder.log.tags import EXCLUDE, read_tags
-from recorder.log.topics import camera_topic
+from recorder.rows.row_quality import States, drive_numbers, row_flags
+from recorder.topics import camera_topic
 
 
 @dataclass(frozen=True)

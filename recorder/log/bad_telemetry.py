@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from typing import Final
 
-MOST_OF_EACH: Final = 5
+MAX_OF_EACH: Final = 5
 """So many of a kind become events; the others are counted."""
 
 _PREFIX: Final = "bad telemetry: "
@@ -22,14 +22,14 @@ class BadTelemetry:
     def take(self, kind: str, reason: str) -> str | None:
         """The event that one more makes; None where there were enough of its kind."""
         self.counts[kind] += 1
-        return f"{_PREFIX}{reason}" if self.counts[kind] <= MOST_OF_EACH else None
+        return f"{_PREFIX}{reason}" if self.counts[kind] <= MAX_OF_EACH else None
 
     def left(self) -> list[str]:
         """The events at the end, for those that were none."""
         return [
-            f"{_PREFIX}{kind} ({count - MOST_OF_EACH:,} more)"
+            f"{_PREFIX}{kind} ({count - MAX_OF_EACH:,} more)"
             for kind, count in self.counts.items()
-            if count > MOST_OF_EACH
+            if count > MAX_OF_EACH
         ]
 
 

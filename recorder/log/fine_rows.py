@@ -7,9 +7,9 @@ from collections.abc import Iterable
 
 from common.location import Location
 from recorder.errors import LogError
-from recorder.log.odd_stretches import OddStretch
 from recorder.log.reader import Log
 from recorder.log.tags import FINE, Tag, tags_by_content
+from recorder.rows.odd_stretches import OddStretch
 
 
 class FineRows:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from recorder.log import topics
+from recorder import topics
 from recorder.log.reader import Log
 from simulator.driving.vehicle import AXLE_TO_CENTRE_M
 from simulator.roads.track import load_track
 
-_MOST_M = 1e6
+_MAX_M = 1e6
 
 
 def last_place_m(log: Log) -> float | None:
@@ -22,7 +22,7 @@ def last_place_m(log: Log) -> float | None:
     position = None
     for _, message in log.decoded(topics.POSE) if topics.POSE in log.counts else ():
         position = message.pose.position
-    if position is None or not (abs(position.x) < _MOST_M and abs(position.y) < _MOST_M):
+    if position is None or not (abs(position.x) < _MAX_M and abs(position.y) < _MAX_M):
         return None
     rear_m, _ = line.project(position.x, position.y)
     return (rear_m + AXLE_TO_CENTRE_M) % line.length_m

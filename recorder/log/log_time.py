@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Final
 
-from recorder.log.row_quality import GAP_S
+from recorder.rows.row_quality import GAP_S
 
 LONGEST_STEP_S: Final = 60.0
 """Simulated time that jumps farther than this from one telemetry to the next is another clock."""
@@ -17,7 +17,7 @@ BREAK_NS: Final = round(1.5 * GAP_S * 1e9)  # rows that far apart belong to two 
 class StandingClock:
     """Finds out whether a simulated clock stands, or only goes back, for `STANDS_S` of this computer's.
 
-    Pauses (`recorder.log.row_quality.GAP_S`) do not count: a simulator in its menu stops its clock. One that
+    Pauses (`recorder.rows.row_quality.GAP_S`) do not count: a simulator in its menu stops its clock. One that
     stood is not trusted any more.
     """
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.untrusted_json import json_as
-from recorder.log.row_quality import GAP_S, States, row_flags
+from recorder.rows.row_quality import GAP_S, States, row_flags
 
 MEANT_GAPS: Final = "meant_gaps"
 HUMAN_DRIVES: Final = "manual: a human drives"

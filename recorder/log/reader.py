@@ -24,18 +24,18 @@ from common import Skipped
 from common.car import CAMERAS, Camera
 from common.closeable import Closeable
 from common.location import Location, location
+from recorder import topics
 from recorder.errors import LogError
-from recorder.log import topics
-from recorder.log.chunk_cache import ChunkCache
-from recorder.log.chunk_reader import ChunkReader
-from recorder.log.fetched_chunks import FetchedChunks
-from recorder.log.mcap_file import CHUNK_HEADER, Chunk, McapFile, has_crc_in, stored_message
-from recorder.log.message_index import LAST_TIME_NS, UNCOMPRESSED, Read, index_messages
-from recorder.log.number_fields import decode_numbers
-from recorder.log.picture_places import is_about_places, is_of_pictures, read_chunk_crcs, read_places
-from recorder.log.salvage import salvage
-from recorder.log.scan import is_complete, read_structure, read_summary
-from recorder.log.topics import camera_topic, prediction_topic
+from recorder.mcap.chunk_cache import ChunkCache
+from recorder.mcap.chunk_reader import ChunkReader
+from recorder.mcap.fetched_chunks import FetchedChunks
+from recorder.mcap.mcap_file import CHUNK_HEADER, Chunk, McapFile, has_crc_in, stored_message
+from recorder.mcap.message_index import LAST_TIME_NS, UNCOMPRESSED, Read, index_messages
+from recorder.mcap.number_fields import decode_numbers
+from recorder.mcap.picture_places import is_about_places, is_of_pictures, read_chunk_crcs, read_places
+from recorder.mcap.salvage import salvage
+from recorder.mcap.scan import is_complete, read_structure, read_summary
+from recorder.topics import camera_topic, prediction_topic
 
 if TYPE_CHECKING:  # training reads pictures where protobuf is not installed
     from google.protobuf.message import Message as ProtobufMessage

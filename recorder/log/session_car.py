@@ -20,8 +20,8 @@ from common.errors import printable
 from common.location import Location
 from common.stored_settings import settings_from
 from common.untrusted import read_bounded
+from recorder import topics
 from recorder.errors import LogError, RecordingError
-from recorder.log import topics
 from recorder.log.reader import Log
 
 Outline = tuple[tuple[float, float], ...]
@@ -39,8 +39,8 @@ CAR_KEY: Final = "car"
 SpeedUnit = Literal["mph", "km/h", "m/s"]
 MPH_OF: Final[Mapping[SpeedUnit, float]] = {"mph": 1.0, "km/h": 1 / 3.6 / MPS_PER_MPH, "m/s": 1 / MPS_PER_MPH}
 
-_MOST_BYTES: Final = 1 << 20
-_MOST_CORNERS: Final = 1000
+_MAX_BYTES: Final = 1 << 20
+_MAX_CORNERS: Final = 1000
 
 # Measured in published recordings of Udacity's three worlds: docs/studies/warped-pictures.md.
 _LEFT_M: Final[Mapping[Camera, float]] = {"center": 0.0, "left": 0.85, "right": -0.85}
@@ -101,12 +101,12 @@ class Car:
         for name, outline in self.bonnet.items():
             corners = np.array(outline, np.float64).reshape(-1, 2)
             if (
-                len(corners) > _MOST_CORNERS
+                len(corners) > _MAX_CORNERS
                 or not (np.abs(corners) < 1e4).all()
                 or (np.diff(corners[:, 0]) < 0).any()
             ):
                 raise ValueError(
-                    f"bonnet of {name}: corners from left to right, {_MOST_CORNERS:,} at most, expected"
+                    f"bonnet of {name}: corners from left to right, {_MAX_CORNERS:,} at most, expected"
                 )
         object.__setattr__(self, "left_m", {**_LEFT_M, **self.left_m})
 
@@ -173,7 +173,7 @@ def named_car(name: str) -> Car:
     if name == "built-in":
         return built_in()
     try:
-        return settings_from(Car, tomllib.loads(read_bounded(name, _MOST_BYTES).decode()))
+        return settings_from(Car, tomllib.loads(read_bounded(name, _MAX_BYTES).decode()))
     except FileNotFoundError:
         hint = "udacity, built-in or a file of the car's settings was expected"
         raise RecordingError(f"--car {printable(name)}: no such file; {hint}") from None

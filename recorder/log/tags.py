@@ -31,8 +31,8 @@ FINE: Final = "fine"
 """Odd rows with this tag were looked at, and do not count as odd."""
 _ENDING: Final = ".tags.jsonl"
 _LONGEST_NAME: Final = 64
-_MOST_ROWS: Final = 2**32
-MOST_BYTES: Final = 1 << 24
+_MAX_ROWS: Final = 2**32
+MAX_BYTES: Final = 1 << 24
 
 
 class Tag(NamedTuple):
@@ -43,7 +43,7 @@ class Tag(NamedTuple):
     name: str
 
 
-_Row = Annotated[int, msgspec.Meta(ge=0, lt=_MOST_ROWS)]
+_Row = Annotated[int, msgspec.Meta(ge=0, lt=_MAX_ROWS)]
 
 
 class _Line(msgspec.Struct):
@@ -122,7 +122,7 @@ def check_name(name: object) -> str:
 
 
 def _row(value: object) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < _MOST_ROWS:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < _MAX_ROWS:
         raise ValueError(f"{value!r} is not a row")
     return value
 
@@ -162,13 +162,13 @@ def tags_by_content(log: Location) -> defaultdict[str, set[Tag]]:
 def _lines(log: Location) -> list[str]:
     path = tags_path(log)
     try:
-        data = read_bytes(_plain(path) if isinstance(path, Path) else path, MOST_BYTES + 1)
+        data = read_bytes(_plain(path) if isinstance(path, Path) else path, MAX_BYTES + 1)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from None
     if data is None:
         return []
-    if len(data) > MOST_BYTES:
-        raise LogError(f"{path}: larger than {MOST_BYTES:,} bytes, which no tags are")
+    if len(data) > MAX_BYTES:
+        raise LogError(f"{path}: larger than {MAX_BYTES:,} bytes, which no tags are")
     whole = data[: data.rfind(b"\n") + 1]
     return whole.decode("utf-8", "replace").splitlines()
 

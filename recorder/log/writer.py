@@ -27,18 +27,19 @@ from common.car import Camera
 from common.interrupts import uninterrupted
 from common.locks import lock
 from common.versions import version_of
+from recorder import topics
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.errors import LogError
-from recorder.log import topics
-from recorder.log.compressed_image import image_data, is_image_channel
-from recorder.log.copied_channels import CopiedChannels
 from recorder.log.meant_gaps import NotRecorded
-from recorder.log.odd_stretches import odd_summary
-from recorder.log.row_quality import StatesWritten, summary
 from recorder.log.session_car import UDACITY, car_in
-from recorder.log.split_chunks import SplitChunks
-from recorder.log.steering_habits import steering_habits
-from recorder.log.topics import (
+from recorder.mcap.compressed_image import image_data, is_image_channel
+from recorder.mcap.copied_channels import CopiedChannels
+from recorder.mcap.split_chunks import SplitChunks
+from recorder.pictures.picture_size import PNG_START, PictureSizes, SizeReader
+from recorder.rows.odd_stretches import odd_summary
+from recorder.rows.row_quality import StatesWritten, summary
+from recorder.rows.steering_habits import steering_habits
+from recorder.topics import (
     CAMERA_TOPICS,
     COMPRESSED_IMAGE,
     LOG_MESSAGE,
@@ -47,7 +48,6 @@ from recorder.log.topics import (
     camera_topic,
     prediction_topic,
 )
-from recorder.pictures.picture_size import PNG_START, PictureSizes, SizeReader
 
 FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush can come late, and the disk takes its time
 

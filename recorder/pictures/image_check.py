@@ -20,7 +20,7 @@ FROZEN_PICTURES: Final = 3
 
 _PICTURES_A_JOB: Final = 32  # one by one, handing them over would cost a tenth of the time
 _JOB_BYTES: Final = 1 << 20
-_MOST_WAITING_BYTES: Final = 1 << 24
+_MAX_WAITING_BYTES: Final = 1 << 24
 _OVERHEAD_BYTES: Final = 256  # of a picture that waits, besides its own
 
 _DECODER_BYTES: Final = (224 + 64 * (os.cpu_count() or 1)) << 20  # of addresses: what OpenCV and its threads take
@@ -91,7 +91,7 @@ class ImageCheck:
         self._job_bytes += len(picture) + _OVERHEAD_BYTES
         if len(self._job) == _PICTURES_A_JOB or self._job_bytes >= _JOB_BYTES:
             self._submit(self._pool)
-            while self._waiting_bytes > _MOST_WAITING_BYTES:
+            while self._waiting_bytes > _MAX_WAITING_BYTES:
                 self._settle()
 
     def finish(self) -> None:

@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
-from recorder.pictures.picture_size import MOST_PIXELS, has_too_many_scans
+from recorder.pictures.picture_size import MAX_PIXELS, has_too_many_scans
 
 PADDING_BYTES: Final = 64  # some cameras pad the end of a file
-_MOST_BLOCKS: Final = 10  # in a unit of several components (T.81, B.2.3)
+_MAX_BLOCKS: Final = 10  # in a unit of several components (T.81, B.2.3)
 _LAST_COEFFICIENT: Final = 63
-_MOST_SHIFT: Final = 13  # of a progressive scan's precision
+_MAX_SHIFT: Final = 13  # of a progressive scan's precision
 
 _START, _END, _DQT, _DHT, _DRI, _SOS = 0xD8, 0xD9, 0xDB, 0xC4, 0xDD, 0xDA
 _PROGRESSIVE = 0xC2
@@ -148,7 +148,7 @@ def _frame(segment: bytes, is_progressive: bool) -> _Frame:
     components = segment[5]
     if precision != 8 or components not in (1, 3, 4) or len(segment) != 6 + 3 * components:
         raise ValueError("a frame of another kind")
-    if not 0 < height * width <= MOST_PIXELS:
+    if not 0 < height * width <= MAX_PIXELS:
         raise ValueError("no size, or too large a one")
     sampling = [(byte >> 4, byte & 15) for byte in segment[7::3]]
     most = [max(sizes) for sizes in zip(*sampling, strict=True)]
@@ -178,13 +178,13 @@ def _check_scan(segment: bytes, known: _Known) -> None:
     before, shift = shifts >> 4, shifts & 15
     if len(set(names)) != components or not frame.blocks.keys() >= set(names):
         raise ValueError("a component that the frame does not have")
-    if components > 1 and sum(frame.blocks[name] for name in names) > _MOST_BLOCKS:
+    if components > 1 and sum(frame.blocks[name] for name in names) > _MAX_BLOCKS:
         raise ValueError("too many blocks in a unit")
     if not known.quantisation >= {frame.quantised_by[name] for name in names}:
         raise ValueError("a quantisation table is missing")
     needs_dc = needs_ac = True
     if frame.is_progressive:
-        if not first <= last <= _LAST_COEFFICIENT or shift > _MOST_SHIFT or (before and before != shift + 1):
+        if not first <= last <= _LAST_COEFFICIENT or shift > _MAX_SHIFT or (before and before != shift + 1):
             raise ValueError("a progressive scan that cannot be")
         if (first == 0 and last != 0) or (first and components != 1):
             raise ValueError("a progressive scan of DC and AC together, or of several components' AC")

@@ -8,14 +8,14 @@ from typing import Final
 
 from common.errors import counted
 
-MOST_PIXELS: Final = 1 << 26
+MAX_PIXELS: Final = 1 << 26
 """No larger picture is decoded: in memory it is up to 200 MB, and a car's camera gives a hundredth of it."""
 
 MAX_SCANS: Final = 100
 """A progressive picture has some ten. Each is decoded over the whole picture: thousands of them, which fit into
 50 KB, take seconds."""
 
-_MOST_SIZES: Final = 8  # of one camera's pictures, listed
+_MAX_SIZES: Final = 8  # of one camera's pictures, listed
 
 PNG_START: Final = b"\x89PNG\r\n\x1a\n"
 
@@ -72,7 +72,7 @@ def pixels(picture: bytes) -> int | None:
 
 
 def can_be_decoded(picture: bytes) -> bool:
-    """True for what begins as a JPEG or PNG of at most `MOST_PIXELS` and, as a JPEG, of at most `MAX_SCANS`."""
+    """True for what begins as a JPEG or PNG of at most `MAX_PIXELS` and, as a JPEG, of at most `MAX_SCANS`."""
     return not decoding_problem(picture)
 
 
@@ -81,8 +81,8 @@ def decoding_problem(picture: bytes) -> str:
     size = pixels(picture) or 0
     if not size:
         return f"{counted(len(picture), 'byte')} that are not a picture"
-    if size > MOST_PIXELS:
-        return f"a picture of more than {MOST_PIXELS:,} pixels"
+    if size > MAX_PIXELS:
+        return f"a picture of more than {MAX_PIXELS:,} pixels"
     return f"a JPEG of more than {MAX_SCANS} scans" if has_too_many_scans(picture) else ""
 
 
@@ -100,7 +100,7 @@ class PictureSizes:
     def add(self, topic: str, row: int, size: tuple[int, int] | None) -> None:
         """A picture of this width and height; None for one that has none."""
         sizes = self._found.setdefault(topic, {})
-        if size is not None and (size in sizes or len(sizes) < _MOST_SIZES):
+        if size is not None and (size in sizes or len(sizes) < _MAX_SIZES):
             count, first_row = sizes.get(size, (0, row))
             sizes[size] = count + 1, first_row
 

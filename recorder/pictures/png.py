@@ -9,7 +9,7 @@ import zlib
 from typing import Final
 
 from recorder.pictures.jpeg import PADDING_BYTES
-from recorder.pictures.picture_size import MOST_PIXELS, PNG_START, width_and_height
+from recorder.pictures.picture_size import MAX_PIXELS, PNG_START, width_and_height
 
 _CHUNK: Final = struct.Struct(">I4s")  # length and type; the content and its CRC follow
 _CRC: Final = struct.Struct(">I")
@@ -35,4 +35,4 @@ def whole_png_size(data: bytes) -> tuple[int, int] | None:
     size = width_and_height(data)
     if kinds[0] != b"IHDR" or b"IDAT" not in kinds or size is None or len(data) - at > PADDING_BYTES:
         return None
-    return size if 0 < size[0] * size[1] <= MOST_PIXELS else None
+    return size if 0 < size[0] * size[1] <= MAX_PIXELS else None

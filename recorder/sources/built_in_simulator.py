@@ -23,7 +23,7 @@ from recorder.log.session_car import built_in, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.import_result import Imported
 from simulator.driving.drive_limits import MAX_LAPS, MAX_SPEED_MPH
-from simulator.driving.recovery_driving import MOST_RECOVERY, DriveStep, drive_for_recording, steps_each
+from simulator.driving.recovery_driving import MAX_RECOVERY, DriveStep, drive_for_recording, steps_each
 from simulator.driving.simulated_driver import DriverName, make_driver
 from simulator.driving.simulation import Simulation
 from simulator.protocol.udacity_writer import UdacityWriter
@@ -195,7 +195,7 @@ def check_drive(drive: SimulatedDrive) -> None:
             f"a number above 0 and up to {MAX_LAPS:,} (a lap takes some 70 MB)",
         ),
         *(("--speed", mph, 0 < mph <= MAX_SPEED_MPH, _SPEED_EXPECTED) for mph in drive.speed),
-        ("--recovery", drive.recovery, 0 <= drive.recovery <= MOST_RECOVERY, f"a share of 0 .. {MOST_RECOVERY:g}"),
+        ("--recovery", drive.recovery, 0 <= drive.recovery <= MAX_RECOVERY, f"a share of 0 .. {MAX_RECOVERY:g}"),
         ("--noise", drive.noise, 0 <= drive.noise < math.inf, "a standard deviation of the steering, 0 or more"),
         ("--seed", drive.seed, drive.seed >= 0, "a whole number from 0 on"),
     ):

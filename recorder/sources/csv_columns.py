@@ -18,7 +18,7 @@ from common.untrusted import open_regular
 from common.whole_number import whole_number
 from recorder.errors import RecordingError
 
-MOST_LINE_CHARACTERS: Final = 100_000
+MAX_LINE_CHARACTERS: Final = 100_000
 _POSITIONS: Final = frozenset(map(str, range(1, 1000)))
 _NUMBERS: Final = ("steering", "throttle", "brake", "speed_mph")
 _TIMES: Final = {"time_s": 1e9, "time_ms": 1e6, "time_us": 1e3, "time_ns": 1.0}
@@ -156,9 +156,9 @@ class CsvColumns:
 
 def _lines(text: io.TextIOWrapper) -> Iterator[str]:
     """Raises csv.Error for a line of which a table has none: it might be a gigabyte."""
-    while line := text.readline(MOST_LINE_CHARACTERS):
-        if len(line) == MOST_LINE_CHARACTERS:
-            raise csv.Error(f"a line of over {MOST_LINE_CHARACTERS:,} characters")
+    while line := text.readline(MAX_LINE_CHARACTERS):
+        if len(line) == MAX_LINE_CHARACTERS:
+            raise csv.Error(f"a line of over {MAX_LINE_CHARACTERS:,} characters")
         yield line
 
 

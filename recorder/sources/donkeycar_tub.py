@@ -30,7 +30,7 @@ TIME_END_NS: Final = 2**63
 
 _CATALOG = re.compile(r"catalog_([0-9]+)\.catalog")
 _RECORD = re.compile(r"record_([0-9]+)\.json")
-_MOST_JSON_BYTES: Final = 1 << 24  # of a file: a catalogue of DonkeyCar's thousand records has 0.3 MB
+_MAX_JSON_BYTES: Final = 1 << 24  # of a file: a catalogue of DonkeyCar's thousand records has 0.3 MB
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ def _files(place: Path, root: Path, skipped: Skipped) -> dict[str, Path]:
 def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
     """The lines that are not empty, numbered from 1 (DonkeyCar ends them with CR LF, on Windows with CR CR LF)."""
     try:
-        lines = read_bounded(path, _MOST_JSON_BYTES).split(b"\n")
+        lines = read_bounded(path, _MAX_JSON_BYTES).split(b"\n")
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
     yield from ((number, line) for number, line in enumerate(lines, start=1) if line.strip())
@@ -195,7 +195,7 @@ def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
 
 def _load(path: Path) -> object:
     try:
-        return _parse(read_bounded(path, _MOST_JSON_BYTES))
+        return _parse(read_bounded(path, _MAX_JSON_BYTES))
     except OSError:
         return None
 

@@ -61,11 +61,11 @@ class PictureScale:
         """Note how long a picture of this size took."""
         self._pictures += 1
         self._mean_s = seconds if self._mean_s is None else 0.9 * self._mean_s + 0.1 * seconds
-        most_s = 1 / EYE_HZ
+        max_s = 1 / EYE_HZ
         larger = SCALES[min(self._at + 1, len(SCALES) - 1)]
-        if self._pictures >= _MIN_SLOW and self._mean_s > _FULL_SHARE * most_s and self._at > 0:
+        if self._pictures >= _MIN_SLOW and self._mean_s > _FULL_SHARE * max_s and self._at > 0:
             self._change(-1)
-        elif self._pictures >= _MIN_FAST and self._mean_s * (larger / self.scale) ** 2 < _ROOM_SHARE * most_s:
+        elif self._pictures >= _MIN_FAST and self._mean_s * (larger / self.scale) ** 2 < _ROOM_SHARE * max_s:
             self._change(+1)
 
     def _change(self, by: int) -> None:

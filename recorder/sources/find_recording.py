@@ -13,8 +13,8 @@ from recorder.sources.lerobot_dataset import is_lerobot
 from recorder.sources.ros2_bag import is_bag
 from recorder.sources.udacity_recording import CSV_NAME
 
-_MOST_FOLDERS: Final = 200  # that are searched: somebody's home may hold anything
-_MOST_SUGGESTED: Final = 3
+_MAX_FOLDERS: Final = 200  # that are searched: somebody's home may hold anything
+_MAX_SUGGESTED: Final = 3
 
 
 def is_udacity(folder: Path) -> bool:
@@ -23,11 +23,11 @@ def is_udacity(folder: Path) -> bool:
 
 def recordings_near(source: Path) -> str:
     """ " did you mean ...?", naming the recordings near `source`; "" without any."""
-    found = list(islice(_search(source), _MOST_SUGGESTED + 1))
+    found = list(islice(_search(source), _MAX_SUGGESTED + 1))
     if not found:
         return ""
-    more = " or another one there" if len(found) > _MOST_SUGGESTED else ""
-    return f" did you mean {' or '.join(map(str, found[:_MOST_SUGGESTED]))}{more}?"
+    more = " or another one there" if len(found) > _MAX_SUGGESTED else ""
+    return f" did you mean {' or '.join(map(str, found[:_MAX_SUGGESTED]))}{more}?"
 
 
 def recordings_in(folder: Path, levels: int = 2) -> list[Path]:
@@ -54,14 +54,14 @@ def _levels_below(folder: Path) -> Iterator[list[Path]]:
     """The folders in a folder, then those in these."""
     folders = [folder]
     for _ in range(2):
-        folders = list(islice((inner for each in folders for inner in folders_in(each)), _MOST_FOLDERS))
+        folders = list(islice((inner for each in folders for inner in folders_in(each)), _MAX_FOLDERS))
         yield folders
 
 
 def _files_in(folder: Path) -> list[Path]:
     """The logs of a folder; without any, its csv if there is only one."""
     try:
-        files = sorted(path for path in islice(folder.iterdir(), 100 * _MOST_FOLDERS) if path.is_file())
+        files = sorted(path for path in islice(folder.iterdir(), 100 * _MAX_FOLDERS) if path.is_file())
     except OSError:
         return []
     tables = [path for path in files if path.suffix.lower() == ".csv"]
@@ -76,7 +76,7 @@ def folders_in(folder: Path) -> list[Path]:
     """The folders in a folder, by name; none where it cannot be read."""
     try:
         with os.scandir(folder) as entries:
-            some = islice(entries, 100 * _MOST_FOLDERS)
+            some = islice(entries, 100 * _MAX_FOLDERS)
             return sorted(path for entry in some if (path := folder / entry.name).is_dir())
     except OSError:
         return []

@@ -6,14 +6,14 @@ from typing import Final
 
 from recorder.errors import RecordingError
 
-LEAST_HZ: Final = 1.0  # farther apart, each row would be a drive of its own
-MOST_HZ: Final = 1000.0
+MIN_HZ: Final = 1.0  # farther apart, each row would be a drive of its own
+MAX_HZ: Final = 1000.0
 
 
 def check_rate(rate_hz: float | None) -> None:
     """Raise RecordingError for a rate that no camera has."""
-    if rate_hz is not None and not LEAST_HZ <= rate_hz <= MOST_HZ:
-        raise RecordingError(f"--rate {rate_hz:g}: give frames a second, {LEAST_HZ:g} to {MOST_HZ:,.0f}")
+    if rate_hz is not None and not MIN_HZ <= rate_hz <= MAX_HZ:
+        raise RecordingError(f"--rate {rate_hz:g}: give frames a second, {MIN_HZ:g} to {MAX_HZ:,.0f}")
 
 
 def describe_clock(rate_hz: float) -> str:

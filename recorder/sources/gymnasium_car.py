@@ -26,7 +26,7 @@ from common.named_function import in_one_line, load_function
 from common.versions import install_line
 from recorder.errors import RecordingError
 from recorder.sources.action_map import ActionMap, CarCommand
-from recorder.sources.frame_rate import LEAST_HZ, MOST_HZ
+from recorder.sources.frame_rate import MAX_HZ, MIN_HZ
 from recorder.sources.gymnasium_flags import GymFlags
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ _JPEG: Final = (
     *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444),  # pictures may be small
 )
 
-LEAST_PX: Final = 16  # a side; smaller ones are no camera's
+MIN_PX: Final = 16  # a side; smaller ones are no camera's
 
 _SPEED: Final = re.compile(r"(?:(-?\d+\.?\d*|\.\d+)\*)?(.+)", re.ASCII)
 
@@ -171,11 +171,9 @@ class GymnasiumCar(Closeable):
     def _check_rate(self) -> None:
         render_fps = self.env.metadata.get("render_fps")
         if self._flags.gym_rate is not None:
-            if not LEAST_HZ <= self._flags.gym_rate <= MOST_HZ:
-                raise UsageError(
-                    f"--gym-rate {self._flags.gym_rate:g}: {LEAST_HZ:g} to {MOST_HZ:,.0f} was expected"
-                )
-        elif not isinstance(render_fps, int | float) or not LEAST_HZ <= render_fps <= MOST_HZ:
+            if not MIN_HZ <= self._flags.gym_rate <= MAX_HZ:
+                raise UsageError(f"--gym-rate {self._flags.gym_rate:g}: {MIN_HZ:g} to {MAX_HZ:,.0f} was expected")
+        elif not isinstance(render_fps, int | float) or not MIN_HZ <= render_fps <= MAX_HZ:
             raise RecordingError(
                 f"--gym {self.name}: its render_fps is {render_fps}: give its steps a second by --gym-rate"
             )
@@ -190,7 +188,7 @@ class GymnasiumCar(Closeable):
             size = picture.shape[:2]
         except (TypeError, KeyError, AttributeError, IndexError):
             size = ()
-        if len(size) != 2 or min(size) < LEAST_PX or picture.dtype != np.uint8:
+        if len(size) != 2 or min(size) < MIN_PX or picture.dtype != np.uint8:
             raise RecordingError(
                 f"--gym {self.name}: step {self._steps} gave no picture, which its spaces promise"
             )
@@ -297,7 +295,7 @@ def _is_picture(space: Any) -> bool:
 
     if not isinstance(space, Box) or space.dtype != np.uint8 or len(space.shape) not in (2, 3):
         return False
-    return min(space.shape[:2]) >= LEAST_PX and (len(space.shape) == 2 or space.shape[2] in (1, 3))
+    return min(space.shape[:2]) >= MIN_PX and (len(space.shape) == 2 or space.shape[2] in (1, 3))
 
 
 def _named(space: Any) -> str:

@@ -24,7 +24,7 @@ from recorder.sources.import_mcap import check_scale
 from recorder.sources.import_result import Imported, SkippedEvents
 from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_rows
 from recorder.sources.picture_folder import PictureFolder
-from recorder.sources.udacity_recording import MOST_CSV_BYTES, MOST_PICTURE_BYTES
+from recorder.sources.udacity_recording import MAX_CSV_BYTES, MAX_PICTURE_BYTES
 
 MISSING: Final = "pictures that a row names and no file has, or several have"
 
@@ -94,8 +94,8 @@ def _csv(source: Path) -> Path:
         source = only[0]
     if not source.is_file():
         raise RecordingError(f"{source}: no such file; give a csv, or the folder that it is in")
-    if source.stat().st_size > MOST_CSV_BYTES:
-        raise RecordingError(f"{source}: larger than {MOST_CSV_BYTES / 1e9:.0f} GB, which no drive writes")
+    if source.stat().st_size > MAX_CSV_BYTES:
+        raise RecordingError(f"{source}: larger than {MAX_CSV_BYTES / 1e9:.0f} GB, which no drive writes")
     return source
 
 
@@ -143,7 +143,7 @@ def _state(row: CsvRow) -> VehicleState:
 
 def _read(path: str) -> bytes | None:
     try:
-        picture = read_bounded(path, MOST_PICTURE_BYTES)
+        picture = read_bounded(path, MAX_PICTURE_BYTES)
     except OSError:
         return None
     return picture if is_whole_picture(picture) else None

@@ -22,7 +22,7 @@ from recorder.sources.donkeycar_tub import TIME_END_NS, Tub, TubRecord, finite, 
 from recorder.sources.frame_rate import check_rate, describe_clock
 from recorder.sources.import_result import Imported, SkippedEvents
 from recorder.sources.imported_rows import ImportedRow, write_rows
-from recorder.sources.udacity_recording import MOST_PICTURE_BYTES
+from recorder.sources.udacity_recording import MAX_PICTURE_BYTES
 
 DEFAULT_RATE_HZ: Final = 20  # of DonkeyCar's loop, unless it is configured otherwise
 
@@ -105,7 +105,7 @@ def _frame(tub: Tub, record: TubRecord, step_ms: float | None, named: set[str]) 
     if is_named_before:  # twice the same, it could be on both sides of a split
         raise _UnusableRecordError("records with the picture of an earlier record")
     try:
-        jpeg = read_bounded(tub.pictures[name], MOST_PICTURE_BYTES)
+        jpeg = read_bounded(tub.pictures[name], MAX_PICTURE_BYTES)
     except OSError:
         raise _UnusableRecordError("records with a picture that cannot be read") from None
     if not is_whole_jpeg(jpeg):

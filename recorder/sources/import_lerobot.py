@@ -32,7 +32,7 @@ from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, w
 from recorder.sources.lerobot_dataset import BATCH_ROWS, LeRobotFolder, open_dataset
 from recorder.sources.lerobot_features import LeRobotFeatures, choose_features
 from recorder.sources.lerobot_videos import CameraVideos
-from recorder.sources.udacity_recording import MOST_PICTURE_BYTES
+from recorder.sources.udacity_recording import MAX_PICTURE_BYTES
 
 APART_NS: Final = 10_000_000_000
 """Between episodes whose dates are unknown: each is a drive of its own."""
@@ -234,7 +234,7 @@ def _state(values: list[float]) -> VehicleState | None:
 
 
 def _is_sound(picture: object) -> bool:
-    return isinstance(picture, bytes) and len(picture) <= MOST_PICTURE_BYTES and is_whole_picture(picture)
+    return isinstance(picture, bytes) and len(picture) <= MAX_PICTURE_BYTES and is_whole_picture(picture)
 
 
 def _skip_missing(dataset: LeRobotFolder, counts: dict[int, int], skipped: Skipped) -> None:

@@ -25,11 +25,10 @@ from common.progress import track
 from common.untrusted import open_regular
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
-from recorder.log.mcap_file import WITHOUT_CRCS
 from recorder.log.reader import Log
 from recorder.log.session_car import Car, metadata_of
-from recorder.log.topics import PROFILE
 from recorder.log.writer import LogWriter
+from recorder.mcap.mcap_file import WITHOUT_CRCS
 from recorder.pictures.decoding import is_whole_picture
 from recorder.sources.import_result import Imported, SkippedEvents
 from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_rows
@@ -43,8 +42,9 @@ from recorder.sources.mcap_messages import (
     picture_in,
 )
 from recorder.sources.ros2_bag import MCAP, SQLITE, SqliteFile, bag_files, is_bag
+from recorder.topics import PROFILE
 
-MOST_STEERING_AGE_S: Final = 1.0
+MAX_STEERING_AGE_S: Final = 1.0
 
 _TIME_END_NS: Final = 2**63
 # magic, then the header's opcode, length, and the length of its profile
@@ -234,8 +234,8 @@ def _rows(
         if at < 0:
             skipped.add("pictures before the first steering", name)
             continue
-        if time_ns - int(steering.time_ns[at]) > MOST_STEERING_AGE_S * 1e9:
-            skipped.add(f"pictures whose last steering is over {MOST_STEERING_AGE_S:g} s old", name)
+        if time_ns - int(steering.time_ns[at]) > MAX_STEERING_AGE_S * 1e9:
+            skipped.add(f"pictures whose last steering is over {MAX_STEERING_AGE_S:g} s old", name)
             continue
         try:
             picture = picture_in(message)

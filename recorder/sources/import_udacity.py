@@ -16,7 +16,7 @@ from recorder.pictures.jpeg import is_whole_jpeg
 from recorder.sources.frame_rate import describe_clock
 from recorder.sources.import_result import Imported, SkippedEvents
 from recorder.sources.udacity_csv import Row
-from recorder.sources.udacity_recording import MOST_PICTURE_BYTES, UdacityRecording
+from recorder.sources.udacity_recording import MAX_PICTURE_BYTES, UdacityRecording
 from simulator.protocol.udacity_writer import CSV_CAMERAS
 
 NOT_WHOLE = "pictures that are not whole JPEG files"
@@ -64,7 +64,7 @@ def udacity_metadata(folder: Path, rate_hz: float | None, car: Car | None) -> di
 def _jpeg(path: str, skipped: Skipped) -> bytes | None:
     name = os.path.basename(path)  # noqa: PTH119  (a Path of each would take longer)
     try:
-        jpeg = read_bounded(path, MOST_PICTURE_BYTES)
+        jpeg = read_bounded(path, MAX_PICTURE_BYTES)
     except OSError:
         skipped.add(UNREADABLE_PICTURES, name)
         return None

@@ -22,8 +22,8 @@ from common.untrusted import open_regular, read_bounded
 from recorder.errors import RecordingError
 from recorder.lerobot.dataset_format import INFO_PATH, VERSION, Feature
 
-MOST_EPISODES: Final = 10_000_000
-MOST_INFO_BYTES: Final = 1 << 24
+MAX_EPISODES: Final = 10_000_000
+MAX_INFO_BYTES: Final = 1 << 24
 BATCH_ROWS: Final = 64
 _CONVERT: Final = "LeRobot converts it: `python -m lerobot.scripts.convert_dataset_v21_to_v30 --repo-id=YOU/NAME`"
 
@@ -103,7 +103,7 @@ def open_dataset(folder: Path) -> LeRobotFolder:
     """Raises RecordingError for what is not a dataset of format v3."""
     path = folder / INFO_PATH
     try:
-        loaded = json.loads(read_bounded(path, MOST_INFO_BYTES))
+        loaded = json.loads(read_bounded(path, MAX_INFO_BYTES))
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError):
@@ -135,7 +135,7 @@ def _dataset(folder: Path, info: dict[str, Any]) -> LeRobotFolder:
         features,
         str(info.get("video_path") or ""),
     )
-    if not (0 < dataset.fps < 10_000 and 0 <= dataset.episodes <= MOST_EPISODES and dataset.frames >= 0):
+    if not (0 < dataset.fps < 10_000 and 0 <= dataset.episodes <= MAX_EPISODES and dataset.frames >= 0):
         raise ValueError("fps, total_episodes or total_frames out of range")
     if any("/" in name or "\\" in name or name in ("", ".", "..") for name in features):
         raise ValueError("a feature with a slash in its name")

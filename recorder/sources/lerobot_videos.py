@@ -16,7 +16,7 @@ from common.errors import printable
 from recorder.errors import RecordingError
 from recorder.lerobot.dataset_format import VIDEO_PATH, FileNumber
 from recorder.lerobot.video_files import require_av
-from recorder.pictures.picture_size import MOST_PIXELS
+from recorder.pictures.picture_size import MAX_PIXELS
 from recorder.sources.lerobot_dataset import LeRobotFolder
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from av.container import InputContainer
 
 JPEG_QUALITY: Final = 95
-_MOST_S: Final = 1e9  # into a video: thirty years
+_MAX_S: Final = 1e9  # into a video: thirty years
 
 
 class CameraVideos(Closeable):
@@ -57,7 +57,7 @@ class CameraVideos(Closeable):
                         raise RecordingError(
                             f"{dataset.root / relative}: not there; download the dataset with its videos"
                         )
-                if not abs(start_s) < _MOST_S:
+                if not abs(start_s) < _MAX_S:
                     raise ValueError(start_s)
                 self._places[int(episode)] = paths[number], float(start_s)
             except (TypeError, ValueError, OverflowError):
@@ -109,7 +109,7 @@ class CameraVideos(Closeable):
         if not self._container.streams.video:
             raise RecordingError(f"{path}: no video in it; download it again")
         stream: Any = self._container.streams.video[0]
-        if not 0 < stream.width * stream.height <= MOST_PIXELS:
+        if not 0 < stream.width * stream.height <= MAX_PIXELS:
             raise RecordingError(
                 f"{path}: a video of {stream.width} x {stream.height} pixels, which no camera gives"
             )

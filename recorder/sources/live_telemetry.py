@@ -17,20 +17,20 @@ from common.progress import StatusLine
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.bad_telemetry import BadTelemetry
-from recorder.log.derived_log import close_with_tags
-from recorder.log.devices import Device, device_value
 from recorder.log.log_time import LogClock
 from recorder.log.meant_gaps import DISCONNECTED, HUMAN_DRIVES, HUMAN_HAS_STOPPED, not_recorded
 from recorder.log.pose_message import pose_message
 from recorder.log.session_car import UDACITY, Car, metadata_of
-from recorder.log.topics import PERSON_METADATA
 from recorder.log.writer import EventLevel, LogWriter
+from recorder.rows.devices import Device, device_value
 from recorder.server.locale_numbers import POINT
 from recorder.server.telemetry import Telemetry, TelemetryError, check_whole_picture, parse_telemetry
 from recorder.server.telemetry_server import NO_TELEMETRY_S, Answer, Steer, TelemetryServer
 from recorder.server.world import WorldNotices
 from recorder.sources.import_result import Imported
 from recorder.sources.listen_settings import ListenSettings
+from recorder.topics import PERSON_METADATA
+from recorder.upkeep.derived_log import close_with_tags
 
 if TYPE_CHECKING:
     from recorder.sources.person_of_telemetry import PersonOfTelemetry

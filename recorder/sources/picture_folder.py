@@ -10,7 +10,7 @@ from typing import Final
 
 from recorder.errors import RecordingError
 
-MOST_FILES: Final = 5_000_000
+MAX_FILES: Final = 5_000_000
 ENDINGS: Final = (".jpg", ".jpeg", ".png")
 _NUMBER: Final = re.compile(r"[0-9]{1,18}")
 
@@ -29,8 +29,8 @@ class PictureFolder:
         self._by_number: dict[int, str | None] = {}
         for within, path in _pictures(root):
             self.paths[within] = path
-            if len(self.paths) > MOST_FILES:
-                raise RecordingError(f"{root}: over {MOST_FILES:,} pictures; give a folder of one recording")
+            if len(self.paths) > MAX_FILES:
+                raise RecordingError(f"{root}: over {MAX_FILES:,} pictures; give a folder of one recording")
             name = within.rpartition("/")[2]
             stem = name.rpartition(".")[0]
             for known in {name, stem}:

@@ -20,10 +20,8 @@ from common.low_latency import prepare_process
 from common.progress import StatusLine
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
-from recorder.log.derived_log import close_with_tags
-from recorder.log.devices import device_value
-from recorder.log.topics import PERSON_METADATA
 from recorder.log.writer import LogWriter
+from recorder.rows.devices import device_value
 from recorder.sources.built_in_simulator import simulation_on, simulator_metadata
 from recorder.sources.eye_pictures import EYE_HZ, EyeMoment, EyePictures, WhenDue
 from recorder.sources.import_result import Imported
@@ -37,6 +35,8 @@ from recorder.teleop.last_rows import LastRows
 from recorder.teleop.recording import Recording
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Request, Wheel
+from recorder.topics import PERSON_METADATA
+from recorder.upkeep.derived_log import close_with_tags
 from simulator.driving.simulation import Simulation
 from simulator.driving.vehicle import STEP_S
 from simulator.rendering.camera import MOUNT_LEFT_M

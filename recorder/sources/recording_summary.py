@@ -12,7 +12,7 @@ from common import Skipped, UserError
 from common.errors import counted, printable
 from common.untrusted import open_regular
 from recorder.errors import RecordingError
-from recorder.sources.csv_columns import MOST_LINE_CHARACTERS
+from recorder.sources.csv_columns import MAX_LINE_CHARACTERS
 from recorder.sources.donkeycar_tub import is_tub, open_tub
 from recorder.sources.find_recording import is_udacity
 from recorder.sources.import_mcap import is_mcap_or_bag, is_own_log, topics_in
@@ -89,8 +89,8 @@ def _udacity(source: Path, skipped: Skipped) -> RecordingSummary:
 def _csv(source: Path) -> RecordingSummary:
     try:
         with open_regular(source) as stream:
-            first = stream.readline(MOST_LINE_CHARACTERS).decode("utf-8-sig", errors="replace")
-            lines = iter(lambda: stream.readline(MOST_LINE_CHARACTERS), b"")
+            first = stream.readline(MAX_LINE_CHARACTERS).decode("utf-8-sig", errors="replace")
+            lines = iter(lambda: stream.readline(MAX_LINE_CHARACTERS), b"")
             count = sum(1 for _ in islice(lines, MAX_COUNTED_ROWS))
         names = next(csv.reader([first], delimiter=max(",;\t", key=first.count)), [])
     except csv.Error as error:

@@ -28,8 +28,8 @@ METADATA: Final = "metadata.yaml"
 MCAP, SQLITE = ".mcap", ".db3"
 
 _READABLE: Final = ("none", "storage", "", "null", "~")  # compression modes: of files, not of messages
-_MOST_METADATA_BYTES: Final = 1 << 22
-_MOST_VALUE_BYTES: Final = 1 << 28  # of a message; SQLite itself takes four times that
+_MAX_METADATA_BYTES: Final = 1 << 22
+_MAX_VALUE_BYTES: Final = 1 << 28  # of a message; SQLite itself takes four times that
 _STEPS_BETWEEN_SIGNALS: Final = 1000  # of SQLite's machine: some of them, of large values, take milliseconds
 
 _SEPARATOR: Final = "=" * 80
@@ -73,7 +73,7 @@ def bag_files(folder: Path, skipped: Skipped) -> list[Path]:
         inside = {
             path.name: path for path in folder.iterdir() if path.is_file() and real_path(path).is_relative_to(root)
         }
-        text = read_bounded(inside[METADATA], _MOST_METADATA_BYTES)
+        text = read_bounded(inside[METADATA], _MAX_METADATA_BYTES)
     except (OSError, KeyError):
         raise RecordingError(f"{folder}: {METADATA} cannot be read; `ros2 bag reindex` writes a new one") from None
     metadata = _parse(folder, text)
@@ -137,7 +137,7 @@ class SqliteFile:
                 # Nothing that the file defines may run: a view could take for ever, and a trigger do more.
                 database.execute("PRAGMA trusted_schema = OFF")
                 database.execute("PRAGMA query_only = ON")
-                database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST_VALUE_BYTES)
+                database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MAX_VALUE_BYTES)
                 # Python hears signals only between its own steps, so SQLite makes one now and then.
                 database.set_progress_handler(lambda: 0, _STEPS_BETWEEN_SIGNALS)
                 self._refuse_views(database)

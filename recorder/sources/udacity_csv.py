@@ -24,7 +24,7 @@ from common import Skipped
 from recorder.errors import RecordingError
 from recorder.sources.frame_rate import check_rate
 
-MOST_LINE_BYTES: Final = 1 << 16  # a longer line is no row of anything
+MAX_LINE_BYTES: Final = 1 << 16  # a longer line is no row of anything
 
 # Spaces and quotes before a path are stripped later: matched here as well, a line of spaces would take for ever.
 _PATH = r'(.*?\.jpe?g)"?\s*,'
@@ -85,9 +85,9 @@ class RowReader:
 
         Raises RecordingError if the names of the first row's pictures hold their time, but a rate was given.
         """
-        if len(content) > MOST_LINE_BYTES:
+        if len(content) > MAX_LINE_BYTES:
             self._position += 1
-            self._skipped.add(f"rows with more than {MOST_LINE_BYTES:,} bytes", f"line {line}")
+            self._skipped.add(f"rows with more than {MAX_LINE_BYTES:,} bytes", f"line {line}")
             return None
         # Foreign encodings do not matter: what counts of a path is the file's name, and undecodable bytes in that
         # are kept as the file system keeps them.

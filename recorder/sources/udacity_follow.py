@@ -29,8 +29,8 @@ from recorder.sources.find_recording import is_udacity, recordings_near
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.import_result import Imported, SkippedEvents
 from recorder.sources.import_udacity import NOT_WHOLE, UNREADABLE_PICTURES, udacity_metadata, vehicle_state
-from recorder.sources.udacity_csv import MOST_LINE_BYTES, RowReader
-from recorder.sources.udacity_recording import CSV_NAME, MOST_PICTURE_BYTES, PictureFiles, check_csv
+from recorder.sources.udacity_csv import MAX_LINE_BYTES, RowReader
+from recorder.sources.udacity_recording import CSV_NAME, MAX_PICTURE_BYTES, PictureFiles, check_csv
 from simulator.protocol.udacity_writer import CSV_CAMERAS
 
 POLL_S: Final = 0.25
@@ -96,7 +96,7 @@ class CsvTail(FileTail):
     time; those within one file are, as often as they are in it."""
 
     def __init__(self, path: Path) -> None:
-        super().__init__(path, MOST_LINE_BYTES)
+        super().__init__(path, MAX_LINE_BYTES)
         self._lines = set[int]()  # hashes: a day's drive has hundreds of thousands of lines
         self._earlier_lines = set[int]()
 
@@ -268,7 +268,7 @@ class _GrowingRecording:
         if not os.path.isfile(path) or not self._files.is_inside(path):  # noqa: PTH113
             return None
         try:
-            return read_bounded(path, MOST_PICTURE_BYTES)
+            return read_bounded(path, MAX_PICTURE_BYTES)
         except OSError:
             return None
 

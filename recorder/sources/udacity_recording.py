@@ -16,11 +16,11 @@ from common import Skipped
 from common.text_lines import LineSplitter
 from common.untrusted import open_regular
 from recorder.errors import RecordingError
-from recorder.sources.udacity_csv import MOST_LINE_BYTES, Row, RowReader
+from recorder.sources.udacity_csv import MAX_LINE_BYTES, Row, RowReader
 
 CSV_NAME: Final = "driving_log.csv"
-MOST_CSV_BYTES: Final = 1 << 30  # 200 hours of driving
-MOST_PICTURE_BYTES: Final = 1 << 26
+MAX_CSV_BYTES: Final = 1 << 30  # 200 hours of driving
+MAX_PICTURE_BYTES: Final = 1 << 26
 MISSING = "pictures that a row names but no folder has"
 WITHOUT_ROW = "pictures without a row"
 LINKS = "pictures that are links out of the recording"
@@ -167,7 +167,7 @@ class UdacityRecording:
             self._files.skip_without_row(self._reader.named)
 
     def _lines(self) -> Iterator[bytes]:
-        splitter = LineSplitter(MOST_LINE_BYTES)
+        splitter = LineSplitter(MAX_LINE_BYTES)
         with _readable(self.csv), open_regular(self.csv) as stream:
             while block := stream.read(_BLOCK_BYTES):
                 yield from splitter.feed(block)
@@ -191,5 +191,5 @@ def check_csv(folder: Path) -> None:
         raise RecordingError(
             f"{csv}: a link out of the recording, which is not followed; give a folder of its own"
         )
-    if csv.stat().st_size > MOST_CSV_BYTES:
-        raise RecordingError(f"{csv}: larger than {MOST_CSV_BYTES / 1e9:.0f} GB, which no drive writes")
+    if csv.stat().st_size > MAX_CSV_BYTES:
+        raise RecordingError(f"{csv}: larger than {MAX_CSV_BYTES / 1e9:.0f} GB, which no drive writes")

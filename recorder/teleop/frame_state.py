@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from recorder.log.devices import Device
+from recorder.rows.devices import Device
 from recorder.teleop.seat import Control
 from simulator.driving.vehicle import CarState
 from simulator.pose import Pose

@@ -6,7 +6,7 @@ from typing import Annotated, Final
 
 import msgspec
 
-from recorder.log.devices import Device
+from recorder.rows.devices import Device
 
 MAX_MESSAGE_BYTES: Final = 4096
 MAX_HOLD_MPH: Final = 200.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Final
 
-from recorder.log.devices import Device
+from recorder.rows.devices import Device
 from recorder.teleop.messages import ControlMessage
 
 ABSENT_S: Final = 1.0

@@ -91,17 +91,17 @@ def throttle_for(course: Course, speed_mps: float) -> float:
     return min(1.0, max(-1.0, force / (THROTTLE_MPS2 if force > 0 else BRAKE_MPS2)))
 
 
-def plan_speed(line: Centreline, most_mps: float) -> Floats:
+def plan_speed(line: Centreline, max_mps: float) -> Floats:
     """(N,) m/s: the speed at each point of the line from which every bend ahead is still met slowly enough.
 
     In a bend v² = a / curvature; before it v² may be higher by twice the braking times the distance.
     """
     span = 2 * round(_CURVATURE_SPAN_M / line.step_m / 2) + 1
     curvature = np.mean([np.roll(line.curvature_per_m, k - span // 2) for k in range(span)], axis=0)
-    allowed: Floats = np.minimum(most_mps * most_mps, BEND_MPS2 / np.maximum(np.abs(curvature), 1e-6))
+    allowed: Floats = np.minimum(max_mps * max_mps, BEND_MPS2 / np.maximum(np.abs(curvature), 1e-6))
     gain = 2.0 * SLOW_DOWN_MPS2 * line.step_m
     planned = allowed.copy()
-    for k in range(1, math.ceil(min(len(allowed), most_mps * most_mps / gain))):  # a lap later it is the same bend
+    for k in range(1, math.ceil(min(len(allowed), max_mps * max_mps / gain))):  # a lap later it is the same bend
         planned = np.minimum(planned, np.roll(allowed, -k) + k * gain)
     speed: Floats = np.sqrt(planned)
     return speed

@@ -26,7 +26,7 @@ MAX_TURN_RAD = math.radians(25.0)
 _REACTION_S = 1.0
 _ROOM = 0.9  # of the half width
 
-MOST_RECOVERY = 0.9  # share of the rows
+MAX_RECOVERY = 0.9  # share of the rows
 
 # Back on the line: this near and this well aligned (the middle of a car is 6 degrees askew in a bend of 12 m
 # even when its rear axle is not), or after this time.
@@ -67,8 +67,8 @@ def drive_for_recording(
     The driver steers at 50 Hz; ``rate_hz`` must divide that.
     """
     steps = steps_each(rate_hz)
-    if not 0.0 <= recovery_share <= MOST_RECOVERY:
-        raise ValueError(f"recovery_share must be within 0 .. {MOST_RECOVERY:g}, not {recovery_share:g}")
+    if not 0.0 <= recovery_share <= MAX_RECOVERY:
+        raise ValueError(f"recovery_share must be within 0 .. {MAX_RECOVERY:g}, not {recovery_share:g}")
     if laps <= 0:
         raise ValueError(f"laps must be above 0, not {laps:g}")
     return _drive(course, driver, laps * course.line.length_m, steps, recovery_share, seed)

@@ -30,8 +30,6 @@ from mcap_patch import patched
 from other_logs import CAMERA, ROS_TOPICS, write_bag
 from recorder import Log, LogError, RecordingError, import_udacity
 from recorder.bc_pb2 import VehicleState
-from recorder.log.edit import trim
-from recorder.log.recover import recover
 from recorder.pictures.decoding import decodes
 from recorder.sources.bounded_yaml import yaml_content
 from recorder.sources.import_donkeycar import import_tub
@@ -39,6 +37,8 @@ from recorder.sources.import_mcap import import_mcap
 from recorder.sources.mcap_messages import decoder_for
 from recorder.sources.udacity_follow import watch_udacity
 from recorder.sources.udacity_recording import UdacityRecording
+from recorder.upkeep.edit import trim
+from recorder.upkeep.recover import recover
 from tubs import record_1, record_2, write_tub_1, write_tub_2
 from udacity import jpeg, make_recording, paths, picture_name
 from waiting import PATIENCE_S, wait_until
@@ -278,7 +278,7 @@ def write_packed(path: Path, messages: int, padding: bytes = b"") -> Path:
     return path
 
 
-def run_with_memory(most_bytes: int, *arguments: object) -> subprocess.CompletedProcess[str]:
+def run_with_memory(max_bytes: int, *arguments: object) -> subprocess.CompletedProcess[str]:
     """`bc-log` in a process that may take so much memory."""
     return subprocess.run(
         command("bc-log", *arguments),
@@ -287,7 +287,7 @@ def run_with_memory(most_bytes: int, *arguments: object) -> subprocess.Completed
         text=True,
         timeout=PATIENCE_S,
         check=False,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_DATA, (most_bytes, most_bytes)),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_DATA, (max_bytes, max_bytes)),
     )
 
 

@@ -124,7 +124,7 @@ def test_crops_on_the_device_are_without_them_too(index: Path) -> None:
 def test_pictures_of_a_damaged_chunk_are_left_out_and_named_and_no_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, layout: str
 ) -> None:
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 20_000)
+    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 20_000)
     log = write_log(tmp_path / "lake.mcap", STEERING, picture)
     if layout == "of an earlier version":
         write_as_before(log, tmp_path / "before.mcap", 20_000).replace(log)

@@ -13,8 +13,8 @@ from dataset import build_index
 from logs import START_NS, STEP_NS
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.log_info import describe
 from recorder.log.writer import LogWriter
+from recorder.upkeep.log_info import describe
 
 Devices = list["VehicleState.Device"]
 

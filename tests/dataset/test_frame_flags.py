@@ -17,7 +17,7 @@ from common.car import CAMERAS, Camera
 from dataset import DatasetError
 from dataset.frames.frame_flags import FRAME_FLAGS, ImageFindings, Paired, frame_flags, is_unusable
 from dataset.index.quality_report import FlaggedFrames, find_flagged_frames, print_quality_report
-from recorder.log.row_quality import States
+from recorder.rows.row_quality import States
 
 STEP_NS = 100_000_000
 START_NS = int(datetime(2024, 7, 13, 14, 30, 16, tzinfo=UTC).timestamp()) * 10**9

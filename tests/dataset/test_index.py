@@ -24,7 +24,7 @@ from dataset.steering_bins import bin_of
 from logs import STEP_NS, plain_read, write_log
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.row_quality import drive_numbers
+from recorder.rows.row_quality import drive_numbers
 from udacity import call
 
 STEERING = [0.0] * 150 + [round(0.9 * np.sin(i / 7), 3) for i in range(150)]  # straight on, then bends: 30 s

@@ -19,9 +19,9 @@ from layouts import Layout, mixed, two_kinds
 from logs import START_NS, STEP_NS, write_log
 from places import Place
 from recorder import Log
-from recorder.log.edit import merge, trim
-from recorder.log.recover import recover
 from recorder.log.tags import Tag, add_tag, remove_tag
+from recorder.upkeep.edit import merge, trim
+from recorder.upkeep.recover import recover
 from udacity import call, jpeg
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(120)]  # 12 s
@@ -125,7 +125,7 @@ def test_an_unfinished_log_is_indexed_as_far_as_it_goes_and_said_so(
     layout: Layout,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 1000)  # rows are written every few of them
+    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 1000)  # rows are written every few of them
     whole = layout(write_log(tmp_path / "whole.mcap", STEERING, picture))
     (tmp_path / "sessions").mkdir()
     cut = tmp_path / "sessions" / "lake.mcap"

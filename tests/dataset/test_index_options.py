@@ -29,8 +29,8 @@ from layouts import write_as_before
 from logs import write_log
 from plain_mcap import contents
 from recorder import Log
-from recorder.log.edit import rewrite
 from recorder.log.tags import Tag, add_tag
+from recorder.upkeep.edit import rewrite
 from udacity import call
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s
@@ -303,7 +303,7 @@ def test_a_rewritten_log_that_the_version_before_took_for_another_gets_its_tags(
     with Log(old) as log:
         add_tag(old, log.fingerprint, Tag(10, 20, "exclude"))
     new = rewrite(old, tmp_path / "b.mcap").path
-    monkeypatch.setattr("recorder.log.topics.REWRITTEN_METADATA", "not known to the version before")
+    monkeypatch.setattr("recorder.topics.REWRITTEN_METADATA", "not known to the version before")
     assert 15 in build_index([new], tmp_path / "index").samples["row"].to_pylist()
     as_left_by_the_version_before(tmp_path / "index")
     monkeypatch.undo()

@@ -12,8 +12,8 @@ import pytest
 from dataset.cli import main
 from panorama import views, write_drive
 from recorder import Log
-from recorder.log import steering_lag
-from recorder.log.steering_habits import SteeringLag
+from recorder.rows.steering_habits import SteeringLag
+from recorder.seen import steering_lag
 from udacity import call
 
 ROWS = 660  # over a minute: of less, no lag is measured

@@ -24,8 +24,8 @@ from driving import Process
 from logs import write_log
 from recorder import Log, LogError, LogWriter, Pictures
 from recorder.bc_pb2 import VehicleState
-from recorder.log.row_quality import States
 from recorder.log.tags import Tag, add_tag
+from recorder.rows.row_quality import States
 from udacity import call, jpeg
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s

@@ -25,7 +25,7 @@ from disk import files_of_at_most
 from layouts import Layout, mixed, two_kinds
 from logs import write_log
 from recorder import Log, LogError
-from recorder.log.recover import recover
+from recorder.upkeep.recover import recover
 from udacity import call, jpeg
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(40)]  # 4 s

@@ -22,7 +22,7 @@ from dataset.parquet_file import write_table
 from dataset.samples.samples_writer import write_samples
 from dataset.steering_bins import bin_of
 from recorder import Pictures
-from recorder.log.row_quality import States
+from recorder.rows.row_quality import States
 
 STEP_NS = 100_000_000
 

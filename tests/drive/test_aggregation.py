@@ -33,7 +33,7 @@ from places import as_bucket
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.session_car import Car, stored_car
-from recorder.log.topics import DRIVE_METADATA
+from recorder.topics import DRIVE_METADATA
 from serving import ModernClient, fields
 from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
 from udacity import call

@@ -47,8 +47,8 @@ from model import load_pilot
 from ports import free_ports
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.recover import recover, recovered_name
 from recorder.server.telemetry import MAX_IMAGE_BYTES
+from recorder.upkeep.recover import recover, recovered_name
 from rrd import contents
 from serving import ModernClient
 from simulator.protocol.client import (

@@ -29,13 +29,13 @@ from logs import read_messages
 from plain_mcap import contents
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand
-from recorder.log.bad_telemetry import MOST_OF_EACH
-from recorder.log.check import check
+from recorder.log.bad_telemetry import MAX_OF_EACH
 from recorder.log.log_time import LogClock
-from recorder.log.recover import recover
 from recorder.server.eventlet_host import EventletHost
 from recorder.server.telemetry import Telemetry
 from recorder.server.world import World
+from recorder.upkeep.check import check
+from recorder.upkeep.recover import recover
 from repository import HELPERS, ROOT
 from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
 from waiting import wait_until
@@ -284,12 +284,12 @@ def test_ten_thousand_bad_telemetries_do_not_fill_the_log_but_are_all_counted(tm
         for number in range(1_000):  # of a kind, each with its own number
             log.decision(replace(BAD, problem=f"image is cut off ({number} bytes)", kind="image is cut off"), 0.1)
     events = events_of(path)
-    assert len(events) == 4 * (MOST_OF_EACH + 1)
-    assert f"bad telemetry: image is cut off ({MOST_OF_EACH - 1} bytes)" in events
-    assert f"bad telemetry: image is cut off ({1000 - MOST_OF_EACH:,} more)" in events
+    assert len(events) == 4 * (MAX_OF_EACH + 1)
+    assert f"bad telemetry: image is cut off ({MAX_OF_EACH - 1} bytes)" in events
+    assert f"bad telemetry: image is cut off ({1000 - MAX_OF_EACH:,} more)" in events
     for reason in reasons:
-        assert events.count(f"bad telemetry: {reason}") == MOST_OF_EACH
-        assert f"bad telemetry: {reason} ({3000 - MOST_OF_EACH:,} more)" in events
+        assert events.count(f"bad telemetry: {reason}") == MAX_OF_EACH
+        assert f"bad telemetry: {reason} ({3000 - MAX_OF_EACH:,} more)" in events
     more = sum(int(event.rpartition("(")[2].split()[0].replace(",", "")) for event in events if "more)" in event)
     assert more + sum("more)" not in event for event in events) == 10_000
     assert log.frames == 0

@@ -20,8 +20,9 @@ from driving import road_jpeg, untrained_run
 from model import load_pilot
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
-from recorder.log.devices import DEVICES, device_numbers
+from recorder.log.row_devices import device_numbers
 from recorder.log.tags import Tag, read_tags
+from recorder.rows.devices import DEVICES
 from recorder.server.telemetry_server import Steer
 from recorder.teleop.wheel import Wheel
 from waiting import wait_until

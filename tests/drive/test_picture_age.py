@@ -16,7 +16,7 @@ import pytest
 import aged_simulator
 from driving import Process, command_after, untrained_run
 from recorder import Log
-from recorder.log.topics import DRIVE_METADATA
+from recorder.topics import DRIVE_METADATA
 from repository import ROOT
 
 TIMES = 20

@@ -13,7 +13,7 @@ from common.car import CAMERAS, Camera
 from dataset import IndexConfig, build_index
 from driving import PATIENCE_S, DriveProcess, Process, command, road_jpeg, untrained_run
 from logs import read_messages
-from recorder.log.check import check
+from recorder.upkeep.check import check
 from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
 
 ROWS, CUT_OFF = 30, 7

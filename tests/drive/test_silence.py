@@ -16,7 +16,7 @@ from driving import untrained_run
 from logs import read_messages
 from model import load_pilot
 from recorder import Log
-from recorder.log.topics import DRIVE_METADATA
+from recorder.topics import DRIVE_METADATA
 from serving import fields
 
 TICK_S = 0.125

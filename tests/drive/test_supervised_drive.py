@@ -14,8 +14,8 @@ import pytest
 from drive.at_wheel import PUT_BACK
 from driving import Process, command, untrained_run
 from recorder import Log
-from recorder.log.topics import DRIVE_METADATA
 from recorder.teleop.open_wheels import open_wheels
+from recorder.topics import DRIVE_METADATA
 from waiting import wait_until
 from wheel_page import Shown, WheelPage
 

@@ -17,7 +17,7 @@ from common.location import Url
 from faulty_proxy import Answer as Answer
 from faulty_proxy import FaultyProxy, serving
 from places import KEYS, Handler
-from recorder.log import copy_log
+from recorder.upkeep import copy_log
 
 
 class Bucket(FaultyProxy):

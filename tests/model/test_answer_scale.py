@@ -22,7 +22,7 @@ from logs import write_log
 from model import RunError, evaluate, load_pilot, train
 from model.network.small import SmallNetwork
 from model.onnx_export import export_onnx
-from model.runs.answer_scale import LEAST_SCALE, MOST_CURVE, MOST_SCALE, AnswerScale
+from model.runs.answer_scale import MAX_CURVE, MAX_SCALE, MIN_SCALE, AnswerScale
 from model.runs.checksums import save_checksummed
 from model.runs.history import read_history
 from model.runs.run_folder import load_answer_scale
@@ -74,12 +74,12 @@ def test_nothing_to_fit_by_leaves_what_was_learnt(learnt: NDArray[np.float64]) -
 @pytest.mark.parametrize(
     ("scale", "curve", "found"),
     [
-        (-3, 0, (LEAST_SCALE, 0)),
-        (0, 0, (LEAST_SCALE, 0)),
-        (9, 0, (MOST_SCALE, MOST_CURVE)),
+        (-3, 0, (MIN_SCALE, 0)),
+        (0, 0, (MIN_SCALE, 0)),
+        (9, 0, (MAX_SCALE, MAX_CURVE)),
         (0.5, -1, (None, 0)),
-        (-0.2, 1.0, (LEAST_SCALE, None)),
-        (0.5, 9, (None, MOST_CURVE)),
+        (-0.2, 1.0, (MIN_SCALE, None)),
+        (0.5, 9, (None, MAX_CURVE)),
     ],
 )
 def test_within_bounds_nothing_fits_better(
@@ -93,8 +93,8 @@ def test_within_bounds_nothing_fits_better(
         assert expected is None or value == expected
     tried = [
         float(np.square(steering - AnswerScale(a, 0, b).natural(learnt)).sum())
-        for a in np.linspace(LEAST_SCALE, MOST_SCALE, 39)
-        for b in np.linspace(0, MOST_CURVE, 41)
+        for a in np.linspace(MIN_SCALE, MAX_SCALE, 39)
+        for b in np.linspace(0, MAX_CURVE, 41)
     ]
     assert np.square(steering - fit.natural(learnt)).sum() <= min(tried) + 1e-12
 

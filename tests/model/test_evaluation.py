@@ -29,7 +29,7 @@ from model import load_pilot, train
 from model.evaluation.evaluate import evaluate, evaluate_sessions
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.edit import rewrite
+from recorder.upkeep.edit import rewrite
 from toy import SMALL, STEERING, road
 from udacity import call
 

@@ -22,9 +22,9 @@ from model.evaluation.recorded_drive import drive_recording
 from painted_road import render
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.edit import merge
 from recorder.log.session_car import UDACITY
 from recorder.log.tags import Tag, add_tag
+from recorder.upkeep.edit import merge
 from udacity import call
 
 MPH = 0.44704  # metres a second

@@ -29,7 +29,7 @@ from model import Epoch, RunError, TrainConfig, find_run, train
 from model.cli import main
 from model.network.choice import choose_network
 from model.runs.training_progress import Step
-from recorder.log.edit import rewrite
+from recorder.upkeep.edit import rewrite
 from repository import HELPERS
 from toy import STEERING, TINY, road, toy_index
 from udacity import call

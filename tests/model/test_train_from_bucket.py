@@ -21,7 +21,7 @@ from disk import files_of_at_most
 from logs import write_log
 from model.evaluation.evaluate import evaluate
 from model.training.trainer import train
-from recorder.log.chunk_cache import ChunkCache
+from recorder.mcap.chunk_cache import ChunkCache
 from toy import SMALL, STEERING, road
 
 pytestmark = pytest.mark.usefixtures("without_figures")

@@ -116,7 +116,7 @@ def test_a_run_that_goes_on_has_each_epoch_once(tmp_path: Path) -> None:
 
 def test_of_a_very_long_training_the_last_epochs_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`read_history` takes no file of any size."""
-    monkeypatch.setattr("model.training.run_writer.MOST_WORST_BYTES", 10_000)
+    monkeypatch.setattr("model.training.run_writer.MAX_WORST_BYTES", 10_000)
     config = replace(SMALL, epochs=6, batch=16)
     train(toy_index(tmp_path), tmp_path / "run", config, figures=False, show_progress=False)
     history, skipped = read_history(tmp_path / "run")

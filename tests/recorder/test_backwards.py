@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from recorder.log.odd_stretches import odd_stretches
-from recorder.log.row_quality import States, row_flags
+from recorder.rows.odd_stretches import odd_stretches
+from recorder.rows.row_quality import States, row_flags
 from simulator.driving.course import Course
 from simulator.driving.expert import Expert
 from simulator.roads.track import load_track

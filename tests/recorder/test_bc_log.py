@@ -25,10 +25,10 @@ from places import Place
 from plain_mcap import contents
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.check import check, is_whole
-from recorder.log.check_contents import Finding
 from recorder.log.session_car import built_in, metadata_of
 from recorder.log_cli import main
+from recorder.upkeep.check import check, is_whole
+from recorder.upkeep.check_contents import Finding
 from udacity import call, jpeg
 
 LAYOUTS = pytest.mark.parametrize("layout", [two_kinds, mixed])
@@ -241,7 +241,7 @@ def test_info_of_an_unfinished_log_says_so(
     capsys: pytest.CaptureFixture[str],
     layout: Layout,
 ) -> None:
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 1000)
+    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 1000)
     path = layout(write_log(tmp_path / "a.mcap", [0.1] * 40, lambda camera, row: bytes(20_000)))
     os.truncate(path, path.stat().st_size // 2)
     assert call(main, "info", place(path)) == 3

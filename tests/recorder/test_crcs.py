@@ -28,12 +28,12 @@ from plain_mcap import by_topic, contents, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.cli import main as bc_record
-from recorder.log.check import check, is_whole
-from recorder.log.edit import merge, split, trim, trim_times
-from recorder.log.log_info import describe
-from recorder.log.recover import recover
-from recorder.log.topics import ROW_TOPICS
 from recorder.log_cli import main as bc_log
+from recorder.topics import ROW_TOPICS
+from recorder.upkeep.check import check, is_whole
+from recorder.upkeep.edit import merge, split, trim, trim_times
+from recorder.upkeep.log_info import describe
+from recorder.upkeep.recover import recover
 from udacity import call, jpeg
 from viz.cli import main as bc_play
 
@@ -87,7 +87,7 @@ def damaged(request: pytest.FixtureRequest) -> str:
 @pytest.fixture
 def forged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damaged: str) -> Path:
     """Forty rows in chunks of a few pictures, or of all rows; one of them has no CRC, and a wrong bit."""
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 20_000)
+    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 20_000)
     path = forty_rows(tmp_path / "a.mcap")
     if damaged == "mixed":
         mixed(path, 20_000)

@@ -31,11 +31,11 @@ from logs import write_log
 from plain_mcap import Contents, Stored, contents, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.check import check
-from recorder.log.compression import unpack
-from recorder.log.derived_log import LAST_ROW
-from recorder.log.recover import recover
-from recorder.log.topics import VEHICLE
+from recorder.mcap.compression import unpack
+from recorder.topics import VEHICLE
+from recorder.upkeep.check import check
+from recorder.upkeep.derived_log import LAST_ROW
+from recorder.upkeep.recover import recover
 
 MAGIC_BYTES = 8
 MASKS = (0xFF, 0x01)
@@ -47,7 +47,7 @@ Given = tuple[str, int, int, object]  # camera or "vehicle", row, log time, what
 @pytest.fixture(params=["two kinds", "mixed"])
 def layout(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Layout:
     """Logs have chunks of 400 bytes, of either layout."""
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 400)
+    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 400)
     return two_kinds if request.param == "two kinds" else partial(mixed, chunk_bytes=400)
 
 
@@ -415,7 +415,7 @@ def test_a_chunk_that_is_there_twice_is_taken_once(whole: Path, is_killed: bool)
 
 def test_the_same_events_may_be_there_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They have no row: who merges a log with itself has them twice."""
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 10)
+    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 10)
     path = tmp_path / "a.mcap"
     with LogWriter(path, {}) as writer:
         for _ in range(3):
@@ -429,7 +429,7 @@ def test_the_same_events_may_be_there_twice(tmp_path: Path, monkeypatch: pytest.
 def test_where_rows_are_numbered_twice_chunks_stay_where_they_are(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 400)
+    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 400)
     path = tmp_path / "a.mcap"
     with LogWriter(path, {}) as writer:
         for number in range(20):
@@ -555,7 +555,7 @@ def sizes_unpacked(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         sizes.append(size)
         return unpack(stored, compression, size)
 
-    monkeypatch.setattr("recorder.log.mcap_file.unpack", counting)
+    monkeypatch.setattr("recorder.mcap.mcap_file.unpack", counting)
     return sizes
 
 
@@ -572,7 +572,7 @@ def test_a_file_full_of_bombs_is_given_up(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_a_file_full_of_bombs_whose_crcs_hold_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A megabyte of them would unpack to gigabytes."""
-    monkeypatch.setattr("recorder.log.mcap_file.MAX_CHUNK_BYTES", 1 << 22)
+    monkeypatch.setattr("recorder.mcap.mcap_file.MAX_CHUNK_BYTES", 1 << 22)
     message = struct.pack("<BQHIQQ", 5, 22 + (1 << 21), 1, 0, 5, 5) + bytes(1 << 21)
     bomb = chunk(message, size=len(message), compression=b"zstd", stored=zstandard.compress(message))
     path = unfinished(tmp_path / "a.mcap", *[bomb] * 300)
@@ -588,7 +588,7 @@ def test_a_chunk_of_more_records_than_its_file_can_hold_is_given_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, opcode: int
 ) -> None:
     """Records without content, or messages without any: unpacked, each takes Python's time."""
-    monkeypatch.setattr("recorder.log.mcap_file.FREE_MESSAGES", 1 << 10)
+    monkeypatch.setattr("recorder.mcap.mcap_file.FREE_MESSAGES", 1 << 10)
     content = struct.pack("<HIQQ", 1, 0, 5, 5) if opcode == 5 else b""
     records = (struct.pack("<BQ", opcode, len(content)) + content) * (1 << 14)
     bomb = chunk(records, size=len(records), compression=b"zstd", stored=zstandard.compress(records))

@@ -25,11 +25,11 @@ from logs import START_NS, STEP_NS, not_a_picture, write_log
 from plain_mcap import Contents, Stored, by_topic, contents, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.check import check
-from recorder.log.edit import check_rows, merge, rows_between, split, trim, trim_times
-from recorder.log.recover import recover
 from recorder.log.tags import Tag, add_tag, read_tags, tags_path
-from recorder.log.topics import ROW_TOPICS
+from recorder.topics import ROW_TOPICS
+from recorder.upkeep.check import check
+from recorder.upkeep.edit import check_rows, merge, rows_between, split, trim, trim_times
+from recorder.upkeep.recover import recover
 from udacity import jpeg
 from waiting import PATIENCE_S
 
@@ -94,7 +94,7 @@ pose is kept."""
 @pytest.fixture(autouse=True, params=["two kinds", "mixed"])
 def layout(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The layout of logs that are edited; those that are written have the one of today."""
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", CHUNK_BYTES)
+    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", CHUNK_BYTES)
     if request.param == "mixed":
         monkeypatch.setattr(f"{__name__}.laid_out", partial(mixed, chunk_bytes=CHUNK_BYTES))
     name: str = request.param

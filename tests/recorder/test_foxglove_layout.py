@@ -18,9 +18,9 @@ from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
 from common.car import CAMERAS
+from recorder import topics
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log import topics
-from recorder.log.topics import camera_topic
+from recorder.topics import camera_topic
 from repository import ROOT
 
 LAYOUT = ROOT / "docs" / "foxglove-layout.json"

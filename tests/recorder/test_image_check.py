@@ -23,8 +23,8 @@ from dataset.frames.image_check_cache import check_all_images, check_images, rea
 from logs import START_NS, STEP_NS
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.check import check
 from recorder.pictures.image_check import ImageCheck
+from recorder.upkeep.check import check
 from udacity import jpeg
 
 WHOLE = [jpeg(100 + number, number + 1) for number in range(20)]

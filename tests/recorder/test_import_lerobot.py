@@ -23,12 +23,12 @@ from recorder import Imported, Log, LogError, LogWriter, RecordingError
 from recorder.bc_pb2 import VehicleState
 from recorder.cli import main as bc_record
 from recorder.lerobot.export import export_lerobot
-from recorder.log.check import check
-from recorder.log.log_info import describe
 from recorder.log.meant_gaps import not_recorded
-from recorder.log.row_quality import drive_numbers
 from recorder.log.session_car import Car, metadata_of, stored_car
+from recorder.rows.row_quality import drive_numbers
 from recorder.sources.import_lerobot import import_lerobot
+from recorder.upkeep.check import check
+from recorder.upkeep.log_info import describe
 from udacity import call
 
 FRONT = "observation.images.front"

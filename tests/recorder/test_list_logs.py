@@ -14,11 +14,11 @@ from common.car import Camera
 from logs import START_NS, STEP_NS, write_log
 from recorder import Log
 from recorder.bc_pb2 import VehicleState
-from recorder.log import copy_log
-from recorder.log.log_info import describe
 from recorder.log.writer import LogWriter
 from recorder.log_cli import main
 from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
+from recorder.upkeep import copy_log
+from recorder.upkeep.log_info import describe
 from udacity import call, jpeg
 
 DAY_NS = 24 * 3600 * 10**9

@@ -27,9 +27,9 @@ from driving import PATIENCE_S, Process, road_jpeg
 from logs import START_NS, read_messages
 from recorder import Imported, LogWriter, RecordingError
 from recorder.errors import ListenError
-from recorder.log.check import check
 from recorder.sources.listen_settings import ListenSettings
 from recorder.sources.live_telemetry import listen_for_telemetry
+from recorder.upkeep.check import check
 from serving import ModernClient
 from simulator.protocol.client import (
     ServerCommand,

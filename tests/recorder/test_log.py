@@ -32,7 +32,7 @@ from places import Place
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log import writer as writing
-from recorder.log.topics import camera_topic
+from recorder.topics import camera_topic
 from udacity import jpeg
 
 

@@ -26,9 +26,7 @@ from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
 from recorder import Log, LogWriter, import_udacity
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.lerobot.export import export_lerobot
-from recorder.log.edit import merge, rewrite, split, trim
 from recorder.log.meant_gaps import not_recorded
-from recorder.log.recover import recover
 from recorder.log.tags import Tag, read_tags
 from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
 from recorder.sources.gymnasium_flags import GymFlags
@@ -37,6 +35,8 @@ from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.import_lerobot import import_lerobot
 from recorder.sources.import_mcap import import_mcap
 from recorder.sources.record_gymnasium import GymRecording, record_gymnasium
+from recorder.upkeep.edit import merge, rewrite, split, trim
+from recorder.upkeep.recover import recover
 from repository import ROOT
 from tubs import record_1, record_2, write_tub_1, write_tub_2
 from udacity import jpeg as one_picture

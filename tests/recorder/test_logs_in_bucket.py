@@ -29,11 +29,11 @@ from long_log import lengthened
 from mcap_patch import patched
 from recorder import Log, LogError
 from recorder.cli import main as bc_record
-from recorder.log.check import check
-from recorder.log.copy_log import copy_log
-from recorder.log.log_info import describe
 from recorder.log.tags import Tag, add_tag
 from recorder.log_cli import main
+from recorder.upkeep.check import check
+from recorder.upkeep.copy_log import copy_log
+from recorder.upkeep.log_info import describe
 from udacity import call, jpeg
 
 ROWS = 40

@@ -16,10 +16,10 @@ from logs import START_NS, STEP_NS, not_a_picture
 from plain_mcap import Contents, Stored, StoredChunk, by_topic, contents
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.check import check
-from recorder.log.derived_log import Written
-from recorder.log.recover import recover
-from recorder.log.topics import PICTURE_TOPICS, ROW_TOPICS
+from recorder.topics import PICTURE_TOPICS, ROW_TOPICS
+from recorder.upkeep.check import check
+from recorder.upkeep.derived_log import Written
+from recorder.upkeep.recover import recover
 
 ROWS = 60
 MISSING = "stretches of rows that are missing"
@@ -29,7 +29,7 @@ REST_LOST = "messages of a row of which the rest is lost"
 
 @pytest.fixture(autouse=True)
 def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 1024)
+    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 1024)
 
 
 def drive(path: Path, first: int = 0) -> Path:

@@ -16,8 +16,8 @@ from mcap_rules import broken_rules
 from plain_mcap import write_plain
 from recorder import LogWriter
 from recorder.bc_pb2 import Prediction
-from recorder.log.edit import merge, split, trim
-from recorder.log.recover import recover
+from recorder.upkeep.edit import merge, split, trim
+from recorder.upkeep.recover import recover
 from udacity import jpeg
 
 ROWS = 40

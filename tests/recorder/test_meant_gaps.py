@@ -9,10 +9,10 @@ import pytest
 from logs import START_NS
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.check import check
-from recorder.log.log_info import describe
 from recorder.log.meant_gaps import meant_rows
 from recorder.log_cli import main
+from recorder.upkeep.check import check
+from recorder.upkeep.log_info import describe
 from udacity import call, jpeg
 
 HUMAN, PILOT = "manual: a human drives", "manual: the pilot drives again"

@@ -14,7 +14,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.number_fields import decode_numbers
+from recorder.mcap.number_fields import decode_numbers
 
 NAMES = ("steering", "throttle", "brake", "speed_mph")
 

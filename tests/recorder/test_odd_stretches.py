@@ -11,10 +11,10 @@ import pytest
 from common import Skipped
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.log_info import describe
-from recorder.log.odd_stretches import OddStretch, odd_advice, odd_lines, odd_stretches
-from recorder.log.row_quality import States
+from recorder.rows.odd_stretches import OddStretch, odd_advice, odd_lines, odd_stretches
+from recorder.rows.row_quality import States
 from recorder.sources.udacity_recording import UdacityRecording
+from recorder.upkeep.log_info import describe
 
 RATE_HZ = 10
 Part = tuple[float, float, float, float, float]

@@ -32,7 +32,7 @@ from layouts import is_of_pictures, write_as_before
 from plain_mcap import contents
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
-from recorder.log.edit import merge
+from recorder.upkeep.edit import merge
 from repository import HELPERS
 from viz.viewer_process import viewer_program
 from waiting import PATIENCE_S, wait_until
@@ -134,8 +134,8 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], P
     folder = tmp_path_factory.mktemp("logs")
     first, live, two = (folder / f"{number}.mcap" for number in range(len(LOGS)))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("recorder.log.split_chunks.CHUNK_BYTES", CHUNK_BYTES)
-        patch.setattr("recorder.log.split_chunks.ROWS_CHUNK_BYTES", CHUNK_BYTES // 8)
+        patch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", CHUNK_BYTES)
+        patch.setattr("recorder.mcap.split_chunks.ROWS_CHUNK_BYTES", CHUNK_BYTES // 8)
         write_drive(first)
         write_drive(live, live=True)
         merge([write_drive(folder / "later.mcap", START_NS + 10**12), first], two)

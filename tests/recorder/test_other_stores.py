@@ -20,10 +20,10 @@ from emulators import ACCOUNT_KEY, put_in_gcs, serving_gcs, serving_googles_xml,
 from faulty_proxy import FaultyProxy, Passing
 from logs import write_log
 from recorder import Log
-from recorder.log.check import check
-from recorder.log.copy_log import copy_log
 from recorder.log.tags import Tag, add_tag, read_tags
 from recorder.log_cli import main
+from recorder.upkeep.check import check
+from recorder.upkeep.copy_log import copy_log
 from udacity import call, jpeg
 
 TAG = Tag(1, 2, "exclude")

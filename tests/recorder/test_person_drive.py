@@ -21,11 +21,9 @@ from dataset import build_index
 from driving import Process, command
 from recorder import Imported, Log, RecordingError
 from recorder.cli import main as record_main
-from recorder.log.check import check
 from recorder.log.last_place import last_place_m
-from recorder.log.recover import recover
 from recorder.log.tags import Tag, read_tags
-from recorder.log.usual_step import usual_step
+from recorder.rows.usual_step import usual_step
 from recorder.sources import person_rows
 from recorder.sources.eye_pictures import PictureScale, WhenDue
 from recorder.sources.person_pedals import CoursePedals
@@ -35,6 +33,8 @@ from recorder.sources.row_steps import check_row_rate, is_row_step
 from recorder.teleop.hello import road_edges
 from recorder.teleop.open_wheels import open_wheels
 from recorder.teleop.seat import Control
+from recorder.upkeep.check import check
+from recorder.upkeep.recover import recover
 from simulator.driving.course import Course
 from simulator.driving.simulation import Simulation
 from simulator.pose import Pose

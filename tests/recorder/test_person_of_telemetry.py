@@ -17,7 +17,6 @@ import pytest
 from driving import road_jpeg
 from ports import free_ports
 from recorder import Imported, Log, RecordingError
-from recorder.log.check import check
 from recorder.log.tags import read_tags
 from recorder.server import telemetry_server
 from recorder.sources import person_of_telemetry
@@ -25,6 +24,7 @@ from recorder.sources.listen_settings import ListenSettings
 from recorder.sources.person_of_telemetry import listen_at_the_wheel
 from recorder.sources.person_pedals import throttle_of_telemetry
 from recorder.teleop.seat import Control
+from recorder.upkeep.check import check
 from serving import ModernClient
 from waiting import PATIENCE_S
 from wheel_page import WheelPage

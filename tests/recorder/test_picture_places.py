@@ -20,9 +20,9 @@ from logs import write_log
 from mcap_patch import nested, patched
 from plain_mcap import contents
 from recorder import Log
-from recorder.log.check import check
-from recorder.log.edit import merge, split, trim
-from recorder.log.recover import recover
+from recorder.upkeep.check import check
+from recorder.upkeep.edit import merge, split, trim
+from recorder.upkeep.recover import recover
 from udacity import jpeg
 
 PLACE = struct.Struct("<HIQIIIII")  # channel, row, time, chunk, offset, length, picture, its length
@@ -42,7 +42,7 @@ def picture(camera: Camera, row: int) -> bytes:
 @pytest.fixture
 def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Forty rows, in many chunks of both kinds."""
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 9000)
+    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 9000)
     return write_log(tmp_path / "a.mcap", [row / 100 for row in range(ROWS)], picture)
 
 
@@ -354,8 +354,8 @@ def test_a_killed_log_may_tell_the_places_of_its_beginning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A long one: they are written every so many pictures. Nothing new has them of it."""
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 2000)
-    monkeypatch.setattr("recorder.log.split_chunks.PLACES_AT_ONCE", 30)
+    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 2000)
+    monkeypatch.setattr("recorder.mcap.split_chunks.PLACES_AT_ONCE", 30)
     whole = write_log(tmp_path / "whole.mcap", [row / 100 for row in range(ROWS)], picture)
     original = contents(whole)
     assert [name for name, _ in original.attachments].count("bc.pictures") > 2

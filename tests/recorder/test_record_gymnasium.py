@@ -14,9 +14,9 @@ import pytest
 
 from driving import one_line_in
 from recorder.cli import main as bc_record
-from recorder.log.check import check
 from recorder.log.reader import Log
 from recorder.log_cli import main as bc_log
+from recorder.upkeep.check import check
 from repository import ROOT
 from toy_environment import RATE_HZ, STEPS, place_in
 from udacity import call

@@ -35,8 +35,8 @@ from emulators import way_to_azurite
 from faulty_proxy import Answer, FaultyProxy, Passing
 from logs import write_log
 from places import Handler
-from recorder.log.copy_log import copy_log
 from recorder.log_cli import main
+from recorder.upkeep.copy_log import copy_log
 from udacity import call
 
 PARTS: Final = 6

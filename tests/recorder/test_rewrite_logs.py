@@ -15,10 +15,10 @@ from layouts import write_as_before
 from logs import write_log
 from plain_mcap import contents, write_plain
 from recorder import Log, LogError
-from recorder.log.check import check
-from recorder.log.edit import rewrite, trim
-from recorder.log.recover import recover
 from recorder.log.tags import Tag, add_tag, read_tags
+from recorder.upkeep.check import check
+from recorder.upkeep.edit import rewrite, trim
+from recorder.upkeep.recover import recover
 from udacity import jpeg
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(120)]
@@ -85,7 +85,7 @@ def test_a_record_that_another_program_copied_with_other_chunks_counts_for_nothi
     old: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     new = rewrite(old, tmp_path / "new.mcap").path
-    monkeypatch.setattr("recorder.log.topics.REWRITTEN_METADATA", "not known to the version before")
+    monkeypatch.setattr("recorder.topics.REWRITTEN_METADATA", "not known to the version before")
     part = trim(new, tmp_path / "part.mcap", (0, 50)).path
     monkeypatch.undo()
     assert "bc.rewritten" in dict(contents(part).metadata)

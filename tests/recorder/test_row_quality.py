@@ -17,8 +17,8 @@ from logs import START_NS
 from plain_mcap import contents
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.recover import recover
-from recorder.log.row_quality import ROW_FLAGS, RowFlag, States, drive_numbers, row_flags, summary
+from recorder.rows.row_quality import ROW_FLAGS, RowFlag, States, drive_numbers, row_flags, summary
+from recorder.upkeep.recover import recover
 
 SECOND_NS = 1_000_000_000
 

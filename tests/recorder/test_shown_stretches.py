@@ -12,10 +12,10 @@ from logs import START_NS
 from panorama import RATE_HZ, hand, views, write_drive
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.odd_stretches import OddStretch, odd_stretches
-from recorder.log.row_quality import States
-from recorder.log.shown_stretches import with_pictures
 from recorder.log_cli import main
+from recorder.rows.odd_stretches import OddStretch, odd_stretches
+from recorder.rows.row_quality import States
+from recorder.seen.shown_stretches import with_pictures
 from udacity import call
 
 CYCLE_M = 12.0

@@ -15,8 +15,8 @@ from dataset.frames.image_check_cache import write_image_check
 from dataset.index.quality_report import find_flagged_frames
 from panorama import RATE_HZ, Seconds, hand, views, write_drive
 from recorder import Log
-from recorder.log.steering_against_pictures import against_pictures
 from recorder.log_cli import main as bc_log
+from recorder.seen.steering_against_pictures import against_pictures
 from udacity import call
 
 ROWS = 600

@@ -15,10 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from logs import START_NS, write_log
-from recorder.log.label_plan import plan_labels
-from recorder.log.row_quality import States
-from recorder.log.steering_habits import SteeringHabits, SteeringLag, steering_habits
 from recorder.log_cli import main
+from recorder.rows.label_plan import plan_labels
+from recorder.rows.row_quality import States
+from recorder.rows.steering_habits import SteeringHabits, SteeringLag, steering_habits
 from udacity import call
 
 

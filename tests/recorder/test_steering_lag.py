@@ -10,8 +10,8 @@ import pytest
 
 from panorama import RATE_HZ, Seconds, hand, views, write_drive
 from recorder import Log
-from recorder.log.steering_habits import SteeringLag
-from recorder.log.steering_lag import measure_lag
+from recorder.rows.steering_habits import SteeringLag
+from recorder.seen.steering_lag import measure_lag
 
 ROWS = 420
 

@@ -11,10 +11,10 @@ from common.errors import UsageError
 from logs import write_log
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.row_condition import rows_where
-from recorder.log.row_quality import States
 from recorder.log.tags import read_tags
 from recorder.log_cli import main
+from recorder.rows.row_condition import rows_where
+from recorder.rows.row_quality import States
 from udacity import call
 
 

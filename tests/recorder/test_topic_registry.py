@@ -1,6 +1,6 @@
 """A new camera and a new topic are data: one entry each in the registry, and a source that provides them.
 
-The rooms are copied with these two entries written into `common/car.py` and `recorder/log/topics.py`, as a
+The rooms are copied with these two entries written into `common/car.py` and `recorder/topics.py`, as a
 contributor would write them; a process with the copy on its path then does all that is done with logs.
 """
 
@@ -46,10 +46,10 @@ from common.car import CAMERAS
 from dataset import IndexConfig, build_index
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.check import check
-from recorder.log.edit import merge, trim
-from recorder.log.log_info import describe
-from recorder.log.recover import recover
+from recorder.upkeep.check import check
+from recorder.upkeep.edit import merge, trim
+from recorder.upkeep.log_info import describe
+from recorder.upkeep.recover import recover
 from viz import save_rrd
 from viz.live.live_log import GrowingLog
 

@@ -17,8 +17,8 @@ from logs import START_NS, STEP_NS, not_a_picture
 from plain_mcap import Contents, contents
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.check import check
-from recorder.log.log_info import describe
+from recorder.upkeep.check import check
+from recorder.upkeep.log_info import describe
 
 PICTURES = {*(f"/camera/{camera}" for camera in CAMERAS), "/pilot/input"}
 ROWS = 200
@@ -41,7 +41,7 @@ def drive(path: Path, *, live: bool = False, rows: int = ROWS) -> Path:
 
 @pytest.fixture(autouse=True)
 def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 4096)
+    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 4096)
 
 
 @pytest.fixture
@@ -167,7 +167,7 @@ def test_a_log_of_an_earlier_version_gives_the_same(tmp_path: Path) -> None:
 
 
 def test_a_very_long_log_tells_the_places_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("recorder.log.split_chunks.PLACES_AT_ONCE", 100)
+    monkeypatch.setattr("recorder.mcap.split_chunks.PLACES_AT_ONCE", 100)
     path = drive(tmp_path / "a.mcap")
     names = [name for name, _ in contents(path).attachments]
     assert names.count("bc.pictures") > 5

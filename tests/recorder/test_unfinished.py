@@ -32,8 +32,8 @@ from logs import START_NS, STEP_NS, write_log
 from plain_mcap import Contents, StoredChunk, by_topic, contents
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.check import check
-from recorder.log.recover import recover, recovered_name
+from recorder.upkeep.check import check
+from recorder.upkeep.recover import recover, recovered_name
 from simulator.protocol.client import (
     ServerCommand,
     SimulatorClient,
@@ -55,7 +55,7 @@ def picture(camera: Camera, row: int) -> bytes:
 @pytest.fixture(params=["two kinds", "mixed"])
 def layout(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Layout:
     """Logs have chunks of 4 KiB, of either layout."""
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 4096)
+    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 4096)
     return two_kinds if request.param == "two kinds" else partial(mixed, chunk_bytes=4096)
 
 
@@ -193,7 +193,7 @@ def test_a_topic_whose_description_is_lost_is_named(killed: tuple[Path, Contents
 
 def test_a_log_is_read_while_it_grows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each look sees all chunks that were complete when the log was opened, and goes on seeing just these."""
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 4096)
+    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 4096)
     path = tmp_path / "drive.mcap"
     looks: list[tuple[Log, set[tuple[str, int, bytes]]]] = []
     with LogWriter(path, {"source": "test"}) as writer:
@@ -315,10 +315,10 @@ print("children", *children, file=sys.stderr, flush=True)
 for child in children:
     os.waitpid(child, 0)
 """
-MOST_ROWS = 200
+MAX_ROWS = 200
 TOLD_EVERY_S = 0.04
 PROMISED_S = 1.0
-LEAST_PROMISED = 4
+MIN_PROMISED = 4
 
 
 @dataclass
@@ -361,9 +361,9 @@ class Drive:
             time.sleep(TOLD_EVERY_S)
         row = self.told
         self.told += 1
-        if row == MOST_ROWS:
+        if row == MAX_ROWS:
             return None
-        return SimulatorTelemetry(steering=row / MOST_ROWS, throttle=0.5, speed_mph=9.0, jpeg=self.pictures[row])
+        return SimulatorTelemetry(steering=row / MAX_ROWS, throttle=0.5, speed_mph=9.0, jpeg=self.pictures[row])
 
 
 def recorders_killed_at(moments_s: list[float], folder: Path, pictures: list[bytes]) -> list[Drive]:
@@ -380,7 +380,7 @@ def recorders_killed_at(moments_s: list[float], folder: Path, pictures: list[byt
 
             def are_killed() -> bool:
                 for number, drive in enumerate(drives):
-                    if number not in due_s and drive.promised >= LEAST_PROMISED:
+                    if number not in due_s and drive.promised >= MIN_PROMISED:
                         due_s[number] = time.monotonic() + moments_s[number]
                     if not drive.is_killed and time.monotonic() >= due_s.get(number, math.inf):
                         os.kill(drive.pid, signal.SIGKILL)
@@ -401,7 +401,7 @@ def recorders_killed_at(moments_s: list[float], folder: Path, pictures: list[byt
 def test_recordings_killed_at_any_moment_lose_no_row_of_more_than_a_second_before(
     tmp_path: Path, turns: int
 ) -> None:
-    pictures = [road_jpeg(row) for row in range(MOST_ROWS)]
+    pictures = [road_jpeg(row) for row in range(MAX_ROWS)]
     chance = random.Random(7)
     complaints = []
     for turn in range(turns):
@@ -416,9 +416,9 @@ def test_recordings_killed_at_any_moment_lose_no_row_of_more_than_a_second_befor
             images = [CompressedImage.FromString(m.data).data for m in found.of("/camera/center")]
             rows = [(m.sequence, VehicleState.FromString(m.data).steering) for m in found.of("/vehicle")]
             promised = drive.promised
-            assert promised >= LEAST_PROMISED
+            assert promised >= MIN_PROMISED
             is_whole = images == pictures[: len(rows)]
-            is_whole &= rows == [(row, row / MOST_ROWS) for row in range(len(rows))]
+            is_whole &= rows == [(row, row / MAX_ROWS) for row in range(len(rows))]
             others = {finding.kind for finding in check(written.path).findings}
             is_whole &= others <= {"gaps in time"}  # this computer's clock goes on while others have the processor
             if len(rows) < promised or not is_whole:
@@ -433,7 +433,7 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from common.car import CAMERAS
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log import split_chunks
+from recorder.mcap import split_chunks
 
 split_chunks.PLACES_AT_ONCE = 50
 

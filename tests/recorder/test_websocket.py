@@ -15,7 +15,7 @@ from websocket import ABNF
 from recorder.server.websocket import BROKEN_FRAME, PARSED_BYTES, TOO_LARGE, HandshakeError, WebSocket
 from waiting import PATIENCE_S
 
-MOST_BYTES = 100_000
+MAX_BYTES = 100_000
 HEADERS = {
     "Host": "x",
     "Upgrade": "websocket",
@@ -37,7 +37,7 @@ def make_wire(
     stream: socket.socket, headers: dict[str, str], let_others_run: Callable[[], object] = lambda: None
 ) -> WebSocket:
     named = list(headers.items())
-    return WebSocket(stream, named, max_bytes=MOST_BYTES, make_lock=threading.Lock, let_others_run=let_others_run)
+    return WebSocket(stream, named, max_bytes=MAX_BYTES, make_lock=threading.Lock, let_others_run=let_others_run)
 
 
 @pytest.fixture
@@ -148,7 +148,7 @@ def test_who_is_hung_up_on_and_goes_on_sending_lets_others_in() -> None:
         (b"\x81\x02hi", BROKEN_FRAME, 1002),  # not masked
         (b"\x83\x80\0\0\0\0", BROKEN_FRAME, 1002),  # no such kind
         (frame(TEXT, b"a", is_last=False) + frame(TEXT, b"b"), BROKEN_FRAME, 1002),
-        (in_frames(TEXT, b"x" * MOST_BYTES, 30_000), TOO_LARGE, 1009),
+        (in_frames(TEXT, b"x" * MAX_BYTES, 30_000), TOO_LARGE, 1009),
         # a terabyte that is only announced
         (b"\x82\xff" + struct.pack("!Q", 1 << 40), TOO_LARGE, 1009),
     ],

@@ -18,7 +18,7 @@ from logs import START_NS, STEP_NS
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.pose_message import pose_message
-from recorder.log.topics import EVENTS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic, prediction_topic
+from recorder.topics import EVENTS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic, prediction_topic
 from rrd import contents, view_names
 from simulator.pose import Pose
 from viz import save_rrd

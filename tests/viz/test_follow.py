@@ -28,7 +28,7 @@ from logs import START_NS, STEP_NS, read_messages
 from ports import free_ports
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.topics import PICTURE_TOPICS
+from recorder.topics import PICTURE_TOPICS
 from rrd import arrived, contents, listening, lives, view_names
 from udacity import call
 from viz import save_growing, save_rrd

@@ -35,7 +35,7 @@ Found = dict[str, dict[str, list[Any]]]
 
 @pytest.fixture(autouse=True)
 def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", CHUNK_BYTES)
+    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", CHUNK_BYTES)
 
 
 def write_drive(path: Path) -> Path:

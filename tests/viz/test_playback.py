@@ -20,7 +20,7 @@ from layouts import write_as_before
 from ports import free_ports
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.topics import EVENTS, PICTURE_TOPICS
+from recorder.topics import EVENTS, PICTURE_TOPICS
 from rrd import contents, listening, view_names
 from udacity import call
 from viz import save_growing, save_rrd
@@ -129,7 +129,7 @@ def test_an_existing_file_is_kept_unless_it_is_forced(drive: Path, tmp_path: Pat
 def unfinished(path: Path, *, messages_kept: float) -> Path:
     """What a killed recording leaves: the log's first part, up to the middle of a chunk."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 256)  # some rows each, as live logs have them
+        patch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 256)  # some rows each, as live logs have them
         whole = write_log(path.with_name("whole.mcap"), is_drive=False).read_bytes()
     path.write_bytes(whole[: int(messages_kept * len(whole))])
     return path

@@ -22,7 +22,7 @@ from model.evaluation.predict_log import predict_log
 from ports import free_ports
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.check import check
+from recorder.upkeep.check import check
 from rrd import contents, view_names
 from udacity import call
 from viz.cli import main

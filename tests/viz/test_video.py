@@ -320,7 +320,7 @@ def test_a_broken_picture_is_named_and_the_one_before_is_shown(tmp_path: Path, p
 def test_pictures_in_a_damaged_chunk_are_named_too(
     tmp_path: Path, play: Callable[..., Done], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("recorder.log.split_chunks.CHUNK_BYTES", 1)  # a chunk for each
+    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 1)  # a chunk for each
     log = write_log(tmp_path / "x.mcap", [grey(50), grey(100), grey(150), grey(200)])
     data = bytearray(log.read_bytes())
     data[data.index(grey(100)) + 20] ^= 1  # in its header: it would still decode

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 RED, GREEN = (0, 0, 255), (0, 255, 0)
-LEAST_PIXELS = 2000
+MIN_PIXELS = 2000
 
 
 def half_red_half_green(camera: Camera, row: int) -> bytes:
@@ -74,7 +74,7 @@ def test_the_page_shows_the_pictures_of_the_log(browser: Browser, tmp_path: Path
             picture = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
             assert picture is not None
             red, green = (places_of(picture.astype(np.uint8), color) for color in (RED, GREEN))
-            return (red, green) if min(len(red), len(green)) > LEAST_PIXELS else None
+            return (red, green) if min(len(red), len(green)) > MIN_PIXELS else None
 
         found = wait_until(shown)
     assert found is not None

@@ -32,11 +32,11 @@ def test_pictures_of_any_shape_are_cut_to_their_middle_in_little_memory(
         tracemalloc.start()
         try:
             encoded = film_strip(log)
-            _, most_bytes = tracemalloc.get_traced_memory()
+            _, max_bytes = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
     shown = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_COLOR)
     assert shown is not None
     assert shown.shape == (80, 640, 3)
     assert all(shown[30:50, left + 70 : left + 90].min() > 200 for left in range(0, 640, 160))
-    assert most_bytes < 50e6
+    assert max_bytes < 50e6

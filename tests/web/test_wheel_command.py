@@ -12,9 +12,9 @@ import pytest
 
 from driving import Process, command, untrained_run
 from recorder import Log
-from recorder.log.check import check
-from recorder.log.recover import recover
 from recorder.teleop.open_wheels import open_wheels
+from recorder.upkeep.check import check
+from recorder.upkeep.recover import recover
 from waiting import wait_until
 from wheel_page import WheelPage
 

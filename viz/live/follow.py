@@ -15,7 +15,7 @@ import rerun as rr
 from common import Skipped, UserError
 from common.command import warn
 from common.files import final_path
-from recorder.log.mcap_file import WITHOUT_CRCS
+from recorder.mcap.mcap_file import WITHOUT_CRCS
 from viz.console import print_error, print_notice, print_skipped
 from viz.live.live_log import GrowingLog
 from viz.live.live_messages import LiveMessageSender

@@ -16,10 +16,10 @@ from common.closeable import Closeable
 from common.files import final_path
 from common.locks import is_being_written
 from recorder.errors import LogError
-from recorder.log.mcap_file import MAGIC, Chunk, McapFile, StoredMessage
-from recorder.log.message_index import LAST_TIME_NS
-from recorder.log.scan import Structure, read_summary, walk_on
-from recorder.log.topics import PICTURE_TOPICS
+from recorder.mcap.mcap_file import MAGIC, Chunk, McapFile, StoredMessage
+from recorder.mcap.message_index import LAST_TIME_NS
+from recorder.mcap.scan import Structure, read_summary, walk_on
+from recorder.topics import PICTURE_TOPICS
 from viz.live.live_messages import SHOWN, LiveMessage
 
 LATE: Final = "pictures not shown, to keep up (the log has them)"

@@ -11,7 +11,7 @@ import rerun as rr
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from google.protobuf.message import Message as ProtobufMessage
 
-from recorder.log.topics import EVENTS, PICTURE_TOPICS, TOPICS
+from recorder.topics import EVENTS, PICTURE_TOPICS, TOPICS
 from viz.playback.blueprint import CENTER, log_layout
 from viz.playback.curves import Drawing, frame_size
 from viz.playback.picture_columns import picture_columns

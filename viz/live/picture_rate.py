@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Final
 
-from recorder.log.topics import PICTURE_TOPICS
+from recorder.topics import PICTURE_TOPICS
 from viz.live.live_messages import LiveMessage
 
 PICTURES_PER_S: Final = 30.0

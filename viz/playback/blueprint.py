@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 from rerun.blueprint.components import AbsoluteTimeRange
 
 from recorder.bc_pb2 import PilotCommand
-from recorder.log.topics import (
+from recorder.topics import (
     EVENTS,
     PILOT_COMMAND,
     PILOT_INPUT,

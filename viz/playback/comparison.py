@@ -15,7 +15,7 @@ from rerun.chunk import Chunk
 
 from common import Skipped, UserError
 from recorder import Log
-from recorder.log.topics import POSE
+from recorder.topics import POSE
 from viz.playback.along_track import distances_along
 from viz.playback.blueprint import LOG_COLORS, comparison_layout, log_entity
 from viz.playback.curves import Drawing

@@ -14,8 +14,8 @@ from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from numpy.typing import NDArray
 
 from dataset.steering_bins import bin_of
-from recorder.log.topics import EVENTS, PILOT_COMMAND, POSE, TOPICS, VEHICLE
 from recorder.pictures.picture_size import can_be_decoded, width_and_height
+from recorder.topics import EVENTS, PILOT_COMMAND, POSE, TOPICS, VEHICLE
 from viz.playback.blueprint import (
     ARCS,
     BLUE,

@@ -25,9 +25,9 @@ from common.location import local_path
 from common.progress import progress_bar
 from recorder import Log, LogError, LogWriter
 from recorder.errors import damaged_pictures
-from recorder.log.mcap_file import Chunk as LogChunk
-from recorder.log.message_index import LAST_TIME_NS
-from recorder.log.topics import COMPRESSED_IMAGE
+from recorder.mcap.mcap_file import Chunk as LogChunk
+from recorder.mcap.message_index import LAST_TIME_NS
+from recorder.topics import COMPRESSED_IMAGE
 from viz.playback.picture_columns import picture_columns
 from viz.timelines import Clock, on_clock
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dataset.preprocess import Image
 from model.evaluation.log_predictions import LogPredictions
 from model.evaluation.predict_log import predict_log, run_names
-from recorder.log.topics import STEERING
+from recorder.topics import STEERING
 from viz.playback.attention_overlay import send_overlays
 from viz.playback.blueprint import attention_entity, entity_part
 from viz.playback.curves import Drawing

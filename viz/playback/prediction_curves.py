@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.evaluation.log_predictions import LogPredictions
-from recorder.log.topics import STEERING
+from recorder.topics import STEERING
 from viz.playback.blueprint import ERRORS, Curve, entity_part
 
 COLORS: Final = ((240, 90, 190), (240, 220, 90), (90, 220, 220), (170, 120, 240), (230, 90, 90), (150, 200, 80))

@@ -14,7 +14,7 @@ from model.evaluation.log_predictions import LogPredictions
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import Prediction
 from recorder.log.session_car import known_max_steering_deg
-from recorder.log.topics import PREDICTIONS
+from recorder.topics import PREDICTIONS
 
 
 def write_predictions(found: LogPredictions, path: Path, *, overwrite: bool = False) -> None:

@@ -22,8 +22,8 @@ from common.errors import printable
 from common.files import refuse_existing
 from common.progress import track
 from recorder import Log, LogError
-from recorder.log.recover import recover
-from recorder.log.topics import EVENTS, POSE, TOPICS
+from recorder.topics import EVENTS, POSE, TOPICS
+from recorder.upkeep.recover import recover
 from viz.playback.blueprint import CENTER, Curve, log_layout
 from viz.playback.curves import Drawing, Numbers, Values, curve_values, frame_size, number_fields
 from viz.playback.log_chunks import protobuf_topics, read_chunks

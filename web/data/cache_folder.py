@@ -17,7 +17,7 @@ from common.users_cache import users_cache
 
 Kept = TypeVar("Kept")
 
-_MOST_BYTES: Final = 512 << 20
+_MAX_BYTES: Final = 512 << 20
 _KEPT_SHARE: Final = 0.8  # when it is too large, so that this is seldom
 
 
@@ -69,10 +69,10 @@ class CacheFolder:
                 found.append((status.st_mtime_ns, status.st_size, path))
         found.sort(reverse=True)
         total = 0
-        is_too_large = sum(size for _, size, _ in found) > _MOST_BYTES
+        is_too_large = sum(size for _, size, _ in found) > _MAX_BYTES
         for _, size, path in found if is_too_large else ():
             total += size
-            if total > _MOST_BYTES * _KEPT_SHARE:
+            if total > _MAX_BYTES * _KEPT_SHARE:
                 with contextlib.suppress(OSError):
                     path.unlink()
 

@@ -8,8 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder import Log
-from recorder.log import topics
+from recorder import Log, topics
 from recorder.teleop.hello import road_named
 
 Values = NDArray[np.float64]

@@ -13,7 +13,7 @@ By = Literal["drive", "speed", "error", "driver"]
 WAYS: Final[dict[str, By]] = {"drive": "drive", "speed": "speed", "error": "error", "who drove": "driver"}
 DRIVERS: Final = {0: "unknown", 1: "pilot", 2: "human", 3: "expert", 4: "brake"}
 STEPS: Final = 6  # classes between none and the most, of speeds and errors
-MOST_ERROR_DEG: Final = 12.0  # of steering; the last class has what is beyond, too
+MAX_ERROR_DEG: Final = 12.0  # of steering; the last class has what is beyond, too
 _MARGIN: Final = 0.04
 
 
@@ -63,7 +63,7 @@ def _strokes(drive: DriveView, colour: int, by: By, fastest: float) -> list[Stro
         if by == "speed":
             return f"step-{_step(place.mph, fastest)}"
         if by == "error":
-            return "step-none" if place.error_deg is None else f"step-{_step(place.error_deg, MOST_ERROR_DEG)}"
+            return "step-none" if place.error_deg is None else f"step-{_step(place.error_deg, MAX_ERROR_DEG)}"
         return f"by-{DRIVERS.get(place.driver, 'unknown')}" if by == "driver" else f"drive-{colour}"
 
     found = []

@@ -16,17 +16,16 @@ from common import UserError
 from common.errors import printable
 from common.location import Location, absolute
 from drive.control.person_takeover import TAKES_OVER
-from recorder import Log
+from recorder import Log, topics
 from recorder.bc_pb2 import PilotCommand
-from recorder.log import topics
 from recorder.log.meant_gaps import HUMAN_DRIVES
 from recorder.log.session_car import max_steering_deg_of
 from web.data.background import Background
 from web.data.cache_folder import CacheFolder
 from web.data.project_folders import ProjectFolders
 
-_MOST_POINTS: Final = 1500
-_MOST_EVENTS: Final = 200
+_MAX_POINTS: Final = 1500
+_MAX_EVENTS: Final = 200
 _INTERVENTIONS: Final = ("off the road, or stuck", "the expert takes over", TAKES_OVER, HUMAN_DRIVES)
 
 
@@ -98,7 +97,7 @@ def _read(path: Location) -> DriveView:
         speeds = dict(zip(rows.tolist(), mph.tolist(), strict=True))
         path_of_car: list[CarPlace] = []
         if count := log.counts.get(topics.POSE, 0):
-            step = count // _MOST_POINTS + 1
+            step = count // _MAX_POINTS + 1
             for number, (message, found) in enumerate(log.decoded(topics.POSE)):
                 place = found.pose.position
                 if number % step == 0 and abs(place.x) < 1e6 and abs(place.y) < 1e6:
@@ -120,7 +119,7 @@ def drive_events(log: Log, rows: NDArray[np.int64], time_ns: NDArray[np.int64]) 
     if topics.EVENTS not in log.counts or not len(rows):
         return []
     events = []
-    for message, event in islice(log.decoded(topics.EVENTS), _MOST_EVENTS):
+    for message, event in islice(log.decoded(topics.EVENTS), _MAX_EVENTS):
         at = min(int(np.searchsorted(time_ns, message.log_time_ns)), len(rows) - 1)
         text = printable(event.message)[:300]
         seconds = float(time_ns[at] - time_ns[0]) / 1e9

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS
 from recorder import Log, LogError, Pictures
-from recorder.log.topics import camera_topic
 from recorder.pictures.decoding import decode_picture
 from recorder.pictures.picture_size import width_and_height
+from recorder.topics import camera_topic
 
 PICTURES: Final = 4
 WIDTH_PX, HEIGHT_PX = 160, 80  # of each; shown at half of that, for screens of two pixels a point

@@ -19,7 +19,7 @@ from model.runs.run_arguments import new_run_name
 from web.data.project_folders import ProjectFolders, key_of
 from web.errors import WebError
 
-MOST_CHARACTERS: Final = 1000  # of a value
+MAX_CHARACTERS: Final = 1000  # of a value
 
 Known = Literal["", "sessions", "runs", "pictures", "topics"]
 
@@ -76,8 +76,8 @@ class JobForm:
                 if field.is_needed:
                     raise WebError(f"{self.title}: {field.label} is missing", 422)
                 continue
-            if len(value) > MOST_CHARACTERS or not value.isprintable():
-                raise WebError(f"{field.label}: at most {MOST_CHARACTERS:,} characters, on one line", 422)
+            if len(value) > MAX_CHARACTERS or not value.isprintable():
+                raise WebError(f"{field.label}: at most {MAX_CHARACTERS:,} characters, on one line", 422)
             words += field.words(value)
         if self.fills(folders):
             words.append(f"--folder={folders.parent}")

@@ -38,7 +38,7 @@ from web.errors import WebError
 
 _ROOT: Final = Path(behavioural_cloning_toolkit.__file__).parent
 _KEPT: Final = 50  # of those that have ended
-_MOST_BYTES: Final = 64 << 10  # of its output that are shown: the last ones
+_MAX_BYTES: Final = 64 << 10  # of its output that are shown: the last ones
 _RUNNER: Final = "import sys; sys.path.append(sys.argv[2]); from web.data.job_runner import main; main()"
 if sys.platform == "win32":
     _NEW_GROUP: Final = subprocess.CREATE_NEW_PROCESS_GROUP
@@ -136,11 +136,11 @@ class Job:
         try:
             with (self.folder / OUTPUT).open("rb") as stream:
                 size = stream.seek(0, os.SEEK_END)
-                stream.seek(max(0, size - _MOST_BYTES))
+                stream.seek(max(0, size - _MAX_BYTES))
                 text = stream.read().decode(errors="replace")
         except OSError:
             return ""
-        lines = (text if size <= _MOST_BYTES else "...\n" + text.partition("\n")[2]).split("\n")
+        lines = (text if size <= _MAX_BYTES else "...\n" + text.partition("\n")[2]).split("\n")
         return "\n".join(printable(line.rpartition("\r")[2]) for line in lines)
 
     def last_line(self) -> str:

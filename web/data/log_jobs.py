@@ -14,12 +14,12 @@ from common.files import PART_SUFFIX, final_name
 from common.location import Location
 from common.locks import is_being_written
 from common.whole_number import whole_number
-from recorder.log.recover import recovered_name
+from recorder.upkeep.recover import recovered_name
 from web.data.project_folders import ProjectFolders
 from web.errors import WebError
 
 _SUFFIX: Final = ".mcap"
-_MOST_CHARACTERS: Final = 200  # of a new log's name
+_MAX_CHARACTERS: Final = 200  # of a new log's name
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def command_line(
 def _name(given: str) -> str:
     name = given.strip().removesuffix(_SUFFIX)
     is_name = name.isprintable() and "/" not in name and "\\" not in name and not name.startswith((".", "-"))
-    if not (name and is_name and len(name) <= _MOST_CHARACTERS):
+    if not (name and is_name and len(name) <= _MAX_CHARACTERS):
         raise WebError(f"{printable(given[:60])!r}: the name of a log was expected, such as lake-2", 422)
     return name + _SUFFIX
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from common.location import Location, Url
 from recorder import Log, LogError
-from recorder.log.chunk_cache import ChunkCache, default_cache
-from recorder.log.row_quality import States
+from recorder.mcap.chunk_cache import ChunkCache, default_cache
+from recorder.rows.row_quality import States
 from web.data.project_folders import ProjectFolders
 
 _KEPT_OPEN: Final = 8

@@ -15,7 +15,7 @@ from dataset.frames.frame_flags import ImageFindings
 from dataset.frames.frames_file import session_name
 from dataset.frames.image_check_cache import check_images, read_image_check, write_image_check
 from recorder import Log
-from recorder.log.chunk_cache import default_cache
+from recorder.mcap.chunk_cache import default_cache
 from web.data.cache_folder import CacheFolder
 from web.errors import report_bug
 

@@ -38,7 +38,7 @@ FILES: Final = {"re_viewer.js": "text/javascript", "re_viewer_bg.wasm": "applica
 _LOCAL: Final = "127.0.0.1"
 _PATIENCE_S: Final = 10.0  # for a file of the viewer
 _GRACE_S: Final = 3.0  # for a process to end by itself
-_MOST_NOTES: Final = 20
+_MAX_NOTES: Final = 20
 _PREFIX: Final = "bc-play: "
 _HINT: Final = "; Ctrl-C ends"  # where to open it, which is done here
 
@@ -129,7 +129,7 @@ class RerunViewer:
         with self._process.stderr as lines:
             for line in lines:
                 text = printable(line.decode("utf-8", "replace").rstrip())
-                if text.startswith(_PREFIX) and not text.endswith(_HINT) and len(self.notes) < _MOST_NOTES:
+                if text.startswith(_PREFIX) and not text.endswith(_HINT) and len(self.notes) < _MAX_NOTES:
                     self.notes.append(text.removeprefix(_PREFIX))
 
 

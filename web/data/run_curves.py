@@ -12,12 +12,12 @@ if TYPE_CHECKING:
 
 Line = tuple[list[float], list[float | None]]  # x and y; None where there is no number
 
-_MOST_STEPS = 2000
+_MAX_STEPS = 2000
 
 
 def run_curves(history: History) -> dict[str, Line]:
     """Errors are shares of those of always predicting the mean: runs hold out other frames."""
-    steps = history.steps[:: len(history.steps) // _MOST_STEPS + 1]
+    steps = history.steps[:: len(history.steps) // _MAX_STEPS + 1]
     ends = [float(epoch.epoch) for epoch in history.epochs]
 
     def line(values: Iterable[float]) -> Line:

@@ -21,7 +21,7 @@ _SHOWN: Final = (
     "versions",
 )
 _DATA: Final = ("settings", "logs", "fingerprint")  # of `data`; the rest is measured, not set
-_MOST_CHARACTERS: Final = 400  # of a value
+_MAX_CHARACTERS: Final = 400  # of a value
 _DEEPEST: Final = 4
 
 
@@ -55,6 +55,6 @@ def _flat(value: Any, name: str, depth: int) -> Iterator[tuple[str, str]]:
             yield from _flat(part, f"{name}.{key}" if name else str(key), depth + 1)
         return
     text = value if isinstance(value, str) else json.dumps(value)
-    if len(text) > _MOST_CHARACTERS:
-        text = f"{text[:_MOST_CHARACTERS]}..."
+    if len(text) > _MAX_CHARACTERS:
+        text = f"{text[:_MAX_CHARACTERS]}..."
     yield printable(name.removeprefix("data.settings.")), printable(text)

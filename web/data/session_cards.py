@@ -25,8 +25,8 @@ from dataset.index.build_state import FRAMES_FOLDER, BuildState, Sources, Stat, 
 from dataset.parquet_file import read_metadata
 from recorder import Log
 from recorder.log.fine_rows import FineRows
-from recorder.log.log_info import LogInfo, describe
 from recorder.log.tags import Tag
+from recorder.upkeep.log_info import LogInfo, describe
 from web.data.background import Background
 from web.data.cache_folder import CacheFolder
 from web.data.file_versions import version_of

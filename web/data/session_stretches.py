@@ -16,9 +16,9 @@ from dataset.frames.frames_file import session_name
 from dataset.frames.frames_table import frames_of
 from recorder import Log
 from recorder.log.meant_gaps import meant_rows
-from recorder.log.odd_stretches import odd_stretches
-from recorder.log.row_quality import NOT_LEARNT, States, row_flags
-from recorder.log.topics import QUALITY_METADATA, camera_topic
+from recorder.rows.odd_stretches import odd_stretches
+from recorder.rows.row_quality import NOT_LEARNT, States, row_flags
+from recorder.topics import QUALITY_METADATA, camera_topic
 
 _SURE: Final = ("broken_picture", "steering_against_pictures")
 

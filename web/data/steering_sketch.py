@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from dataset.steering_bins import bin_of
-from recorder.log.row_quality import Values
+from recorder.rows.row_quality import Values
 
 WIDTH, HEIGHT = 240, 40
 _ALONG: Final = 170  # of the width; the histogram has the rest

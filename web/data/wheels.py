@@ -13,10 +13,9 @@ from common.files import PART_SUFFIX, final_name
 from common.location import Location, Url
 from common.locks import is_being_written
 from common.untrusted import real_path
-from recorder import Log
+from recorder import Log, topics
 from recorder.bc_pb2 import PilotCommand
 from recorder.errors import RecordingError
-from recorder.log import topics
 from recorder.log.last_place import last_place_m
 from recorder.sources.row_steps import check_row_rate
 from recorder.teleop.open_wheels import OpenWheel, open_wheels

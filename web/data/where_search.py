@@ -24,7 +24,7 @@ from recorder.log.tags import read_tags, tags_path
 from web.data.background import Background
 from web.data.project_folders import ProjectFolders
 
-_MOST_SEARCHES: Final = 8  # of which the results are kept
+_MAX_SEARCHES: Final = 8  # of which the results are kept
 _LONGEST: Final = 2000  # characters of a condition
 
 Found = Mapping[Location, int]
@@ -58,7 +58,7 @@ class WhereSearches:
             search = Background[Location, int](self._pool, lambda path, version: self._rows_of(path, where))
             with self._lock:
                 self._searches[where] = search
-                while len(self._searches) > _MOST_SEARCHES:
+                while len(self._searches) > _MAX_SEARCHES:
                     _, dropped = self._searches.popitem(last=False)
                     self._done += dropped.done
         version_of, version_of_log = self._folders.version_of, self._folders.version_of_log

@@ -12,7 +12,7 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import printable
-from web.data.drive_map import MOST_ERROR_DEG, WAYS, drive_map
+from web.data.drive_map import MAX_ERROR_DEG, WAYS, drive_map
 from web.data.drive_view import DriveView
 from web.data.project_folders import key_of
 from web.data.run_colours import COLOURS, run_colours
@@ -21,7 +21,7 @@ from web.pages.workbench import Workbench
 from web.server.templates import render
 
 _PATIENCE_S: Final = 0.5
-MOST_CHOSEN: Final = COLOURS
+MAX_CHOSEN: Final = COLOURS
 
 
 def drive_routes(bench: Workbench) -> list[Route]:
@@ -36,7 +36,7 @@ def drive_routes(bench: Workbench) -> list[Route]:
         query = request.query_params
         by = query.get("by", "drive") if query.get("by") in WAYS else "drive"
         there = bench.folders.logs("drives")
-        chosen = [key for key in dict.fromkeys(query.getlist("log")) if key in there][:MOST_CHOSEN]
+        chosen = [key for key in dict.fromkeys(query.getlist("log")) if key in there][:MAX_CHOSEN]
         views = bench.drives.views(there.values(), _PATIENCE_S)
         cards = bench.cards.cards("drives", _PATIENCE_S)
         runs = bench.folders.run_folders()
@@ -69,7 +69,7 @@ def drive_routes(bench: Workbench) -> list[Route]:
             "on_map": on_map,
             "colours": colours,
             "map": on_one_map,
-            "most_error_deg": MOST_ERROR_DEG,
+            "most_error_deg": MAX_ERROR_DEG,
             "reading": sum(not (drive["view"] or drive["problem"]) for drive in shown),
             "by": by,
             "ways": list(WAYS),

@@ -15,7 +15,7 @@ from common.errors import printable
 from common.files import PART_SUFFIX
 from common.location import Location
 from common.locks import is_being_written
-from recorder.log.topics import camera_topic
+from recorder.topics import camera_topic
 from web.data.open_logs import OpenLog
 from web.data.project_folders import Place
 from web.data.run_networks import NETWORK_FILES, check_network

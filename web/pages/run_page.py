@@ -31,7 +31,7 @@ from web.pages.runs_page import PATIENCE_S
 from web.pages.workbench import Workbench
 from web.server.templates import render
 
-_MOST_NUMBERS: Final = 14  # of a result
+_MAX_NUMBERS: Final = 14  # of a result
 _FULL_LOCK_RAD: Final = math.pi / 3  # as full lock is drawn: more than it is, so that a few degrees are visible
 _LINE: Final = 90.0  # of such a picture
 
@@ -163,7 +163,7 @@ def _numbers(result: Mapping[str, Any]) -> list[tuple[str, str]]:
         shown.append(("of", printable(", ".join(sessions))))
     if isinstance(network := result.get("network"), dict):  # errors of frames; steering's, in degrees
         shown += _numbers_of(network, steering_unit(result.get("max_deg", MAX_STEERING_DEG)))
-    return [*shown, *_numbers_of(result)][:_MOST_NUMBERS]
+    return [*shown, *_numbers_of(result)][:_MAX_NUMBERS]
 
 
 def _numbers_of(result: Mapping[str, Any], unit: SteeringUnit = DEGREES) -> list[tuple[str, str]]:

@@ -25,7 +25,7 @@ from web.server.templates import render
 
 PATIENCE_S: Final = 1.0
 """For runs that are being read: the first one loads PyTorch."""
-MOST_CHOSEN: Final = COLOURS
+MAX_CHOSEN: Final = COLOURS
 """Runs whose curves lie over each other."""
 
 
@@ -41,7 +41,7 @@ class RunQuery:
     def of(cls, query: QueryParams) -> RunQuery:
         """The query of an address, without invalid values."""
         sort = query.get("sort", "newest")
-        chosen = tuple(dict.fromkeys(query.getlist("run")))[:MOST_CHOSEN]
+        chosen = tuple(dict.fromkeys(query.getlist("run")))[:MAX_CHOSEN]
         return cls(query.get("text", "").strip(), sort if sort in SORTED_BY else "newest", chosen)
 
 

@@ -15,9 +15,9 @@ from common.files import PART_SUFFIX
 from common.location import Location
 from common.locks import is_being_written
 from common.stretches import stretches
-from recorder.log.row_condition import rows_where
 from recorder.log.tags import EXCLUDE, tags_path
-from recorder.log.topics import camera_topic
+from recorder.rows.row_condition import rows_where
+from recorder.topics import camera_topic
 from web.data.drive_course import is_driven
 from web.data.open_logs import OpenLog
 from web.data.project_folders import Place

@@ -13,8 +13,8 @@ from starlette.responses import JSONResponse, Response
 
 from common.errors import did_you_mean, printable
 from common.location import Location
-from recorder.log.edit import check_rows
 from recorder.log.tags import EXCLUDE, FINE, Tag, add_tag, check_name, names_used, remove_tag, tags_path
+from recorder.upkeep.edit import check_rows
 from web.data.project_folders import Place
 from web.errors import WebError
 from web.pages.workbench import Workbench

@@ -27,7 +27,7 @@ from web.server.error_pages import error_answer
 
 TOKEN: Final = "token"
 _COOKIE: Final = "bc-web-token"
-MOST_BODY_BYTES: Final = 1 << 20
+MAX_BODY_BYTES: Final = 1 << 20
 UPLOAD: Final = "/import.upload"
 """The address that takes more: a recording."""
 
@@ -155,6 +155,6 @@ def _check_size(scope: Scope) -> None:
     length = whole_number(Headers(scope=scope).get("content-length", ""))
     if length is None:
         raise WebError("a request with a body needs its length (Content-Length)", 411)
-    most = MAX_UPLOAD_BYTES if scope["path"] == UPLOAD else MOST_BODY_BYTES
+    most = MAX_UPLOAD_BYTES if scope["path"] == UPLOAD else MAX_BODY_BYTES
     if length > most:
         raise WebError(f"a request of {length:,} bytes: at most {most:,} are taken", 413)

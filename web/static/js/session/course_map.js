@@ -5,7 +5,7 @@ import { RoadMap } from "../road_map.js";
 import { DRIVERS } from "./course.js";
 import { clock } from "./clock.js";
 
-const MOST_POINTS = 3000;
+const MAX_POINTS = 3000;
 const ARROWS = 8; // along the path
 const FARTHEST_STEP_M = 25; // from one row to the next; a car that was put elsewhere has not driven there
 const BAR_SHARE = 1 / 4; // of the map's width, at most
@@ -28,7 +28,7 @@ export class CourseMap {
     const { course, map } = this;
     const { x_m: x, y_m: y } = course.columns;
     const there = [];
-    const every = Math.ceil(x.length / MOST_POINTS);
+    const every = Math.ceil(x.length / MAX_POINTS);
     for (let at = 0; at < x.length; at += every) if (course.hasPlace(at)) there.push(at);
     this.there = there;
     const places = there.map((at) => [x[at], y[at]]);

@@ -5,10 +5,10 @@ import uPlot from "../../vendor/uPlot.esm.js";
 import { drawBands } from "./bands.js";
 import { clock } from "./clock.js";
 
-const LEAST_WINDOW = 800; // pixels
-const LEAST_ROWS = 10; // across, zoomed in as far as it goes
+const MIN_WINDOW = 800; // pixels
+const MIN_ROWS = 10; // across, zoomed in as far as it goes
 const AXIS_WIDTH = 46;
-const LEAST_TICK = 90; // pixels between two times
+const MIN_TICK = 90; // pixels between two times
 const STEPS_S = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200];
 const PLOTS = [
   { share: 0.24, scales: { y: [-1.05, 1.05] }, lines: [
@@ -103,7 +103,7 @@ export class Curves {
         axes: [
           axis({
             size: 24,
-            splits: (drawn, _, min, max) => this.roundTimes(min, max, drawn.bbox.width / devicePixelRatio / LEAST_TICK),
+            splits: (drawn, _, min, max) => this.roundTimes(min, max, drawn.bbox.width / devicePixelRatio / MIN_TICK),
             values: (_, splits) => splits.map((at) => this.roundTime(at)),
           }),
           axis({ scale: names[0] }),
@@ -191,7 +191,7 @@ export class Curves {
   zoom(factor, center = this.position) {
     if (!this.plots.length) return; // a log without rows
     const { min, max } = this.plots[0].scales.x;
-    const size = Math.min(Math.max((max - min) * factor, LEAST_ROWS), this.data.length - 1);
+    const size = Math.min(Math.max((max - min) * factor, MIN_ROWS), this.data.length - 1);
     const share = max > min ? (center - min) / (max - min) : 0.5;
     this.show(center - share * size, center - share * size + size);
   }
@@ -248,7 +248,7 @@ export class Curves {
   /** A plot's height in pixels: more in a higher window, unless Rerun needs the room. */
   heightOf(share) {
     const isSmall = this.element.closest(".in-rerun");
-    return Math.round(share * (isSmall ? LEAST_WINDOW : Math.max(innerHeight, LEAST_WINDOW)));
+    return Math.round(share * (isSmall ? MIN_WINDOW : Math.max(innerHeight, MIN_WINDOW)));
   }
 
   resize() {

@@ -1,7 +1,7 @@
 // The page's data of its log, fetched again when the files change.
 
 const COLUMNS = ["row", "time_s", "steering", "throttle", "brake", "speed_mph"];
-const GAP_S = 1; // as recorder/log/row_quality.py: behind a longer pause, or where time goes back, a new drive begins
+const GAP_S = 1; // as recorder/rows/row_quality.py: behind a longer pause, or where time goes back, a new drive begins
 const POLL_MS = 2000;
 const LOAD_SHARE = 5; // a log that is being recorded is read in full each time: that may take a fifth of the time
 

@@ -1,0 +1,374 @@
+"""The physical side of an MCAP file: its records at any place, and the content of a chunk, its CRC checked.
+
+The file is untrusted: no length is believed before it is compared with the file's size. Record layouts:
+https://mcap.dev/spec; all integers are little-endian.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from array import array
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment
+from mcap.records import Metadata as MetadataRecord
+
+from common.closeable import Closeable
+from common.errors import NoSuchObjectError, counted, did_you_mean
+from common.location import Location
+from common.random_access import open_for_reading
+from recorder.errors import LogError
+from recorder.mcap.compression import NOT_UNPACKED, unpack
+from recorder.topics import LIBRARY, PROFILE
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+RECORD: Final = struct.Struct("<BQ")  # opcode, length of the content
+MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
+CHUNK_HEADER: Final = struct.Struct("<BQQQQI")  # opcode, length, start time, end time, uncompressed bytes, CRC
+RECORDS_AT: Final = CHUNK_HEADER.size + 12
+"""Offset of the records of an uncompressed chunk: behind the length of its compression's name, and their own."""
+_OP_MESSAGE: Final = int(Opcode.MESSAGE)  # compared once a message: as a plain number that is quicker
+_MIN_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of one without data
+_DEFINITIONS: Final = frozenset((int(Opcode.SCHEMA), int(Opcode.CHANNEL)))
+_LONGEST_HEADER: Final = 1 << 12
+_MAX_DEFINITIONS: Final = 1 << 17  # a chunk's schemas and channels: there are as many numbers for them
+
+MAX_CHUNK_BYTES: Final = 1 << 28
+"""The most that a chunk may unpack to; writers use 0.25 to 4 MB, and a damaged length must not take all memory."""
+MAX_RECORD_BYTES: Final = MAX_CHUNK_BYTES + (1 << 20)
+"""The most that is read at once: the largest chunk, with its header."""
+MIN_MESSAGE_BYTES: Final = 4
+"""Of a file, for each of its messages: empty ones of the most regular times take five of zstd's bytes, but those
+that were made to fill a memory hardly any."""
+FREE_MESSAGES: Final = 1 << 16
+"""So many more are taken of any file."""
+
+WITHOUT_CRCS: Final = "written without CRCs: damage to it cannot be noticed"
+"""The notice, given once, of another program's log that does without them."""
+
+_MAX_COMPRESSED: Final = 100
+"""Times its size that a file may unpack to, and one chunk besides. Pictures hardly compress; text does tenfold."""
+
+_MAX_BESIDE_CHUNKS: Final = 16
+"""Times its size that a file may have attachments and metadata: those of a summary that lies may overlap."""
+
+# What mcap's parsers raise on bytes that are no record.
+UNREADABLE: Final = (McapError, ValueError, EOFError, KeyError, OverflowError, struct.error)
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """A chunk as it lies in the file, from `start` to `end`; or a message outside of chunks, taken as one."""
+
+    start: int
+    end: int
+    compression: str = ""
+    is_message: bool = False
+    mended: bytes = b""  # what its first bytes should be, where its header is damaged
+    channels: frozenset[int] | None = None  # of its messages, by the summary; None: unknown
+    head: bytes = b""  # its header without the CRC, by the summary
+
+
+class StoredMessage(NamedTuple):
+    """A message within a chunk's records: it begins at `start`, its content is `length` bytes from `offset`."""
+
+    channel: int
+    sequence: int
+    log_time_ns: int
+    publish_time_ns: int
+    start: int
+    offset: int
+    length: int
+
+
+class Parts(NamedTuple):
+    """The records of a chunk, by kind."""
+
+    messages: array[int]  # where each begins
+    definitions: list[tuple[int, int, int]]  # opcode, start and end of schemas and channels
+
+
+class McapFile(Closeable):
+    """A file open for reading at any place, from any thread."""
+
+    def __init__(self, path: Location) -> None:
+        """Raises LogError if it cannot be opened or is of another kind; StoreError."""
+        self.path = path
+        try:
+            self._bytes = open_for_reading(path)
+        except NoSuchObjectError as error:
+            raise LogError(str(error)) from None
+        except OSError as error:
+            advice = _advice(path) if isinstance(path, Path) else "give the command again"
+            raise LogError(f"{path}: cannot be opened ({error.strerror}); {advice}") from None
+        self.is_remote = self._bytes.is_remote
+        self._unpacked_at = set[int]()  # compressed chunks that count in the bytes unpacked
+        self._unpacked_bytes = 0
+        self._beside_chunks_at = set[int]()  # attachments and metadata that were read
+        self._beside_chunks_bytes = 0
+        self.size = 0
+        self.grow()
+        if self.size < len(MAGIC) or self.read(0, len(MAGIC)) != MAGIC:
+            self.close()
+            raise LogError(
+                f"{path}: not an MCAP log (it does not start with MCAP's magic bytes); `bc-log ls` lists logs"
+            )
+
+    def close(self) -> None:
+        self._bytes.close()
+
+    def grow(self) -> bool:
+        """Take in what was written behind the end since; False if the file has been deleted."""
+        is_there = self._bytes.grow()
+        self.size = self._bytes.size
+        return is_there
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Raises LogError for what lies outside the file, is too long for any record, or is not readable."""
+        self._check_range(offset, length)
+        try:
+            data = self._bytes.read(offset, length)
+        except OSError as error:  # a failing disk
+            raise self._unreadable(offset, length, error) from None
+        if len(data) != length:
+            raise self.damaged("it has become shorter while it was read")
+        return data
+
+    def read_chunks(self, chunks: Sequence[Chunk]) -> Iterator[tuple[Chunk, bytes]]:
+        """Chunks, and the records of each, unpacked; of a file in a store, several are requested at a time. Raises
+        what `records` does."""
+        ranges = ((chunk.start, chunk.end - chunk.start) for chunk in chunks)
+        for chunk, data in zip(chunks, self.read_many(ranges), strict=True):
+            yield chunk, self._records(chunk, data)
+
+    def read_alone(self, offset: int, length: int) -> bytes:
+        """The same as `read`, but of a file in a store nothing beside is read, and nothing is kept."""
+        self._check_range(offset, length)
+        return self._bytes.read_alone(offset, length)
+
+    def check_record(self, chunk: Chunk, record: bytes) -> None:
+        """Raise LogError if this is not what a chunk should be, as far as its CRC shows."""
+        self._records(chunk, record)
+
+    def read_many(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
+        """The bytes of each range; of a file in a store, several are requested at a time, and nothing beside is
+        read. Raises what `read` does."""
+        if not self.is_remote:
+            yield from (self.read(offset, length) for offset, length in ranges)
+            return
+
+        def checked() -> Iterator[tuple[int, int]]:
+            for offset, length in ranges:
+                self._check_range(offset, length)
+                yield offset, length
+
+        yield from self._bytes.read_many(checked())
+
+    def _check_range(self, offset: int, length: int) -> None:
+        if offset < 0 or length < 0 or offset + length > self.size:
+            raise self.damaged(f"bytes {offset:,} to {offset + length:,} lie outside the file")
+        if length > MAX_RECORD_BYTES:
+            raise self.damaged(f"a record of {length:,} bytes")
+
+    def _unreadable(self, offset: int, length: int, error: OSError) -> LogError:
+        return self.damaged(f"bytes {offset:,} to {offset + length:,} cannot be read ({error.strerror})")
+
+    @cached_property
+    def profile_and_library(self) -> tuple[bytes, bytes]:
+        """The fields of the file's first record: rules that its content follows, program that wrote it; empty if
+        damaged."""
+        try:
+            opcode, length = RECORD.unpack(self.read(len(MAGIC), RECORD.size))
+            header = self.read(len(MAGIC) + RECORD.size, min(length, _LONGEST_HEADER))
+            profile = prefixed(header, 0)
+            library = prefixed(header, 4 + len(profile))
+        except (LogError, struct.error):
+            return b"", b""
+        return (profile, library) if opcode == Opcode.HEADER else (b"", b"")
+
+    @property
+    def is_ours(self) -> bool:
+        """True if its content follows docs/log-format.md."""
+        return self.profile_and_library[0] == PROFILE.encode()
+
+    @property
+    def promises_crcs(self) -> bool:
+        """True if a CRC of 0, which in MCAP means none, is damage: all that this toolkit writes has CRCs, copies
+        of other programs' logs too."""
+        return self.is_ours or self.profile_and_library[1].startswith(LIBRARY.encode())
+
+    def may_have_crc(self, crc: int, content: bytes) -> bool:
+        """True if the CRC holds for `content`, or there is none."""
+        return zlib.crc32(content) == crc or (crc == 0 and not self.promises_crcs)
+
+    def has_crc(self, chunk: Chunk) -> bool:
+        return has_crc_in(chunk, self.read(chunk.start, min(CHUNK_HEADER.size, chunk.end - chunk.start)))
+
+    def have_crcs(self, chunks: Iterable[Chunk]) -> bool:
+        return self.promises_crcs or all(map(self.has_crc, chunks))
+
+    def records(self, chunk: Chunk) -> bytes:
+        """The records of a chunk, unpacked. Raises LogError where it is damaged, as far as its CRC shows."""
+        return self._records(chunk, self.read(chunk.start, chunk.end - chunk.start))
+
+    def _records(self, chunk: Chunk, record: bytes) -> bytes:
+        if chunk.mended:
+            record = chunk.mended + record[len(chunk.mended) :]
+        return record if chunk.is_message else self.unpacked(record, chunk.start)
+
+    def unpacked(self, record: bytes, start: int) -> bytes:
+        """The records within a chunk's `record`, which begins at byte `start`. Raises what `records` does."""
+        where = f"the chunk at byte {start:,}"
+        try:
+            opcode, length, _, _, size, crc = CHUNK_HEADER.unpack_from(record)
+            named = prefixed(record, CHUNK_HEADER.size)
+            stored_at = CHUNK_HEADER.size + 4 + len(named) + 8
+            (stored_size,) = struct.unpack_from("<Q", record, stored_at - 8)
+        except struct.error:
+            raise self.damaged(f"{where} is cut off") from None
+        if opcode != Opcode.CHUNK or RECORD.size + length != len(record) or stored_at + stored_size != len(record):
+            raise self.damaged(f"{where} is not of the length that it declares")
+        if size > MAX_CHUNK_BYTES:
+            raise self.damaged(f"{where} would unpack to {size:,} bytes")
+        if named and start not in self._unpacked_at:
+            if self._unpacked_bytes + size > _MAX_COMPRESSED * self.size + MAX_CHUNK_BYTES:
+                raise self.damaged(f"with {where} it would unpack to more than {self._unpacked_bytes:,} bytes")
+            self._unpacked_at.add(start)
+            self._unpacked_bytes += size
+        stored = memoryview(record)[stored_at:]
+        try:
+            records = unpack(stored, named, size)
+        except NOT_UNPACKED:
+            raise self.damaged(f"{where} cannot be unpacked") from None
+        if len(records) != size:
+            raise self.damaged(f"{where} does not unpack to the {size:,} bytes that it declares")
+        if not self.may_have_crc(crc, records):
+            raise self.damaged(f"{where} has another content than its CRC says")
+        return records
+
+    def records_at(self, chunk: Chunk) -> int:
+        """Offset in the file of the records of an uncompressed chunk."""
+        return chunk.start if chunk.is_message else chunk.start + RECORDS_AT
+
+    def messages(self, records: bytes) -> Iterator[StoredMessage]:
+        """The messages in a chunk's records, in their order. Raises LogError at once if one is damaged."""
+        return (stored_message(records, start) for start in self.parts(records).messages)
+
+    def metadata(self, offset: int) -> MetadataRecord:
+        """The metadata record that begins at `offset`."""
+        content = self._content(offset, Opcode.METADATA)
+        try:
+            record: MetadataRecord = MetadataRecord.read(ReadDataStream(io.BytesIO(content)))
+        except UNREADABLE:
+            raise self.damaged("a metadata record cannot be read") from None
+        return record
+
+    def attachment(self, offset: int) -> Attachment:
+        """The attachment that begins at `offset`."""
+        content = self._content(offset, Opcode.ATTACHMENT)
+        if not self.may_have_crc(int.from_bytes(content[-4:], "little"), content[:-4]):
+            raise self.damaged("an attachment has another content than its CRC says")
+        try:
+            attachment: Attachment = Attachment.read(ReadDataStream(io.BytesIO(content)))
+        except UNREADABLE:
+            raise self.damaged("an attachment cannot be read") from None
+        return attachment
+
+    def _content(self, offset: int, opcode: int) -> bytes:
+        found, length = RECORD.unpack(self.read(offset, RECORD.size))
+        if found != opcode:
+            raise self.damaged("a record is not where the summary says")
+        if offset not in self._beside_chunks_at:
+            self._beside_chunks_at.add(offset)
+            self._beside_chunks_bytes += min(length, self.size)
+        if self._beside_chunks_bytes > _MAX_BESIDE_CHUNKS * self.size:
+            raise self.damaged(f"attachments and metadata of more than {_MAX_BESIDE_CHUNKS} times its size")
+        return self.read(offset + RECORD.size, length)
+
+    def parts(self, records: bytes) -> Parts:
+        """The messages and definitions among a chunk's records. Raises LogError if one is damaged."""
+        found = Parts(array("q"), [])
+        unpack, is_message = RECORD.unpack_from, found.messages.append
+        position, size = 0, len(records)
+        for _ in range(self._most_messages):
+            if position > size - RECORD.size:
+                break
+            opcode, length = unpack(records, position)
+            end = position + RECORD.size + length
+            if opcode == _OP_MESSAGE:
+                if length < _MIN_MESSAGE:
+                    raise self.damaged("a message is cut off")
+                is_message(position)
+            elif opcode in _DEFINITIONS:
+                if len(found.definitions) == _MAX_DEFINITIONS:
+                    raise self.damaged("more schemas and channels than a file can have")
+                found.definitions.append((opcode, position, end))
+            position = end
+        else:
+            raise self._too_many(f"{self._most_messages:,} records and more")
+        if position > size:
+            raise self.damaged("a record points out of its chunk")
+        if position < size:
+            raise self.damaged("a record in a chunk is cut off")
+        return found
+
+    def check_count(self, messages: int) -> None:
+        """Raise LogError if that many messages cannot be in a file of this size."""
+        if messages > self._most_messages:
+            raise self._too_many(counted(messages, "message"))
+
+    @property
+    def _most_messages(self) -> int:
+        return self.size // MIN_MESSAGE_BYTES + FREE_MESSAGES
+
+    def _too_many(self, what: str) -> LogError:
+        return self.damaged(f"{what} in {self.size:,} bytes, which hold {self._most_messages:,} at most")
+
+    def damaged(self, what: str) -> LogError:
+        path = self.path
+        if not isinstance(path, Path):
+            return LogError(
+                f"{path}: damaged: {what}; `bc-log copy {path} FOLDER` brings it here, for `bc-log recover`"
+            )
+        return LogError(f"{path}: damaged: {what}; `bc-log recover {path}` saves the rest")
+
+
+def has_crc_in(chunk: Chunk, head: bytes) -> bool:
+    """True if a chunk has a CRC, by the first bytes of its record."""
+    crc_at = CHUNK_HEADER.size - 4
+    return not chunk.is_message and len(head) >= CHUNK_HEADER.size and any(head[crc_at : CHUNK_HEADER.size])
+
+
+def stored_message(records: bytes, start: int) -> StoredMessage:
+    """The message whose record begins at `start` of a chunk's records."""
+    _, length, channel, sequence, log_time, publish_time = MESSAGE.unpack_from(records, start)
+    content = start + MESSAGE.size
+    return StoredMessage(channel, sequence, log_time, publish_time, start, content, length - _MIN_MESSAGE)
+
+
+def _advice(path: Path) -> str:
+    """A guess at the file that was meant: sessions are known by their names, logs by their files."""
+    for meant in (path.with_name(f"{path.name}.mcap"), Path("sessions") / f"{path.name}.mcap"):
+        if meant.is_file():
+            return f"did you mean {meant}?"
+    parts = sorted(path.parent.glob("*.part")) if path.parent.is_dir() else []
+    for part in parts:
+        if part.name.startswith(f"{path.name}."):
+            return f"did you mean {part}?"
+    names = [log.stem for folder in ("sessions", "drives") for log in Path(folder).glob("*.mcap")]
+    return did_you_mean(path.name, names) or "`bc-record NAME` makes a log"
+
+
+def prefixed(data: bytes, at: int) -> bytes:
+    """A string of MCAP: its length, then its bytes; no longer than what is there."""
+    (length,) = struct.unpack_from("<I", data, at)
+    return data[at + 4 : at + 4 + length]

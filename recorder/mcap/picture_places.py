@@ -1,0 +1,178 @@
+"""The places of a log's pictures, kept at its end: what is in its other chunks is read without reading pictures.
+
+Two attachments, which MCAP gives a CRC each. `bc.pictures`: a `PLACE` for each picture, in the order of writing; a
+long log has several of them. `bc.chunks`: a `CHUNK_CRC` for each chunk, which shows whether these lists are about
+this file: another program that writes a log anew copies attachments as they are.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Final
+
+import numpy as np
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from recorder.errors import LogError
+from recorder.mcap.compressed_image import image_data
+from recorder.mcap.mcap_file import CHUNK_HEADER, MESSAGE, RECORD, RECORDS_AT, Chunk, McapFile
+from recorder.mcap.message_index import ENTRY, LAST_TIME_NS, UNCOMPRESSED
+from recorder.mcap.scan import Structure
+
+PICTURES_ATTACHMENT: Final = "bc.pictures"
+CHUNKS_ATTACHMENT: Final = "bc.chunks"
+MEDIA_TYPE: Final = "application/octet-stream"
+PLACES_AT_ONCE: Final = 1 << 20
+"""Pictures that one attachment is about: 34 MB."""
+
+PLACE: Final = np.dtype(
+    [
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time_ns", "<u8"),
+        ("chunk", "<u4"),  # number of the chunk, in the order of the file
+        ("offset", "<u4"),  # of the message's content, from the start of the chunk's records
+        ("length", "<u4"),
+        ("picture", "<u4"),  # as offset, of the JPEG or PNG itself; NO_PICTURE where the message has none
+        ("picture_length", "<u4"),
+    ]
+)
+# compared once a message: as plain numbers they are quicker
+_OP_MESSAGE: Final = int(Opcode.MESSAGE)
+_RECORD_BYTES: Final = RECORD.size
+_CONTENT_AT: Final = MESSAGE.size  # of a message, in its record
+_MIN_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of one without data
+_PLACE: Final = struct.Struct("<HIQIIIII")  # the same: for a few at once, quicker than an array of them
+CHUNK_CRC: Final = np.dtype([("start", "<u8"), ("crc", "<u4")])  # offset in the file; CRC-32 of the records
+NO_PICTURE: Final = 2**32 - 1
+
+Attached = tuple[int, int, str, str, bytes]
+"""Create time, log time, name, media type, content."""
+
+
+class PlacesWritten:
+    """Collects where the pictures of a file lie while it is written: 34 bytes a picture."""
+
+    def __init__(self) -> None:
+        self.channels: set[int] = set()  # those of pictures
+        self.count = 0
+        """Pictures that are not taken yet."""
+        self._places = bytearray()
+        self._chunks: list[tuple[int, int]] = []
+
+    def add_chunk(self, start: int, record: bytes) -> None:
+        """A chunk that begins at byte `start` of the file."""
+        *_, crc = CHUNK_HEADER.unpack_from(record)
+        self._places += places_in(record, len(self._chunks), self.channels)
+        self.count = len(self._places) // _PLACE.size
+        self._chunks.append((start, crc))
+
+    def take_pictures(self) -> Attached:
+        """The attachment about the pictures that were not taken yet."""
+        content = bytes(self._places)
+        self._places, self.count = bytearray(), 0
+        return 0, 0, PICTURES_ATTACHMENT, MEDIA_TYPE, content
+
+    def take_chunks(self) -> Attached:
+        return 0, 0, CHUNKS_ATTACHMENT, MEDIA_TYPE, np.array(self._chunks, CHUNK_CRC).tobytes()
+
+
+def places_in(record: bytes, number: int, channels: set[int]) -> bytes:
+    """The PLACE of each picture in a sound chunk: its record, its number in the file, the channels of pictures."""
+    places, position, end = bytearray(), RECORDS_AT, len(record) if channels else 0
+    while position < end:
+        opcode, length = RECORD.unpack_from(record, position)
+        if opcode == _OP_MESSAGE:
+            _, _, channel, sequence, log_time_ns, _ = MESSAGE.unpack_from(record, position)
+            if channel in channels:
+                at, size = position + _CONTENT_AT, length - _MIN_MESSAGE
+                picture, picture_size = image_data(record, at, size)
+                picture = picture - RECORDS_AT if picture >= 0 else NO_PICTURE
+                places += _PLACE.pack(
+                    channel, sequence, log_time_ns, number, at - RECORDS_AT, size, picture, picture_size
+                )
+        position += _RECORD_BYTES + length
+    return bytes(places)
+
+
+def is_about_places(name: str) -> bool:
+    """True for the attachments of this module, which are about one file, and never copied into another."""
+    return name in (PICTURES_ATTACHMENT, CHUNKS_ATTACHMENT)
+
+
+def read_chunk_crcs(file: McapFile, structure: Structure) -> list[int] | None:
+    """The CRC of each chunk, as the end of a log of ours has them; None without a list of this file."""
+    content = _attached(file, structure, CHUNKS_ATTACHMENT, len(structure.chunks) * CHUNK_CRC.itemsize)
+    if content is None:
+        return None
+    stored = np.frombuffer(content, CHUNK_CRC)
+    if stored["start"].tolist() != [chunk.start for chunk in structure.chunks]:
+        return None
+    crcs: list[int] = stored["crc"].tolist()
+    return crcs
+
+
+def read_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None:
+    """An ENTRY for each message in the chunks of pictures, from the lists at the end of a log of ours.
+
+    None where that is missing, or does not fit the file's summary: then all of the file has to be read.
+    """
+    places = None if read_chunk_crcs(file, structure) is None else stored_places(file, structure)
+    if places is None:
+        return None
+    images = structure.image_channels
+    of_pictures = [number for number, chunk in enumerate(structure.chunks) if is_of_pictures(chunk, images)]
+    if np.unique(places["chunk"]).tolist() != of_pictures:
+        return None
+    counted = dict(zip(*(each.tolist() for each in np.unique(places["channel"], return_counts=True)), strict=True))
+    if counted != _picture_counts(structure) or (places["log_time_ns"] > LAST_TIME_NS).any():
+        return None
+    starts = np.array([chunk.start for chunk in structure.chunks], np.int64)
+    ends = np.array([chunk.end for chunk in structure.chunks], np.int64)
+    base, end = starts[places["chunk"]] + RECORDS_AT, ends[places["chunk"]]
+    table = np.empty(len(places), ENTRY)
+    for name in ("channel", "sequence", "log_time_ns", "length", "picture_length"):
+        table[name] = places[name]
+    table["offset"] = base + places["offset"]
+    table["picture"] = np.where(places["picture"] == NO_PICTURE, -1, base + places["picture"])
+    table["chunk"] = UNCOMPRESSED
+    is_inside = table["offset"] + table["length"] <= end
+    is_inside &= (table["picture"] < 0) | (table["picture"] >= table["offset"])
+    is_inside &= table["picture"] + table["picture_length"] <= table["offset"] + table["length"]
+    is_in_order = (np.diff(table["offset"]) > 0).all()
+    return table if is_inside.all() and is_in_order else None
+
+
+def stored_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None:
+    """The PLACE of each picture as they are stored, whether or not they are true; None where they cannot be."""
+    count = sum(_picture_counts(structure).values())
+    content = _attached(file, structure, PICTURES_ATTACHMENT, count * PLACE.itemsize)
+    return None if content is None else np.frombuffer(content, PLACE)
+
+
+def _picture_counts(structure: Structure) -> dict[int, int]:
+    """The number of messages on each channel of pictures that has any, by the summary."""
+    counts = {} if structure.statistics is None else structure.statistics.channel_message_counts
+    return {number: counts[number] for number in structure.image_channels if counts.get(number)}
+
+
+def is_of_pictures(chunk: Chunk, images: set[int]) -> bool:
+    """True for an uncompressed chunk that has, by the summary, messages of these channels and no others."""
+    return chunk.channels is not None and not chunk.compression and chunk.channels <= images
+
+
+def _attached(file: McapFile, structure: Structure, name: str, size: int) -> bytes | None:
+    """The contents of the attachments of this name, one after the other; None if they are not `size` bytes."""
+    if not 0 < size <= file.size:
+        return None
+    parts, left = [], size
+    for at in sorted(at for at, its_name in structure.attachment_names.items() if its_name == name):
+        try:
+            parts.append(file.attachment(at).data)
+        except LogError:
+            return None
+        left -= len(parts[-1])
+        if left < 0:
+            return None
+    return None if left else b"".join(parts)

@@ -1,0 +1,357 @@
+"""The structure of an MCAP file, from the summary at its end or by walking through it.
+
+A file without a readable end (its recording was killed, goes on still, or it is damaged) is walked through from
+its start, past stretches that make no sense, and every chunk is found whose CRC holds.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+import re
+import struct
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
+from mcap.stream_reader import StreamReader
+
+from common.locks import is_being_written
+from recorder.errors import LogError
+from recorder.mcap.compressed_image import is_image_channel, is_protobuf_channel
+from recorder.mcap.mcap_file import (
+    CHUNK_HEADER,
+    MAGIC,
+    MAX_CHUNK_BYTES,
+    MAX_RECORD_BYTES,
+    MESSAGE,
+    RECORD,
+    UNREADABLE,
+    Chunk,
+    McapFile,
+    prefixed,
+)
+from recorder.mcap.summary_groups import read_without_chunks
+from recorder.topics import QUALITY_METADATA
+
+GOES_ON: Final = "unfinished: its recording is still going on"
+KILLED: Final = "unfinished: its recording was killed, or it was cut off"
+
+_FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, CRC
+_CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # first and last time, start, length, bytes of the map that follows
+_MAP_ENTRY_BYTES: Final = 2 + 8  # a channel, and where the index of its messages lies
+_MAX_MAP_BYTES: Final = _MAP_ENTRY_BYTES << 16  # there are as many numbers for channels
+_DATA_END_BYTES: Final = RECORD.size + 4
+
+# A chunk of less than 16 MiB: opcode, length, times, uncompressed size, CRC, compression.
+_CHUNK_START: Final = re.compile(
+    rb"\x06.{3}\x00{5}.{16}.{3}\x00{5}.{4}(?:\x00{4}|\x04\x00{3}zstd|\x03\x00{3}lz4)", re.DOTALL
+)
+_SEARCH_BYTES: Final = 1 << 16
+_MAX_WASTE: Final = 16  # times the file's size
+_MIN_BUDGET: Final = 1 << 24
+
+
+@dataclass
+class Structure:
+    """The chunks and other records of a file, and their places."""
+
+    chunks: list[Chunk] = field(default_factory=list)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    metadata_at: list[int] = field(default_factory=list)  # offsets of the records
+    attachments_at: list[int] = field(default_factory=list)
+    statistics: Statistics | None = None  # of a finished file
+    problem: str = ""  # why the file had to be walked through; empty for a finished one
+    has_end: bool = True  # whether the data section is finished
+    data_end: int = 0  # where it ends in a finished file, by the summary
+    attachment_names: dict[int, str] = field(default_factory=dict)  # by their offsets; by the summary
+    has_quality: bool = False  # by the summary; every log of ours with rows whose data section has a CRC does
+    lost: list[tuple[int, int]] = field(default_factory=list)  # stretches of bytes that make no sense
+    has_chunks: bool = True  # False: `chunks` was left out
+
+    @property
+    def image_channels(self) -> set[int]:
+        """The channels of pictures, whatever their topics."""
+        return {
+            number
+            for number, channel in self.channels.items()
+            if is_image_channel(self.schemas.get(channel.schema_id), channel)
+        }
+
+    def is_protobuf(self, channel: int, schema: str) -> bool:
+        """True if a channel's messages are of this schema, in Protobuf."""
+        known = self.channels[channel]
+        return is_protobuf_channel(self.schemas.get(known.schema_id), known, schema)
+
+
+def read_structure(file: McapFile, *, without_chunks: bool = False) -> Structure:
+    """The structure of the file: from its end if that is sound, else by walking through it. `without_chunks`: of
+    a long file in a store, its chunks may be left out."""
+    if without_chunks and file.is_remote:
+        found = read_summary(file, without_chunks=True)
+        if found is not None and is_complete(found):
+            return found
+    found = read_summary(file)
+    if found is None:
+        return _walk(file)
+    if is_complete(found):
+        return found
+    # other programs may leave out of the summary what can be found by walking; the file is a finished one
+    walked = _walk(file)
+    return replace(walked, problem="") if walked.has_end and not walked.lost else walked
+
+
+def is_complete(summary: Structure) -> bool:
+    """True if a summary lists all that it counts."""
+    statistics = summary.statistics
+    return (
+        statistics is not None
+        and (len(summary.chunks) == statistics.chunk_count or not summary.has_chunks)
+        and len(summary.channels) >= statistics.channel_count
+        and len(summary.schemas) >= statistics.schema_count
+        and len(summary.metadata_at) == statistics.metadata_count
+        and len(summary.attachments_at) == statistics.attachment_count
+        and (summary.chunks != [] or not statistics.message_count or not summary.has_chunks)
+    )
+
+
+def walk_on(file: McapFile, position: int, found: Structure) -> tuple[int, bool]:
+    """Take into `found` what has been completed behind `position` of a file that grows.
+
+    Returns the position to go on from next time, and True if nothing more will come. Start at `len(MAGIC)`; the
+    file has its new size afterwards. Raises LogError where the file was deleted before its end was written, or is
+    damaged all over.
+    """
+    is_there = file.grow()
+    wasted, max_waste = 0, search_budget(file)
+    while file.size - position >= RECORD.size:
+        opcode, length = RECORD.unpack(file.read(position, RECORD.size))
+        end = position + RECORD.size + length
+        if opcode == Opcode.DATA_END and length == 4:
+            return position, True
+        if end > file.size and length <= MAX_CHUNK_BYTES:
+            break  # it is being written
+        try:
+            if end > file.size:
+                raise file.damaged("no record")
+            add_record(file, opcode, position, end, found)
+        except LogError:
+            wasted += min(end, file.size) - position
+            if wasted > max_waste:
+                raise
+            end = next_chunk(file, position + 1)
+            if end == file.size:
+                break  # the next chunk may still come
+            found.lost.append((position, end))
+        position = end
+    if not is_there:
+        raise LogError(f"{file.path}: deleted before it was finished; nothing more will come")
+    return position, False
+
+
+def read_summary(file: McapFile, *, without_chunks: bool = False) -> Structure | None:
+    """The structure as the summary at the file's end lists it; None if that is not sound. `without_chunks`: the
+    chunks of a long one are left out."""
+    tail = _FOOTER.size + len(MAGIC)
+    if file.size < 2 * len(MAGIC) + _FOOTER.size:
+        return None
+    footer = file.read(file.size - tail, tail)
+    opcode, length, start, offsets_start, crc = _FOOTER.unpack_from(footer)
+    is_footer = opcode == Opcode.FOOTER and length == _FOOTER.size - RECORD.size and footer.endswith(MAGIC)
+    if not is_footer or not 0 < start <= file.size - tail or file.size - start > MAX_RECORD_BYTES:
+        return None
+    found = Structure(data_end=start - _DATA_END_BYTES)
+    summary = read_without_chunks(file, start, offsets_start, file.size - tail) if without_chunks else None
+    if summary is not None:
+        found.has_chunks = False
+    else:
+        summary = file.read(start, file.size - start)
+        if not file.may_have_crc(crc, summary[: len(summary) - len(MAGIC) - 4]):
+            return None
+    try:
+        others = _take_chunk_indexes(summary, found.chunks)
+        for record in StreamReader(
+            io.BytesIO(others),
+            skip_magic=True,
+            emit_chunks=True,  # it would unpack one, to whatever size
+            record_size_limit=len(summary),
+        ).records:
+            match record:
+                case Schema():
+                    found.schemas[record.id] = record
+                case Channel():
+                    found.channels[record.id] = record
+                case MetadataIndex():
+                    found.metadata_at.append(record.offset)
+                    found.has_quality |= record.name == QUALITY_METADATA
+                case AttachmentIndex():
+                    found.attachments_at.append(record.offset)
+                    found.attachment_names[record.offset] = record.name
+                case Statistics():
+                    found.statistics = record
+    except UNREADABLE:
+        return None
+    found.chunks.sort(key=lambda chunk: chunk.start)
+    edges = [len(MAGIC), *(edge for chunk in found.chunks for edge in (chunk.start, chunk.end)), start]
+    if any(later < earlier for earlier, later in itertools.pairwise(edges)):
+        return None
+    return found
+
+
+def _take_chunk_indexes(summary: bytes, chunks: list[Chunk]) -> bytes:
+    """Add to `chunks` those that a summary lists; return its other records. A long log has tens of thousands, each
+    of which takes MCAP's own reader 30 us. Raises what is `UNREADABLE`."""
+    others, kinds, position = [], dict[bytes, frozenset[int]](), 0
+    while position + RECORD.size <= len(summary):
+        opcode, length = RECORD.unpack_from(summary, position)
+        at, end = position + RECORD.size, position + RECORD.size + length
+        if opcode != Opcode.CHUNK_INDEX:
+            others.append(summary[position:end])
+            position = end
+            continue
+        first_ns, last_ns, start, size, map_bytes = _CHUNK_INDEX.unpack_from(summary, at)
+        at += _CHUNK_INDEX.size
+        if map_bytes % _MAP_ENTRY_BYTES or map_bytes > min(end - at, _MAX_MAP_BYTES):
+            raise EOFError("a chunk index is cut off")
+        offsets = summary[at : at + map_bytes]
+        key = b"".join(offsets[i : i + 2] for i in range(0, map_bytes, _MAP_ENTRY_BYTES))
+        if key not in kinds:
+            kinds[key] = frozenset(number for (number,) in struct.iter_unpack("<H", key))
+        compression = prefixed(summary, at + map_bytes + 8)
+        unpacked_at = at + map_bytes + 8 + 4 + len(compression) + 8
+        (unpacked_size,) = struct.unpack_from("<Q", summary, unpacked_at)
+        if unpacked_at + 8 > end:
+            raise EOFError("a chunk index is cut off")
+        head = CHUNK_HEADER.pack(Opcode.CHUNK, size - RECORD.size, first_ns, last_ns, unpacked_size, 0)
+        chunk = Chunk(start, start + size, compression.decode(), channels=kinds[key] or None, head=head[:-4])
+        chunks.append(chunk)
+        position = end
+    return b"".join((*others, summary[position:]))
+
+
+def _walk(file: McapFile) -> Structure:
+    found = Structure(problem=GOES_ON if is_being_written(file.path) else KILLED, has_end=False)
+    position, wasted, max_waste = len(MAGIC), 0, search_budget(file)
+    unsure = position  # from here on no CRC has held: a damaged length may have led past whole chunks
+    while file.size - position >= RECORD.size:
+        opcode, length = RECORD.unpack(file.read(position, RECORD.size))
+        end = position + RECORD.size + length
+        try:
+            if end > file.size:
+                raise file.damaged("no record")
+            if opcode == Opcode.DATA_END and length == 4:
+                found.problem = "its end is damaged"
+                found.has_end = True
+                break
+            add_record(file, opcode, position, end, found)
+        except LogError:
+            following = next_chunk(file, unsure + 1) if wasted < max_waste else file.size
+            if following == position:
+                following = next_chunk(file, position + 1)
+            wasted += following - unsure + _SEARCH_BYTES + _cost(file, position, end)
+            lost_from = position if following > position else unsure
+            if found.lost and found.lost[-1][1] == lost_from:
+                found.lost[-1] = (found.lost[-1][0], following)
+            else:
+                found.lost.append((lost_from, following))
+            position = unsure = following
+        else:
+            position = end
+            if opcode in (Opcode.CHUNK, Opcode.MESSAGE):
+                unsure = end
+    if position < file.size and not found.has_end:
+        found.lost.append((position, file.size))  # a few bytes of a record that was being written
+    return found
+
+
+def add_record(file: McapFile, opcode: int, start: int, end: int, found: Structure) -> None:
+    """Add to `found` the record of a data section from `start` to `end`. Raises LogError where it is none."""
+    if opcode == Opcode.CHUNK:
+        add_definitions(file, file.records(Chunk(start, end)), found)
+        compression = prefixed(file.read(start, CHUNK_HEADER.size + 8), CHUNK_HEADER.size)
+        found.chunks.append(Chunk(start, end, compression.decode()))
+    elif opcode == Opcode.MESSAGE and _is_message(file, start, end, found):
+        found.chunks.append(Chunk(start, end, is_message=True))
+    elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+        _add_definition(
+            file, opcode, file.read(start + RECORD.size, end - start - RECORD.size), found, exactly=True
+        )
+    elif opcode == Opcode.METADATA:
+        file.metadata(start)
+        found.metadata_at.append(start)
+    elif opcode == Opcode.ATTACHMENT:
+        file.attachment(start)
+        found.attachments_at.append(start)
+    elif not (opcode == Opcode.MESSAGE_INDEX and _is_index(file, start, end)) and start != len(MAGIC):
+        raise file.damaged("no record of a data section")  # but the header, which is the first
+
+
+def _is_message(file: McapFile, start: int, end: int, found: Structure) -> bool:
+    """Files without chunks exist, not of ours; no file has both, and a damaged chunk may look like a message."""
+    if file.promises_crcs or end - start < MESSAGE.size or (found.chunks and not found.chunks[0].is_message):
+        return False
+    return MESSAGE.unpack(file.read(start, MESSAGE.size))[2] in found.channels
+
+
+def _cost(file: McapFile, start: int, end: int) -> int:
+    """Bytes that were read, and at most unpacked, to find out that a record is damaged."""
+    if end > file.size:
+        return 0
+    head = file.read(start, min(CHUNK_HEADER.size, end - start))
+    size = CHUNK_HEADER.unpack(head)[4] if head[0] == Opcode.CHUNK and len(head) == CHUNK_HEADER.size else 0
+    return end - start + (size if size <= MAX_CHUNK_BYTES else 0)
+
+
+def _is_index(file: McapFile, start: int, end: int) -> bool:
+    """A chunk whose first byte is damaged may look like its index too."""
+    length = end - start - RECORD.size
+    return length >= 6 and struct.unpack("<I", file.read(start + RECORD.size + 2, 4))[0] == length - 6
+
+
+def search_budget(file: McapFile) -> int:
+    """The bytes that a search for what is whole may read or unpack in vain."""
+    return _MAX_WASTE * file.size + _MIN_BUDGET
+
+
+def next_chunk(file: McapFile, position: int) -> int:
+    """Offset of the next bytes that look like a chunk; the file's size if there are none."""
+    while position < file.size:
+        block = file.read(position, min(_SEARCH_BYTES + 64, file.size - position))
+        if (match := _CHUNK_START.search(block)) is not None:
+            return position + match.start()
+        position += _SEARCH_BYTES
+    return file.size
+
+
+def _add_definition(
+    file: McapFile, opcode: int, content: bytes, structure: Structure, *, exactly: bool = False
+) -> None:
+    """`exactly`: as it would be written, which outside of chunks is all that distinguishes it from other bytes."""
+    try:
+        record: Schema | Channel = (Schema if opcode == Opcode.SCHEMA else Channel).read(
+            ReadDataStream(io.BytesIO(content))
+        )
+    except UNREADABLE:
+        raise file.damaged("a schema or channel cannot be read") from None
+    if exactly and _written(record) != RECORD.pack(opcode, len(content)) + content:
+        raise file.damaged("no schema or channel")
+    if isinstance(record, Schema):
+        structure.schemas.setdefault(record.id, record)
+    else:
+        structure.channels.setdefault(record.id, record)
+
+
+def add_definitions(file: McapFile, records: bytes, structure: Structure) -> None:
+    """Add the schemas and channels that are among `records`."""
+    for opcode, start, end in file.parts(records).definitions:
+        _add_definition(file, opcode, records[start + RECORD.size : end], structure)
+
+
+def _written(record: Schema | Channel) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    written: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return written

@@ -1,0 +1,127 @@
+"""An MCAP file whose pictures lie in chunks of their own, so that everything else is read without them."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from hashlib import sha256
+from typing import Any, BinaryIO, Final, cast
+
+from mcap.opcode import Opcode
+from mcap.writer import CompressionType, Writer
+
+from recorder.mcap.mcap_file import CHUNK_HEADER, MESSAGE
+from recorder.mcap.picture_places import PLACES_AT_ONCE, PlacesWritten
+
+CHUNK_BYTES: Final = 256 * 1024
+ROWS_CHUNK_BYTES: Final = 32 * 1024
+"""What is no picture is written when there is so much of it, some 500 rows: one wrong bit, or a copy that was cut
+off, costs no more of them, and still there is one such chunk for a hundred of pictures."""
+
+
+class SplitChunks:
+    """Writes messages into chunks of two kinds: pictures, and everything else.
+
+    The open chunk of the MCAP library holds pictures; other messages wait here until they fill a chunk, or are
+    flushed. They are always written after the pictures that came before them: whatever is cut off, no row is there
+    whose pictures were not written. Messages of one topic stay in their order.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = _ChunkStream(stream)
+        self._mcap = Writer(
+            cast(BinaryIO, self._stream),  # it uses no more than is there
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.NONE,
+            enable_data_crcs=True,
+        )
+        self._waiting = deque[tuple[Callable[[], int], int, bytes, int, int]]()  # as `add` got them
+        self._waiting_bytes = 0
+
+    @property
+    def mcap(self) -> Writer:
+        """The writer that channels and schemas are registered with."""
+        return self._mcap
+
+    @property
+    def content_digest(self) -> str:
+        """SHA-256 over the headers of all chunks until now; the open one is not in it."""
+        return self._stream.digest.hexdigest()
+
+    def start(self, profile: str, library: str) -> None:
+        self._mcap.start(profile=profile, library=library)
+
+    def add_picture(
+        self, number_of: Callable[[], int], log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
+    ) -> None:
+        """A message on a picture's channel; `number_of` gives the channel's number, and may register it."""
+        number = number_of()
+        self._stream.places.channels.add(number)
+        self._mcap.add_message(number, log_time_ns, data, publish_time_ns, sequence)
+        if self._stream.places.count >= PLACES_AT_ONCE:
+            self._write_places()
+
+    def add(
+        self, number_of: Callable[[], int], log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
+    ) -> None:
+        """Any other message."""
+        self._waiting.append((number_of, log_time_ns, data, publish_time_ns, sequence))
+        self._waiting_bytes += len(data) + MESSAGE.size
+        if self._waiting_bytes > min(CHUNK_BYTES, ROWS_CHUNK_BYTES):
+            self.flush()
+
+    def add_mixed(
+        self, number_of: Callable[[], int], log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
+    ) -> None:
+        """A message of a file that has no chunks of its own for pictures."""
+        self._mcap.add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
+
+    def flush(self) -> None:
+        """Close the open chunks: that of the pictures, then the other one."""
+        self._mcap.flush()  # type: ignore[no-untyped-call]
+        if self._waiting:
+            self._waiting_bytes = 0
+            while self._waiting:  # one by one: whatever interrupts this, a Ctrl-C too, the others still wait
+                number_of, log_time_ns, data, publish_time_ns, sequence = self._waiting.popleft()
+                self._mcap.add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
+            self._mcap.flush()  # type: ignore[no-untyped-call]
+
+    def add_metadata(self, name: str, values: dict[str, str]) -> None:
+        self._mcap.add_metadata(name, values)
+
+    def add_attachment(self, *about: Any) -> None:
+        self._mcap.add_attachment(*about)
+
+    def finish(self) -> None:
+        """Write what lies where, and the summary. Nothing else may be written afterwards."""
+        self.flush()
+        if self._stream.places.channels:
+            self._write_places()
+            self._mcap.add_attachment(*self._stream.places.take_chunks())
+        self._mcap.finish()  # type: ignore[no-untyped-call]
+
+    def _write_places(self) -> None:
+        self._mcap.add_attachment(*self._stream.places.take_pictures())
+
+
+class _ChunkStream:
+    """Passes what the MCAP library writes on to a file, and notes of each chunk what is in it.
+
+    The library writes a chunk by one call.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self.places = PlacesWritten()
+        self.digest = sha256()
+        self.flush = stream.flush
+        self.tell = stream.tell
+
+    def write(self, data: bytes) -> int:
+        if data[:1] == _CHUNK:
+            self.digest.update(data[: CHUNK_HEADER.size])
+            self.places.add_chunk(self._stream.tell(), data)
+        return self._stream.write(data)
+
+
+_CHUNK: Final = bytes([Opcode.CHUNK])

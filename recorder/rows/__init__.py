@@ -1,0 +1,1 @@
+"""What the numbers of rows show: quality, odd stretches, how somebody steers."""

@@ -1,0 +1,228 @@
+"""What is odd in a recording, as far as its numbers show: stretches of rows, each with its cause.
+
+A stretch is the whole of what belongs together: the approach to an impact, the reversing, and the way out are one.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.errors import counted, printable
+from common.location import Location
+from common.stretches import stretches_within
+from common.untrusted_json import json_as
+from recorder.rows.crashes import impact_rows
+from recorder.rows.driving_backwards import SURELY_MPH, driven_backwards
+from recorder.rows.row_quality import (
+    NOT_LEARNT,
+    States,
+    drive_numbers,
+    elapsed_s,
+    row_flags,
+    usual_speed_mph,
+)
+from recorder.rows.slow_rows import coasting_rows, creeping_rows
+
+ODD_KINDS: Final[Mapping[str, str]] = {
+    "crash": "crash",
+    "backwards": "driving backwards",
+    "parked": "parked",
+    "out_of_range": "values out of range",
+    "stuck_steering": "steering that never changes",
+    "steering_against_pictures": "steering against the pictures",
+    "coasting": "coasting to a halt",
+    "creeping": "creeping",
+}
+"""What each kind is called; of rows that are of several, the first counts."""
+
+CRUMB_S: Final = 1.0
+ODD: Final = "odd"
+"""Their key in a log's `bc.quality`."""
+MAX_KEPT: Final = 100
+MAX_NAMED: Final = 6
+MOSTLY: Final = 0.6
+"""Of its rows; a crash without an impact in which the car reverses for so long is driving backwards."""
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class OddStretch:
+    """Rows of a log that are odd for one cause; times in seconds from the log's first row."""
+
+    kind: str  # one of ODD_KINDS
+    first_row: int
+    last_row: int
+    begin_s: float
+    end_s: float
+    cause: str
+    is_sure: bool  # nobody should learn from it; else a person has to look
+    is_shown: bool = False  # by the pictures, and not by the numbers alone
+
+    @property
+    def is_learnt(self) -> bool:
+        """False for what `bc-index` leaves out of training by itself."""
+        return not self.is_sure or self.is_shown or self.kind not in NOT_LEARNT
+
+    @property
+    def rows(self) -> int:
+        return self.last_row - self.first_row + 1
+
+    def command(self, log: Location) -> str:
+        """The command that excludes it."""
+        return f"bc-log tag {shlex.quote(str(log))} exclude --rows {self.first_row} {self.last_row}"
+
+    def __str__(self) -> str:
+        kind = ODD_KINDS.get(self.kind, printable(self.kind))
+        rows = (
+            f"row {self.first_row}"
+            if self.first_row == self.last_row
+            else f"rows {self.first_row} to {self.last_row}"
+        )
+        perhaps = "" if self.is_sure else "perhaps "
+        return f"{perhaps}{kind}: {rows}, {self.begin_s:.1f} to {self.end_s:.1f} s ({printable(self.cause)})"
+
+
+def odd_stretches(states: States) -> list[OddStretch]:
+    """The odd stretches of a log's vehicle states, in their order; no row is in two of them, and no content of the
+    rows raises anything. Gaps in time, and ordinary stops, are none."""
+    if not len(states.row):
+        return []
+    drive = drive_numbers(states.time_ns)
+    taken = np.zeros(len(drive), np.bool_)
+    found = []
+    for kind, mask, is_sure, cause in _kinds(states, drive):
+        for first, last in stretches_within(mask & ~taken, drive):
+            rows = slice(first, last + 1)
+            taken[rows] = True
+            if not is_sure and states.time_ns[last] - states.time_ns[first] < CRUMB_S * 1e9:
+                continue  # the edge of what is odd for another cause
+            kind_of_it, why = cause(rows) if callable(cause) else (kind, cause)
+            found.append(stretch_of(states, first, last, kind_of_it, why, is_sure=is_sure))
+    return sorted(found, key=lambda each: (each.first_row, each.last_row))
+
+
+def stretch_of(states: States, first: int, last: int, kind: str, cause: str, *, is_sure: bool) -> OddStretch:
+    """The stretch between two positions in the states of a log."""
+    first_row, last_row = sorted((int(states.row[first]), int(states.row[last])))
+    begin_s, end_s = ((states.time_ns[[first, last]] - states.time_ns[0]) / 1e9).tolist()
+    return OddStretch(kind, first_row, last_row, begin_s, end_s, cause, is_sure)
+
+
+_Cause = Callable[[slice], tuple[str, str]] | str
+
+
+def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask, bool, _Cause]]:
+    """Of each kind its rows (N,), whether it is sure, and its cause, or the kind and the cause of some rows."""
+    flags = row_flags(states)
+    time_s = elapsed_s(states.time_ns)
+    speed_mph = np.abs(np.where(np.isfinite(states.speed_mph), states.speed_mph, np.nan))
+    standing = flags["standing_still"]
+    usual_mph = usual_speed_mph(states)
+    is_hit = impact_rows(speed_mph, time_s)
+
+    def fastest_mph(rows: slice) -> float:
+        return float(np.nanmax(speed_mph[rows], initial=0.0))
+
+    def manoeuvre(rows: slice) -> tuple[str, str]:
+        backwards, hits = flags["backwards"][rows], rows.start + np.flatnonzero(is_hit[rows])
+        if not flags["crash"][rows].any() or (not len(hits) and backwards.mean() > MOSTLY):
+            by_sign = (states.speed_mph[rows] < SURELY_MPH).any()
+            why = "its speed is below 0" if by_sign else "its speed rises while the brake is held"
+            return "backwards", f"at up to {float(np.nanmax(speed_mph[rows][backwards])):.0f} mph; {why}"
+        how = f"hits something at row {states.row[hits[0]]}" if len(hits) else "stands with its wheels turned far"
+        return "crash", how + (f", {counted(int(backwards.sum()), 'row')} backwards" if backwards.any() else "")
+
+    yield "crash", flags["crash"] | flags["backwards"] | flags["manoeuvring"], True, manoeuvre
+    yield (
+        "parked",
+        flags["parked"],
+        True,
+        lambda rows: (
+            "parked",
+            f"stands for {time_s[rows][-1] - time_s[rows][0]:.0f} s",
+        ),
+    )
+    yield "out_of_range", flags["out_of_range"], True, "steering, a pedal or a speed that no car has"
+    perhaps = driven_backwards(speed_mph, states.throttle, states.brake, time_s, drive).perhaps
+    yield (
+        "backwards",
+        perhaps,
+        False,
+        lambda rows: (
+            "backwards",
+            f"or downhill? Up to {fastest_mph(rows):.0f} mph from a stand, without throttle",
+        ),
+    )
+    yield (
+        "stuck_steering",
+        flags["stuck_steering"],
+        False,
+        lambda rows: (
+            "stuck_steering",
+            f"at {states.steering[rows][0]:g}",
+        ),
+    )
+    coasting = coasting_rows(speed_mph, states.throttle, states.brake, standing, usual_mph, time_s, drive)
+    yield (
+        "coasting",
+        coasting,
+        False,
+        lambda rows: (
+            "coasting",
+            f"from {fastest_mph(rows):.0f} mph without a pedal",
+        ),
+    )
+    yield (
+        "creeping",
+        creeping_rows(speed_mph, standing, usual_mph, time_s, drive),
+        False,
+        lambda rows: (
+            "creeping",
+            f"at most {fastest_mph(rows):.1f} mph, where {usual_mph:.0f} mph is usual",
+        ),
+    )
+
+
+def odd_summary(states: States) -> dict[str, str]:
+    """A log's note of the first of them, beside `row_quality.summary`."""
+    return {ODD: json.dumps([asdict(each) for each in odd_stretches(states)[:MAX_KEPT]])}
+
+
+def odd_in(quality: Mapping[str, str]) -> list[OddStretch] | None:
+    """The stretches in a log's note of itself, which somebody else may have written; None where it has none."""
+    return json_as(quality.get(ODD, ""), list[OddStretch])
+
+
+def odd_lines(found: Sequence[OddStretch]) -> list[str]:
+    """What is odd in a log, in words."""
+    lines = [str(each) for each in found[:MAX_NAMED]]
+    if len(found) > MAX_NAMED:
+        lines.append(f"and {counted(len(found) - MAX_NAMED, 'more stretch', 'more stretches')}")
+    return lines
+
+
+def exclude_command(found: Sequence[OddStretch], log: Location) -> str:
+    """The command that excludes all that is sure."""
+    look = " --look" * any(each.is_sure and each.is_shown for each in found)
+    return f"bc-log tag {shlex.quote(str(log))} exclude --odd{look}"
+
+
+def odd_advice(found: Sequence[OddStretch], log: Location) -> list[str]:
+    """What becomes of what is odd in a log, and what to do about it; nothing where nothing is."""
+    lines, place = [], shlex.quote(str(log))
+    if any(not each.is_learnt for each in found):
+        lines.append("crashes, driving backwards and parked cars are not learnt by default, if a person drove")
+    if any(each.is_sure for each in found):
+        lines.append(f"`{exclude_command(found, log)}` excludes all that is sure")
+    if unsure := next((each for each in found if not each.is_sure), None):
+        look = f"`bc-play {place}`, or let `bc-log check {place}` look at its pictures"
+        lines.append(f"look at what is perhaps odd, {look}; `{unsure.command(log)}` excludes it")
+    return lines

@@ -1,0 +1,200 @@
+"""Flags for odd rows of a log, and where a pause begins a new drive, from its vehicle states alone.
+
+Thresholds were set on published recordings: people with keyboards hold an exact 0 for up to 14 s of driving, and
+any other exact value for at most 2 s; the simulator writes at least five rows a second.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from array import array
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.stretches import stretches, stretches_within
+from recorder.rows.crashes import crashed_rows, manoeuvring_rows
+from recorder.rows.devices import RowDevice, most_used
+from recorder.rows.driving_backwards import driven_backwards
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from recorder.bc_pb2 import VehicleState
+
+GAP_S: Final = 1.0
+APART_S: Final = 1000.0  # more than any time over which rows are compared
+STANDING_MPH: Final = 0.5
+SPEED_RANGE_MPH: Final = (-30.0, 300.0)
+"""No car reverses faster, and no simulator's that anybody drives goes faster; the real simulator's reaches 30."""
+STUCK_S: Final = 3.0
+STUCK_AT_ZERO_S: Final = 30.0
+MAX_STRETCHES: Final = 100  # listed in a log's summary of its rows; the counts are of all
+
+PARKED_S: Final = 5.0
+"""An ordinary start waits for 1.6 to 3.2 s in the recordings of people."""
+
+RowFlag = Literal[
+    "gap", "out_of_range", "standing_still", "stuck_steering", "crash", "backwards", "manoeuvring", "parked"
+]
+ROW_FLAGS: Final[tuple[RowFlag, ...]] = get_args(RowFlag)
+NOT_LEARNT: Final[tuple[RowFlag, ...]] = ("crash", "backwards", "manoeuvring", "parked")
+"""Rows with one of these are left out of training by default; of several, the first counts."""
+
+Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class States:
+    """The vehicle states of a log in its order; arrays of one length."""
+
+    row: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    steering: Values
+    throttle: Values
+    brake: Values
+    speed_mph: Values  # NaN where it is not known
+
+    @classmethod
+    def of(cls, vehicle: pa.Table) -> States:
+        """The states in a table of `Log.vehicle`."""
+        return cls(*(vehicle[name].to_numpy() for name in vehicle.column_names))
+
+    def part(self, chosen: NDArray[Any] | Sequence[int]) -> States:
+        """Some of the rows, by a mask or by their positions."""
+        return States(*(column[chosen] for column in vars(self).values()))
+
+
+class StatesWritten:
+    """The states of a log that is being written: 48 bytes a row."""
+
+    def __init__(self) -> None:
+        self._devices = Counter[int]()
+        self._numbers = array("q")
+        self._values = array("d")
+
+    def add(self, row: int, time_ns: int, state: VehicleState) -> None:
+        self._numbers.extend((row, time_ns))
+        self._values.extend((state.steering, state.throttle, state.brake, state.speed_mph))
+        self._devices[state.device] += 1
+
+    @property
+    def device(self) -> RowDevice:
+        """The device that most rows were steered with."""
+        return most_used(self._devices)
+
+    def __len__(self) -> int:
+        return len(self._numbers) // 2
+
+    def states(self) -> States:
+        numbers = np.array(self._numbers, np.int64).reshape(-1, 2)
+        values = np.array(self._values, np.float64).reshape(-1, 4)
+        return States(numbers[:, 0], numbers[:, 1], *values.T)
+
+
+def summary(states: States) -> dict[str, str]:
+    """A log's summary of its own rows, so that nobody has to read it all: drives, how many rows each flag holds
+    for, and the first stretches of them as JSON: [flag, first row, last row, begin and end in seconds from the
+    log's first row]; a gap begins at the row before it."""
+    flags = row_flags(states)
+    found = sorted((first, last, flag) for flag, mask in flags.items() for first, last in stretches(mask))
+    since_s = (states.time_ns - states.time_ns[:1]) / 1e9
+    listed = [
+        [
+            flag,
+            int(states.row[first]),
+            int(states.row[last]),
+            float(since_s[first - (flag == "gap")]),
+            float(since_s[last]),
+        ]
+        for first, last, flag in found
+    ]
+    return {
+        "rows": str(len(states.row)),
+        "drives": str(int(drive_numbers(states.time_ns)[-1]) + 1 if len(states.row) else 0),
+        "driven_s": f"{driven_s(states.time_ns):.3f}",
+        **{flag: str(int(mask.sum())) for flag, mask in flags.items()},
+        "stretches": json.dumps(listed[:MAX_STRETCHES]),
+    }
+
+
+def drive_numbers(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Numbers the drives of a session from 0: a new one begins after a gap, or where time goes backwards."""
+    step_ns = np.diff(time_ns)
+    return np.concatenate([[0], np.cumsum((step_ns > GAP_S * 1e9) | (step_ns < 0))])[: len(time_ns)]
+
+
+def elapsed_s(time_ns: NDArray[np.int64]) -> Values:
+    """The rows' times (N,) in seconds, in ascending order; drives lie `APART_S` from each other, whatever lay
+    between them."""
+    same = np.diff(drive_numbers(time_ns)) == 0
+    step_s = np.where(same, np.diff(time_ns) / 1e9, APART_S)
+    return np.concatenate([[0.0], np.cumsum(step_s)])[: len(time_ns)]
+
+
+def driven_s(time_ns: NDArray[np.int64]) -> float:
+    """The time that was driven: that of all drives, without what lies between them."""
+    return float(np.diff(time_ns)[np.diff(drive_numbers(time_ns)) == 0].sum()) / 1e9
+
+
+def row_flags(states: States) -> dict[RowFlag, NDArray[np.bool_]]:
+    """For each flag the rows (N,) that it holds for.
+
+    `gap`: the first row after a gap in time; `out_of_range`: steering beyond -1..1, pedals beyond 0..1, or no
+    number, or a speed beyond `SPEED_RANGE_MPH`; `standing_still`; `stuck_steering`: the very same steering for
+    long while the car moves; `crash`: the car stands at an obstacle, or manoeuvres to get away from it;
+    `backwards`; `manoeuvring`: the second before an impact, and the way out of a crash or from driving backwards;
+    `parked`: the car stands for long, in a session in which it drives.
+    """
+    drive, time_s = drive_numbers(states.time_ns), elapsed_s(states.time_ns)
+    standing = np.abs(states.speed_mph) < STANDING_MPH  # False for an unknown speed
+    usual_mph = usual_speed_mph(states)
+    speed_mph = np.where(np.isfinite(states.speed_mph), np.clip(states.speed_mph, *SPEED_RANGE_MPH), np.nan)
+    backwards = driven_backwards(speed_mph, states.throttle, states.brake, time_s, drive).sure
+    speed_mph = np.abs(speed_mph)
+    crashed = crashed_rows(speed_mph, states.steering, standing, usual_mph, time_s, drive)
+    manoeuvring = manoeuvring_rows(crashed, backwards, speed_mph, states.steering, usual_mph, time_s, drive)
+    in_range = np.abs(states.steering) <= 1  # False for NaN too
+    for pedal in (states.throttle, states.brake):
+        in_range &= (pedal >= 0) & (pedal <= 1)
+    slowest_mph, fastest_mph = SPEED_RANGE_MPH
+    in_range &= ~((states.speed_mph < slowest_mph) | (states.speed_mph > fastest_mph))  # unknown, NaN, is allowed
+    return {
+        "gap": np.diff(drive, prepend=drive[:1]) > 0,
+        "out_of_range": ~in_range,
+        "standing_still": standing,
+        "stuck_steering": _stuck(states, drive, standing),
+        "crash": crashed,
+        "backwards": backwards,
+        "manoeuvring": manoeuvring,
+        "parked": _parked(standing, time_s, drive) & np.isfinite(usual_mph),
+    }
+
+
+def usual_speed_mph(states: States) -> float:
+    """The median speed of the rows in which the car moves; NaN without any."""
+    speed_mph = np.abs(np.where(np.isfinite(states.speed_mph), np.clip(states.speed_mph, *SPEED_RANGE_MPH), 0.0))
+    moving = speed_mph[speed_mph >= STANDING_MPH]
+    return float(np.median(moving)) if len(moving) else math.nan
+
+
+def _parked(standing: NDArray[np.bool_], time_s: Values, drive: NDArray[np.int64]) -> NDArray[np.bool_]:
+    parked = np.zeros(len(drive), np.bool_)
+    for first, last in stretches_within(standing, drive):
+        parked[first : last + 1] = time_s[last] - time_s[first] >= PARKED_S
+    return parked
+
+
+def _stuck(states: States, drive: NDArray[np.int64], standing: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    changes = (states.steering[1:] != states.steering[:-1]) | (np.diff(drive) != 0) | (np.diff(standing) != 0)
+    edges = np.flatnonzero(changes)
+    first = np.concatenate([[0], edges + 1])[: len(drive)]
+    last = np.append(edges, len(drive) - 1)[: len(first)]
+    limit_s = np.where(states.steering[first] == 0, STUCK_AT_ZERO_S, STUCK_S)
+    held_ns = states.time_ns[last] - states.time_ns[first]
+    return np.repeat(~standing[first] & (held_ns >= limit_s * 1e9), last - first + 1)

@@ -1,0 +1,196 @@
+"""Steering habits of a session, by its rows alone: presses, steps or a smooth hand, and how much can be learnt.
+
+A keyboard knows three positions and is pressed for a fraction of a second; what the person meant lies between. The
+agreement of a row's steering with that of the rows around it bounds how well any network can predict it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.car import MAX_STEERING_DEG
+from common.untrusted_json import json_as
+from recorder.rows.devices import RowDevice
+from recorder.rows.row_quality import (
+    States,
+    Values,
+    drive_numbers,
+    driven_s,
+    elapsed_s,
+    row_flags,
+)
+from recorder.rows.usual_step import usual_step
+
+CEILING_S: Final = (0.25, 0.5, 1.0)
+"""Lengths of the time around a row whose other rows are its neighbours: half of it before, half after."""
+ENOUGH_S: Final = 60.0
+"""Of driving. In less there are too few presses and bends to recognise a habit."""
+NARROW: Final = 0.05
+"""Steering that never leaves +-1.25 degrees is of another scale: no road is that straight for a minute."""
+MAX_OUT_OF_RANGE: Final = 0.1
+"""Steering that is beyond -1..1 in more rows than that is of another scale, such as degrees."""
+STEPS_ZEROS: Final = 0.3
+STEPS_CEILING: Final = 0.9
+"""People's recordings have an exact 0 in 45 to 80 % of their rows, and ceilings of 0.37 to 0.95. Steering that is
+turned all the time (a wheel, a machine) has neither."""
+KEYS_VALUES: Final = 16  # keys without a ramp know -1, 0 and 1
+KEYS_SHARE: Final = 0.4
+KEYS_NEAR: Final = 0.1
+"""Keys turn the wheel at one rate for every driver (Unity: 3 of full lock a second): so many of the changes
+are that near to it."""
+
+_ROUNDING_S: Final = 1e-6  # rows at even times lie on the edge
+_NO_SPREAD: Final = 1e-9
+
+Kind = Literal["none", "constant", "too short", "other scale", "steps", "smooth"]
+
+
+@dataclass(frozen=True)
+class SteeringHabits:
+    """Measures of how a session was steered. Rows whose steering is out of range count in `out_of_range` alone;
+    None: unknown, for want of rows."""
+
+    kind: Kind
+    rows: int
+    out_of_range: float  # share of all rows
+    driven_s: float
+    rate_hz: float | None  # rows a second, usually
+    zeros: float | None  # share of the rows with a steering of exactly 0
+    left: float | None  # share of those steered to the left
+    right: float | None
+    values: int  # different ones
+    presses: int  # stretches of rows with a steering other than 0
+    press_s: float | None  # their median length
+    keys: bool  # it turns at one rate, or knows a few positions only
+    spread_deg: float | None  # standard deviation
+    largest_deg: float | None  # of either side
+    ceiling: tuple[float | None, float | None, float | None]  # within each of CEILING_S
+    crashes: float | None  # share of the rows in crashes
+    device: RowDevice = ""  # that a person steered most rows with, as recorded; empty if the log names none
+
+
+@dataclass(frozen=True)
+class SteeringLag:
+    """The lag of steering behind the turning that pictures show, as `recorder.seen.steering_lag` measures it."""
+
+    lag_s: float  # steering comes so long after the turning; negative: before it
+    correlation: float  # of the two at that lag; negative: the pictures turn the other way
+    pictures: int  # that were decoded
+    margin_s: float | None = None  # it is surely so near to that; None in what earlier versions have written
+
+
+def habits_from(text: str) -> SteeringHabits | None:
+    """The habits in a log's note of itself, from JSON; None for any other text, which strangers may write."""
+    return json_as(text, SteeringHabits)
+
+
+def steering_habits(
+    states: States, max_steering_deg: float = MAX_STEERING_DEG, device: RowDevice = ""
+) -> SteeringHabits:
+    """Measure the habits in the rows of a log, whose wheels turn by `max_steering_deg` at steering 1, and whose
+    rows name `device`. No content of the rows raises anything."""
+    in_range = np.abs(states.steering) <= 1  # False for NaN too
+    flags = row_flags(states)
+    steering, time_ns = states.steering[in_range], states.time_ns[in_range]
+    rows = len(steering)
+    drive = drive_numbers(time_ns)
+    same = np.diff(drive) == 0
+    steps_s = (np.diff(time_ns)[same]) / 1e9
+    steps_s = steps_s[steps_s > 0]
+    step_s = usual_step(steps_s) if len(steps_s) else None
+    presses = _presses(steering, drive)
+    out_of_range = 1 - rows / len(in_range) if len(in_range) else 0.0
+    ceiling = _ceilings(steering, elapsed_s(time_ns))
+    return SteeringHabits(
+        kind=_kind(steering, out_of_range, driven_s(states.time_ns), ceiling[1]),
+        rows=rows,
+        out_of_range=out_of_range,
+        driven_s=driven_s(states.time_ns),
+        rate_hz=1 / step_s if step_s else None,
+        zeros=_share(steering == 0),
+        left=_share(steering < 0),
+        right=_share(steering > 0),
+        values=len(np.unique(steering)),
+        presses=len(presses),
+        press_s=float(np.median(presses)) * step_s if len(presses) and step_s else None,
+        keys=_is_of_keys(steering, time_ns, same),
+        spread_deg=float(steering.std()) * max_steering_deg if rows else None,
+        largest_deg=float(np.abs(steering).max()) * max_steering_deg if rows else None,
+        ceiling=ceiling,
+        crashes=_share(flags["crash"]),
+        device=device,
+    )
+
+
+def _kind(steering: Values, out_of_range: float, seconds: float, ceiling: float | None) -> Kind:
+    if out_of_range > MAX_OUT_OF_RANGE:
+        return "other scale"
+    if not steering.any():  # nor where there is no row
+        return "none"
+    if (steering == steering[0]).all():
+        return "constant"
+    if seconds < ENOUGH_S:
+        return "too short"
+    if np.abs(steering).max() < NARROW:
+        return "other scale"
+    is_in_steps = (steering == 0).mean() >= STEPS_ZEROS or (ceiling is not None and ceiling < STEPS_CEILING)
+    return "steps" if is_in_steps else "smooth"
+
+
+def neighbours_mean(steering: Values, time_s: Values, reach_s: float) -> Values:
+    """For each row (N,) the mean steering of the others within `reach_s` of it; NaN where there is none. Times
+    ascend, as `elapsed_s` gives them."""
+    begin = np.searchsorted(time_s, time_s - reach_s - _ROUNDING_S, side="left")
+    end = np.searchsorted(time_s, time_s + reach_s + _ROUNDING_S, side="right")
+    total = np.concatenate([[0.0], np.cumsum(steering)])
+    others = end - begin - 1
+    mean = (total[end] - total[begin] - steering) / np.maximum(others, 1)
+    return np.where(others > 0, mean, np.nan)
+
+
+def _ceilings(steering: Values, time_s: Values) -> tuple[float | None, float | None, float | None]:
+    found = [_correlation(steering, neighbours_mean(steering, time_s, width_s / 2)) for width_s in CEILING_S]
+    return found[0], found[1], found[2]
+
+
+def _correlation(a: Values, b: Values) -> float | None:
+    """The correlation where both are finite; None where one of them does not vary."""
+    known = np.isfinite(a) & np.isfinite(b)
+    a, b = a[known], b[known]
+    if len(a) < 3 or a.std() < _NO_SPREAD or b.std() < _NO_SPREAD:
+        return None
+    return float(np.corrcoef(a, b)[0, 1])
+
+
+def _presses(steering: Values, drive: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The number of rows of each stretch of steering other than 0."""
+    pressed = steering != 0
+    edge = np.concatenate([[True], (np.diff(pressed) != 0) | (np.diff(drive) != 0)])[: len(pressed)]
+    starts = np.flatnonzero(edge)
+    lengths = np.diff(np.append(starts, len(pressed)))
+    pressed_rows: NDArray[np.int64] = lengths[pressed[starts]]
+    return pressed_rows
+
+
+def _is_of_keys(steering: Values, time_ns: NDArray[np.int64], same: NDArray[np.bool_]) -> bool:
+    if not len(steering):
+        return False
+    if 1 < len(np.unique(steering)) <= KEYS_VALUES:
+        return True
+    is_step = same & (np.diff(time_ns) > 0) & (np.diff(steering) != 0)
+    rate = np.abs(np.diff(steering)[is_step]) / (np.diff(time_ns)[is_step] / 1e9)
+    if not len(rate):
+        return False
+    rate = np.sort(rate)
+    near = np.searchsorted(rate, rate * (1 + KEYS_NEAR), side="right") - np.searchsorted(
+        rate, rate * (1 - KEYS_NEAR)
+    )
+    return float(near.max() / len(rate)) >= KEYS_SHARE
+
+
+def _share(mask: NDArray[np.bool_]) -> float | None:
+    return float(mask.mean()) if len(mask) else None

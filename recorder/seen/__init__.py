@@ -1,0 +1,1 @@
+"""What pictures show: turning, the steering's lag, side cameras."""

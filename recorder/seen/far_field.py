@@ -1,0 +1,117 @@
+"""The far field of a session's pictures: how far the car turned between two of them.
+
+Distant things move across the picture as the car turns, and hardly otherwise. So the shift of the far field from
+one picture to the next is the car's yaw, whatever steering the log has.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.errors import LogError
+from recorder.log.reader import Log
+from recorder.pictures.decoding import decode_picture
+from recorder.pictures.scaling import scaled_to_width
+from recorder.rows.row_quality import States, Values
+from recorder.topics import camera_topic
+
+WIDTH_PX: Final = 160
+_APART_S: Final = 0.095  # between two pictures: in less, what is far moves by a fraction of a pixel
+_FARTHEST_S: Final = 0.3  # in more, it has left the picture
+_FAR: Final = (0.34, 0.5)  # of the height: about the horizon, above the road near by
+_SLOWEST_MPH: Final = 5.0
+_PARTS: Final = 10  # of a longer session, evenly spread
+
+Picture = NDArray[np.float32]
+
+
+def rows_apart(states: States, time_s: Values, most: int | None = None) -> NDArray[np.int64]:
+    """Positions (N, 2) of rows of the moving car, so far apart that a turn can be seen between their pictures.
+
+    `time_s`: of the rows, by `elapsed_s`. Of more than `most` rows, ten parts evenly spread have so many together.
+    """
+    later = np.searchsorted(time_s, time_s + _APART_S).tolist()
+    chain, at = list[int](), 0
+    while at < len(later):
+        chain.append(at)
+        at = max(later[at], at + 1)
+    rows = np.array(chain, np.int64)
+    if most is not None and len(rows) > most:
+        each = most // _PARTS
+        starts = np.linspace(0, len(rows) - each, _PARTS).astype(np.int64)
+        taken = (starts[:, None] + np.arange(each)).ravel()
+        pairs = np.stack([rows[taken[:-1]], rows[taken[1:]]], axis=1)[np.diff(taken) == 1]
+    else:
+        pairs = np.stack([rows[:-1], rows[1:]], axis=1)
+    is_near = np.diff(time_s[pairs])[:, 0] <= _FARTHEST_S
+    is_slow = (states.speed_mph[pairs] < _SLOWEST_MPH).any(axis=1)  # False for an unknown speed
+    chosen: NDArray[np.int64] = pairs[is_near & ~is_slow]
+    return chosen
+
+
+class CenterPictures:
+    """The centre camera's pictures, by the positions of their rows."""
+
+    def __init__(self, log: Log, states: States) -> None:
+        self._log = log
+        found = log.pictures(camera_topic("center"))
+        places = zip(*(each.tolist() for each in (found.offset, found.length, found.chunk)), strict=True)
+        moments = zip(found.sequence.tolist(), found.log_time_ns.tolist(), strict=True)
+        by_moment = dict(zip(moments, places, strict=True))
+        rows = zip(states.row.tolist(), states.time_ns.tolist(), strict=True)
+        self._places = [by_moment.get(moment) for moment in rows]
+        self.decoded_rows = set[int]()
+
+    def gray(self, row: int) -> NDArray[np.uint8] | None:
+        """The picture in half its size; None where there is none that decodes."""
+        place = self._places[row]
+        if place is None:
+            return None
+        try:
+            picture = decode_picture(self._log.read(*place), cv2.IMREAD_REDUCED_GRAYSCALE_2)
+        except LogError:
+            return None
+        if picture is not None:
+            self.decoded_rows.add(row)
+        return picture
+
+
+class FarField:
+    """The far field of the centre camera's pictures."""
+
+    def __init__(self, log: Log, states: States) -> None:
+        self._pictures = CenterPictures(log, states)
+        self._last: tuple[int, Picture | None] = (-1, None)
+
+    @property
+    def decoded_rows(self) -> set[int]:
+        return self._pictures.decoded_rows
+
+    def yaw_px(self, first: int, second: int) -> float:
+        """The car's turn to the right between two rows, in columns of the picture; NaN if it is unknown."""
+        before, after = (self._of(row) for row in (first, second))
+        if before is None or after is None or before.shape != after.shape:
+            return float("nan")
+        window = cv2.createHanningWindow(before.shape[::-1], cv2.CV_32F)
+        (shift_px, _), _ = cv2.phaseCorrelate(before, after, window)
+        return -shift_px  # the world moves to the left
+
+    def _of(self, row: int) -> Picture | None:
+        if self._last[0] != row:
+            self._last = row, self._decoded(row)
+        return self._last[1]
+
+    def _decoded(self, row: int) -> Picture | None:
+        """Upright edges about the horizon; None of a picture too flat, or too narrow, to show any."""
+        picture = self._pictures.gray(row)
+        if picture is None:
+            return None
+        top, bottom = (round(share * picture.shape[0]) for share in _FAR)
+        far = scaled_to_width(picture[top : max(bottom, top + 1)], WIDTH_PX)
+        if far is None:
+            return None
+        return cv2.Sobel(cv2.GaussianBlur(far, (3, 3), 0), cv2.CV_32F, 1, 0).astype(np.float32, copy=False)

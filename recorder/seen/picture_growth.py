@@ -1,0 +1,69 @@
+"""The direction of travel, as a session's pictures show it: what lies ahead grows as the car drives towards it.
+
+Of two pictures the earlier one is enlarged, or the later one: the one that then goes better with the other says
+which way the car went. A car has to move by metres for that, and what it sees must stand out.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from common.car import MPS_PER_MPH
+from recorder.rows.row_quality import States, Values
+from recorder.seen.far_field import CenterPictures
+
+_APART_M: Final = 2.0
+_FARTHEST_S: Final = 1.5
+_SCALES: Final = (1.05, 1.1, 1.17)  # of what is 10 to 40 m away
+_BAND: Final = (0.3, 0.62)  # of the height: the horizon, and the road that is far
+MIN_PAIRS: Final = 4
+SHOWN: Final = 0.05
+"""Of stretches of 3 to 6 s in three recordings of people, nine in ten have more than 0.11 and none less than 0.01;
+the same pictures in the other order have the same below 0."""
+
+Gray = NDArray[np.uint8]
+
+
+def growth(pictures: CenterPictures, states: States, time_s: Values, first: int, last: int) -> float:
+    """How much better the pictures between two positions go together as of a car that drives forwards, -1..1:
+    below `-SHOWN` it drives backwards, above `SHOWN` forwards. NaN of fewer than `MIN_PAIRS` pairs."""
+    way_m = np.abs(np.nan_to_num(states.speed_mph)) * MPS_PER_MPH
+    driven_m = np.concatenate([[0.0], np.cumsum(way_m[:-1] * np.minimum(np.diff(time_s), 1.0))])
+    later = np.searchsorted(driven_m, driven_m + _APART_M).tolist()
+    found = list[float]()
+    at = first
+    while (following := max(later[at], at + 1)) <= last:
+        if time_s[following] - time_s[at] <= _FARTHEST_S:
+            before, after = (pictures.gray(row) for row in (at, following))
+            if before is not None and after is not None and before.shape == after.shape:
+                found.append(_growth(before, after))
+            at = following
+        else:
+            at += 1
+    known = [each for each in found if np.isfinite(each)]
+    return float(np.mean(known)) if len(known) >= MIN_PAIRS else float("nan")
+
+
+def _growth(before: Gray, after: Gray) -> float:
+    top, bottom = (round(share * before.shape[0]) for share in _BAND)
+    before, after = before[top : max(bottom, top + 1)], after[top : max(bottom, top + 1)]
+    forwards = max(_likeness(_enlarged(before, scale), after) for scale in _SCALES)
+    backwards = max(_likeness(before, _enlarged(after, scale)) for scale in _SCALES)
+    both = forwards + backwards
+    return (forwards - backwards) / both if forwards > 0 and backwards > 0 else float("nan")
+
+
+def _enlarged(picture: Gray, scale: float) -> Gray:
+    height, width = picture.shape
+    about = cv2.getRotationMatrix2D((width / 2, height / 2), 0, scale)
+    return np.asarray(cv2.warpAffine(picture, about, (width, height), borderMode=cv2.BORDER_REPLICATE), np.uint8)
+
+
+def _likeness(one: Gray, other: Gray) -> float:
+    edges = [cv2.Sobel(cv2.GaussianBlur(each, (3, 3), 0), cv2.CV_32F, 1, 0) for each in (one, other)]
+    window = cv2.createHanningWindow(one.shape[::-1], cv2.CV_32F)
+    return cv2.phaseCorrelate(edges[0], edges[1], window)[1]

@@ -1,0 +1,120 @@
+"""What is odd in a recording, as its pictures show it: steering that contradicts them, or that stands still while
+the car turns; and which way a car went where its numbers leave that open."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.progress import progress_bar
+from common.stretches import stretches
+from recorder.log.reader import Log
+from recorder.rows.odd_stretches import OddStretch, stretch_of
+from recorder.rows.row_quality import STANDING_MPH, States, Values, elapsed_s
+from recorder.seen.far_field import WIDTH_PX, CenterPictures, FarField, rows_apart
+from recorder.seen.picture_growth import SHOWN as SHOWN_GROWTH
+from recorder.seen.picture_growth import growth
+from recorder.seen.steering_against_pictures import against_pictures
+
+_CONTROLS: Final = 20
+_CONTROL_S: Final = 5.0
+_MIN_CONTROLS: Final = 5
+_MAX_WRONG: Final = 0.05
+"""Of the controls: on the built-in mountain one in eight looks backwards, and no picture of it is believed."""
+_SAMPLED_PAIRS: Final = 300
+_MIN_PAIRS: Final = 15
+_STILL: Final = 0.5
+"""Of the session's spread of turning: a car that is steered alike turns alike."""
+
+
+def with_pictures(log: Log, odd: Sequence[OddStretch]) -> list[OddStretch]:
+    """The odd stretches of a log's rows, and those that its centre camera's pictures show; all are decoded. Raises
+    LogError for a log whose rows cannot be read."""
+    states = States.of(log.vehicle())
+    with progress_bar() as bar:
+        task = bar.add_task("comparing steering with pictures", total=len(states.row), note="")
+        against = against_pictures(log, partial(bar.advance, task))
+    why = "the pictures turn the other way"
+    found = [
+        replace(stretch_of(states, first, last, "steering_against_pictures", why, is_sure=True), is_shown=True)
+        for first, last in stretches(against)
+    ]
+    time_s = elapsed_s(states.time_ns)
+    open_ones = [each for each in odd if not each.is_sure]
+    direction = _direction(log, states, time_s, odd) if any(e.kind == "backwards" for e in open_ones) else None
+    turning = _turning(log, states, time_s) if any(e.kind == "stuck_steering" for e in open_ones) else None
+    for each in odd:
+        judged: OddStretch | None = each
+        first, last = (int(np.flatnonzero(states.row == row)[0]) for row in (each.first_row, each.last_row))
+        if each.kind == "backwards" and not each.is_sure and direction is not None:
+            judged = _by_growth(each, direction(first, last))
+        elif each.kind == "stuck_steering" and turning is not None and turning(first, last) > _STILL:
+            judged = replace(each, is_sure=True, is_shown=True, cause=f"{each.cause}, while the pictures turn")
+        if judged is not None:
+            found.append(judged)
+    return sorted(found, key=lambda each: (each.first_row, each.last_row))
+
+
+def _by_growth(each: OddStretch, grown: float) -> OddStretch | None:
+    """What the pictures make of a stretch that may be backwards; None if it is not."""
+    if grown < -SHOWN_GROWTH:
+        why = f"{each.cause.removeprefix('or downhill? ')}; the pictures shrink"
+        return replace(each, is_sure=True, is_shown=True, cause=why)
+    return None if grown > SHOWN_GROWTH else each
+
+
+def _direction(
+    log: Log, states: States, time_s: Values, odd: Sequence[OddStretch]
+) -> Callable[[int, int], float] | None:
+    """The growth between two rows; None where the session's pictures do not show that it drives forwards."""
+    pictures = CenterPictures(log, states)
+    is_odd = np.zeros(len(states.row), np.bool_)
+    for each in odd:
+        is_odd |= (states.row >= each.first_row) & (states.row <= each.last_row)
+    drives = np.flatnonzero(~is_odd & (np.abs(states.speed_mph) >= STANDING_MPH))
+    controls = list[float]()
+    for first in np.unique(drives[np.linspace(0, len(drives) - 1, _CONTROLS).astype(int)] if len(drives) else []):
+        last = int(np.searchsorted(time_s, time_s[first] + _CONTROL_S)) - 1
+        if not is_odd[first : last + 1].any():
+            controls.append(growth(pictures, states, time_s, int(first), last))
+    known = np.array([each for each in controls if np.isfinite(each)])
+    if len(known) < _MIN_CONTROLS or (known < 0).mean() > _MAX_WRONG:
+        return None
+    return partial(growth, pictures, states, time_s)
+
+
+def _turning(log: Log, states: States, time_s: Values) -> Callable[[int, int], float] | None:
+    """The spread of the car's turning between two rows, as the pictures show it, as a share of the session's;
+    None where they do not."""
+    shown = FarField(log, states)
+    pairs = rows_apart(states, time_s)
+
+    def turns(some: NDArray[np.int64]) -> Values:
+        yaw_px = np.array([shown.yaw_px(first, second) for first, second in some.tolist()])
+        way = (
+            np.diff(time_s[some])[:, 0]
+            * np.where(np.isfinite(states.speed_mph), states.speed_mph, 1.0)[some[:, 0]]
+        )
+        found: Values = (yaw_px / way)[np.abs(yaw_px) < WIDTH_PX / 4]  # False for NaN
+        return found
+
+    sampled = turns(pairs[:: max(1, len(pairs) // _SAMPLED_PAIRS)])
+    if len(sampled) < _MIN_PAIRS or not _spread(sampled) > 0:
+        return None
+
+    def spread(first: int, last: int) -> float:
+        part = turns(pairs[(pairs[:, 0] >= first) & (pairs[:, 1] <= last)])
+        return _spread(part) / _spread(sampled) if len(part) >= _MIN_PAIRS else 0.0
+
+    return spread
+
+
+def _spread(values: Values) -> float:
+    """Half the distance between the 16th and the 84th percentile: a standard deviation without outliers."""
+    low, high = np.percentile(values, (16, 84))
+    return float(high - low) / 2

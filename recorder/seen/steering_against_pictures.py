@@ -1,0 +1,120 @@
+"""Stretches of a session in which the car turns one way, as its pictures show, and the steering says the other.
+
+The labels there are wrong: taken from another drive, mirrored, or of another time. On straights nothing
+contradicts them, and nothing is found. No network takes part.
+
+The thresholds were set on four recordings of people (5,667 rows): none of their rows is found, and of stretches of
+10 s whose steering was mirrored, those that have bends (benchmarks/README.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.stretches import stretches
+from recorder.log.reader import Log
+from recorder.rows.row_quality import States, Values, elapsed_s
+from recorder.seen.far_field import WIDTH_PX, FarField, rows_apart
+
+_WINDOW_S: Final = 5.0  # in less, a person who corrects the steering on a straight looks like it
+_MIN_PAIRS: Final = 15  # in a window
+_MIN_S: Final = 20.0
+"""So much of the drive has to show how the car turns: of 12 s of hairpins, one in eight was found to be wrong."""
+_OPPOSED: Final = -0.3  # a correlation
+_MIN_YAW: Final = 0.25  # of the session's mean square: so much that the car visibly turns
+_MIN_STEERING: Final = 0.1
+_LAGS_S: Final = np.arange(-20, 21) * 0.05
+_USUAL: Final = 0.35
+"""The correlation in half of the windows, at least: else the pictures do not show how the car turns. Not that of
+the whole, as `recorder.seen.steering_lag` takes it: a sixth of wrong labels would spoil it."""
+
+
+def against_pictures(log: Log, on_pairs: Callable[[int], object] = lambda count: None) -> NDArray[np.bool_]:
+    """The rows (N,) of the log whose steering contradicts its pictures; none where the pictures as a whole do not
+    show how the car turned.
+
+    Decodes the centre camera's pictures, a second of one core for four thousand rows; `on_pairs` is called with
+    the pairs done since the last call. Raises LogError for a log whose rows cannot be read.
+    """
+    states = States.of(log.vehicle())
+    found = np.zeros(len(states.row), np.bool_)
+    time_s = elapsed_s(states.time_ns)
+    is_sound = np.abs(states.steering) <= 1  # False for NaN too
+    pairs = rows_apart(states, time_s)
+    pairs = pairs[is_sound[pairs].all(axis=1)]
+    shown = FarField(log, states)
+    yaw_px: Values = np.full(len(pairs), np.nan)
+    for number, (first, second) in enumerate(pairs.tolist()):
+        yaw_px[number] = shown.yaw_px(first, second)
+        on_pairs(1)
+    is_known = np.abs(yaw_px) < WIDTH_PX / 4  # False for NaN; beyond, it has found nothing in common
+    pairs, yaw_px = pairs[is_known], yaw_px[is_known]
+    if np.diff(time_s[pairs])[:, 0].sum() < _MIN_S:
+        return found
+    yaw = yaw_px / np.diff(time_s[pairs])[:, 0]
+    speed = np.where(np.isfinite(states.speed_mph), states.speed_mph, 1.0)
+    middle_s = time_s[pairs].mean(axis=1)
+    turning = (states.steering * speed)[is_sound]
+    steered = np.stack([np.interp(middle_s + lag_s, time_s[is_sound], turning) for lag_s in _LAGS_S])
+    windows = _windows(middle_s, yaw)
+    usual = [float(np.median(windows.correlations(each))) if len(windows.first) else 0.0 for each in steered]
+    best = int(np.argmax(usual))
+    if usual[best] >= _USUAL:
+        for first, last in windows.opposed(steered[best]):
+            found[pairs[first, 0] : pairs[last, 1] + 1] = True
+    return found
+
+
+@dataclass(frozen=True)
+class _Windows:
+    """The windows of pairs of pictures (N,) in which the car visibly turns: the first pair of each (W,), and the
+    one behind its last."""
+
+    first: NDArray[np.int64]
+    last: NDArray[np.int64]
+    yaw: Values  # (N,)
+
+    def sums(self, values: Values) -> Values:
+        until = np.concatenate([[0.0], np.cumsum(values)])
+        found: Values = until[self.last] - until[self.first]
+        return found
+
+    def correlations(self, steered: Values) -> Values:
+        """The correlation in each window (W,), about 0 and not about the mean: a long bend is one, too."""
+        size = np.sqrt(self.sums(steered**2) * self.sums(self.yaw**2))
+        found: Values = np.divide(self.sums(steered * self.yaw), size, out=np.zeros(len(size)), where=size > 1e-9)
+        return found
+
+    def opposed(self, steered: Values) -> list[tuple[int, int]]:
+        """First and last of each stretch of pairs in which steering and turning have opposite signs."""
+        is_opposed = self.correlations(steered) < _OPPOSED
+        is_opposed &= self.sums(steered**2) > _MIN_STEERING * np.mean(steered**2) * (self.last - self.first)
+        # covered by a window: so many have begun, less those that have ended
+        change = np.zeros(len(steered) + 1)
+        np.add.at(change, self.first[is_opposed], 1)
+        np.add.at(change, self.last[is_opposed], -1)
+        return [_sharpest(steered * self.yaw, *found) for found in stretches(np.cumsum(change)[:-1] > 0)]
+
+
+def _windows(time_s: Values, yaw: Values) -> _Windows:
+    first = np.arange(len(time_s))
+    last = np.searchsorted(time_s, time_s + _WINDOW_S)
+    every = _Windows(first, last, yaw)
+    turns = every.sums(yaw**2) > _MIN_YAW * np.mean(yaw**2) * (last - first)
+    turns &= last - first >= _MIN_PAIRS
+    turns &= time_s[last - 1] - time_s[first] >= 0.9 * _WINDOW_S
+    return _Windows(first[turns], last[turns], yaw)
+
+
+def _sharpest(product: Values, first: int, last: int) -> tuple[int, int]:
+    """The part of a stretch with the lowest sum: windows reach beyond what they have found."""
+    until = np.concatenate([[0.0], np.cumsum(product[first : last + 1])])
+    highest = np.maximum.accumulate(until)
+    end = int(np.argmin(until - highest))
+    begin = int(np.argmax(until[: end + 1]))
+    return first + begin, first + max(end - 1, begin)

@@ -1,0 +1,1 @@
+"""Checking, editing, recovering and copying logs."""

@@ -1,0 +1,105 @@
+"""Checking a log: that its file is sound, and that what it holds makes sense."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from common.location import Location
+from common.progress import track
+from recorder.errors import LogError
+from recorder.log.fine_rows import fine_rows
+from recorder.log.reader import Log
+from recorder.mcap.mcap_file import McapFile
+from recorder.mcap.scan import read_structure
+from recorder.rows.odd_stretches import OddStretch
+from recorder.topics import VEHICLE, camera_topic
+from recorder.upkeep.check_contents import GAPS, Contents, Finding, odd_findings
+from recorder.upkeep.check_structure import sound_chunks
+
+
+def is_whole(path: Location) -> bool:
+    """True for a file that is finished, and sound in every byte. Raises LogError if it is no MCAP file."""
+    findings: list[Finding] = []
+    with McapFile(path) as file:
+        structure = read_structure(file)
+        if structure.problem:
+            return False
+        chunks = sound_chunks(file, structure, findings)
+        for _ in track(chunks, f"checking {path.name}", len(structure.chunks)):
+            if findings:
+                break
+    return not findings
+
+
+@dataclass(frozen=True)
+class Checked:
+    """The result of a check: how much was read, and the findings."""
+
+    path: Location
+    messages: int
+    pictures: int  # decoded
+    findings: list[Finding]
+    is_damaged: bool  # the file itself, whatever it holds
+    has_crcs: bool  # other programs may do without: damage is then not noticed
+    meant_gaps: list[str]  # gaps in time that its events explain; no findings
+    pauses: list[str]  # of a recorder that people switch off and on; no findings
+    odd: list[OddStretch]  # not tagged fine; also those that may be meant and are no findings
+
+
+def check(path: Location, *, look: bool = True) -> Checked:
+    """Read the whole log at `path` and report what is wrong with it; `look` decodes every picture.
+
+    Structure: every CRC, the indexes and counts against what is there. Meaning: rows out of order, pictures that
+    do not decode, frozen ones, rows without a picture and pictures without a row, gaps, stuck steering, values out
+    of range; with `look`, of a log on this machine, also steering that contradicts the pictures. Raises LogError
+    if it is no MCAP file.
+    """
+    damage: list[Finding] = []
+    findings: list[Finding] = []
+    fine = fine_rows(path)
+    with McapFile(path) as file:
+        structure = read_structure(file)
+        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            contents = Contents(structure, findings, pool if look else None, is_ours=file.is_ours, fine=fine)
+            chunks = sound_chunks(file, structure, damage)
+            for records, messages in track(chunks, f"checking {path.name}", len(structure.chunks)):
+                for message in messages:
+                    contents.add(records, message)
+            contents.finish()
+        has_crcs = file.have_crcs(structure.chunks)
+    has_rows = contents.counts[VEHICLE] and contents.counts[camera_topic("center")]
+    odd = contents.odd
+    if look and has_rows and isinstance(path, Path):
+        from recorder.seen.shown_stretches import with_pictures  # OpenCV
+        from recorder.seen.side_cameras import are_swapped
+
+        with contextlib.suppress(LogError), Log(path) as log:
+            odd = with_pictures(log, odd)
+            if are_swapped(log):
+                left_out = "`bc-index --cameras center` leaves them out"
+                findings.append(Finding("side cameras that are swapped", f"left and right; {left_out}"))
+    odd = fine.left(odd)
+    findings += odd_findings(odd)
+    pauses = [finding for finding in findings if finding.kind == GAPS and _is_paused_by_people(path)]
+    return Checked(
+        path,
+        sum(contents.counts.values()),
+        contents.pictures,
+        damage + [finding for finding in findings if finding not in pauses],
+        bool(damage),
+        has_crcs,
+        contents.meant_gaps,
+        [finding.where for finding in pauses],
+        odd,
+    )
+
+
+def _is_paused_by_people(path: Location) -> bool:
+    """Whether a log was imported from a recorder that people switch off and on: a gap is then no loss."""
+    with contextlib.suppress(LogError), Log(path, brief=True) as log:
+        return log.metadata.get("source") in ("udacity", "donkeycar", "csv")
+    return False

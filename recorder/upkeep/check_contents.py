@@ -1,0 +1,188 @@
+"""Checking the messages of a log: pictures, rows, and how they fit together."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from concurrent.futures import Executor
+from typing import Final, NamedTuple
+
+from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
+from google.protobuf.message import DecodeError
+
+from common.stretches import consecutive
+from recorder import topics
+from recorder.bc_pb2 import VehicleState
+from recorder.log.bad_telemetry import read_event
+from recorder.log.fine_rows import FineRows
+from recorder.log.meant_gaps import NotRecorded
+from recorder.mcap.compressed_image import image_data
+from recorder.mcap.mcap_file import StoredMessage
+from recorder.mcap.message_index import LAST_TIME_NS
+from recorder.mcap.scan import Structure
+from recorder.pictures.image_check import ImageCheck, TopicPictures
+from recorder.pictures.picture_size import PictureSizes, width_and_height
+from recorder.rows.odd_stretches import OddStretch, odd_stretches
+from recorder.rows.row_quality import STANDING_MPH, StatesWritten, row_flags
+from recorder.topics import CAMERA_TOPICS, LOG_MESSAGE, TOPICS, VEHICLE_STATE, camera_topic
+
+GAPS: Final = "gaps in time"
+ODD_FINDINGS: Final = {
+    "crash": "crashes",
+    "backwards": "stretches of driving backwards",
+    "parked": "stretches of a parked car",
+    "stuck_steering": "stretches of stuck steering",
+    "out_of_range": "stretches of values out of range",
+    "steering_against_pictures": "stretches of steering against the pictures",
+}
+"""Whoever coasts or creeps may do so: `bc-log info` names it."""
+_MISFIT: Final = "messages that are not what their schema says"
+
+
+class Finding(NamedTuple):
+    """Something wrong with a log."""
+
+    kind: str
+    where: str
+
+
+class Contents:
+    """Collects findings from messages that are added one by one, in the order of the log."""
+
+    def __init__(
+        self,
+        structure: Structure,
+        findings: list[Finding],
+        pool: Executor | None,
+        *,
+        is_ours: bool,
+        fine: FineRows,
+    ) -> None:
+        self._is_ours = is_ours
+        self._fine = fine
+        self._topics = {number: channel.topic for number, channel in structure.channels.items()}
+        of_type = structure.is_protobuf
+        self._images = structure.image_channels
+        self._vehicle = {
+            n for n, topic in self._topics.items() if topic == topics.VEHICLE and of_type(n, VEHICLE_STATE.name)
+        }
+        self._events = {
+            n for n, topic in self._topics.items() if topic == topics.EVENTS and of_type(n, LOG_MESSAGE.name)
+        }
+        self._in_order = {n for n, topic in self._topics.items() if topic in TOPICS and TOPICS[topic].is_in_order}
+        self._bad_telemetry: Counter[str] = Counter()
+        self._not_recorded = NotRecorded()
+        self._findings = findings
+        self._image_check = ImageCheck(pool)
+        self._states = StatesWritten()
+        self._last_row: dict[str, int] = {}
+        self._sizes = PictureSizes()
+        self.counts: Counter[str] = Counter()
+        self.meant_gaps: list[str] = []  # the rows behind them
+        self.odd: list[OddStretch] = []
+
+    @property
+    def pictures(self) -> int:
+        """Number of pictures that were decoded."""
+        return self._image_check.decoded
+
+    def add(self, records: bytes, message: StoredMessage) -> None:
+        topic = self._topics.get(message.channel)
+        if topic is None:
+            self._findings.append(Finding("messages of unknown channels", f"channel {message.channel}"))
+            return
+        self.counts[topic] += 1
+        if message.log_time_ns > LAST_TIME_NS:
+            self._findings.append(Finding("times that no clock shows", f"{topic} row {message.sequence}"))
+            return
+        if message.channel in self._in_order:
+            if message.sequence <= self._last_row.get(topic, -1):
+                self._findings.append(Finding("rows out of order", f"{topic} row {message.sequence}"))
+            self._last_row[topic] = message.sequence
+        if message.channel in self._vehicle:
+            try:
+                state = VehicleState.FromString(records[message.offset : message.offset + message.length])
+            except DecodeError:
+                self._findings.append(Finding(_MISFIT, f"{topic} row {message.sequence}"))
+            else:
+                self._states.add(message.sequence, message.log_time_ns, state)
+        elif message.channel in self._images:
+            self._add_picture(topic, records, message)
+        elif message.channel in self._events:
+            self._add_event(topic, records, message)
+
+    def _add_picture(self, topic: str, records: bytes, message: StoredMessage) -> None:
+        at, length = image_data(records, message.offset, message.length)
+        if at < 0:
+            self._findings.append(Finding(_MISFIT, f"{topic} row {message.sequence}"))
+            return
+        picture = records[at : at + length]
+        self._sizes.add(topic, message.sequence, width_and_height(picture))
+        self._image_check.add(topic, message.sequence, message.log_time_ns, picture)
+
+    def _add_event(self, topic: str, records: bytes, message: StoredMessage) -> None:
+        try:
+            event = LogMessage.FromString(records[message.offset : message.offset + message.length])
+        except DecodeError:
+            self._findings.append(Finding(_MISFIT, f"{topic} row {message.sequence}"))
+            return
+        kind, count = read_event(event.message)
+        if count:
+            self._bad_telemetry[kind] += count
+        self._not_recorded.add(message.log_time_ns, event.message)
+
+    def finish(self) -> None:
+        """Add the findings that need all messages."""
+        self._image_check.finish()
+        for topic, at in self._image_check.broken:
+            where = f"{topic} row {self._image_check.pictures[topic].rows[at]}"
+            self._findings.append(Finding("pictures that do not decode", where))
+        for reason, count in self._bad_telemetry.most_common():
+            self._findings.append(Finding("kinds of telemetry that could not be used", f"{reason} ({count:,})"))
+        for topic, sizes in self._sizes.mixed().items():
+            self._findings.append(Finding("cameras with pictures of several sizes", f"{topic}: {sizes}"))
+        states = self._states.states()
+        keys = zip(states.row.tolist(), states.time_ns.tolist(), strict=True)
+        speed_mph = dict(zip(keys, states.speed_mph.tolist(), strict=True))
+        for topic in sorted(self._cameras(has_rows=bool(speed_mph))):
+            self._check_pictures(topic, self._image_check.pictures.get(topic, TopicPictures()), speed_mph)
+        meant = self._not_recorded.gaps(states)
+        self.meant_gaps = [f"before row {row}" for row in states.row[meant].tolist()]
+        for row in states.row[row_flags(states)["gap"] & ~meant].tolist():
+            if not self._fine.hold(row, row):
+                self._findings.append(Finding(GAPS, f"before row {row}"))
+        self.odd = odd_stretches(states)
+
+    def _cameras(self, *, has_rows: bool) -> frozenset[str]:
+        """Topics on which every row should have a picture: also a camera that has none at all."""
+        known = CAMERA_TOPICS.intersection(self._topics.values())
+        expected = {camera_topic("center")} if has_rows else set()
+        others = topics.PICTURE_TOPICS - CAMERA_TOPICS
+        return (known | expected | self._image_check.pictures.keys()) - others
+
+    def _check_pictures(
+        self, topic: str, pictures: TopicPictures, speed_mph: dict[tuple[int, int], float]
+    ) -> None:
+        held = set(zip(pictures.rows, pictures.times_ns, strict=True))
+        expects_rows = self._is_ours or bool(speed_mph)  # other programs' logs need not have any
+        for kind, keys in (
+            ("stretches of rows without a picture", speed_mph.keys() - held),
+            ("stretches of pictures without a row", held - speed_mph.keys() if expects_rows else set()),
+        ):
+            for first, last in consecutive(sorted({row for row, _ in keys})):
+                self._findings.append(Finding(kind, f"{topic} {rows_named(first, last)}"))
+        standing = {key for key, speed in speed_mph.items() if speed < STANDING_MPH}  # not an unknown speed, NaN
+        for first, last in pictures.frozen(standing):
+            rows = (pictures.rows[first], pictures.rows[last])
+            if not self._fine.hold(*rows):
+                self._findings.append(Finding("stretches of frozen pictures", f"{topic} {rows_named(*rows)}"))
+
+
+def odd_findings(found: Iterable[OddStretch]) -> list[Finding]:
+    """Those of the odd stretches that are findings."""
+    named = [(ODD_FINDINGS.get(each.kind, ""), rows_named(each.first_row, each.last_row)) for each in found]
+    return [Finding(kind, where) for kind, where in named if kind]
+
+
+def rows_named(first: int, last: int) -> str:
+    return f"row {first}" if first == last else f"rows {first} to {last}"

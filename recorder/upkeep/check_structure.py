@@ -1,0 +1,148 @@
+"""Checking a log's file: every CRC, and its indexes and counts against what is there."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from mcap.opcode import Opcode
+
+from recorder.errors import LogError
+from recorder.mcap.mcap_file import CHUNK_HEADER, MAGIC, RECORD, Chunk, McapFile, StoredMessage
+from recorder.mcap.scan import Structure, read_structure
+from recorder.upkeep.check_contents import Finding
+from recorder.upkeep.check_places import PlacesCheck
+
+Found = tuple[bytes, list[StoredMessage]]
+"""The records of a chunk, and the messages among them."""
+
+DATA_CRC: Final = "CRC of all data does not hold"
+"""The finding that, alone, leaves only what is outside of chunks to be damaged."""
+
+
+def sound_chunks(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[Found]:
+    """Every sound chunk, in the order of the file; what is wrong is added to `findings`."""
+    return (_without_end if structure.problem else _walk)(file, structure, findings)
+
+
+def is_damaged_beside_chunks(path: Path) -> bool:
+    """True if the CRC of all data of a finished file does not hold though every chunk and index is sound: then
+    metadata, or what describes topics, is damaged, and nothing shows where. Reads the whole file."""
+    findings: list[Finding] = []
+    with McapFile(path) as file:
+        structure = read_structure(file)
+        if structure.problem:
+            return False
+        for _ in sound_chunks(file, structure, findings):
+            pass
+    return {finding.kind for finding in findings} == {DATA_CRC}
+
+
+def _without_end(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[Found]:
+    """The chunks of a log without a readable end: those that were found have been checked."""
+    findings.append(Finding("no readable end", structure.problem))
+    for start, end in structure.lost:
+        findings.append(Finding("bytes without anything whole", f"{start:,} to {end:,}"))
+    count = 0
+    for chunk in structure.chunks:
+        records = file.records(chunk)
+        messages = list(file.messages(records))
+        count += len(messages)
+        file.check_count(count)
+        yield records, messages
+
+
+def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[Found]:
+    """Reads a finished log from its start, record by record, and yields its sound chunks."""
+    position, crc = len(MAGIC), zlib.crc32(MAGIC)
+    indexed = {chunk.start: chunk for chunk in structure.chunks}
+    places = PlacesCheck(file, structure, findings)
+    counts: Counter[int] = Counter()
+    expected: dict[int, list[tuple[int, int]]] = {}
+    while True:
+        try:
+            opcode, length = RECORD.unpack(file.read(position, RECORD.size))
+            record = file.read(position, RECORD.size + length)
+        except LogError:
+            findings.append(Finding("records of a wrong length", f"at byte {position:,}"))
+            break
+        if opcode != Opcode.MESSAGE_INDEX and expected:
+            findings.append(Finding("chunks without an index of their messages", f"before byte {position:,}"))
+            expected = {}
+        if opcode == Opcode.DATA_END:
+            if length != 4:  # the one record whose header no CRC covers
+                findings.append(Finding("records of a wrong length", f"at byte {position:,}"))
+            (stored,) = struct.unpack("<I", record[RECORD.size :][:4].ljust(4, b"\0"))
+            if stored != crc and (stored or _promises_data_crc(file, structure)):
+                findings.append(Finding(DATA_CRC, f"{stored:08x}, found {crc:08x}"))
+            break
+        crc = zlib.crc32(record, crc)
+        if opcode == Opcode.CHUNK:
+            chunk = Chunk(position, position + len(record))
+            listed = indexed.pop(position, chunk)
+            if listed.end != chunk.end:
+                findings.append(Finding("chunks that are not where the summary says", f"at byte {position:,}"))
+            try:
+                records = file.unpacked(record, position)
+                messages = list(file.messages(records))
+                file.check_count(counts.total() + len(messages))
+            except LogError:
+                findings.append(Finding("damaged chunks", f"bytes {position:,} to {chunk.end:,}"))
+            else:
+                counts.update(message.channel for message in messages)
+                expected = _index_of(messages)
+                _, _, first_ns, last_ns, _, _ = CHUNK_HEADER.unpack_from(record)
+                times = [message.log_time_ns for message in messages] or [0]
+                if (min(times), max(times)) != (first_ns, last_ns):
+                    findings.append(Finding("chunks of other times than they declare", f"at byte {position:,}"))
+                places.add(listed, record, {message.channel for message in messages})
+                yield records, messages
+        elif opcode == Opcode.MESSAGE and indexed.pop(position, None) is not None:  # of a file without chunks
+            messages = list(file.messages(record))
+            counts.update(message.channel for message in messages)
+            yield record, messages
+        elif opcode == Opcode.MESSAGE_INDEX and expected:
+            channel, found = _message_index(record)
+            if sorted(found) != sorted(expected.pop(channel, [])):
+                findings.append(Finding("indexes that do not fit their chunk", f"at byte {position:,}"))
+        position += len(record)
+    findings.extend(
+        Finding("chunks that are not where the summary says", f"at byte {start:,}") for start in sorted(indexed)
+    )
+    # other programs may leave the statistics out
+    stored_counts = structure.statistics.channel_message_counts if structure.statistics is not None else counts
+    for channel in sorted(stored_counts.keys() | counts.keys()):
+        if stored_counts.get(channel, 0) != counts[channel]:
+            topic = structure.channels[channel].topic if channel in structure.channels else f"channel {channel}"
+            findings.append(
+                Finding(
+                    "other numbers of messages than the summary says",
+                    f"{topic}: {counts[channel]:,} of {stored_counts.get(channel, 0):,}",
+                )
+            )
+
+
+def _promises_data_crc(file: McapFile, structure: Structure) -> bool:
+    """True if 0 as the CRC of all data is damage. The earliest logs of ours have none, and no bc.quality."""
+    return file.promises_crcs and (structure.has_quality or not file.is_ours)
+
+
+def _index_of(messages: list[StoredMessage]) -> dict[int, list[tuple[int, int]]]:
+    """(log time, offset of the record) of the messages of each channel, as an index has them."""
+    index: dict[int, list[tuple[int, int]]] = defaultdict(list)
+    for message in messages:
+        index[message.channel].append((message.log_time_ns, message.start))
+    return index
+
+
+def _message_index(record: bytes) -> tuple[int, list[tuple[int, int]]]:
+    """Channel and entries; (-1, []) for a record that is none."""
+    try:
+        channel, size = struct.unpack_from("<HI", record, RECORD.size)
+        return channel, list(struct.iter_unpack("<QQ", record[RECORD.size + 6 : RECORD.size + 6 + size]))
+    except struct.error:
+        return -1, []

@@ -1,0 +1,268 @@
+"""Copying logs between this machine and a store: whole or not at all, compared by fingerprint, over nothing.
+
+To S3 and Azure: the parts become an object of that name when all are there (`common.resumable_upload`,
+`common.resumable_blob`); an upload that was
+stopped stays, and is gone on with. To other stores, and of a log of one part: they make an object
+NAME.mcap.XXXXXX.part, which gets its name in the store itself. Either only if nobody has taken the name
+meanwhile. From a store: NAME.mcap.XXXXXX.part grows on the disk, named after the object's
+ETag, so that a copy which was stopped goes on where it was; every CRC in it is compared before it gets its name.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import secrets
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from common import UserError
+from common.errors import ObjectChangedError, ObjectExistsError, StoreError
+from common.files import PART_SUFFIX, atomic_file, make_folder, publish, refuse_existing
+from common.interrupts import uninterrupted
+from common.location import Location, Url
+from common.locks import try_lock
+from common.object_file import ObjectFile
+from common.object_store import (
+    MAX_IN_ONE_REQUEST,
+    find_object,
+    name_new,
+    put_new,
+    put_over,
+    put_parts,
+    read_object,
+    remove,
+)
+from common.parted_file import OnBytes
+from recorder.errors import LogError
+from recorder.log.reader import Log
+from recorder.log.tags import MAX_BYTES, tags_path
+from recorder.upkeep.check import is_whole
+
+if TYPE_CHECKING:
+    from common.resumable_blob import ResumableBlob
+    from common.resumable_upload import ResumableUpload
+
+PART_BYTES: Final = 1 << 23
+"""Bytes of a part that is sent, or requested, at once."""
+
+
+@dataclass(frozen=True)
+class Copied:
+    """The result of copying one log."""
+
+    place: Location
+    size: int  # bytes
+    is_new: bool  # False: the very same log was there already
+    notice: str = ""  # what could not be done beside it
+
+
+def copy_log(
+    log: Location,
+    to: Location,
+    *,
+    overwrite: bool = False,
+    on_bytes: OnBytes = lambda more: None,
+    on_left: OnBytes = lambda size: None,
+) -> Copied:
+    """Copy a finished log, and its tags, between this machine and a store; one that is there is left alone.
+
+    Before anything is raised, `on_left` is called with the bytes of an upload that the next one resumes.
+
+    Raises LogError for a log that is unfinished or damaged, UserError where something else has the name (unless
+    `overwrite`), or one of the places is of the wrong kind; StoreError.
+    """
+    if isinstance(log, Path) and isinstance(to, Url):
+        return _upload(log, to, overwrite, on_bytes, on_left)
+    if isinstance(log, Url) and isinstance(to, Path):
+        return _download(log, to, overwrite, on_bytes)
+    if isinstance(log, Url):
+        raise UserError(f"{log} and {to}: both in a store; copy it to this machine first")
+    raise UserError(f"{log} and {to}: both on this machine; `cp` copies logs there")
+
+
+def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes, on_left: OnBytes) -> Copied:
+    with Log(log) as opened:  # raises LogError for a file that is no log
+        size, fingerprint = opened.size, opened.file_fingerprint
+    if (there := find_object(url)) is not None:
+        if there.size == size and _fingerprint(url) == fingerprint:
+            on_bytes(size)
+            return Copied(url, size, False, _upload_tags(log, url, overwrite))
+        if not overwrite:
+            raise ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
+    if not is_whole(log):
+        raise LogError(f"{log}: not finished, or damaged; `bc-log recover {log}` makes a whole one of it")
+    if size > PART_BYTES and (upload := _resumable(log, url)) is not None:
+        _put_resumably(upload, log, fingerprint, overwrite, on_bytes, on_left)
+    else:
+        _put_and_name(log, url, size, fingerprint, overwrite, on_bytes)
+    return Copied(url, size, True, _upload_tags(log, url, overwrite))
+
+
+def _resumable(log: Path, url: Url) -> ResumableUpload | ResumableBlob | None:
+    """An upload that goes on where one was that was stopped; None where that store, or these credentials, know
+    no such thing."""
+    if url.scheme == "s3":
+        from common.resumable_upload import ResumableUpload  # botocore
+
+        return ResumableUpload(url, log, PART_BYTES)
+    if url.scheme == "az":
+        from common.resumable_blob import ResumableBlob  # urllib3
+
+        upload = ResumableBlob(url, log, PART_BYTES)
+        return upload if upload.can_send() else None
+    return None
+
+
+def _put_resumably(
+    upload: ResumableUpload | ResumableBlob,
+    log: Path,
+    fingerprint: str,
+    overwrite: bool,
+    on_bytes: OnBytes,
+    on_left: OnBytes,
+) -> None:
+    url = upload.url
+    try:
+        upload.send(overwrite=overwrite, on_bytes=on_bytes)
+    except BaseException as error:
+        is_done = False
+        if isinstance(error, StoreError):  # its answer was lost, or another process was faster with this very log
+            with contextlib.suppress(StoreError):
+                is_done = _is_there(url, log.stat().st_size, fingerprint)
+        if not is_done:
+            if upload.left:
+                on_left(upload.left)
+            raise
+    _refuse_other(url, log, fingerprint)
+
+
+def _put_and_name(log: Path, url: Url, size: int, fingerprint: str, overwrite: bool, on_bytes: OnBytes) -> None:
+    is_small = size <= MAX_IN_ONE_REQUEST  # what is more is written under its own name at once
+    made = url.with_name(f"{url.name}.{secrets.token_hex(3)}{PART_SUFFIX}") if is_small and not overwrite else url
+    try:
+        try:
+            put_parts(made, _parts(log, on_bytes, None if overwrite or is_small else url), size)
+        except StoreError:  # it is there all the same, if nothing but the answer was lost
+            if not _is_there(made, size, fingerprint):
+                raise
+        _refuse_other(made, log, fingerprint)
+        if made != url:
+            try:
+                name_new(made, url)
+            except StoreError:
+                if not _is_there(url, size, fingerprint):
+                    raise
+                remove(made)
+    except BaseException:
+        if made != url:
+            with uninterrupted(), contextlib.suppress(StoreError):  # the first error says more
+                remove(made)
+        raise
+
+
+def _refuse_other(made: Url, log: Path, fingerprint: str) -> None:
+    """Raise LogError if what has come is not what was sent."""
+    if _fingerprint(made) != fingerprint:
+        raise LogError(f"{made}: is not what {log} is; it may have changed meanwhile: give the command again")
+
+
+def _is_there(url: Url, size: int, fingerprint: str) -> bool:
+    """True if this log is there, whole."""
+    found = find_object(url)
+    return found is not None and found.size == size and _fingerprint(url) == fingerprint
+
+
+def _parts(log: Path, on_bytes: OnBytes, free: Url | None) -> Iterator[bytes]:
+    """The bytes of a file. `free`: an object that must not be there when all have been given."""
+    with log.open("rb") as stream:
+        while data := stream.read(PART_BYTES):
+            yield data
+            on_bytes(len(data))
+    if free is not None and find_object(free) is not None:
+        raise ObjectExistsError(f"{free} was written by someone else meanwhile; nothing was changed")
+
+
+def _download(url: Url, path: Path, overwrite: bool, on_bytes: OnBytes) -> Copied:
+    with Log(url) as opened:
+        if opened.problem:
+            raise LogError(opened.notice)
+        fingerprint = opened.file_fingerprint
+    with ObjectFile(url) as source:
+        if path.is_file() and path.stat().st_size == source.size and _fingerprint(path) == fingerprint:
+            on_bytes(source.size)
+            return Copied(path, source.size, False, _download_tags(url, path, overwrite))
+        refuse_existing(path, overwrite)
+        make_folder(path.parent)
+        token = hashlib.sha256(f"{url} {source.version} {source.size}".encode()).hexdigest()[:6]
+        part = path.with_name(f"{path.name}.{token}{PART_SUFFIX}")
+        with part.open("ab") as stream:
+            if not try_lock(stream):
+                raise UserError(f"{part}: is being written by another copy")
+            begun = min(stream.tell(), source.size)
+            stream.truncate(begun)
+            on_bytes(begun)
+            try:
+                for data in source.read_from(begun, PART_BYTES):
+                    stream.write(data)
+                    on_bytes(len(data))
+            except ObjectChangedError:  # there is nothing any more that could go on with it
+                part.unlink()
+                raise
+            stream.flush()
+        if not is_whole(part) or _fingerprint(part) != fingerprint:
+            part.unlink()
+            raise LogError(f"{url}: damaged there, or on its way; what came was removed: give the command again")
+        with uninterrupted():
+            publish(part, path, overwrite)
+    return Copied(path, source.size, True, _download_tags(url, path, overwrite))
+
+
+def bring_log(url: Url, path: Path, on_bytes: OnBytes = lambda more: None) -> None:
+    """Write a log of a store to the new file `path` as it is, finished or not, and its tags beside it. Raises
+    StoreError."""
+    with ObjectFile(url) as source, path.open("xb") as stream:
+        for data in source.read_from(part_bytes=PART_BYTES):
+            stream.write(data)
+            on_bytes(len(data))
+    if (tags := read_object(tags_path(url), MAX_BYTES)) is not None:
+        tags_path(path).write_bytes(tags)
+
+
+def _fingerprint(place: Location) -> str:
+    with Log(place) as log:
+        return log.file_fingerprint
+
+
+def _upload_tags(log: Path, url: Url, overwrite: bool) -> str:
+    """Copy the tags beside a log; returns why not, where others are there."""
+    ours, there = tags_path(log), tags_path(url)
+    if not ours.is_file():
+        return ""
+    tags = ours.read_bytes()
+    if overwrite:
+        put_over(there, tags)
+        return ""
+    try:
+        put_new(there, tags)
+    except ObjectExistsError:
+        return "" if read_object(there, MAX_BYTES) == tags else _other_tags(ours, there)
+    return ""
+
+
+def _download_tags(url: Url, path: Path, overwrite: bool) -> str:
+    there, ours = tags_path(url), tags_path(path)
+    tags = read_object(there, MAX_BYTES)
+    if tags is None or (ours.is_file() and ours.read_bytes() == tags):
+        return ""
+    if ours.exists() and not overwrite:
+        return _other_tags(there, ours)
+    with atomic_file(ours, overwrite=overwrite) as part:
+        part.write_bytes(tags)
+    return ""
+
+
+def _other_tags(tags: Location, there: Location) -> str:
+    return f"{tags}: not copied, {there} has other tags; --force replaces them"

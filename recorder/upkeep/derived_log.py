@@ -1,0 +1,112 @@
+"""Logs that are made of other logs: their metadata, their names and their tags."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from common import Skipped, UserError
+from common.files import refuse_existing
+from common.interrupts import uninterrupted
+from common.versions import version_of
+from recorder import topics
+from recorder.errors import LogError
+from recorder.log.reader import Log
+from recorder.log.tags import Tag, add_tags
+from recorder.log.writer import LogWriter
+from recorder.mcap.picture_places import is_about_places
+
+LAST_ROW: Final = 2**32 - 1
+"""Sequence numbers of MCAP have 32 bits."""
+
+
+@dataclass(frozen=True)
+class Written:
+    """A new log."""
+
+    path: Path
+    messages: int
+    rows: int
+    skipped: Skipped
+    notices: Sequence[str] = ()  # what a person should know of what is not in it
+
+
+def refuse_taken(to: Path, originals: Sequence[Path], overwrite: bool) -> None:
+    """Raise UserError for a file that exists, and LogError for one of the originals even if it may be replaced."""
+    refuse_existing(to, overwrite)
+    if to.exists() and any(path.exists() and to.samefile(path) for path in originals):
+        raise LogError(f"{to}: the log itself, which stays as it is; give another name")
+
+
+def new_log(log: Log, to: Path, session: dict[str, str], about: dict[str, str], overwrite: bool) -> LogWriter:
+    """A log made of `log`, with its metadata (`session`) and `about`; without any if it has none, as other
+    programs' logs."""
+    if not session and not log.is_ours:
+        return LogWriter(to, None, overwrite=overwrite, profile="")
+    rewritten = {"toolkit": "unknown", **session, "rewritten_by": version_of(), **about}
+    return LogWriter(to, rewritten, overwrite=overwrite)
+
+
+def copy_rest(
+    log: Log, metadata: Sequence[tuple[str, dict[str, str]]], writer: LogWriter, skipped: Skipped
+) -> None:
+    """Copy attachments, and metadata but that which the new log has of its own."""
+    for name, values in metadata:
+        if name not in (topics.SESSION_METADATA, topics.QUALITY_METADATA, topics.REWRITTEN_METADATA):
+            writer.add_metadata(name, values)
+    for offset in log.attachments:
+        try:
+            attachment = log.attachment(offset)
+        except LogError:
+            skipped.add("damaged attachments", f"at byte {offset:,}")
+            continue
+        if not is_about_places(attachment.name):  # a log without a summary has no other sign of it
+            writer.copy_attachment(attachment)
+
+
+def tags_of_rows(tags: Sequence[Tag], rows: Sequence[int]) -> list[Tag]:
+    """The tags of these rows, clipped to the first and the last of them that each one names."""
+    number = np.array(rows, np.int64)
+    clipped = []
+    for tag in tags:
+        its = number[(number >= tag.first_row) & (number <= tag.last_row)]
+        if len(its):
+            clipped.append(Tag(int(its.min()), int(its.max()), tag.name))
+    return clipped
+
+
+def close_with_tags(writer: LogWriter, tags: Sequence[Tag]) -> None:
+    with uninterrupted():  # a log that has its name has its tags
+        writer.close()
+        _write_tags(writer.path, tags)
+
+
+def publish_all(path: Path, writers: Sequence[LogWriter], tags: Sequence[Sequence[Tag]], overwrite: bool) -> None:
+    """Give all of the finished logs their names, or none."""
+    published: list[Path] = []
+    with uninterrupted():
+        for writer in writers:
+            try:
+                writer.publish()
+            except UserError:
+                if not overwrite:
+                    for other in published:
+                        other.unlink(missing_ok=True)
+                stays = ", ".join(map(str, published)) if overwrite and published else "nothing"
+                raise LogError(
+                    f"{path}: not split: somebody else wrote {writer.path} meanwhile, or it cannot be written; of"
+                    f" the drives {stays} was kept"
+                ) from None
+            published.append(writer.path)
+        for target, its_tags in zip(published, tags, strict=True):
+            _write_tags(target, its_tags)
+
+
+def _write_tags(path: Path, tags: Sequence[Tag]) -> None:
+    if tags:
+        with Log(path) as log:
+            add_tags(path, log.fingerprint, tags)

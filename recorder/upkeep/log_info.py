@@ -1,0 +1,276 @@
+"""A summary of a log, read from its end alone, however long it is."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, overload
+
+from common.location import Location, Url
+from common.untrusted_json import json_as
+from recorder import topics
+from recorder.log.fine_rows import FineRows
+from recorder.log.meant_gaps import NotRecorded, meant_rows
+from recorder.log.reader import Log
+from recorder.log.row_devices import device_numbers
+from recorder.log.session_car import max_steering_deg_of
+from recorder.log.tags import Tag, tags_by_content
+from recorder.rows.devices import most_used_of
+from recorder.rows.label_plan import goes_by_lag, plan_labels
+from recorder.rows.odd_stretches import OddStretch, odd_in, odd_stretches, odd_summary
+from recorder.rows.row_quality import ROW_FLAGS, States, summary
+from recorder.rows.steering_habits import SteeringHabits, SteeringLag, habits_from, steering_habits
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    topic: str
+    schema: str
+    messages: int
+    per_second: float
+
+
+@dataclass(frozen=True)
+class FlaggedRows:
+    """A stretch of rows that a flag holds for; times in seconds from the log's first row."""
+
+    flag: str
+    first_row: int
+    last_row: int
+    begin_s: float
+    end_s: float
+
+
+@dataclass(frozen=True)
+class LogInfo:
+    """The content of `bc-log info`."""
+
+    path: str
+    size_bytes: int
+    start: str  # UTC, ISO 8601: of the first message, or of the file where time was simulated; "" if unknown
+    duration_s: float  # from the first message to the last
+    driven_s: float | None  # of all drives, without what lies between them; None: its rows were not measured
+    topics: list[TopicInfo]  # rates over the driven time, if it is known
+    session: dict[str, str]  # where it comes from
+    drives: int | None
+    flags: dict[str, int] | None  # rows that each flag holds for
+    stretches: list[FlaggedRows]  # the first of them
+    odd: list[OddStretch] | None  # not tagged fine, the first of them; None: its rows were not measured
+    steering: SteeringHabits | None  # None: its rows were not measured, or it has none
+    lag: SteeringLag | None  # of the steering; None: not measured, or not to be found in its pictures
+    labels: str  # what an index makes of its steering, as far as is known; empty if nothing is
+    picture_sizes: dict[str, str]  # of each topic whose pictures are of several sizes: which, and how many
+    tags: list[Tag]
+    stale_tags: int  # of what had this name before
+    notice: str  # of an unfinished log
+    is_ours: bool  # not another program's
+    meant_gaps: list[int] = field(default_factory=list)  # the rows behind gaps that its recorder meant
+
+    @property
+    def rows(self) -> int:
+        return next((topic.messages for topic in self.topics if topic.topic == topics.VEHICLE), 0)
+
+    @property
+    def odd_rows(self) -> dict[str, int]:
+        """The rows of the odd stretches, by their kind: most first."""
+        rows = Counter[str]()
+        for each in self.odd or ():
+            rows[each.kind] += each.last_row - each.first_row + 1
+        return dict(rows.most_common())
+
+    @property
+    def driver(self) -> str:
+        """The run that drove, or else the driver or the source, as far as the log has them; else empty. A person's
+        device is in brackets."""
+        names = (self.session.get(name, "") for name in ("run", "driver", "source"))
+        name = next((name for name in names if name), "")
+        device = self.steering.device if self.steering else ""
+        return f"{name} ({device})" if device else name
+
+    @property
+    def length_s(self) -> float:
+        """The driving time, or else that from the first message to the last."""
+        return self.duration_s if self.driven_s is None else self.driven_s
+
+    def as_json(self) -> str:
+        """One line of JSON, an object."""
+        tags = [tag._asdict() for tag in self.tags]
+        return json.dumps({**asdict(self), "tags": tags}, allow_nan=False)
+
+
+@overload
+def logs_in(folder: Path) -> list[Path]: ...
+
+
+@overload
+def logs_in(folder: Url) -> list[Url]: ...
+
+
+def logs_in(folder: Location) -> list[Path] | list[Url]:
+    """The logs of a folder by name, finished and not. Raises StoreError for what cannot be listed."""
+    if isinstance(folder, Url):
+        from common.object_store import list_objects  # an extra
+
+        return [each.url for each in list_objects(folder) if each.url.suffix == ".mcap"]
+    return sorted((*folder.glob("*.mcap"), *folder.glob("*.mcap.*.part")))
+
+
+def describe(place: Location | Log, *, look: bool = False, with_tags: bool = True) -> LogInfo:
+    """Describe a log by its place, or one that is open; `look` measures the steering's lag in some pictures, too.
+    Raises LogError if the log cannot be read or, `with_tags`, its tags."""
+    with contextlib.nullcontext(place) if isinstance(place, Log) else Log(place, brief=True) as log:
+        first_ns, last_ns = log.time_range_ns
+        duration_s = (last_ns - first_ns) / 1e9
+        counts, schemas = log.counts, log.schemas
+        quality = _quality(log)
+        driven_s = _seconds(quality.get("driven_s")) if quality else None
+        by_content = tags_by_content(log.path) if with_tags else {}
+        fingerprint = log.fingerprint if by_content else ""  # without tags, it need not be made
+        rate_s = duration_s if driven_s is None else driven_s
+        tags = sorted(by_content.get(fingerprint, ()))
+        odd = _odd(log, quality)
+        steering, lag = _steering(log, quality), None
+        if look and steering and goes_by_lag(steering, driven_by(log)):
+            from recorder.seen.steering_lag import measure_lag  # OpenCV
+
+            lag = measure_lag(log)
+        return LogInfo(
+            path=str(log.path),
+            size_bytes=log.size,
+            start=_start(log, first_ns),
+            duration_s=duration_s,
+            driven_s=driven_s,
+            topics=[
+                TopicInfo(name, schemas[name], counts[name], counts[name] / rate_s if rate_s > 0 else 0.0)
+                for name in sorted(counts)
+            ],
+            session=log.metadata,
+            drives=_count(quality.get("drives")) if quality else None,
+            flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS} if quality else None,
+            stretches=_stretches(quality.get("stretches", "")),
+            odd=FineRows(tags).left(odd) if odd is not None else None,
+            steering=steering,
+            lag=lag,
+            labels=str(plan_labels(steering, lag, driven_by(log))) if steering else "",
+            picture_sizes=_texts(quality.get("picture_sizes", "")),
+            tags=tags,
+            stale_tags=sum(len(tags) for content, tags in by_content.items() if content != fingerprint),
+            notice=log.notice,
+            is_ours=log.is_ours,
+            meant_gaps=meant_rows(quality),
+        )
+
+
+def _start(log: Log, first_ns: int) -> str:
+    """When a log was begun. The built-in simulator's recordings all begin at one moment of simulated time."""
+    session = log.metadata
+    is_simulated = session.get("source") == "simulator" and session.get("driver") != "human"
+    seconds = first_ns // 10**9
+    if is_simulated or session.get("source") == "gymnasium":
+        if not isinstance(log.path, Path):
+            return ""
+        seconds = int(log.path.stat().st_mtime)
+    return datetime.fromtimestamp(seconds, UTC).isoformat() if first_ns < 2**62 else ""
+
+
+def driven_by(log: Log) -> str:
+    """The machine that drove a session, by its log: its hand is smooth and in time. Empty for people, and if it is
+    unknown."""
+    if log.counts.get(topics.PILOT_COMMAND):
+        return "a network"
+    if log.metadata.get("source") == "gymnasium":
+        return "an expert"  # an environment's actions are some program's
+    return "the built-in expert" if log.metadata.get("driver") == "expert" else ""
+
+
+def set_speeds_mph(log: Log) -> tuple[float, ...]:
+    """The speeds that a session's driver was set to keep where bends allow, by its log; none if none was set, as
+    for people."""
+    stored = f"{log.metadata.get('drive.speed', '')} {log.metadata.get('set_speed_mph', '')}".split()
+    try:
+        speeds = [float(each) for each in stored]
+    except ValueError:
+        return ()
+    return tuple(sorted({each for each in speeds if 0 < each < math.inf}))
+
+
+def first_picture_sizes(log: Log) -> dict[str, tuple[int, int]] | None:
+    """Width and height of the first picture of each camera's topic, where that has any, as the log's writer has
+    noted them; None where it has not."""
+    stored = log.read_metadata(topics.QUALITY_METADATA).get("first_picture_px", "")
+    return json_as(stored, dict[str, tuple[int, int]])
+
+
+def _quality(log: Log) -> dict[str, str]:
+    """The summary of its rows by the log's writer; for a log that was never finished, made from its rows."""
+    stored = log.read_metadata(topics.QUALITY_METADATA)
+    if stored or not log.problem:
+        return stored
+    if (states := _states(log)) is None:
+        return {}
+    not_recorded = NotRecorded()
+    for message, event in log.decoded(topics.EVENTS) if topics.EVENTS in log.counts else ():
+        not_recorded.add(message.log_time_ns, event.message)
+    return summary(states) | odd_summary(states) | not_recorded.summary(states)
+
+
+def _odd(log: Log, quality: dict[str, str]) -> list[OddStretch] | None:
+    """The stretches that the log's writer has noted; of an earlier version's log, found in its rows."""
+    noted = odd_in(quality)
+    if noted is not None or not quality:
+        return noted
+    states = _states(log) if log.is_ours and log.counts.get(topics.VEHICLE) else None
+    return None if states is None else odd_stretches(states)
+
+
+def _steering(log: Log, quality: dict[str, str]) -> SteeringHabits | None:
+    """The habits that the log's writer has noted; for a log without, measured from its rows."""
+    if noted := habits_from(quality.get("steering", "")):
+        return noted
+    states = _states(log) if log.is_ours and log.counts.get(topics.VEHICLE) else None
+    if states is None:
+        return None
+    return steering_habits(states, max_steering_deg_of(log), most_used_of(device_numbers(log)))
+
+
+def _states(log: Log) -> States | None:
+    vehicle = log.vehicle()
+    return States.of(vehicle) if len(vehicle) else None
+
+
+def _count(text: str | None) -> int:
+    return int(text) if text is not None and text.isascii() and text.isdigit() and len(text) < 16 else 0
+
+
+def _seconds(text: str | None) -> float | None:
+    try:
+        seconds = float(text or "")
+    except ValueError:
+        return None
+    return seconds if math.isfinite(seconds) and seconds >= 0 else None
+
+
+def _texts(text: str) -> dict[str, str]:
+    """The texts by name in JSON, empty for anything else: somebody else may have written the log."""
+    try:
+        return {str(name): str(value) for name, value in json.loads(text or "{}").items()}
+    except (ValueError, AttributeError, RecursionError):
+        return {}
+
+
+def _stretches(text: str) -> list[FlaggedRows]:
+    """The stretches in JSON, none for anything else: somebody else may have written the log."""
+    try:
+        entries: list[list[Any]] = json.loads(text or "[]")
+        return [
+            FlaggedRows(str(flag), int(first), int(last), float(begin_s), float(end_s))
+            for flag, first, last, begin_s, end_s in entries
+            if math.isfinite(begin_s) and math.isfinite(end_s)
+        ]
+    except (ValueError, TypeError, OverflowError, RecursionError):
+        return []
