@@ -266,3 +266,13 @@ def test_a_rooms_public_names_are_not_hidden_by_its_modules(room: str) -> None:
             importlib.import_module(f"{room}.{module}")
     for name in package.__all__:
         assert getattr(package, name).__module__.startswith(f"{room}.")
+
+
+def test_names_of_tests_have_fewer_than_70_characters() -> None:
+    names = [
+        node.name
+        for path in (ROOT / "tests").rglob("test_*.py")
+        for node in parsed(path).body
+        if isinstance(node, ast.FunctionDef)
+    ]
+    assert [name for name in names if len(name) >= 70] == []

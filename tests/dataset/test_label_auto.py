@@ -114,7 +114,7 @@ def test_an_index_that_went_by_a_lag_of_unknown_margin_is_built_anew(tmp_path: P
     assert metadata(indexed(tmp_path, log))["labels"]["a"]["plan"]["shift_s"] == 0
 
 
-def test_the_built_in_expert_is_learnt_as_recorded_whatever_it_did_and_no_picture_is_looked_at(
+def test_the_built_in_expert_is_learnt_as_recorded_without_pictures(
     tmp_path: Path,
 ) -> None:
     """Its pictures would say that it is late; and no rows are left out."""

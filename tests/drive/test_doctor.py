@@ -93,7 +93,7 @@ def test_odd_rows_are_named_with_their_longest_stretch() -> None:
 
 
 @pytest.mark.usefixtures("project")
-def test_rows_that_nobody_should_learn_from_are_excluded_by_the_command_that_it_names() -> None:
+def test_the_named_command_excludes_rows_that_nobody_should_learn_from() -> None:
     write_log(Path("sessions") / "sunday.mcap", [3.0] * 30 + STEERING[:30], overwrite=True)
     assert "bc-log tag sessions/sunday.mcap exclude --odd" in commands()
     assert call(log_command, "tag", "sessions/sunday.mcap", "exclude", "--odd") == 0

@@ -190,7 +190,7 @@ def test_what_an_upload_has_left_in_s3_can_be_removed(
     assert call(main, "copy", log, tmp_path / "there", "--abort") == 2
 
 
-def test_an_upload_of_which_a_later_part_is_another_logs_is_not_gone_on_with(bucket: Bucket, log: Path) -> None:
+def test_an_upload_with_a_part_of_another_log_is_not_resumed(bucket: Bucket, log: Path) -> None:
     s3(bucket).stop_at_part(log, 5)
     last = unfinished_parts(bucket)[-1]
     last.write_bytes(bytes(last.stat().st_size))
