@@ -97,7 +97,7 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
     cards.cards("sessions", 0)  # begins to read them before the first request
     checks = PictureChecks(folders.index_here, kept)
     runs = RunCards(folders)
-    viewers = RerunViewers()
+    viewers = RerunViewers(kept)
     predictions = Predictions(cache)
     bench = Workbench(
         folders,
