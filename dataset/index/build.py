@@ -304,6 +304,8 @@ def _up_to_date(
     try:
         counts = {name: msgspec.convert(stored["counts"][name], SessionCounts) for name in held}
         labels = {name: msgspec.convert(stored["labels"][name], SessionLabels) for name in held}
+        if any(count.not_measured is None for count in counts.values()):
+            return None  # earlier versions measured by crashes
         if any(each.lag is not None and each.lag.margin_s is None for each in labels.values()):
             return None  # earlier versions went by lags that are not believed
         is_divided = sum(count.frames for count in counts.values()) >= divide_from_frames

@@ -36,7 +36,9 @@ class Eval:
     network: tuple[str, ...] = ()
     """Code of your own network: FILE.py:CLASS or package.module:CLASS."""
     compare: Annotated[tuple[str, str] | None, _default("A B", "none")] = None
-    """Compare B with A on the same frames or tracks; exit code 1: worse."""
+    """Compare B with A on the same frames or tracks."""
+    gate: bool = False
+    """With --compare: exit code 1 if B is worse."""
     tolerance: Annotated[float | None, _default("SHARE", "0, and 0.02 with --simulator")] = None
     """How much worse B may be, as a share of A's error."""
     index: Annotated[LocationFlag | None, _default("PATH|URL", "the one that the run was trained on")] = None
@@ -112,6 +114,8 @@ def refuse_contradictions(config: Eval) -> None:
     if config.compare is None:
         if config.tolerance is not None:
             raise UsageError("--tolerance is how much worse B may be, of --compare A B: give it too")
+        if config.gate:
+            raise UsageError("--gate fails if B is worse, of --compare A B: give it too")
     elif config.run is not None:
         raise UsageError(f"{config.run}: --compare names its two runs itself: leave it out")
     elif flags := flags_given(config, "bins", "worst"):
