@@ -109,6 +109,13 @@ class RunNumbers:
         cars = [log.get("car") for log in self.data.logs.values()]
         return bool(cars) and all(isinstance(car, dict) and BUILT_IN_CAR.items() <= car.items() for car in cars)
 
+    @property
+    def drive_command(self) -> str:
+        """The command that lets it drive; there is no simulator of a DonkeyCar's road."""
+        if self.data.logs and all(log.get("source") == "donkeycar" for log in self.data.logs.values()):
+            return f"bc-train export {self.run} --donkeycar car"
+        return f"bc-drive {self.run}"
+
     def log_of(self, session: str) -> str:
         """The path of a session's log from the current folder, quoted."""
         stored = self.data.logs.get(session, {}).get("log")
