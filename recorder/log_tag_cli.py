@@ -14,8 +14,8 @@ from common.errors import UsageError, counted, did_you_mean
 from common.location import Location
 from common.output import ask, print_message, print_next, print_result
 from common.stretches import stretches
-from recorder.log.fine_rows import fine_rows
 from recorder.log.reader import Log
+from recorder.log.tagged_rows import fine_rows
 from recorder.log.tags import (
     EXCLUDE,
     Tag,

@@ -11,8 +11,8 @@ from pathlib import Path
 from common.location import Location
 from common.progress import track
 from recorder.errors import LogError
-from recorder.log.fine_rows import fine_rows
 from recorder.log.reader import Log
+from recorder.log.tagged_rows import fine_rows
 from recorder.mcap.mcap_file import McapFile
 from recorder.mcap.scan import read_structure
 from recorder.rows.odd_stretches import OddStretch

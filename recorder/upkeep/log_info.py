@@ -14,11 +14,11 @@ from typing import Any, overload
 from common.location import Location, Url
 from common.untrusted_json import json_as
 from recorder import topics
-from recorder.log.fine_rows import FineRows
 from recorder.log.meant_gaps import NotRecorded, meant_rows
 from recorder.log.reader import Log
 from recorder.log.row_devices import device_numbers
 from recorder.log.session_car import max_steering_deg_of
+from recorder.log.tagged_rows import TaggedRows
 from recorder.log.tags import Tag, tags_by_content
 from recorder.rows.devices import most_used_of
 from recorder.rows.label_plan import goes_by_lag, plan_labels
@@ -153,7 +153,7 @@ def describe(place: Location | Log, *, look: bool = False, with_tags: bool = Tru
             drives=_count(quality.get("drives")) if quality else None,
             flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS} if quality else None,
             stretches=_stretches(quality.get("stretches", "")),
-            odd=FineRows(tags).left(odd) if odd is not None else None,
+            odd=TaggedRows(tags).left(odd) if odd is not None else None,
             steering=steering,
             lag=lag,
             labels=str(plan_labels(steering, lag, driven_by(log))) if steering else "",

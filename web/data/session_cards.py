@@ -24,7 +24,7 @@ from dataset.frames.frames_file import read_frames, session_name
 from dataset.index.build_state import FRAMES_FOLDER, BuildState, Sources, Stat, read_state, sources_of
 from dataset.parquet_file import read_metadata
 from recorder import Log
-from recorder.log.fine_rows import FineRows
+from recorder.log.tagged_rows import TaggedRows
 from recorder.log.tags import Tag
 from recorder.upkeep.log_info import LogInfo, describe
 from web.data.background import Background
@@ -165,7 +165,7 @@ class SessionCards:
                 tags_problem = printable(str(error))
         info = glance.info if glance else None
         if info and info.odd:
-            info = dataclasses.replace(info, odd=FineRows(tags).left(info.odd))
+            info = dataclasses.replace(info, odd=TaggedRows(tags).left(info.odd))
         return SessionCard(
             key=key_of(path),
             path=path,
