@@ -15,11 +15,13 @@ from common.errors import counted, printable
 from common.location import Location, location
 from common.output import print_result, print_table
 from common.steering_unit import DEGREES, FULL_LOCK
+from recorder.log.known_lag import lag_path
 from recorder.log.session_car import is_angle_unknown
 from recorder.log.tagged_rows import TaggedRows
 from recorder.log.tags import EXCLUDE, Tag
+from recorder.rows.label_plan import NOT_MEASURED
 from recorder.rows.odd_stretches import OddStretch, odd_advice, odd_lines
-from recorder.rows.steering_report import steering_line
+from recorder.rows.steering_report import lag_in_words, steering_line
 from recorder.topics import VEHICLE
 from recorder.upkeep.check import Checked
 from recorder.upkeep.check_contents import ODD_FINDINGS
@@ -49,7 +51,8 @@ def print_info(info: LogInfo) -> None:
     _print_drives(info)
     if info.steering is not None and info.steering.rows:
         unit = FULL_LOCK if is_angle_unknown(info.session) else DEGREES
-        print_table(f"  {steering_line(info.steering, info.lag, unit)}", f"  labels: {info.labels}")
+        measures = f"; `bc-log check {plain(info.path)}` measures it" * (NOT_MEASURED in info.labels)
+        print_table(f"  {steering_line(info.steering, info.lag, unit)}", f"  labels: {info.labels}{measures}")
     for topic_name, sizes in list(info.picture_sizes.items())[:MAX_LINES]:
         print_table(f"  pictures of several sizes on {plain(topic_name)}: {plain(sizes)}")
     _print_more(len(info.picture_sizes), "more topic")
@@ -73,6 +76,11 @@ def print_checked(checked: Checked, tags: Sequence[Tag]) -> None:
             found.add(finding.kind, finding.where)
     for line in found.lines(MAX_PLACES):
         print_result(f"  {line}")
+    if checked.lag is not None:
+        words = lag_in_words(checked.lag.lag) if checked.lag.lag else "its pictures show no lag of the steering"
+        print_result(f"  {words}")
+        if not checked.is_lag_kept:
+            warn(f"{lag_path(checked.path)}: cannot be written; `bc-index --look` keeps the lag in the index")
     print_result(*(f"  {line}" for line in _odd_lines(checked.odd, tags, checked.path)))
     meant = Skipped()
     for where in checked.meant_gaps:

@@ -102,7 +102,7 @@ class NameRows:
             if self.look:
                 from recorder.seen.shown_stretches import with_pictures  # OpenCV
 
-                odd = with_pictures(log, odd)
+                odd = with_pictures(log, states, odd)
         if self.where is not None:
             edges = stretches(rows_where(states, self.where))
             chosen = [Tag(int(states.row[first]), int(states.row[last]), name) for first, last in edges]

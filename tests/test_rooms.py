@@ -30,7 +30,7 @@ MAY_IMPORT = {
 FOLDERS: dict[str, list[str]] = {
     "common": [],
     "simulator": ["roads", "rendering", "driving", "protocol"],
-    "recorder": ["pictures", "mcap", "rows", "log", "seen", "upkeep", "server", "teleop", "lerobot", "sources"],
+    "recorder": ["pictures", "mcap", "rows", "seen", "log", "upkeep", "server", "teleop", "lerobot", "sources"],
     "dataset": ["frames", "samples", "index", "loader"],
     "model": ["network", "runs", "evaluation", "training"],
     "viz": ["playback", "live"],

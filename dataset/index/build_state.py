@@ -18,6 +18,7 @@ from common.car import MAX_STEERING_DEG
 from common.location import Location, Url
 from dataset.frames.image_check_cache import image_check_path
 from recorder.log.tags import tags_path
+from recorder.rows.steering_habits import LagFinding
 
 FRAMES_FOLDER: Final = "frames"
 STATE_NAME: Final = "state.json"
@@ -44,6 +45,8 @@ class BuiltLog(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     car: str = ""  # as the log stores it, in JSON
     implied_car: str = ""  # its name, if the log stores none and it is known from the session's source
     has_several_sizes: bool | None = None  # of pictures, one camera; None in what earlier versions have written
+    lag: LagFinding | None = None  # of the steering, as it was known
+    lag_file: Stat = None  # beside the log
     is_mixed: bool = False  # in a store, with its rows among its pictures: all of it was moved
 
 
