@@ -137,7 +137,7 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
         yield RequestGuard(small, host, token)
     finally:
         viewers.close()
-        predictions.close()
+        predictions.work.close()
         pool.shutdown(cancel_futures=True)
         from_stores.shutdown(cancel_futures=True)
         runs.close()
