@@ -33,6 +33,7 @@ class Work:
 
     total: int  # pictures
     pictures: int = 0
+    stage: str = ""  # its part, where it has several: each has a total of its own
     is_begun: bool = False  # else it waits until the one before it has ended
     is_done: bool = False
     is_stopped: bool = False
@@ -41,7 +42,10 @@ class Work:
     """Remaining time; None while it is unknown."""
     _first: tuple[int, float] | None = None  # pictures by the first report, and when: before lies the beginning
 
-    def advance_to(self, pictures: int) -> None:
+    def advance_to(self, pictures: int, total: int | None = None, stage: str = "") -> None:
+        if stage != self.stage:
+            self.stage, self._first, self.left_s = stage, None, None
+        self.total = self.total if total is None else total
         self.pictures = min(self.total, pictures)
         now_s = time.monotonic()
         if self._first is None:
@@ -55,6 +59,7 @@ class Work:
         """The progress as pages show it."""
         return {
             "is_begun": self.is_begun,
+            "stage": self.stage,
             "pictures": self.pictures,
             "total": self.total,
             "left_s": self.left_s,
@@ -165,7 +170,7 @@ class KeptWork:
 
 
 def report(**values: object) -> None:
-    """Tell the server, from the process at work, how far it is (`pictures`), or its `problem`."""
+    """Tell the server, from the process at work, its progress (`pictures`, `total`, `stage`) or `problem`."""
     print_result(json.dumps(values))
 
 
@@ -187,4 +192,4 @@ def _update(work: Work, line: bytes) -> None:
         if "problem" in message:
             work.problem = printable(str(message["problem"]))
         else:
-            work.advance_to(int(message["pictures"]))
+            work.advance_to(int(message["pictures"]), message.get("total"), message.get("stage", ""))

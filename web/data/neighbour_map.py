@@ -14,7 +14,7 @@ Floats = NDArray[np.float32]
 NEIGHBOURS: Final = 15
 _DIMENSIONS: Final = 30  # that neighbours are looked for in
 _A, _B = 1.577, 0.895  # how near neighbours lie, as UMAP's min_dist of 0.1
-_ROUNDS: Final = 300
+ROUNDS: Final = 300
 _REPELLED: Final = 10  # others, in each round
 _STEP: Final = 0.25  # the first round's; attraction of all neighbours at once overshoots with UMAP's 1.0
 _MAX_MOVE: Final = 4.0
@@ -30,7 +30,7 @@ class NeighbourMap(NamedTuple):
 
 
 def neighbour_map(features: Floats, on_round: Callable[[], object] = lambda: None) -> NeighbourMap:
-    """The same for the same features (N, D), on the same machine. `on_round` is called 300 times, and may raise."""
+    """The same for the same features (N, D), on the same machine. `on_round` is called ROUNDS times."""
     count = len(features)
     reduced = principal(features, _DIMENSIONS)
     if count <= NEIGHBOURS + 1:
@@ -72,7 +72,7 @@ def _two(reduced: Floats) -> Floats:
     """The first two axes, as wide as UMAP's beginning; of one thing, or all alike, zeros."""
     place = np.zeros((len(reduced), 2), np.float32)
     place[:, : min(2, reduced.shape[1])] = reduced[:, :2]
-    return place * np.float32(10 / (abs(place).max() or 1))
+    return (place * (10 / (abs(place).max() or 1))).astype(np.float32)
 
 
 def _usual(distance: Floats) -> Floats:
@@ -117,9 +117,9 @@ def _laid_out(
     tail, head = np.repeat(np.arange(count), NEIGHBOURS), neighbour.ravel()
     pull = weight.ravel()
     pushed = (pull.reshape(count, -1).sum(1) / _REPELLED)[:, None, None] * 5  # UMAP's five others for each pull
-    for number in range(_ROUNDS):
+    for number in range(ROUNDS):
         on_round()
-        step = np.float32(_STEP * (1 - number / _ROUNDS))
+        step = np.float32(_STEP * (1 - number / ROUNDS))
         apart = place[tail] - place[head]
         square = np.maximum((apart**2).sum(1), 1e-12)
         pulled = apart * (pull * -2 * _A * _B * square ** (_B - 1) / (1 + _A * square**_B))[:, None]

@@ -1,4 +1,4 @@
-"""The steering that a run predicts for a log, kept in the cache by the fingerprints of the log and of its weights."""
+"""The steering that a run predicts for a log, kept in the cache by the fingerprints of both."""
 
 from __future__ import annotations
 
