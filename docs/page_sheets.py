@@ -66,7 +66,9 @@ def pages_of(project: ProjectFolders) -> Iterator[Shown]:
     yield Shown("runs", f"/runs?{chosen}", "#plots canvas")
     yield Shown("run", f"/runs/{runs[0]}", "#plots canvas")
     if len(runs) > 1:
-        yield Shown("compare", f"/runs.compare?{urlencode({'a': runs[0], 'b': runs[1]})}", "main form, #compared svg")
+        yield Shown(
+            "compare", f"/runs.compare?{urlencode({'a': runs[0], 'b': runs[1]})}", "main form, #compared svg"
+        )
     drives = urlencode([("log", key) for key in project.logs("drives")])
     yield Shown("drives", f"/drives?{drives}&by=error", "#list table")
     yield Shown("drive", f"/drives/{drive}", "#session[data-course]")

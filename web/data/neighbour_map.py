@@ -46,7 +46,8 @@ def principal(features: Floats, dimensions: int) -> Floats:
     _, axes = np.linalg.eigh(centred.T @ centred)
     axes = axes[:, ::-1][:, :dimensions]
     axes = axes * np.where(np.take_along_axis(axes, abs(axes).argmax(0)[None], 0) < 0, -1, 1)  # either way else
-    return (centred @ axes).astype(np.float32)
+    reduced: Floats = (centred @ axes).astype(np.float32)
+    return reduced
 
 
 def groups(place: Floats, most: int) -> NDArray[np.int32]:

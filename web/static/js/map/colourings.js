@@ -40,7 +40,7 @@ export function waysOf(map) {
     steering: () =>
       numbers(
         STEERING,
-        ["far left", "left", "a bit left", "hardly left", "straight on", "hardly right", "a bit right", "right", "far right"],
+        ["far left", "left", "a bit left", "slightly left", "straight on", "slightly right", "a bit right", "right", "far right"],
         [4, 3, 2, 1, 0, 1, 2, 3, 4].map((step, at) => (step ? `--${at < 4 ? "left" : "right"}-${step}` : "--straight")),
         (at) => columns.steering[at],
       ),
