@@ -52,7 +52,7 @@ def plain(path: str, method: str = "GET") -> bytes:
 
 
 def keys(page: str, kind: str) -> list[str]:
-    return sorted(set(re.findall(rf'href="/{kind}/([^"/?]+)"', plain(page).decode())))
+    return sorted(set(re.findall(rf'href="/{kind}/([^"/?#]+)"', plain(page).decode())))
 
 
 def wait_for(path: str) -> None:
@@ -99,7 +99,9 @@ def uses(pictures: int) -> dict[str, Callable[[], object]]:
         holding.close()
 
     found: dict[str, Callable[[], object]] = {
-        "lists": lambda: [ask(path) for path in ("/sessions", "/sessions.rows", "/index", "/runs", "/drives", "/jobs") * 5],
+        "lists": lambda: [
+            ask(path) for path in ("/sessions", "/sessions.rows", "/index", "/runs", "/drives", "/jobs") * 5
+        ],
         "strips, sketches": lambda: at_once(
             [f"/sessions/{each}/{name}" for each in logs for name in ("strip.jpg", "steering.svg")]
         ),
@@ -113,7 +115,9 @@ def uses(pictures: int) -> dict[str, Callable[[], object]]:
             ]
         ),
         "conditions": lambda: [
-            ask(f"/sessions/{each}/where?condition=speed_mph%20%3C%20{number}") for each in logs for number in (1, 2)
+            ask(f"/sessions/{each}/where?condition=speed_mph%20%3C%20{number}")
+            for each in logs
+            for number in (1, 2)
         ],
         "search": lambda: [ask(f"/sessions.rows?where=speed_mph%20%3E%20{number}") for number in range(12)],
         "looking at pictures": look,
@@ -121,7 +125,9 @@ def uses(pictures: int) -> dict[str, Callable[[], object]]:
         "rerun": rerun,
     }
     if runs:
-        found["runs"] = lambda: at_once([f"/runs/{each}{part}" for each in runs for part in ("", "/top", "/body", "/steering.png")] * 3)
+        found["runs"] = lambda: at_once(
+            [f"/runs/{each}{part}" for each in runs for part in ("", "/top", "/body", "/steering.png")] * 3
+        )
         found["predictions"] = predict
         found["attention"] = lambda: at_once(
             [f"/sessions/{log}/attention/{run}/{row}" for row in range(0, 300, 3)]

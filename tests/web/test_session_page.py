@@ -215,7 +215,7 @@ def test_ten_thousand_tags_are_read_and_one_more_is_added(bench: Served, log: Pa
     found_tags = bench.get("/sessions/a/tags").json
     assert len(found_tags["tags"]) == len(set(many))
     assert change(bench, name="one more").json["changed"]
-    assert lines(log)[len(many) :] == [{"add": "one more", "rows": [[3, 9]], "log": fingerprint}]
+    assert lines(log)[len(many) :] == [{"add": "one more", "rows": [3, 9], "log": fingerprint}]
 
 
 def test_a_broken_file_of_tags_is_named_and_left_as_it_is(bench: Served, log: Path) -> None:

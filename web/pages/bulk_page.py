@@ -69,7 +69,7 @@ def _found(bench: Workbench, card: SessionCard, query: SessionQuery) -> dict[str
     with bench.logs.open(card.path) as opened:
         log = opened.log
         if log.problem:
-            raise UserError("unfinished, and passed over")
+            raise UserError("it is unfinished, and passed over")
         if query.where:
             rows = stretches_of_rows(opened, bench.searches.numbers(query.where, card.path))
         else:

@@ -7,7 +7,6 @@ import { Course } from "./course.js";
 import { CourseMap } from "./course_map.js";
 import { Curves } from "./curves.js";
 import { DriverBand } from "./drivers.js";
-import { History } from "./history.js";
 import { listen } from "./keys.js";
 import { listEvents, listOdd, listTags, listWorst } from "./lists.js";
 import { ask, LogData } from "./log_data.js";
@@ -22,6 +21,7 @@ import { Player } from "./player.js";
 import { Predictions } from "./predictions.js";
 import { RerunFrame } from "./rerun.js";
 import * as selecting from "./selection.js";
+import { Tagging } from "./tagging.js";
 
 const EXCLUDE = "exclude";
 const FINE = "fine";
@@ -30,11 +30,11 @@ const page = by("session");
 const data = new LogData(page.dataset.log);
 const pictures = new Pictures(document.querySelectorAll("figure[data-camera]"), data);
 const curves = new Curves(by("curves"), data, { onMove: point, onSelect: (stretch) => select([stretch]), onClick: click });
-const edges = new Edges(curves, { onChange: (stretches) => select(stretches) });
-const overview = new Overview(by("overview"), data, curves);
+new Edges(curves, { onChange: (stretches) => select(stretches) });
+new Overview(by("overview"), data, curves);
 const looking = new Looking(by("looking"), data, { onPick: goToPosition, onChange: (stretches) => select(stretches, true) });
 const player = new Player(data, { onMove: move, onChange: showPlaying });
-const done = new History(data);
+const tagging = new Tagging(data, { selected: () => selection, showStatus });
 const filter = new Filter(data, { onChange: showFiltered, showStatus });
 const makers = new Makers(by("make"), data);
 const rerun = new RerunFrame(by("rerun"), data, { onChange: showRerun, onProblem: showStatus });
@@ -47,7 +47,6 @@ const map = course && new CourseMap(by("course-map"), course, {
 });
 const round = new Round();
 let selection = []; // stretches
-let queue = Promise.resolve();
 
 /** The mouse points at a moment. While it plays, it does not: the mouse lies where it was left. */
 function point(position) {
@@ -113,67 +112,8 @@ function togglePictures() {
   else showStatus("select stretches first: drag over the curves, press j, or choose a kind");
 }
 
-/** One change after the other, so that they are written in the order of the user's actions. */
-function change(make) {
-  queue = queue.then(async () => {
-    try {
-      await make();
-    } catch (error) {
-      showStatus(error.message);
-    }
-    showHistory();
-  });
-}
-
-function showHistory() {
-  by("commands").textContent = done.commands.join("\n");
-  by("copy").hidden = !done.commands.length;
-  by("undo").disabled = !done.done.length;
-  by("redo").disabled = !done.undone.length;
-}
-
-/** Tag stretches, as one change. */
-function tag(name, stretches = selection) {
-  if (!stretches.length) {
-    showStatus("select a stretch first: drag over the curves, or press j");
-    return;
-  }
-  if (data.state.problem) {
-    showStatus(data.state.problem);
-    return;
-  }
-  const rows = stretches.map((stretch) => data.rowsOf(stretch));
-  change(async () => {
-    const answer = await done.make("add", name, rows);
-    const what = `${name}: ${said(rows)}`;
-    showStatus(answer.notice || (answer.changed.length ? what : `${what}, as before`));
-  });
-}
-
-/** All that is surely odd; what is asked for first is written first. */
 function excludeSure() {
-  queue = queue.then(() => {
-    if (filter.sure.length) tag(EXCLUDE, filter.sure);
-    else showStatus("nothing is left that is surely odd");
-  });
-}
-
-function said(rows) {
-  return rows.length === 1 ? `rows ${rows[0].join(" to ")}` : selecting.counted(rows.map(([first, last]) => ({ first, last })));
-}
-
-function undo() {
-  change(async () => {
-    const undone = await done.undo();
-    showStatus(undone ? `undone: ${undone.action} ${undone.name}, ${said(undone.rows)}` : "nothing to undo");
-  });
-}
-
-function redo() {
-  change(async () => {
-    const redone = await done.redo();
-    showStatus(redone ? `again: ${redone.action} ${redone.name}, ${said(redone.rows)}` : "nothing to do again");
-  });
+  tagging.inOrder(() => tagging.make(EXCLUDE, filter.sure)); // those that are left when its turn comes
 }
 
 function goTo(stretch) {
@@ -185,7 +125,7 @@ function goTo(stretch) {
 
 /** After earlier changes are written: pressing x and j at once does both. */
 function goToOdd(step) {
-  queue = queue.then(() => {
+  tagging.inOrder(() => {
     const from = selection.length === 1 ? selection[0] : { first: curves.position - 1, last: curves.position };
     const { toDo, groups } = filter;
     const interventions = left(course?.interventions ?? [], data.tags);
@@ -327,7 +267,7 @@ function showTags() {
   listTags(by("tags"), data, {
     canChange: !data.state.problem,
     onPick: goTo,
-    onRemove: (taken) => change(() => done.make("remove", taken.name, [taken.rows])),
+    onRemove: (taken) => tagging.remove(taken.name, taken.rows),
   });
   curves.mark({});
   by("look").hidden = data.state.pictures_checked || !data.state.cameras.length;
@@ -335,10 +275,7 @@ function showTags() {
 }
 
 data.addEventListener("rows", () => {
-  if (!done.key) {
-    done.restore();
-    showHistory();
-  }
+  tagging.restore();
   filter.refresh();
   pictures.useCameras();
   curves.odd = filter.groups;
@@ -391,11 +328,10 @@ by("play").addEventListener("click", () => player.toggle(curves.position));
 by("speed").addEventListener("change", () => setSpeed(Number(by("speed").value)));
 by("next").addEventListener("click", () => goToOdd(1));
 by("before").addEventListener("click", () => goToOdd(-1));
-by("exclude").addEventListener("click", () => tag(EXCLUDE));
-by("fine").addEventListener("click", () => tag(FINE));
+by("exclude").addEventListener("click", () => tagging.tag(EXCLUDE));
+by("fine").addEventListener("click", () => tagging.tag(FINE));
 by("exclude-odd").addEventListener("click", excludeSure);
 by("look-at").addEventListener("click", togglePictures);
-by("undo").addEventListener("click", undo);
 by("look").addEventListener("click", checkPictures);
 by("run").addEventListener("change", () => {
   predictions.choose(by("run").value);
@@ -414,28 +350,6 @@ by("attention").addEventListener("click", toggleAttention);
 by("worst-next").addEventListener("click", () => goToWorst(1));
 by("rerun-button").addEventListener("click", toggleRerun);
 by("rerun-close").addEventListener("click", toggleRerun);
-by("redo").addEventListener("click", redo);
-by("name-form").addEventListener("submit", (event) => {
-  event.preventDefault();
-  const name = by("name").value.trim();
-  if (name) tag(name);
-  by("name").blur();
-});
-by("name").addEventListener("focus", async () => {
-  const answer = await fetch(`${data.address}/names`);
-  if (!answer.ok) return;
-  const names = await answer.json();
-  by("names").replaceChildren(...names.map((name) => Object.assign(document.createElement("option"), { value: name })));
-});
-by("copy").addEventListener("click", async () => {
-  try {
-    await navigator.clipboard.writeText(`${done.commands.join("\n")}\n`);
-    showStatus("copied");
-  } catch {
-    getSelection().selectAllChildren(by("commands")); // no clipboard where the connection is not encrypted
-    showStatus("selected: copy it with ctrl c");
-  }
-});
 function toggleHelp() {
   const isHidden = (by("help").hidden = !by("help").hidden);
   by("help-button").setAttribute("aria-expanded", !isHidden);
@@ -460,13 +374,13 @@ listen({
   4: () => setSpeed(8),
   j: () => goToOdd(1),
   k: () => goToOdd(-1),
-  x: () => tag(EXCLUDE),
-  f: () => tag(FINE),
+  x: () => tagging.tag(EXCLUDE),
+  f: () => tagging.tag(FINE),
   t: () => by("name").focus(),
-  u: undo,
-  r: redo,
-  undo,
-  redo,
+  u: () => tagging.undo(),
+  r: () => tagging.redo(),
+  undo: () => tagging.undo(),
+  redo: () => tagging.redo(),
   "[": () => begin("first"),
   "]": () => begin("last"),
   Escape: () => (looking.isOpen ? showPictures(false) : select([])),
