@@ -23,7 +23,7 @@ from recorder.log.tags import (
     check_name,
     names_used,
     read_tags,
-    remove_tag,
+    remove_tags,
     tags_by_content,
     tags_path,
 )
@@ -165,8 +165,9 @@ class NameRows:
         if not self._is_confirmed(chosen):
             raise UserError("nothing was tagged")
         if self.remove:
-            for tag in sorted(set(chosen) & set(tags)):
-                remove_tag(self.log, fingerprint, tag)
+            removed = sorted(set(chosen) & set(tags))
+            remove_tags(self.log, fingerprint, removed)
+            for tag in removed:
                 print_message(f"removed {tag.name}: {rows_of(tag)}")
         else:
             add_tags(self.log, fingerprint, chosen)

@@ -123,7 +123,7 @@ class SessionCards:
         glances, shares = self._glances.values(), self._shares.values()
         return sum(made.done for made in glances) + sum(made.done for made in shares)
 
-    def cards(self, place: Place, patience_s: float) -> list[SessionCard]:
+    def cards(self, place: Place, patience_s: float | None) -> list[SessionCard]:
         """The cards of all logs in a folder, by name; those not read in that time have no `info` yet."""
         logs = self._folders.logs(place)
         versions = [(path, self._folders.version_of_log(path)) for path in logs.values()]
