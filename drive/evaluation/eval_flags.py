@@ -37,7 +37,9 @@ class Eval:
     network: tuple[str, ...] = ()
     """Your network's code: FILE.py:CLASS or MODULE:CLASS."""
     compare: Annotated[tuple[str, str] | None, _default("A B", "none")] = None
-    """Compare B with A; exit code 1 if it is worse."""
+    """Compare B with A on the same frames or tracks."""
+    gate: bool = False
+    """With --compare: exit code 1 if B is worse."""
     tolerance: Annotated[float | None, _default("SHARE", "0, and 0.02 with --simulator")] = None
     """How much worse B may be, as a share."""
     index: Annotated[LocationFlag | None, _default("PATH|URL", "the one that the run was trained on")] = None
@@ -113,6 +115,8 @@ def refuse_contradictions(config: Eval) -> None:
     if config.compare is None:
         if config.tolerance is not None:
             raise UsageError("--tolerance is how much worse B may be, of --compare A B: give it too")
+        if config.gate:
+            raise UsageError("--gate fails if B is worse, of --compare A B: give it too")
     elif config.run is not None:
         raise UsageError(f"{config.run}: --compare names its two runs itself: leave it out")
     elif flags := flags_given(config, "bins", "worst"):

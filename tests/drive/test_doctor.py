@@ -7,6 +7,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet as pq
 import pytest
 
 from bytes_read import count_bytes, note_reads
@@ -151,3 +152,19 @@ def test_it_needs_no_pytorch() -> None:
 def test_a_folder_that_is_not_there_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, tmp_path / "nowhere") == 1
     assert "nowhere: no such folder" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("project")
+def test_an_earlier_versions_index_is_said() -> None:
+    build_index([Path("sessions") / "monday.mcap"], Path("index"), IndexConfig(block_s=0.5, gap_s=0))
+    assert not any("earlier version" in line for line in examine().odd)
+    file = Path("index/samples.parquet")
+    table = pq.read_table(file)
+    stored = json.loads(table.schema.metadata[b"bc.index"])
+    del stored["counts"]["monday"]["not_measured"]
+    pq.write_table(table.replace_schema_metadata({b"bc.index": json.dumps(stored).encode()}), file)
+    found = examine()
+    assert (
+        "index: an earlier version made it, which held out crashes and did not know all that is odd" in found.odd
+    )
+    assert found.advice[0].command == "bc-index"

@@ -389,8 +389,13 @@ def test_frames_of_crashes_are_told_apart(here: Path, tmp_path: Path, capsys: py
     assert (found["crashes"], found["without_crashes"]["frames"]) == (len(crash), rows - len(crash))
     assert found["network"]["rmse_deg"] == pytest.approx(rmse["all"])
     assert found["without_crashes"]["network"]["rmse_deg"] == pytest.approx(rmse["others"])
+    assert found["without_crashes"]["mean"]["balanced_rmse_deg"] > 0
     assert call(main, "toy", "--session", log) == 0
-    assert f"RMSE without crashes ({len(crash)}) {rmse['others']:.2f}" in " ".join(capsys.readouterr().out.split())
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"RMSE without crashes ({len(crash)}) {rmse['others']:.2f}" in said
+    assert f"the verdict is without {len(crash)} frames of crashes and the like" in said
+    assert f"({rmse['others']:.2f} against" in said
+    assert f"({rmse['all']:.2f} against" not in said
     assert call(main, "toy", "--session", "new", "--json") == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["crashes"], found["without_crashes"]) == (0, None)

@@ -115,7 +115,7 @@ def test_pictures_go_in_as_opencv_has_them_and_one_steering_comes_out(exported: 
     assert (taken.name, taken.type, taken.shape) == ("pictures", "tensor(uint8)", ["N", 128, 128, 3])
     assert (given.name, given.type, given.shape) == ("steering", "tensor(float)", ["N"])
     (operators,) = onnx.load(exported).opset_import
-    assert (operators.domain, operators.version) == ("", 13)
+    assert (operators.domain, operators.version) == ("", 18)
 
 
 def test_steering_is_not_clamped(trained: Path, tmp_path: Path) -> None:
@@ -265,7 +265,7 @@ def test_damaged_runs_are_named(trained: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "broken.onnx").exists()
 
 
-@pytest.mark.parametrize("package", ["onnx", "onnxruntime"])
+@pytest.mark.parametrize("package", ["onnx", "onnxruntime", "onnxscript"])
 def test_without_its_packages_the_error_says_how_to_get_them(
     trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
 ) -> None:

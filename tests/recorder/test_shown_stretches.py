@@ -52,7 +52,7 @@ def judged(path: Path) -> tuple[list[OddStretch], list[OddStretch]]:
     """By the numbers alone, and by the pictures."""
     with Log(path) as log:
         odd = odd_stretches(States.of(log.vehicle()))
-        return odd, with_pictures(log, odd)
+        return odd, with_pictures(log, States.of(log.vehicle()), odd)
 
 
 def test_pictures_that_shrink_show_that_a_car_rolls_backwards(
