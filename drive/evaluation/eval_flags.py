@@ -67,7 +67,7 @@ class Eval:
         Literal["auto", "float32", "bfloat16"] | None, _default("{auto,float32,bfloat16}", "auto")
     ] = None
     """Arithmetic of a driving network; auto: the fastest on this processor."""
-    logs: Annotated[LocationFlag | None, _default("PATH|URL", "drives")] = None
+    drives: Annotated[LocationFlag | None, _default("PATH|URL", "drives")] = None
     """Folder of the drives' logs; finished logs are copied to a URL."""
     force: bool = False
     """Replace existing logs."""
@@ -82,7 +82,7 @@ class Eval:
 RECORDED: Final = "recorded frames"
 WAYS: Final = {
     RECORDED: ("index", "split", "session", "sessions", "bins", "worst"),
-    "--simulator TRACK": ("laps", "speed", "precision", "logs", "force", "ray"),
+    "--simulator TRACK": ("laps", "speed", "precision", "drives", "force", "ray"),
     "--on SESSION": ("sessions", "departure", "car", "precision"),
 }
 """The flags that belong to each way of measuring."""

@@ -299,7 +299,7 @@ FORMS: Final[Sequence[JobForm]] = (
             Field("speed", "speeds in mph", "--speed", hint="10", is_several=True),
             Field("force", "replace logs of the same names", "--force", is_switch=True),
         ),
-        (("--runs", "runs"), ("--logs", "drives")),
+        (("--runs", "runs"), ("--drives", "drives")),
         _run,
     ),
     JobForm(
