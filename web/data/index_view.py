@@ -25,7 +25,8 @@ from dataset.samples.samples_format import (
     SessionCounts,
     sample_files,
 )
-from dataset.steering_bins import bin_of
+from dataset.steering_bins import BINS, bin_of
+from web.data.steering_sketch import bars, root_heights, svg
 
 _WIDTH: Final = 300
 _COLORS: Final = {"train": "#4a90d9", "validation": "#c77d1e"}  # readable on a light and on a dark page
@@ -83,15 +84,12 @@ def bins_sketch(view: IndexView) -> bytes:
     """Each bin before (behind) and after it was balanced, from left to right, as an SVG."""
     height = 120
     top = max([1, *view.before, *view.after])
-    step = 2 * _WIDTH / max(1, len(view.before))
-    bars = [
-        f'<rect x="{at * step + inset:.1f}" y="{height - share:.1f}" width="{max(0.5, step - 2 * inset):.1f}"'
-        f' height="{share:.1f}" fill="{color}"/>'
-        for counts, color, inset in ((view.before, _BEFORE, step * 0.05), (view.after, _AFTER, step * 0.25))
-        for at, count in enumerate(counts)
-        if (share := height * count / top)
+    parts = ((view.before, _BEFORE, 0.9), (view.after, _AFTER, 0.5))
+    heights = [([height * count / top for count in counts], color, share) for counts, color, share in parts]
+    paths = [
+        f'<path d="{bars(each, 0, 2 * _WIDTH, height, share)}" fill="{color}"/>' for each, color, share in heights
     ]
-    return _svg(2 * _WIDTH, height, [*bars, f'<path d="M{_WIDTH} 0V{height}" stroke="{_AXIS}"/>'])
+    return _svg(2 * _WIDTH, height, [*paths, f'<path d="M{_WIDTH} 0V{height}" stroke="{_AXIS}"/>'])
 
 
 def session_bins_sketch(index: Path, session: str) -> bytes:
@@ -107,18 +105,16 @@ def session_bins_sketch(index: Path, session: str) -> bytes:
         raise DatasetError(f"{index / SAMPLES_NAME}: cannot be read ({error}); `bc-index` makes it anew") from None
     labels = tables[0]["label"].to_numpy() if tables else np.zeros(0)
     counts = np.bincount(bin_of(labels, bins), minlength=bins)
-    shares = height * np.sqrt(counts / max(1, counts.max()))
-    step = _WIDTH / bins
-    width = max(0.5, step - 1)
-    return _svg(
-        _WIDTH,
-        height,
-        [
-            f'<rect x="{at * step:.1f}" y="{height - share:.1f}" width="{width:.1f}" height="{share:.1f}"'
-            f' fill="{_AFTER}"/>'
-            for at, share in enumerate(shares)
-        ],
-    )
+    path = bars(root_heights(counts, height), 0, _WIDTH, height)
+    return _svg(_WIDTH, height, [f'<path d="{path}" fill="{_AFTER}"/>'])
+
+
+def bins_of_index(index: Path) -> int:
+    """How many steering bins an index has; the default where there is no index that can be read."""
+    try:
+        return len(view_index(index).before)
+    except DatasetError:
+        return BINS
 
 
 def split_sketch(index: Path, session: str) -> bytes:
@@ -137,8 +133,7 @@ def split_sketch(index: Path, session: str) -> bytes:
 
 
 def _svg(width: int, height: int, parts: Sequence[str]) -> bytes:
-    start = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" preserveAspectRatio="none">'
-    return f"{start}{''.join(parts)}</svg>".encode()
+    return svg(width, height, parts, ' preserveAspectRatio="none"')
 
 
 def _text(value: Any) -> str:

@@ -1,6 +1,6 @@
-"""Logs that are open in Rerun: for each, a process that writes it as a recording file, which the page's viewer reads.
+"""Logs that are open in Rerun. For each, a process writes a recording file, which the viewer in the page reads.
 
-Rerun's viewer is a program of WebAssembly. The `rerun` program has it inside; bc-web takes it out once and keeps it.
+Rerun's viewer is a program of WebAssembly within the `rerun` program. bc-web takes it out once and keeps it.
 """
 
 from __future__ import annotations

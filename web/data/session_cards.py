@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
+from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
 
@@ -51,11 +52,22 @@ class Share(msgspec.Struct, frozen=True):
     tags: list[TagRows] | None  # that its rows had; None where the file lacks them
 
 
+class IndexState(StrEnum):
+    """What the index has of a session, as pages show it."""
+
+    INDEXED = "in the index"
+    MISSING = "not in the index"
+    CHANGED = "changed since it was indexed"
+    UNREAD = "being read"
+    LEFT_OUT = "left out"
+    PASSED_OVER = "left out by choice"
+
+
 @dataclass(frozen=True)
 class InIndex:
     """A session's state in the index."""
 
-    words: str  # "in the index", "not in the index", "changed since it was indexed", "being read", "left out"
+    state: IndexState
     why: str = ""
     frames: dict[str, int] = field(default_factory=dict)  # by split
 
@@ -189,21 +201,21 @@ class SessionCards:
         session = session_name(path)
         built = state.logs.get(session)
         if built is None:
-            return InIndex("left out by choice" if session in state.passed_over else "not in the index")
+            return InIndex(IndexState.PASSED_OVER if session in state.passed_over else IndexState.MISSING)
         if built.sources[0] != str(absolute(path)):
-            return InIndex("not in the index", "it has another log of that name")
+            return InIndex(IndexState.MISSING, "it has another log of that name")
         sources = sources_of(session, path, self._folders.index_here, self._folders.stat)
         if built.sources != sources:
             are_tags = _but_tags(built.sources) == _but_tags(sources)
             if are_tags and share is None:
-                return InIndex("being read")  # what the index has of its tags
+                return InIndex(IndexState.UNREAD)  # what the index has of its tags
             if not (are_tags and self._has_tags_of(share, path, built.fingerprint)):
-                return InIndex("changed since it was indexed", "`bc-index` brings it up to date")
+                return InIndex(IndexState.CHANGED, "`bc-index` brings it up to date")
         if not built.fingerprint:
-            return InIndex("left out", printable(built.notice))
+            return InIndex(IndexState.LEFT_OUT, printable(built.notice))
         if isinstance(share, UserError):
-            return InIndex("in the index", printable(str(share)))
-        return InIndex("in the index", "", share.frames if share else {})
+            return InIndex(IndexState.INDEXED, printable(str(share)))
+        return InIndex(IndexState.INDEXED, "", share.frames if share else {})
 
     def _has_tags_of(self, share: Share | UserError | None, path: Location, fingerprint: str) -> bool:
         """Whether the tags beside a log are those of the index: later changes may have been undone."""

@@ -25,6 +25,7 @@ from web.data.job_forms import INDEX_FIELDS, form_of
 from web.data.project_folders import key_of
 from web.data.run_origins import index_checksum, origin_of
 from web.data.run_settings import differing
+from web.data.session_cards import IndexState
 from web.errors import WebError
 from web.pages.form_values import form_values
 from web.pages.workbench import Workbench
@@ -65,7 +66,7 @@ def index_routes(bench: Workbench) -> list[Route]:
     def _stale() -> list[str]:
         """The sessions that are newer than the index, and those whose log or tags have changed since."""
         cards = bench.cards.cards("sessions", _PATIENCE_S)
-        names = {card.name for card in cards if card.index.words.startswith("changed since")}
+        names = {card.name for card in cards if card.index.state is IndexState.CHANGED}
         with contextlib.suppress(UserError):
             logs = [log for log in bench.folders.logs("sessions").values() if log.suffix == ".mcap"]
             found = logs_not_indexed(bench.folders.index_here, logs, bench.folders.stat)
