@@ -21,6 +21,7 @@ from web.data.index_trials import IndexTrials
 from web.data.jobs import Jobs
 from web.data.open_logs import OpenLogs
 from web.data.picture_checks import PictureChecks
+from web.data.picture_maps import PictureMaps
 from web.data.predictions import Predictions
 from web.data.project_folders import PLACES, ProjectFolders
 from web.data.rerun_viewers import RerunViewers
@@ -29,6 +30,7 @@ from web.data.session_cards import SessionCards
 from web.data.where_search import WhereSearches
 from web.pages.altered_page import altered_routes
 from web.pages.attention_page import attention_routes
+from web.pages.bulk_page import bulk_routes
 from web.pages.changes import change_routes
 from web.pages.compare_page import compare_routes
 from web.pages.course_page import course_routes
@@ -39,6 +41,7 @@ from web.pages.jobs_page import job_routes
 from web.pages.log_files import log_file_routes
 from web.pages.log_jobs_page import log_job_routes
 from web.pages.log_links import log_link_routes
+from web.pages.map_page import map_routes
 from web.pages.predictions_page import prediction_routes
 from web.pages.rerun_page import rerun_log_routes, rerun_routes
 from web.pages.run_page import run_routes
@@ -99,6 +102,7 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
     runs = RunCards(folders)
     viewers = RerunViewers(kept)
     predictions = Predictions(cache)
+    maps = PictureMaps(cache)
     bench = Workbench(
         folders,
         kept,
@@ -113,15 +117,18 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
         viewers,
         predictions,
         Attention(),
+        maps,
     )
     routes = [
         *session_list_routes(bench),
+        *bulk_routes(bench),
         *change_routes(bench),
         *(route for place in PLACES for routes in _OF_A_LOG for route in routes(bench, place)),
         *rerun_routes(bench),
         *drive_routes(bench),
         *index_routes(bench),
         *altered_routes(bench),
+        *map_routes(bench),
         *job_routes(bench),
         *import_routes(bench),
         *wheel_routes(bench),
@@ -137,7 +144,8 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
         yield RequestGuard(small, host, token)
     finally:
         viewers.close()
-        predictions.close()
+        predictions.work.close()
+        maps.work.close()
         pool.shutdown(cancel_futures=True)
         from_stores.shutdown(cancel_futures=True)
         runs.close()

@@ -74,7 +74,7 @@ def answers(run: Path, picture: Any) -> list[float]:
     return [max(-1.0, min(each, 1.0)) for each in (found.steering, found.throttle)]
 
 
-def test_it_drives_as_the_pilot_does_where_only_numpy_and_onnx_runtime_are(
+def test_it_drives_as_the_pilot_with_only_numpy_and_onnx_runtime(
     trained: Path, car: Path, road: Any, tmp_path: Path
 ) -> None:
     np.save(tmp_path / "road.npy", road)

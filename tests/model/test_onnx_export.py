@@ -109,7 +109,7 @@ def test_the_example_in_its_metadata_runs_as_it_is(trained: Path, exported: Path
     assert as_others_steer(metadata(exported)["example"], exported, larger) == pytest.approx(expected, abs=1e-5)
 
 
-def test_pictures_go_in_as_opencv_has_them_and_one_steering_each_comes_out(exported: Path) -> None:
+def test_pictures_go_in_as_opencv_has_them_and_one_steering_comes_out(exported: Path) -> None:
     (taken,) = session(exported).get_inputs()
     (given,) = session(exported).get_outputs()
     assert (taken.name, taken.type, taken.shape) == ("pictures", "tensor(uint8)", ["N", 128, 128, 3])
@@ -148,7 +148,7 @@ def test_the_same_run_gives_the_same_bytes_wherever_it_lies(trained: Path, expor
 # The command
 
 
-def test_without_a_name_the_file_lies_in_the_run_and_the_printed_python_runs_it(
+def test_without_a_name_the_file_lies_in_the_run_and_the_python_runs_it(
     trained: Path, exported: Path, tmp_path: Path
 ) -> None:
     copy = shutil.copytree(trained, tmp_path / "runs" / "first")
