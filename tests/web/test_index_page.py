@@ -21,7 +21,7 @@ from driving import road_jpeg
 from logs import not_a_picture, write_log
 from udacity import call
 from waiting import wait_until
-from web.data.index_view import session_bins_sketch
+from web.index.index_view import session_bins_sketch
 from workbench import Served, served
 
 FORM = {"Content_Type": "application/x-www-form-urlencoded"}

@@ -12,11 +12,11 @@ from common.car import CAMERAS, Camera
 from common.location import absolute
 from recorder import LogError
 from recorder.pictures.picture_size import PNG_START
-from web.data.film_strip import film_strip
-from web.data.index_view import bins_of_index
-from web.data.project_folders import Place
-from web.data.steering_sketch import steering_sketch
 from web.errors import WebError
+from web.folders.project_folders import Place
+from web.index.index_view import bins_of_index
+from web.logs.film_strip import film_strip
+from web.logs.steering_sketch import steering_sketch
 from web.pages.address_number import number_in
 from web.pages.workbench import Workbench
 from web.server.static_files import KEPT
