@@ -125,12 +125,12 @@ class EpochAlterations:
         mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
         mixed ^= mixed >> np.uint64(31)
-        return (mixed >> np.uint64(11)) * 2.0**-52 - 1
+        return (mixed >> np.uint64(11)).astype(np.float64) * 2.0**-52 - 1
 
 
 @lru_cache(maxsize=4)
-def _key(seed: int, epoch: int) -> NDArray[np.uint64]:
-    return np.random.SeedSequence((seed, epoch)).generate_state(1, np.uint64)
+def _key(seed: int, epoch: int) -> np.uint64:
+    return np.uint64(np.random.SeedSequence((seed, epoch)).generate_state(1, np.uint64)[0])
 
 
 def _matrix(of: Mapping[EpochAlteration, Floats], height: int, width: int) -> Floats | None:
@@ -141,7 +141,7 @@ def _matrix(of: Mapping[EpochAlteration, Floats], height: int, width: int) -> Fl
     still = np.zeros((count, 2))
     scale = 1 / (1 + _ZOOM * of.get("zoom", still)[:, 0])
     angle = _TURN_RAD * of.get("turn", still)[:, 0]
-    shift = _MOVE * of.get("move", still) * (width, height)
+    shift = of.get("move", still) * _MOVE * (width, height)
     cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
     matrix = np.empty((count, 2, 3))
     matrix[:, 0, 0], matrix[:, 0, 1] = cosine, sine
@@ -173,15 +173,16 @@ def _alter(picture: Image, drawn: Drawn, number: int) -> None:
         cv2.cvtColor(moved, cv2.COLOR_BGRA2BGR, picture)
     if drawn.colours is not None:
         cv2.transform(picture, drawn.colours[number], picture)
-    if drawn.shade is not None and (shade := drawn.shade[number]) < 1:
+    if drawn.shade is not None and (shade := float(drawn.shade[number])) < 1:
         mask = np.zeros((height, width), np.uint8)
         cv2.fillConvexPoly(mask, drawn.strip[number], 1)
         cv2.copyTo(cv2.convertScaleAbs(picture, alpha=shade), mask, picture)
     if drawn.box is not None:
         left, top, right, bottom, level = drawn.box[number]
-        picture[top:bottom, left:right] = level
+        if left < right:
+            picture[top:bottom, left:right] = level
     if drawn.noise is not None:
-        share, piece = drawn.noise[number] / NOISE_LEVEL, drawn.piece[number]
+        share, piece = float(drawn.noise[number]) / NOISE_LEVEL, int(drawn.piece[number])
         noise = noise_of(picture.size)[piece : piece + picture.size].reshape(picture.shape)
         cv2.addWeighted(picture, 1, noise, share, -128 * share, picture)
 

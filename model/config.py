@@ -129,6 +129,5 @@ class TrainConfig:
     @property
     def epoch_alterations(self) -> tuple[EpochAlteration, ...]:
         """What is done to every picture in every epoch."""
-        if "all" in self.alter_each_epoch:
-            return EPOCH_ALTERATIONS
-        return tuple(name for name in self.alter_each_epoch if name not in ("all", "none"))
+        names = self.alter_each_epoch
+        return EPOCH_ALTERATIONS if "all" in names else tuple(name for name in EPOCH_ALTERATIONS if name in names)

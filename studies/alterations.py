@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import statistics
 import subprocess
 import sys
@@ -32,16 +31,20 @@ from model import TrainConfig, load_pilot, train
 from model.evaluation.evaluate import evaluate_sessions
 from model.training.trainer import Trained
 
-PEOPLE: Final = TrainConfig(epochs=6, keep="driving-error")
+LONGER: Final = ", 14 epochs"
+"""Of recipes that go on with the run of the same recipe."""
+PEOPLE: Final = TrainConfig(epochs=6)
 ALL: Final = replace(PEOPLE, alter_each_epoch=("all",))
 RECIPES: Final[Mapping[str, TrainConfig]] = {
     "people": PEOPLE,
     "all": ALL,
-    "people, 14 epochs": replace(PEOPLE, epochs=14),
-    "all, 14 epochs": replace(ALL, epochs=14),
+    f"people{LONGER}": replace(PEOPLE, epochs=14),
+    f"all{LONGER}": replace(ALL, epochs=14),
     **{f"{name} alone": replace(PEOPLE, alter_each_epoch=(name,)) for name in EPOCH_ALTERATIONS},
     **{
-        f"all but {name}": replace(PEOPLE, alter_each_epoch=tuple(set(EPOCH_ALTERATIONS) - {name}))
+        f"all but {name}": replace(
+            PEOPLE, alter_each_epoch=tuple(other for other in EPOCH_ALTERATIONS if other != name)
+        )
         for name in EPOCH_ALTERATIONS
     },
 }
@@ -62,12 +65,12 @@ def main() -> None:
     chosen = parser.parse_args()
     logs = [log.resolve() for log in chosen.logs]
     if not chosen.table:
-        for seed, kind, recipe in product(chosen.seeds, chosen.parts, chosen.recipes):
-            if kind == "drive":
-                drive_roads(chosen.folder, chosen.network, recipe, seed)
-                continue
-            for learnt in parts(logs, kind):
-                measure(chosen.folder, chosen.network, recipe, seed, learnt, logs)
+        for seed, kind in product(chosen.seeds, chosen.parts):
+            for learnt, recipe in product(parts(logs, kind), chosen.recipes):
+                if kind == "drive":
+                    drive_roads(chosen.folder, chosen.network, recipe, seed)
+                else:
+                    measure(chosen.folder, chosen.network, recipe, seed, learnt, logs)
     for kind in chosen.parts:
         if kind == "drive":
             print_drives(chosen.folder, chosen.network, chosen.recipes, chosen.seeds)
@@ -76,6 +79,8 @@ def main() -> None:
 
 
 def parts(logs: Sequence[Path], kind: str) -> list[list[Path]]:
+    if kind == "drive":
+        return [[]]
     return [[log] if kind == "one" else [other for other in logs if other != log] for log in logs]
 
 
@@ -87,7 +92,7 @@ def measure(
     if result.exists():
         return
     print(result.stem, file=sys.stderr, flush=True)
-    trained = trained_on(folder, network, recipe, seed, learnt, result.stem)
+    trained = trained_on(folder, network, recipe, seed, learnt)
     found = evaluate_sessions(trained.run, [log for log in logs if log not in learnt])
     values = {
         session: {
@@ -98,15 +103,14 @@ def measure(
         for session, of in found.sessions.items()
     }
     keep(result, {"best_epoch": trained.best_epoch, "sessions": values})
-    shutil.rmtree(trained.run)
 
 
-def trained_on(folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path], name: str) -> Trained:
+def trained_on(folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path]) -> Trained:
     # nothing is needed to choose an epoch of others' frames, but something has to be held out
     index = folder / "indexes" / "-".join(log.stem for log in learnt)
     if not index.exists():
         build_index(list(learnt), index, IndexConfig(validation_share=0.1))
-    run = folder / "runs" / name
+    run = folder / "runs" / file_of(folder, network, recipe.removesuffix(LONGER), seed, learnt).stem
     config = replace(RECIPES[recipe], network=network, seed=seed, threads=1)
     return train(index, run, config, resume=run.exists(), figures=False, show_progress=False)
 
@@ -120,7 +124,7 @@ def drive_roads(folder: Path, network: str, recipe: str, seed: int) -> None:
     print(result.stem, file=sys.stderr, flush=True)
     for session, track in zip(sessions, ("lake", "mountain"), strict=True):
         if not session.exists():
-            record = [
+            record: list[str | Path] = [
                 "bc-record",
                 session.stem,
                 "--sessions",
@@ -131,13 +135,12 @@ def drive_roads(folder: Path, network: str, recipe: str, seed: int) -> None:
                 track,
             ]
             subprocess.run([*record, "--laps", "0.5", "--speed", f"{MPH:g}", "--seed", "1"], check=True)
-    trained = trained_on(folder, network, recipe, seed, sessions, result.stem)
+    trained = trained_on(folder, network, recipe, seed, sessions)
     drives = [(BuiltInSimulator(road), DriveConfig(set_speed_mph=MPH)) for road in ROADS]
     reports = [
         each.report for each in drive(load_pilot(trained.run), drives, trained.run / "drives", overwrite=True)
     ]
     keep(result, dict(zip(ROADS, reports, strict=True)))
-    shutil.rmtree(trained.run)
 
 
 def print_drives(folder: Path, network: str, recipes: Sequence[str], seeds: Sequence[int]) -> None:
