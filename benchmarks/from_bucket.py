@@ -153,7 +153,9 @@ def print_logs(sessions: Path, server: Server) -> None:
             _print_moved(what, total, server, before)
         read = _bytes_read()
         build_index(sorted(sessions.glob("*.mcap")), Path(folder) / "of_disk")
-        print(f"| the same logs on a disk | {total / 1e6:,.1f} | | {(_bytes_read() - read) / 1e6:,.2f} |", flush=True)
+        print(
+            f"| the same logs on a disk | {total / 1e6:,.1f} | | {(_bytes_read() - read) / 1e6:,.2f} |", flush=True
+        )
         for cache, what in (
             ("one", "`--index` there, too"),
             ("one", "again"),

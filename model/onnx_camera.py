@@ -1,6 +1,6 @@
 """The preprocessing of a camera's picture as nodes of an ONNX graph: crop, size and order of colours.
 
-It does what `dataset.preprocess.preprocess` does. OpenCV rounds its weights to 11 bits, so that levels may differ
+It does what `preprocess` of `dataset.preprocessing` does. OpenCV rounds its weights to 11 bits: levels may differ
 by 1 of 255, by 2 in YUV.
 """
 

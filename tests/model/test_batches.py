@@ -22,7 +22,7 @@ from torch import Tensor
 from common.car import CAMERAS, Camera
 from dataset import IndexConfig, Loader, build_index, decode, load, preprocess
 from dataset.augment import ALTERATIONS, alter
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from logs import write_log
 from model.training.batches import Batches, DeviceBatches, HostBatches, PinnedBatches, make_batches, needed_bytes
 
