@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 
 EpochAlteration = Literal["move", "zoom", "turn", "contrast", "brightness", "colours", "shadow", "box", "noise"]
 EPOCH_ALTERATIONS: Final[tuple[EpochAlteration, ...]] = get_args(EpochAlteration)

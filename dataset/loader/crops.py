@@ -19,7 +19,7 @@ from dataset.drawn_views import VIEWPOINT
 from dataset.errors import UnusablePictureError
 from dataset.frames.distinct_rows import number_distinct
 from dataset.picture_spec import ORIGINAL, PictureSpec
-from dataset.preprocess import Image, crop_of, decode, in_channels
+from dataset.preprocessing import Image, crop_of, decode, in_channels
 from dataset.samples.sample_rows import Rows
 from dataset.viewpoint import Viewpoint
 from recorder import Log, LogError

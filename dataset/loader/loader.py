@@ -33,7 +33,7 @@ from dataset.loader.look_ahead import LookAhead
 from dataset.loader.prefetch import Fill, prefetched
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from dataset.samples.sample_rows import Rows
 from dataset.samples.samples_reader import Samples, Split
 

@@ -14,7 +14,7 @@ from common.car import CAMERAS, Camera
 from dataset import IndexConfig, Loader, build_index, load
 from dataset.epoch_alterations import EPOCH_ALTERATIONS, EpochAlteration, EpochAlterations
 from dataset.picture_spec import PictureSpec
-from dataset.preprocess import Image, in_channels
+from dataset.preprocessing import Image, in_channels
 from logs import write_log
 
 STEERING = [round(-0.6 + 0.1 * row, 2) for row in range(12)]

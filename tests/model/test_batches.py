@@ -24,7 +24,7 @@ from dataset import IndexConfig, Loader, build_index, decode, load, preprocess
 from dataset.augment import ALTERATIONS, alter
 from dataset.epoch_alterations import EPOCH_ALTERATIONS, EpochAlteration
 from dataset.picture_spec import PictureSpec
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from logs import write_log
 from model.training.batches import Batches, DeviceBatches, HostBatches, PinnedBatches, make_batches, needed_bytes
 

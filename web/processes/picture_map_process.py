@@ -23,7 +23,7 @@ from common.location import location
 from common.parent_process import end_with_parent
 from dataset.loader.log_crops import LogCrops
 from dataset.picture_spec import PictureSpec
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from recorder import Log
 from recorder.log_copy_cli import brought_here
 from recorder.rows.odd_stretches import ODD_KINDS, odd_stretches
