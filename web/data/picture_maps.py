@@ -22,6 +22,7 @@ COLUMNS: Final = ("x", "y", "log", "row", "steering", "predicted", "nearest", "a
 """Of each picture, as float32: its place, the number of its log, its row, the steering that was driven and
 predicted (NaN: none), how far the most alike picture and its neighbours are (1 is usual), its group, and the
 number of what is odd in its row (-1: nothing)."""
+MAX_POINTS: Final = 10_000
 _FORMAT: Final = 1
 
 
@@ -52,7 +53,8 @@ class PictureMaps:
 
     def key(self, logs: Sequence[MappedLog], run: Path | None) -> str:
         """The name that a map has here. Raises WebError for a run without weights."""
-        words = [str(_FORMAT), self.work.fingerprint(run) if run else "", *(log.fingerprint for log in logs)]
+        eye = self.work.fingerprint(run) if run else ""
+        words = [str(_FORMAT), str(MAX_POINTS), eye, *(log.fingerprint for log in logs)]
         return hashlib.sha256(" ".join(words).encode()).hexdigest()
 
     def find(self, key: str) -> MapAbout | None:
@@ -82,4 +84,4 @@ class PictureMaps:
     def start(self, key: str, logs: Sequence[MappedLog], run: Path | None) -> None:
         """Begin with it, if it is not under way."""
         pairs = [word for log in logs for word in (log.fingerprint, as_word(log.path))]
-        self.work.start(key, 0, [str(run.absolute()) if run else "", *pairs])
+        self.work.start(key, 0, [str(MAX_POINTS), str(run.absolute()) if run else "", *pairs])

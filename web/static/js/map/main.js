@@ -11,7 +11,7 @@ import { TagChanges } from "./tag_changes.js";
 const FEW = 60; // pictures that are shown of a large choice
 const LIKE = 24;
 const LONELY_SHARE = 0.01;
-const DOUBLE = 0.1; // of the usual distance to the most alike picture
+const DOUBLE = 0.05; // of the usual distance to the most alike picture
 
 const by = (id) => document.getElementById(id);
 const page = by("map");
