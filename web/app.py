@@ -30,6 +30,7 @@ from web.data.session_cards import SessionCards
 from web.data.where_search import WhereSearches
 from web.pages.altered_page import altered_routes
 from web.pages.attention_page import attention_routes
+from web.pages.bulk_page import bulk_routes
 from web.pages.changes import change_routes
 from web.pages.compare_page import compare_routes
 from web.pages.course_page import course_routes
@@ -99,7 +100,7 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
     cards.cards("sessions", 0)  # begins to read them before the first request
     checks = PictureChecks(folders.index_here, kept)
     runs = RunCards(folders)
-    viewers = RerunViewers()
+    viewers = RerunViewers(kept)
     predictions = Predictions(cache)
     maps = PictureMaps(cache)
     bench = Workbench(
@@ -120,6 +121,7 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
     )
     routes = [
         *session_list_routes(bench),
+        *bulk_routes(bench),
         *change_routes(bench),
         *(route for place in PLACES for routes in _OF_A_LOG for route in routes(bench, place)),
         *rerun_routes(bench),

@@ -51,8 +51,11 @@ class Background(Generic[Place, Result]):
         self.done = 0
         """Grows with every result: pages that have not shown it yet ask again."""
 
-    def results(self, versions: Iterable[tuple[Place, str]], patience_s: float) -> dict[Place, Result | UserError]:
-        """The results that are there after `patience_s` at most. Those of other files are dropped."""
+    def results(
+        self, versions: Iterable[tuple[Place, str]], patience_s: float | None
+    ) -> dict[Place, Result | UserError]:
+        """The results that are there after `patience_s` at most; None waits for all. Those of other files are
+        dropped."""
         with self._lock:
             before, self._tasks = self._tasks, {}
             for path, version in versions:

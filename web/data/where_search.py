@@ -6,11 +6,9 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from pathlib import Path
 from typing import Final
 
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from common import UserError
 from common.errors import printable
@@ -46,7 +44,7 @@ class WhereSearches:
         with self._lock:
             return self._done + sum(search.done for search in self._searches.values())
 
-    def rows(self, where: str, logs: Sequence[Location], patience_s: float) -> Found:
+    def rows(self, where: str, logs: Sequence[Location], patience_s: float | None) -> Found:
         """The number of rows that the condition holds for, of each log searched in that time; 0 where a log
         cannot be read. Raises UserError if it is no condition."""
         if len(where) > _LONGEST:
@@ -55,7 +53,7 @@ class WhereSearches:
             search = self._searches.get(where)
         if search is None:
             _check(where)
-            search = Background[Location, int](self._pool, lambda path, version: self._rows_of(path, where))
+            search = Background[Location, int](self._pool, lambda path, version: len(self.numbers(where, path)))
             with self._lock:
                 self._searches[where] = search
                 while len(self._searches) > _MAX_SEARCHES:
@@ -66,9 +64,13 @@ class WhereSearches:
         found = search.results(versions, patience_s)
         return {path: rows if isinstance(rows, int) else 0 for path, rows in found.items()}
 
-    def _rows_of(self, path: Location, where: str) -> int:
+    def numbers(self, where: str, path: Location) -> set[int]:
+        """The rows of a log that the condition holds for. Raises UserError if it is no condition, or where the log
+        cannot be read."""
         self._folders.refuse_unanswered(path)
-        return _rows_of(path, self._folders.index_here, where)
+        with Log(path) as log:
+            frames = frames_table(log, self._folders.index_here, IndexConfig(), read_tags(path, log.fingerprint))
+        return set(frames["row"].filter(pa.array(Condition(where).holds(frames))).to_pylist())
 
 
 def _check(where: str) -> None:
@@ -76,10 +78,3 @@ def _check(where: str) -> None:
         Condition(where).check(FRAMES_SCHEMA.empty_table())
     except UserError as error:
         raise UserError(printable(str(error))) from None
-
-
-def _rows_of(path: Location, index: Path, where: str) -> int:
-    with Log(path) as log:
-        frames: pa.Table = frames_table(log, index, IndexConfig(), read_tags(path, log.fingerprint))
-    chosen = frames["row"].filter(pa.array(Condition(where).holds(frames)))
-    return int(pc.count_distinct(chosen).as_py())
