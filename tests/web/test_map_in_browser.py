@@ -58,11 +58,18 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         folder / "sessions" / "day.mcap", STEERING[:30], lambda camera, row: road_jpeg(row), cameras=["center"]
     )
     assert call(dataset.cli.main, "--sessions", folder / "sessions", "--index", folder / "index") == 0
-    write_lines(untrained_run(folder / "runs" / "r") / "metrics.jsonl", [epoch_line(1)])
+    run = untrained_run(folder / "runs" / "r")
+    changed_config(run, training={"epochs": 1, "recipe": "people"}, data={})
+    write_lines(run / "metrics.jsonl", [epoch_line(1)])
     write_log(folder / "sessions" / "new.mcap", [0.1] * 5, cameras=[])
     with served(folder) as found:
         wait_until(lambda: "reading" not in found.get("/runs.rows").text)
         yield found
+
+
+def changed_config(run: Path, **changed: Any) -> None:
+    config = json.loads((run / "config.json").read_text())
+    (run / "config.json").write_text(json.dumps(config | changed))
 
 
 def shown(page: Page, by: str = "pixels") -> None:
@@ -276,9 +283,7 @@ def test_what_cannot_be_shown_says_why(bench: Served) -> None:
     problem = wait_until(lambda: asked("of=sessions/new&run=pixels", "GET").json["problem"])
     assert "no picture of the centre camera" in problem
     own = untrained_run(bench.folder / "runs" / "own")
-    config = json.loads((own / "config.json").read_text())
-    config["network"] = {"name": "mine.py:Net", "arguments": {}, "file_sha256": "0" * 64}
-    (own / "config.json").write_text(json.dumps(config))
+    changed_config(own, network={"name": "mine.py:Net", "arguments": {}, "file_sha256": "0" * 64})
     assert "code of your own" in asked("of=sessions/day&run=own").json["error"]
 
 

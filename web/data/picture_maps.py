@@ -3,16 +3,13 @@ fingerprints of the logs and of the run whose network looks at them."""
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import msgspec
-import numpy as np
 
 from common.location import Location
 from web.data.kept_work import KeptWork
@@ -59,27 +56,11 @@ class PictureMaps:
 
     def find(self, key: str) -> MapAbout | None:
         """What the map of that key is of; None where it was not made yet, or is kept no more."""
-        path = self.work.path(key)
-        try:
-            with np.load(path, allow_pickle=False) as kept:
-                return msgspec.json.decode(kept["about"].tobytes(), type=MapAbout)
-        except FileNotFoundError:
-            return None
-        except (OSError, ValueError, KeyError, EOFError, msgspec.MsgspecError):  # damaged: it is made again
-            with contextlib.suppress(OSError):
-                path.unlink()
-            return None
+        return self.work.find(key, lambda kept: msgspec.json.decode(kept["about"].tobytes(), type=MapAbout))
 
     def columns(self, key: str) -> bytes | None:
         """COLUMNS, one after the other."""
-        try:
-            with np.load(self.work.path(key), allow_pickle=False) as kept:
-                data = io.BytesIO()
-                for name in COLUMNS:
-                    data.write(kept[name].astype("<f4").tobytes())
-                return data.getvalue()
-        except (OSError, ValueError, KeyError, EOFError):
-            return None
+        return self.work.find(key, lambda kept: b"".join(kept[name].astype("<f4").tobytes() for name in COLUMNS))
 
     def start(self, key: str, logs: Sequence[MappedLog], run: Path | None) -> None:
         """Begin with it, if it is not under way."""
