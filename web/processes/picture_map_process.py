@@ -33,7 +33,6 @@ from web.processes.kept_work import report, write_result
 from web.processes.neighbour_map import ROUNDS, Floats, groups, neighbour_map
 from web.processes.picture_maps import MapAbout
 
-_MAX_POINTS: Final = 10_000
 _BATCH: Final = 64
 _PIXELS: Final = PictureSpec(width_px=64, height_px=32)
 _SHRUNK: Final = (16, 8)  # of the crop: what moves little stays alike
@@ -58,10 +57,10 @@ def main() -> None:
         signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the web server's threads block those that end a process
         os.nice(_NICENESS)
     end_with_parent()
-    run, *pairs, result = sys.argv[1:]
+    most, run, *pairs, result = sys.argv[1:]
     logs = list(zip(pairs[::2], pairs[1::2], strict=True))
     try:
-        _make(logs, Path(run) if run else None, Path(result))
+        _make(logs, Path(run) if run else None, int(most), Path(result))
     except UserError as error:
         report(problem=printable(str(error)))
     except OSError as error:
@@ -70,12 +69,12 @@ def main() -> None:
         report(problem="not enough memory")
 
 
-def _make(logs: Sequence[tuple[str, str]], run: Path | None, result: Path) -> None:
+def _make(logs: Sequence[tuple[str, str]], run: Path | None, most: int, result: Path) -> None:
     notes: list[str] = []
     found = _Columns()
     sees = _Eye(run)
     total = sum(_pictures(log) for _, log in logs)
-    step = max(1, -(-total // _MAX_POINTS))
+    step = max(1, -(-total // most))
     angles = set()
     for number, (fingerprint, log) in enumerate(logs):
         with _noted(notes, len(logs) > 1), brought_here([location(log)]) as (here,):
