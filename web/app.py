@@ -50,6 +50,7 @@ from web.pages.wheel_pages import wheel_routes
 from web.pages.wheel_socket import wheel_socket_routes
 from web.pages.workbench import Workbench
 from web.server.error_pages import HANDLERS
+from web.server.memory import TrimmedApp
 from web.server.request_guard import RequestGuard
 from web.server.static_files import STATIC, PageFiles
 
@@ -136,7 +137,7 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
     try:
         app = Starlette(routes=routes, exception_handlers=HANDLERS)
         small = GZipMiddleware(app, compresslevel=5, exclude_content_types=_AS_THEY_ARE)
-        yield RequestGuard(small, host, token)
+        yield TrimmedApp(RequestGuard(small, host, token))
     finally:
         viewers.close()
         predictions.close()
