@@ -10,12 +10,11 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
 
 from common.errors import ObjectChangedError, StoreError
 from common.location import Url
 from common.object_file import CUT_OFF, LARGEST_READ, ObjectFile, ObjectVersion, read_part
-from common.parted_file import AT_ONCE, MAX_PARTS
 from common.store_connection import store_of
 from common.store_errors import as_store_error, is_cut_off, is_no_bucket, is_refused, obstore
 from common.store_errors import exceptions as failures
@@ -24,9 +23,13 @@ if TYPE_CHECKING:
     from obstore import ObjectMeta, PutMode
 
 T = TypeVar("T")
+OnBytes: TypeAlias = Callable[[int], object]
+"""Called with the number of bytes transferred since the last call."""
 
 MAX_IN_ONE_REQUEST: Final = 5 << 30
 """The largest object that S3 writes or copies in one request, and so on a condition."""
+_AT_ONCE: Final = 4  # parts
+_MAX_PARTS: Final = 9000  # of an object; a store takes 10,000, and more
 
 
 @dataclass(frozen=True, order=True)
@@ -146,7 +149,7 @@ def _version_if_same(url: Url, file: Path) -> ObjectVersion | None:
 def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
     """Write an object of `size` bytes in parts, several at once; it appears whole or not at all, over whatever had
     its name. Raises StoreError, also where it has appeared and the answer to that was lost."""
-    part_bytes = max(LARGEST_READ, -(-size // MAX_PARTS))
+    part_bytes = max(LARGEST_READ, -(-size // _MAX_PARTS))
     has_begun = False
 
     def given() -> Iterator[bytes]:
@@ -161,7 +164,7 @@ def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
             given(),
             use_multipart=True,
             chunk_size=part_bytes,
-            max_concurrency=AT_ONCE,
+            max_concurrency=_AT_ONCE,
         )
 
     with as_store_error(url):

@@ -22,6 +22,7 @@ from common.location import Url
 from common.locks import lock, try_lock
 from common.object_file import ObjectFile, ObjectVersion
 from common.object_store import (
+    OnBytes,
     StoredObject,
     find_object,
     list_below,
@@ -30,7 +31,6 @@ from common.object_store import (
     read_object,
     remove,
 )
-from common.parted_file import OnBytes
 from common.store_record import (
     RECORD_NAME,
     Copy,

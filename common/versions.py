@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 TOOLKIT: Final = "behavioural-cloning-toolkit"
-VERSION: Final = "0.2.0"
+VERSION: Final = "0.3.0"
 """Of the toolkit: the only place where it stands. pyproject.toml and all commands take it from here."""
 
 

@@ -51,13 +51,13 @@ class Sweep:
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE.toml")]
     """The plan: varied settings, seeds, drives."""
     index: LocationFlag = Path("index")
-    """Folder or URL of the index."""
+    """The index."""
     runs: LocationFlag = Path("runs")
     """Folder of the runs; copied to a URL, which several machines may share."""
     logs: LocationFlag = Path("drives")
     """Folder of the drives' logs; finished logs are copied to a URL."""
     ray: RayAddress = None
-    """Train and drive on a Ray cluster whose nodes share these folders."""
+    """Train and drive on a Ray cluster with shared folders."""
     cpus: float = 1.0
     """Processors for each task of --ray."""
     gpus: float = 0.0

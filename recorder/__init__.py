@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 from common.lazy import lazy_names
 from recorder.errors import LogError, RecordingError
-from recorder.log.reader import Log, Pictures
+from recorder.log.reader import Log
+from recorder.mcap.picture_places import Pictures
 
 if TYPE_CHECKING:
     from recorder.log.writer import LogWriter

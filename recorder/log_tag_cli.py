@@ -14,8 +14,8 @@ from common.errors import UsageError, counted, did_you_mean
 from common.location import Location
 from common.output import ask, print_message, print_next, print_result
 from common.stretches import stretches
-from recorder.log.fine_rows import fine_rows
 from recorder.log.reader import Log
+from recorder.log.tagged_rows import fine_rows
 from recorder.log.tags import (
     EXCLUDE,
     Tag,
@@ -102,7 +102,7 @@ class NameRows:
             if self.look:
                 from recorder.seen.shown_stretches import with_pictures  # OpenCV
 
-                odd = with_pictures(log, odd)
+                odd = with_pictures(log, states, odd)
         if self.where is not None:
             edges = stretches(rows_where(states, self.where))
             chosen = [Tag(int(states.row[first]), int(states.row[last]), name) for first, last in edges]

@@ -122,7 +122,7 @@ def place(
 @pytest.fixture
 def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bucket]:
     """An empty bucket of its own, for who works in an empty folder and has nothing cached yet."""
-    from bucket import serving_bucket  # botocore
+    from bucket import serving_bucket  # obstore
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))

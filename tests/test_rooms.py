@@ -30,7 +30,7 @@ MAY_IMPORT = {
 FOLDERS: dict[str, list[str]] = {
     "common": [],
     "simulator": ["roads", "rendering", "driving", "protocol"],
-    "recorder": ["pictures", "mcap", "rows", "log", "seen", "upkeep", "server", "teleop", "lerobot", "sources"],
+    "recorder": ["pictures", "mcap", "rows", "seen", "log", "upkeep", "server", "teleop", "lerobot", "sources"],
     "dataset": ["frames", "samples", "index", "loader"],
     "model": ["network", "runs", "evaluation", "training"],
     "viz": ["playback", "live"],
@@ -213,11 +213,11 @@ def test_no_room_imports_tests_benchmarks_or_studies() -> None:
     [
         (
             "dataset, model, model.training",
-            ["rerun", "socketio", "engineio", "eventlet", "websocket", "obstore", "botocore", "viz", "drive"],
+            ["rerun", "socketio", "engineio", "eventlet", "websocket", "obstore", "viz", "drive"],
         ),
         (
             "recorder, simulator",
-            ["rerun", "socketio", "eventlet", "torch", "gymnasium", "starlette", "obstore", "botocore"],
+            ["rerun", "socketio", "eventlet", "torch", "gymnasium", "starlette", "obstore"],
         ),
         ("viz, viz.cli, model.runs.runs_in_store", ["socketio", "eventlet", "torch", "websocket"]),
     ],
@@ -266,3 +266,13 @@ def test_a_rooms_public_names_are_not_hidden_by_its_modules(room: str) -> None:
             importlib.import_module(f"{room}.{module}")
     for name in package.__all__:
         assert getattr(package, name).__module__.startswith(f"{room}.")
+
+
+def test_names_of_tests_have_fewer_than_70_characters() -> None:
+    names = [
+        node.name
+        for path in (ROOT / "tests").rglob("test_*.py")
+        for node in parsed(path).body
+        if isinstance(node, ast.FunctionDef)
+    ]
+    assert [name for name in names if len(name) >= 70] == []

@@ -21,6 +21,7 @@ from web.data.index_trials import IndexTrials
 from web.data.jobs import Jobs
 from web.data.open_logs import OpenLogs
 from web.data.picture_checks import PictureChecks
+from web.data.picture_maps import PictureMaps
 from web.data.predictions import Predictions
 from web.data.project_folders import PLACES, ProjectFolders
 from web.data.rerun_viewers import RerunViewers
@@ -40,6 +41,7 @@ from web.pages.jobs_page import job_routes
 from web.pages.log_files import log_file_routes
 from web.pages.log_jobs_page import log_job_routes
 from web.pages.log_links import log_link_routes
+from web.pages.map_page import map_routes
 from web.pages.predictions_page import prediction_routes
 from web.pages.rerun_page import rerun_log_routes, rerun_routes
 from web.pages.run_page import run_routes
@@ -99,8 +101,9 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
     cards.cards("sessions", 0)  # begins to read them before the first request
     checks = PictureChecks(folders.index_here, kept)
     runs = RunCards(folders)
-    viewers = RerunViewers()
+    viewers = RerunViewers(kept)
     predictions = Predictions(cache)
+    maps = PictureMaps(cache)
     bench = Workbench(
         folders,
         kept,
@@ -115,6 +118,7 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
         viewers,
         predictions,
         Attention(),
+        maps,
     )
     routes = [
         *session_list_routes(bench),
@@ -125,6 +129,7 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
         *drive_routes(bench),
         *index_routes(bench),
         *altered_routes(bench),
+        *map_routes(bench),
         *job_routes(bench),
         *import_routes(bench),
         *wheel_routes(bench),
@@ -140,7 +145,8 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
         yield TrimmedApp(RequestGuard(small, host, token))
     finally:
         viewers.close()
-        predictions.close()
+        predictions.work.close()
+        maps.work.close()
         pool.shutdown(cancel_futures=True)
         from_stores.shutdown(cancel_futures=True)
         runs.close()

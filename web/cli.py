@@ -31,13 +31,13 @@ class Web:
     open: bool = False
     """Open the browser."""
     sessions: LocationFlag = Path("sessions")
-    """Folder or URL of the sessions."""
+    """The sessions."""
     index: LocationFlag = Path("index")
-    """Folder or URL of the index."""
+    """The index."""
     runs: LocationFlag = Path("runs")
-    """Folder or URL of the runs."""
+    """The runs."""
     drives: LocationFlag = Path("drives")
-    """Folder or URL of the drives."""
+    """The drives."""
 
 
 def serve(config: Web, page: str = "") -> int:

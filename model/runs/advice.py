@@ -96,7 +96,7 @@ def is_enough(numbers: RunNumbers) -> Advice | None:
         return None
     small = f"a driving error of {measured.driving_error:.2f} is small enough to try"
     if not numbers.is_built_in:
-        return Advice(small, f"bc-drive {numbers.run}")
+        return Advice(small, numbers.drive_command)
     tracks = "lake mountain" if not driven else "random:1 random:2"
     why = small if not driven else "it needs nobody on the roads it has driven"
     return Advice(why, f"bc-eval {numbers.run} --simulator {tracks}")

@@ -58,7 +58,7 @@ def recorded(folder: Path) -> Imported:
     return record_simulated(DRIVE, folder / "lake.mcap", udacity=folder / "beta_simulator")
 
 
-def test_a_recording_has_three_cameras_the_vehicle_and_the_pose_at_equal_times(recorded: Imported) -> None:
+def test_a_recording_has_cameras_vehicle_and_pose_at_equal_times(recorded: Imported) -> None:
     stamps = [
         [(sequence, time_ns) for sequence, time_ns, _ in messages(recorded.path, topic)]
         for topic in (*CAMERAS, "/vehicle", "/pose")
@@ -166,7 +166,7 @@ def test_an_unknown_track_names_the_choices(
         (eval_main, ("--simulator",)),
     ],
 )
-def test_an_unknown_track_ends_every_command_with_the_same_code_and_a_guess(
+def test_an_unknown_track_ends_every_command_with_one_code_and_a_guess(
     main: Callable[[], None],
     arguments: tuple[str, ...],
     tmp_path: Path,
@@ -194,7 +194,7 @@ def test_a_drive_of_bc_sim_that_cannot_be_is_one_line(
         *("--from x --rate -1", "--from x --steering-scale 0", "--listen --port 65536", "--listen --idle nan"),
     ],
 )
-def test_a_drive_of_bc_record_that_cannot_be_is_one_line_that_names_the_flag(
+def test_an_impossible_drive_of_bc_record_is_one_line_with_the_flag(
     flag: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call(record_main, "x", "--sessions", tmp_path, *flag.split()) == 2

@@ -77,9 +77,7 @@ def test_a_second_speed_is_no_other_road(good: DriveResult, tmp_path: Path) -> N
     assert once.as_dict()["measures"]["mean_offset"] == twice.as_dict()["measures"]["mean_offset"]
 
 
-def test_one_intervention_may_be_chance_and_ten_in_different_places_are_not(
-    good: DriveResult, tmp_path: Path
-) -> None:
+def test_one_intervention_may_be_chance_and_ten_elsewhere_are_not(good: DriveResult, tmp_path: Path) -> None:
     once = drive(tmp_path / "once.mcap", lambda arc_m: 0.1, (200.0,))
     verdict, measures = compared(good, once)
     assert (verdict, measures["interventions"]["b"]) == ("not told apart", 1)

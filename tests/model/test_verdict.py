@@ -275,6 +275,31 @@ def test_a_run_of_the_version_before_is_judged_by_what_it_has(tmp_path: Path) ->
     assert "driving error (" in judge(run).summary
 
 
+def test_crashes_that_an_earlier_version_held_out_are_said_until_bc_eval_has_measured_without(
+    tmp_path: Path,
+) -> None:
+    config = sound()
+    config["data"]["labels"]["a"]["plan"]["without_crashes"] = True
+    config["data"]["counts"]["a"] |= {"crashed": 30}
+    assert verdict_of(numbers(config)).summary.endswith(
+        "; crashes were held out, too: `bc-eval` measures without them"
+    )
+    config["data"]["counts"]["a"] |= {"not_measured": 10}
+    assert "crashes" not in verdict_of(numbers(config)).summary
+    del config["data"]["counts"]["a"]["not_measured"]
+    run = a_run(tmp_path / "runs" / "first", lambda line: line)
+    (run / "config.json").write_text(json.dumps(json.loads((run / "config.json").read_text()) | config))
+    assert "crashes were held out" in judge(run).summary
+    line = epoch_line(2)
+    of_all = {**line, "network": line["validation"], "split": "validation", "index": "index"}
+    driving = {name: of_all[name] for name in ("zero", "mean", "bins")}
+    driving |= {"network": of_all["network"] | {"turning_mae_deg": 1.25}}
+    driving["mean"] |= {"balanced_rmse_deg": 30.0}
+    keep_result(run, "frames", {**of_all, "without_crashes": driving})
+    assert "crashes" not in judge(run).summary
+    assert "on turns (1.25 against" in judge(run).summary
+
+
 def a_run(folder: Path, change: Callable[[dict[str, Any]], dict[str, Any]]) -> Path:
     untrained_run(folder)
     config = json.loads((folder / "config.json").read_text())

@@ -204,7 +204,7 @@ def test_the_same_holds_for_compressed_logs(tmp_path: Path, compression: Compres
 
 
 @pytest.mark.parametrize("every", [5, pytest.param(1, marks=pytest.mark.long)])
-def test_a_killed_recording_of_which_any_byte_is_broken_loses_one_chunk_at_most(whole: Path, every: int) -> None:
+def test_a_killed_recording_with_any_broken_byte_loses_one_chunk(whole: Path, every: int) -> None:
     """Without an end that tells where the chunks are, those behind the damage are searched for.
 
     A topic is described in the chunk of its first message, and nobody knows what follows on it without that.
@@ -380,9 +380,7 @@ def with_indexes(data: bytes, start: int, end: int) -> tuple[int, int]:
     return start, end
 
 
-def test_a_chunk_that_moved_with_its_indexes_is_found_though_the_summary_says_otherwise(
-    tmp_path: Path, layout: Layout
-) -> None:
+def test_a_chunk_that_moved_with_its_indexes_is_found(tmp_path: Path, layout: Layout) -> None:
     """It may end behind all the places that the summary tells of its neighbours."""
     whole = layout(of_lengths(tmp_path / "whole.mcap", [500, 90, 40, 900, 70, 70, 30, 60]))
     original, data = contents(whole), whole.read_bytes()

@@ -107,7 +107,7 @@ def test_clients_that_leave_before_their_answer_leave_no_open_file(
             gc.enable()
 
 
-def test_more_connections_than_are_served_are_told_and_their_places_come_free(
+def test_connections_beyond_the_limit_are_refused_and_places_come_free(
     mode: ServerMode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for host in (eventlet_host, threaded_host):
@@ -137,7 +137,7 @@ def test_who_begins_to_poll_and_never_comes_back_does_not_fill_the_memory(
 # Those who do not read
 
 
-def test_a_client_that_does_not_read_its_answers_keeps_nobody_else_waiting(mode: ServerMode) -> None:
+def test_a_client_that_reads_no_answers_delays_nobody(mode: ServerMode) -> None:
     book = Book()
     with Serving(mode, book) as serving:
         deaf = RawClient(serving.port)
@@ -248,9 +248,7 @@ def driving(mode: ServerMode, log: Path, pilot_run: Path) -> Iterator[DriveServe
             running.result(PATIENCE_S)
 
 
-def test_malformed_telemetries_are_answered_and_the_good_ones_in_between_driven(
-    mode: ServerMode, tmp_path: Path
-) -> None:
+def test_malformed_telemetries_are_answered_and_good_ones_driven(mode: ServerMode, tmp_path: Path) -> None:
     run = untrained_run(tmp_path / "run")
     log = tmp_path / "run.mcap"
     chance = random.Random(11)

@@ -169,7 +169,7 @@ def test_tags_of_a_long_log_are_told_too(
     assert [each["name"] for each in json.loads(capsys.readouterr().out)["tags"]] == ["recovery"]
 
 
-def test_a_long_log_whose_list_of_chunks_is_damaged_is_named_when_that_is_needed(
+def test_a_damaged_list_of_chunks_of_a_long_log_is_named_when_needed(
     bucket: Bucket, longest: Path, tmp_path: Path
 ) -> None:
     damaged = lengthened(longest.with_name("short.mcap"), tmp_path / "damaged.mcap", 10_000)

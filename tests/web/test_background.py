@@ -16,7 +16,7 @@ from web.data.background import Background
 LOG = Path("a.mcap"), "of now"
 
 
-def test_what_a_store_took_long_not_to_answer_is_told_before_it_is_asked_again(
+def test_a_stores_slow_answer_is_named_before_it_is_asked_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Longer than until it would be asked again: that begins with the answer."""

@@ -27,10 +27,10 @@ def no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_prediction_without_room_for_temporary_files(tmp_path: Path) -> None:
     predictions = Predictions(tmp_path / "cache")
     predictions.start("key", tmp_path / "a.mcap", "", tmp_path / "run", 1)
-    asked = predictions.predicting("key")
+    asked = predictions.work.requested("key")
     assert asked is not None
     wait_until(lambda: asked.is_done)
-    predictions.close()
+    predictions.work.close()
     assert asked.problem == "it cannot be started: No such file or directory"
 
 

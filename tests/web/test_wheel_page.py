@@ -181,7 +181,7 @@ def test_driving_on_begins_where_the_drive_ended_as_it_was_driven(bench: Served)
     assert new_drive(asked, folders).key == "mine-3"
 
 
-def test_a_supervised_drive_goes_on_at_its_speed_and_another_begins_at_the_start(
+def test_a_supervised_drive_resumes_at_its_speed_another_at_the_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

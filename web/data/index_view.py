@@ -136,6 +136,14 @@ def split_sketch(index: Path, session: str) -> bytes:
     return _svg(_WIDTH, height, parts)
 
 
+def held_out_rows(index: Path, session: str) -> list[tuple[int, int]]:
+    """The first and last rows of the stretches of a session that validation has."""
+    frames = read_frames(index / FRAMES_FOLDER / f"{session}.parquet", ["row", "split"]).sort_by("row")
+    is_held_out = np.array(frames["split"].to_pylist()) == "validation"
+    row = frames["row"].to_numpy()
+    return [(int(row[first]), int(row[last])) for first, last in stretches(is_held_out)]
+
+
 def _svg(width: int, height: int, parts: Sequence[str]) -> bytes:
     start = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" preserveAspectRatio="none">'
     return f"{start}{''.join(parts)}</svg>".encode()

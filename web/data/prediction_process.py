@@ -6,7 +6,6 @@ one's own code is not run here, because no user has named it.
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import sys
@@ -19,13 +18,13 @@ import numpy as np
 from common import UserError
 from common.errors import printable
 from common.location import location
-from common.output import print_result
 from common.parent_process import end_with_parent
 from model.evaluation.log_predictions import LogPredictions
 from model.evaluation.predict import BATCH
 from model.evaluation.predict_log import predict_log
 from model.metrics import measure
 from recorder.log_copy_cli import brought_here
+from web.data.kept_work import report, write_result
 from web.data.predictions import Measured, WorstMoment
 from web.errors import WebError
 
@@ -46,11 +45,11 @@ def main() -> None:
             raise WebError("the log has been replaced since this page was opened: reload it")
         _write(found, Path(result))
     except UserError as error:
-        _report(problem=printable(str(error)))
+        report(problem=printable(str(error)))
     except OSError as error:
-        _report(problem=printable(f"{error.filename or log}: {error.strerror}"))
+        report(problem=printable(f"{error.filename or log}: {error.strerror}"))
     except MemoryError:
-        _report(problem="not enough memory")
+        report(problem="not enough memory")
 
 
 def _predict(log: Path, run: Path) -> LogPredictions:
@@ -59,7 +58,7 @@ def _predict(log: Path, run: Path) -> LogPredictions:
     def on_batch() -> None:
         nonlocal pictures
         pictures += BATCH
-        _report(pictures=pictures)
+        report(pictures=pictures)
 
     return predict_log(log, [run], on_batch=on_batch)
 
@@ -81,15 +80,4 @@ def _write(found: LogPredictions, result: Path) -> None:
         notes=[printable(line) for line in (*found.skipped.lines(), found.notice) if line],
     )
     encoded = np.frombuffer(msgspec.json.encode(about), np.uint8)
-    result.parent.mkdir(parents=True, exist_ok=True)
-    part = result.with_name(f"{result.name}.{os.getpid()}")
-    try:
-        with part.open("wb") as stream:
-            np.savez(stream, row=found.row, predicted=predicted, about=encoded)
-        part.replace(result)
-    finally:
-        part.unlink(missing_ok=True)
-
-
-def _report(**values: object) -> None:
-    print_result(json.dumps(values))
+    write_result(result, row=found.row, predicted=predicted, about=encoded)

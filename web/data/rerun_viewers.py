@@ -1,31 +1,34 @@
-"""Logs that are open in Rerun: for each, a process that serves it on this machine, ended when no page shows it.
+"""Logs that are open in Rerun: for each, a process that writes it as a recording file, which the page's viewer reads.
 
-Rerun's viewer is a program of WebAssembly that the `rerun` program has in it and serves on one port; the log comes
-from another one. The viewer's own files are passed on by bc-web, so that its page is one of ours.
+Rerun's viewer is a program of WebAssembly. The `rerun` program has it inside; bc-web takes it out once and keeps it.
 """
 
 from __future__ import annotations
 
 import contextlib
 import http.client
+import json
 import os
 import secrets
 import shlex
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
 import threading
+import time
+from collections.abc import Iterator
 from importlib.util import find_spec
-from typing import Final
+from pathlib import Path
+from typing import BinaryIO, Final
 
-from common.command import FAILED
+from common import UserError
 from common.errors import printable
 from common.interrupts import leave_signals_to_main_thread
 from common.location import Location, Url
 from common.versions import package_line, version_of
+from web.data.cache_folder import CacheFolder
 from web.data.own_process import own_process
 from web.data.project_folders import as_word
 from web.errors import WebError
@@ -38,73 +41,79 @@ FILES: Final = {"re_viewer.js": "text/javascript", "re_viewer_bg.wasm": "applica
 _LOCAL: Final = "127.0.0.1"
 _PATIENCE_S: Final = 10.0  # for a file of the viewer
 _GRACE_S: Final = 3.0  # for a process to end by itself
+_POLL_S: Final = 0.05
 _MAX_NOTES: Final = 20
-_PREFIX: Final = "bc-play: "
-_HINT: Final = "; Ctrl-C ends"  # where to open it, which is done here
+_AT_ONCE: Final = 1 << 18  # bytes
+_RECORDING: Final = "log.rrd"
 
 
 class RerunViewer:
-    """The process that serves one log to a viewer."""
+    """One log that is open, and the process that writes its recording."""
 
     def __init__(self, log: Location, *, is_growing: bool) -> None:
-        """Raises WebError if it cannot be started."""
+        """Raises WebError if the process cannot be started."""
         self.key = secrets.token_hex(8)
-        try:
-            self.web_port, self.data_port = _free_ports(2)
-            # of its own: a process that is killed leaves its copy of a log in a store behind
-            self._temporary = tempfile.mkdtemp(prefix="bc-web-")
-        except OSError as error:
-            raise WebError(f"Rerun cannot be started: {error.strerror}", 500) from None
-        self._why_ended = ""
-        self._is_ended = False
         self.notes: list[str] = []
-        """Messages of bc-play, such as what it had to leave out; an error last."""
+        """Messages about the log, such as what had to be left out."""
+        self.problem = ""
+        """Why it cannot be shown any longer; empty while it can."""
         if isinstance(log, Url):
             self.notes.append("a copy of the log comes from its store first")
-        words = [as_word(log), "--web", f"--web-port={self.web_port}", f"--port={self.data_port}"]
-        line = own_process("web.data.rerun_process", *words, *(["--follow"] if is_growing else []))
-        environment = {**os.environ, "COLUMNS": "400", "NO_COLOR": "1", "TMPDIR": self._temporary}
         try:
+            # of its own: a process that is killed leaves its copy of a log in a store behind
+            self._temporary = Path(tempfile.mkdtemp(prefix="bc-web-"))
+            self._folder = self._temporary / "recording"
+            self._folder.mkdir()
+            words = [as_word(log), str(self._folder / _RECORDING), "growing" if is_growing else "finished"]
             # its stdin ends with this process, and then it does; a group of its own, so that nothing of it stays
             self._process = subprocess.Popen(
-                line,
+                own_process("web.data.rerun_process", *words),
                 stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                env=environment,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                env={**os.environ, "PYTHONUNBUFFERED": "1", "TMPDIR": str(self._temporary)},
                 start_new_session=True,
             )
         except OSError as error:
-            shutil.rmtree(self._temporary, ignore_errors=True)
             raise WebError(f"Rerun cannot be started: {error.strerror}", 500) from None
         self._reader = threading.Thread(target=self._read, name="rerun", daemon=True)
         self._reader.start()
 
-    def is_listening(self) -> bool:
-        """Whether its viewer can be opened by now."""
-        for port in (self.web_port, self.data_port):
-            try:
-                socket.create_connection((_LOCAL, port), _PATIENCE_S).close()
-            except OSError:
-                return False
-        return True
-
     @property
-    def is_ended(self) -> bool:
-        """Whether it has ended, or is about to."""
-        return self._is_ended or self._process.poll() is not None
+    def has_begun(self) -> bool:
+        """Whether there is something to show by now."""
+        file = self._opened()
+        if file is None:
+            return False
+        with file:
+            return bool(file.read(1))
 
-    def why_ended(self) -> str:
-        """The message of its page at the end."""
-        if not self._why_ended and self._process.poll() == FAILED:
-            self._reader.join(_GRACE_S)
-            self._why_ended = next(reversed(self.notes), "")
-        return self._why_ended or "Rerun has ended; open it again"
+    def recording(self) -> Iterator[bytes]:
+        """The recording file while it is written, to its end."""
+        file = self._opened()
+        if file is None:
+            return
+        with file:
+            is_whole = False
+            while not self.problem:
+                if data := file.read(_AT_ONCE):
+                    yield data
+                elif is_whole:
+                    return
+                else:
+                    is_whole = self._process.poll() is not None
+                    time.sleep(_POLL_S)
+
+    def _opened(self) -> BinaryIO | None:
+        for _ in range(2):  # it gets its name when it is whole
+            for path in self._folder.glob("*"):
+                with contextlib.suppress(FileNotFoundError):
+                    return path.open("rb")
+        return None
 
     def end(self, why: str = "") -> threading.Thread:
         """Begin to end it; the thread ends when all of it has."""
-        self._is_ended = True
-        self._why_ended = self._why_ended or why
+        self.problem = self.problem or why or "Rerun has ended; open it again"
         ending = threading.Thread(target=self._end, name="rerun ends")
         ending.start()
         return ending
@@ -121,23 +130,30 @@ class RerunViewer:
                 os.killpg(self._process.pid, signal.SIGKILL)
         self._process.kill()
         self._process.wait()
+        self._reader.join()
         shutil.rmtree(self._temporary, ignore_errors=True)
 
     def _read(self) -> None:
         leave_signals_to_main_thread()
-        assert self._process.stderr is not None  # noqa: S101
-        with self._process.stderr as lines:
+        assert self._process.stdout is not None  # noqa: S101
+        with self._process.stdout as lines:
             for line in lines:
-                text = printable(line.decode("utf-8", "replace").rstrip())
-                if text.startswith(_PREFIX) and not text.endswith(_HINT) and len(self.notes) < _MAX_NOTES:
-                    self.notes.append(text.removeprefix(_PREFIX))
+                with contextlib.suppress(ValueError):
+                    message = json.loads(line)
+                    self.problem = self.problem or printable(str(message.get("problem", "")))
+                    if "note" in message and len(self.notes) < _MAX_NOTES:
+                        self.notes.append(printable(str(message["note"])))
+        if code := self._process.wait():
+            self.problem = self.problem or f"the process that reads the log ended with {code}; open it again"
 
 
 class RerunViewers:
     """All of them. Each lives as long as the request that has asked for it."""
 
-    def __init__(self) -> None:
+    def __init__(self, cache: CacheFolder) -> None:
+        self._cache = cache
         self._lock = threading.Lock()
+        self._fetching = threading.Lock()
         self._open: dict[str, RerunViewer] = {}  # the oldest first
         self._endings: list[threading.Thread] = []
 
@@ -156,10 +172,10 @@ class RerunViewers:
     def get(self, key: str) -> RerunViewer:
         """Raises WebError if it is not open (any more)."""
         with self._lock:
-            found = self._open.get(key)
-        if found is None:
+            viewer = self._open.get(key)
+        if viewer is None:
             raise WebError("this log is not open in Rerun any more: open it again from its page", 404)
-        return found
+        return viewer
 
     def end(self, viewer: RerunViewer, why: str = "") -> None:
         with self._lock:
@@ -168,17 +184,17 @@ class RerunViewers:
                 self._endings.append(viewer.end(why))
 
     def file(self, name: str) -> bytes:
-        """One of the viewer's own `FILES`, from a process that serves it. Raises WebError if none does."""
-        with self._lock:
-            ports = [viewer.web_port for viewer in self._open.values()]
-        for port in ports:
-            connection = http.client.HTTPConnection(_LOCAL, port, timeout=_PATIENCE_S)
-            with contextlib.closing(connection), contextlib.suppress(OSError, http.client.HTTPException):
-                connection.request("GET", f"/{name}")
-                answer = connection.getresponse()
-                if answer.status == 200:
-                    return answer.read()
-        raise WebError(f"{name}: Rerun does not answer; open the log again", 503)
+        """One of the viewer's `FILES`. Raises WebError if Rerun does not give it."""
+        with self._fetching:
+            if (kept := self._cache.find(_key(name))) is None:
+                try:
+                    files = _files_of_viewer()
+                except (OSError, UserError, http.client.HTTPException) as error:
+                    raise WebError(f"{name}: Rerun does not start ({error}); open the log again", 503) from None
+                for each, data in files.items():
+                    self._cache.keep(_key(each), data)
+                kept = files[name]
+        return kept
 
     def close(self) -> None:
         """End all of them, and wait for it."""
@@ -200,7 +216,25 @@ def viewer_version() -> str:
     return version_of("rerun-sdk")
 
 
-def _free_ports(count: int) -> list[int]:
-    with contextlib.ExitStack() as held:
-        servers = [held.enter_context(socket.create_server((_LOCAL, 0))) for _ in range(count)]
-        return [server.getsockname()[1] for server in servers]
+def _key(name: str) -> str:
+    return f"rerun {viewer_version()} {name}"
+
+
+def _files_of_viewer() -> dict[str, bytes]:
+    """From a `rerun` that serves them on this machine for a moment."""
+    from viz.viewer_process import Ports, free_port, open_viewer, wait_until_it_listens
+
+    ports = Ports(free_port(), free_port())
+    files = {}
+    with open_viewer(ports, web=True) as viewer:
+        for port in (ports.data, ports.web):
+            wait_until_it_listens(viewer, f"http://{_LOCAL}:{port}")
+        for name in FILES:
+            connection = http.client.HTTPConnection(_LOCAL, ports.web, timeout=_PATIENCE_S)
+            with contextlib.closing(connection):
+                connection.request("GET", f"/{name}")
+                answer = connection.getresponse()
+                if answer.status != 200:
+                    raise http.client.HTTPException(f"{name}: HTTP {answer.status}")
+                files[name] = answer.read()
+    return files

@@ -24,7 +24,8 @@ from dataset.frames.frames_file import read_frames, session_name
 from dataset.index.build_state import FRAMES_FOLDER, BuildState, Sources, Stat, read_state, sources_of
 from dataset.parquet_file import read_metadata
 from recorder import Log
-from recorder.log.fine_rows import FineRows
+from recorder.log.known_lag import lag_path
+from recorder.log.tagged_rows import TaggedRows
 from recorder.log.tags import Tag
 from recorder.upkeep.log_info import LogInfo, describe
 from web.data.background import Background
@@ -141,7 +142,9 @@ class SessionCards:
         """The description on the page of a log; of one in a store, from the cache. Raises LogError, StoreError."""
         if isinstance(path, Path):
             return describe(path, with_tags=False)
-        return self._glance(path, self._folders.version_of_log(path)).info
+        info = self._glance(path, self._folders.version_of_log(path)).info
+        is_measured_since = info.lacks_lag and self._folders.stat(lag_path(path)) is not None
+        return describe(path, with_tags=False) if is_measured_since else info
 
     def tags(self, path: Location, fingerprint: str) -> TagsBeside:
         """The tags beside the log. Raises LogError for a broken file, StoreError."""
@@ -165,7 +168,7 @@ class SessionCards:
                 tags_problem = printable(str(error))
         info = glance.info if glance else None
         if info and info.odd:
-            info = dataclasses.replace(info, odd=FineRows(tags).left(info.odd))
+            info = dataclasses.replace(info, odd=TaggedRows(tags).left(info.odd))
         return SessionCard(
             key=key_of(path),
             path=path,
@@ -183,7 +186,7 @@ class SessionCards:
             self._folders.refuse_unanswered(path)
             return _read_glance(path)
 
-        return self._cache.struct(f"glance 2 {absolute(path)} {version}", Glance, read)
+        return self._cache.struct(f"glance 3 {absolute(path)} {version}", Glance, read)
 
     def _in_index(self, path: Location, state: BuildState, share: Share | UserError | None) -> InIndex:
         session = session_name(path)
@@ -244,7 +247,7 @@ def _is_empty(path: Location) -> bool:
 def _read_glance(path: Location) -> Glance:
     # a path may be no text; of what is kept, nothing depends on where it was
     with Log(path, brief=True) as log:
-        info = describe(log, with_tags=False)
+        info = describe(log, with_tags=False, with_kept_lag=False)  # kept as long as the log is the same
         info = dataclasses.replace(info, path="", notice=printable(info.notice))
         return Glance(info, log.fingerprint)
 

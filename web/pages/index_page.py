@@ -10,7 +10,7 @@ from urllib.parse import urlencode
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from common import UserError
@@ -20,7 +20,14 @@ from dataset.index.leaks import find_leaks
 from dataset.index.sessions import logs_not_indexed
 from dataset.samples.samples_format import COUNT_HEADINGS, SAMPLES_NAME
 from web.data.file_versions import version_of
-from web.data.index_view import IndexView, bins_sketch, session_bins_sketch, split_sketch, view_index
+from web.data.index_view import (
+    IndexView,
+    bins_sketch,
+    held_out_rows,
+    session_bins_sketch,
+    split_sketch,
+    view_index,
+)
 from web.data.job_forms import INDEX_FIELDS, form_of
 from web.data.project_folders import key_of
 from web.data.run_origins import index_checksum, origin_of
@@ -89,6 +96,11 @@ def index_routes(bench: Workbench) -> list[Route]:
         folder = folder_of(request)
         return _picture(split_sketch(folder, _session(folder, request.path_params["session"])))
 
+    def held_out(request: Request) -> Response:
+        """The rows of a session that validation has, as [first, last] of their stretches."""
+        folder = folder_of(request)
+        return JSONResponse(held_out_rows(folder, _session(folder, request.path_params["session"])))
+
     def leaks(request: Request) -> Response:
         found = find_leaks(folder_of(request))
         head = "no leak between training and validation" if not found else counted(len(found), "leak")
@@ -114,6 +126,7 @@ def index_routes(bench: Workbench) -> list[Route]:
         Route("/index.try", try_settings, methods=["POST"]),
         Route("/index/{session}/bins", session_bins),
         Route("/index/{session}/split", split),
+        Route("/index/{session}/held-out", held_out),
     ]
 
 

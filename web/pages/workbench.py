@@ -11,6 +11,7 @@ from web.data.index_trials import IndexTrials
 from web.data.jobs import Jobs
 from web.data.open_logs import OpenLogs
 from web.data.picture_checks import PictureChecks
+from web.data.picture_maps import PictureMaps
 from web.data.predictions import Predictions
 from web.data.project_folders import ProjectFolders
 from web.data.rerun_viewers import RerunViewers
@@ -36,3 +37,4 @@ class Workbench:
     viewers: RerunViewers
     predictions: Predictions
     attention: Attention
+    maps: PictureMaps

@@ -1,4 +1,4 @@
-"""Rows tagged `fine`: somebody has looked at what is odd in them, and it is nothing."""
+"""Rows with a tag: `fine`, somebody has looked at what is odd in them, and it is nothing; or `exclude`."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from recorder.log.tags import FINE, Tag, tags_by_content
 from recorder.rows.odd_stretches import OddStretch
 
 
-class FineRows:
-    """The rows that a log's tags call fine."""
+class TaggedRows:
+    """The rows that a log's tags call by a name."""
 
-    def __init__(self, tags: Iterable[Tag]) -> None:
+    def __init__(self, tags: Iterable[Tag], name: str = FINE) -> None:
         self._first = list[int]()  # of stretches that do not touch, in order
         self._last = list[int]()
-        for first, last, _ in sorted(tag for tag in tags if tag.name == FINE):
+        for first, last, _ in sorted(tag for tag in tags if tag.name == name):
             if self._last and first <= self._last[-1] + 1:
                 self._last[-1] = max(self._last[-1], last)
             else:
@@ -26,22 +26,22 @@ class FineRows:
                 self._last.append(last)
 
     def hold(self, first_row: int, last_row: int) -> bool:
-        """Whether all rows of a stretch are fine."""
+        """Whether all rows of a stretch have the tag."""
         at = bisect_right(self._first, first_row) - 1
         return at >= 0 and last_row <= self._last[at]
 
     def left(self, odd: Iterable[OddStretch]) -> list[OddStretch]:
-        """The stretches that are still odd."""
+        """The stretches of which not all rows have it."""
         return [each for each in odd if not self.hold(each.first_row, each.last_row)]
 
 
-def fine_rows(path: Location) -> FineRows:
+def fine_rows(path: Location) -> TaggedRows:
     """The fine rows of a log; none where the log or its tags cannot be read."""
     try:
         tags = tags_by_content(path)
         if not any(tag.name == FINE for of_one in tags.values() for tag in of_one):
-            return FineRows(())
+            return TaggedRows(())
         with Log(path, brief=True) as log:  # its fingerprint
-            return FineRows(tags[log.fingerprint])
+            return TaggedRows(tags[log.fingerprint])
     except LogError:
-        return FineRows(())
+        return TaggedRows(())
