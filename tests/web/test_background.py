@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from web.data import background
+from web.folders import background
 
 from common.errors import StoreError
 from waiting import wait_until
