@@ -18,8 +18,8 @@ from common.errors import UsageError, counted, printable
 from common.location import Location, Url
 from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result, print_table
+from common.ray_flag import RayAddress, tasks_of
 from common.recipe import recipe_given
-from common.tasks import RayAddress, tasks_of
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import FRAMES_SCHEMA, session_name
