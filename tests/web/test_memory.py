@@ -16,8 +16,8 @@ from driving import command as command_line
 from driving import environment, road_jpeg
 from logs import write_log
 from ports import free_ports
-from web.logs.open_logs import OpenLogs
 from web.folders.project_folders import ProjectFolders
+from web.logs.open_logs import OpenLogs
 from web.server.memory import EVERY
 
 ROWS = 3000
