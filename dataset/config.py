@@ -10,13 +10,13 @@ from tyro.conf import arg
 
 from common.car import Camera
 from common.recipe import Recipe
-from dataset.augment import Alteration
 from dataset.prediction_targets import MAX_AHEAD_S
 from dataset.steering_bins import BINS
 
 CORRECTION_SIGNS: Final[Mapping[Camera, float]] = {"center": 0.0, "left": 1.0, "right": -1.0}
 """The side correction's sign in the label of each camera that is trained on by default."""
 
+Alteration = Literal["blur", "brightness", "shadow"]
 Drives = Literal["all", "takeovers"]
 Labels = Literal["auto", "as-recorded"]
 

@@ -87,7 +87,9 @@ def main(config: Pictures) -> None:
         write(config.folder / "video.png", video_picture(made, Path(folder)))
     with figure_style():
         draw_curves(read_history(run)[0]).savefig(config.folder / "curves.png", format="png", dpi=DPI)
-    _python(str(Path(__file__).parent / "moving_picture.py"))
+    docs = Path(__file__).parent
+    _python(str(docs / "page_sheets.py"), str(run.parent.parent), "--folder", str(config.folder / "pages"))
+    _python(str(docs / "moving_picture.py"))
 
 
 def driven(run: Path, session: Path, laps: float, folder: Path) -> Made:

@@ -29,7 +29,7 @@ from common.named_function import in_one_line
 from common.versions import TOOLKIT, install_line, version_of
 from dataset.picture_spec import PictureSpec, metadata_of
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
-from dataset.preprocess import as_bgr, preprocess
+from dataset.preprocessing import as_bgr, preprocess
 from model.errors import RunError
 from model.evaluation.predict import as_input
 from model.network.picture_network import PictureNetwork

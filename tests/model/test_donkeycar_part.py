@@ -15,7 +15,7 @@ import pytest
 
 from dataset import decode
 from dataset.picture_spec import PictureSpec
-from dataset.preprocess import preprocess
+from dataset.preprocessing import preprocess
 from driving import PATIENCE_S, environment, road_jpeg, untrained_run
 from model import load_pilot
 from model.cli import main

@@ -18,7 +18,7 @@ from common.steering_unit import assumed_deg, steering_unit
 from dataset import Samples
 from dataset.loader.crops import Crops
 from dataset.picture_spec import ORIGINAL
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from dataset.samples.samples_reader import LOADED
 from web.folders.cache_folder import CacheFolder
 

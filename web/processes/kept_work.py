@@ -10,13 +10,16 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+from zipfile import BadZipFile
 
+import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from common.errors import printable
 from common.interrupts import leave_signals_to_main_thread
@@ -24,6 +27,8 @@ from model.runs.run_files import CONFIG, WEIGHTS
 from web.errors import WebError
 from web.folders.file_versions import version_of
 from web.processes.own_process import reports, start_process
+
+Result = TypeVar("Result")
 
 
 @dataclass
@@ -84,6 +89,20 @@ class KeptWork:
 
     def path(self, key: str) -> Path:
         return self._folder / f"{key}.npz"
+
+    def find(self, key: str, read: Callable[[Mapping[str, NDArray[Any]]], Result]) -> Result | None:
+        """What `read` makes of the columns kept under that key; None where there are none (any more). A damaged
+        file is deleted: it is made again."""
+        path = self.path(key)
+        try:
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as kept:
+                return read(kept)
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError, EOFError, BadZipFile, msgspec.MsgspecError):
+            with contextlib.suppress(OSError):
+                path.unlink()
+            return None
 
     def fingerprint(self, run: Path) -> str:
         """The fingerprint of a run's weights and settings. Raises WebError for a run without weights."""
@@ -159,7 +178,7 @@ class KeptWork:
             work.problem = f"the process at work ended with {process.returncode}; try it again"
 
 
-def write_result(path: Path, **columns: np.typing.NDArray[np.generic]) -> None:
+def write_result(path: Path, **columns: NDArray[Any]) -> None:
     """Write the result of the process at work: whole, or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"{path.name}.{os.getpid()}")

@@ -19,7 +19,7 @@ from common.errors import printable
 from common.location import location
 from dataset.loader.log_crops import LogCrops
 from dataset.picture_spec import PictureSpec
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from recorder import Log
 from recorder.log_copy_cli import brought_here
 from recorder.rows.odd_stretches import ODD_KINDS, odd_stretches
@@ -30,7 +30,6 @@ from web.processes.neighbour_map import ROUNDS, Floats, groups, neighbour_map
 from web.processes.own_process import report, run_in_process
 from web.processes.picture_maps import MapAbout
 
-_MAX_POINTS: Final = 10_000
 _BATCH: Final = 64
 _PIXELS: Final = PictureSpec(width_px=64, height_px=32)
 _SHRUNK: Final = (16, 8)  # of the crop: what moves little stays alike
@@ -54,18 +53,18 @@ def main() -> None:
     run_in_process(_work, _NICENESS)
 
 
-def _work(run: str, *words: str) -> None:
+def _work(most: str, run: str, *words: str) -> None:
     *pairs, result = words
     logs = list(zip(pairs[::2], pairs[1::2], strict=True))
-    _make(logs, Path(run) if run else None, Path(result))
+    _make(logs, Path(run) if run else None, int(most), Path(result))
 
 
-def _make(logs: Sequence[tuple[str, str]], run: Path | None, result: Path) -> None:
+def _make(logs: Sequence[tuple[str, str]], run: Path | None, most: int, result: Path) -> None:
     notes: list[str] = []
     found = _Columns()
     sees = _Eye(run)
     total = sum(_pictures(log) for _, log in logs)
-    step = max(1, -(-total // _MAX_POINTS))
+    step = max(1, -(-total // most))
     angles = set()
     for number, (fingerprint, log) in enumerate(logs):
         with _noted(notes, len(logs) > 1), brought_here([location(log)]) as (here,):

@@ -3,16 +3,13 @@ fingerprints of the logs and of the run whose network looks at them."""
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import msgspec
-import numpy as np
 
 from common.location import Location
 from web.folders.project_folders import as_word
@@ -22,6 +19,7 @@ COLUMNS: Final = ("x", "y", "log", "row", "steering", "predicted", "nearest", "a
 """Of each picture, as float32: its place, the number of its log, its row, the steering that was driven and
 predicted (NaN: none), how far the most alike picture and its neighbours are (1 is usual), its group, and the
 number of what is odd in its row (-1: nothing)."""
+MAX_POINTS: Final = 10_000
 _FORMAT: Final = 1
 
 
@@ -52,34 +50,19 @@ class PictureMaps:
 
     def key(self, logs: Sequence[MappedLog], run: Path | None) -> str:
         """The name that a map has here. Raises WebError for a run without weights."""
-        words = [str(_FORMAT), self.work.fingerprint(run) if run else "", *(log.fingerprint for log in logs)]
+        eye = self.work.fingerprint(run) if run else ""
+        words = [str(_FORMAT), str(MAX_POINTS), eye, *(log.fingerprint for log in logs)]
         return hashlib.sha256(" ".join(words).encode()).hexdigest()
 
     def find(self, key: str) -> MapAbout | None:
         """What the map of that key is of; None where it was not made yet, or is kept no more."""
-        path = self.work.path(key)
-        try:
-            with np.load(path, allow_pickle=False) as kept:
-                return msgspec.json.decode(kept["about"].tobytes(), type=MapAbout)
-        except FileNotFoundError:
-            return None
-        except (OSError, ValueError, KeyError, EOFError, msgspec.MsgspecError):  # damaged: it is made again
-            with contextlib.suppress(OSError):
-                path.unlink()
-            return None
+        return self.work.find(key, lambda kept: msgspec.json.decode(kept["about"].tobytes(), type=MapAbout))
 
     def columns(self, key: str) -> bytes | None:
         """COLUMNS, one after the other."""
-        try:
-            with np.load(self.work.path(key), allow_pickle=False) as kept:
-                data = io.BytesIO()
-                for name in COLUMNS:
-                    data.write(kept[name].astype("<f4").tobytes())
-                return data.getvalue()
-        except (OSError, ValueError, KeyError, EOFError):
-            return None
+        return self.work.find(key, lambda kept: b"".join(kept[name].astype("<f4").tobytes() for name in COLUMNS))
 
     def start(self, key: str, logs: Sequence[MappedLog], run: Path | None) -> None:
         """Begin with it, if it is not under way."""
         pairs = [word for log in logs for word in (log.fingerprint, as_word(log.path))]
-        self.work.start(key, 0, [str(run.absolute()) if run else "", *pairs])
+        self.work.start(key, 0, [str(MAX_POINTS), str(run.absolute()) if run else "", *pairs])

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -69,18 +69,13 @@ class Predictions:
 
     def find(self, key: str) -> Predicted | None:
         """The prediction of that key; None where it was not made yet, or is kept no more."""
-        path = self.work.path(key)
-        try:
-            with np.load(path, allow_pickle=False) as kept:
-                about = msgspec.json.decode(kept["about"].tobytes(), type=Measured)
-                return Predicted(about, kept["row"].astype(np.int64), kept["predicted"].astype(np.float64))
-        except FileNotFoundError:
-            return None
-        except (OSError, ValueError, KeyError, EOFError, msgspec.MsgspecError):  # damaged: it is made again
-            with contextlib.suppress(OSError):
-                path.unlink()
-            return None
+        return self.work.find(key, _predicted)
 
     def start(self, key: str, log: Location, log_fingerprint: str, run: Path, pictures: int) -> None:
         """Begin with it, if it is not under way."""
         self.work.start(key, pictures, [as_word(log), str(run.absolute()), log_fingerprint])
+
+
+def _predicted(kept: Mapping[str, NDArray[Any]]) -> Predicted:
+    about = msgspec.json.decode(kept["about"].tobytes(), type=Measured)
+    return Predicted(about, kept["row"].astype(np.int64), kept["predicted"].astype(np.float64))

@@ -41,7 +41,7 @@ class Attention:
         Raises RunError for a run that cannot be loaded, or a network without an attention map; WebError for code
         of one's own, and for a picture that does not decode.
         """
-        from dataset.preprocess import decode, preprocess
+        from dataset.preprocessing import decode, preprocess
         from model.errors import RunError
         from model.evaluation.predict import as_input
         from model.network.visual_backprop import visual_backprop
