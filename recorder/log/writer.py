@@ -31,6 +31,7 @@ from recorder import topics
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.errors import LogError
 from recorder.log.meant_gaps import NotRecorded
+from recorder.log.road_places import PlacesWritten
 from recorder.log.session_car import UDACITY, car_in
 from recorder.mcap.compressed_image import image_data, is_image_channel
 from recorder.mcap.copied_channels import CopiedChannels
@@ -43,6 +44,7 @@ from recorder.topics import (
     CAMERA_TOPICS,
     COMPRESSED_IMAGE,
     LOG_MESSAGE,
+    POSE_IN_FRAME,
     TOPICS,
     VEHICLE_STATE,
     camera_topic,
@@ -106,6 +108,7 @@ class LogWriter:
         """Fingerprint of the log that this one holds the content of, at other places; empty if of none."""
         self._is_split = metadata is not None
         self._states = StatesWritten()
+        self._places = PlacesWritten(metadata)
         self._not_recorded = NotRecorded()
         self._sizes = PictureSizes()
         self._size_reader = SizeReader()
@@ -168,6 +171,7 @@ class LogWriter:
 
     def pose(self, time_ns: int, sequence: int, pose: PoseInFrame) -> None:
         self._write(topics.POSE, pose, time_ns, sequence)
+        self._places.add(sequence, pose.pose)
 
     def event(self, time_ns: int, text: str, level: EventLevel = "INFO", name: str = "") -> None:
         """Write an event: `name` is where it happened (`recorder`, `drive`), `text` what."""
@@ -190,6 +194,9 @@ class LogWriter:
                 self._states.add(sequence, message.log_time, VehicleState.FromString(message.data))
             except DecodeError:
                 raise UserError(f"{self.path}: a message on {topics.VEHICLE} is not a vehicle state") from None
+        elif channel.topic == topics.POSE and schema is not None and schema.name == POSE_IN_FRAME.name:
+            with contextlib.suppress(DecodeError):
+                self._places.add(sequence, PoseInFrame.FromString(message.data).pose)
         elif channel.topic == topics.EVENTS and schema is not None and schema.name == LOG_MESSAGE.name:
             with contextlib.suppress(DecodeError):
                 self._not_recorded.add(message.log_time, LogMessage.FromString(message.data).message)
@@ -254,7 +261,7 @@ class LogWriter:
                 "first_picture_px": json.dumps(self._sizes.first()),
                 **({"picture_sizes": json.dumps(mixed)} if mixed else {}),
             }
-            states = self._states.states()
+            states = self._places.placed(self._states.states())
             habits = steering_habits(states, self._max_steering_deg, self._states.device)
             steering = json.dumps(asdict(habits), allow_nan=False)
             rows = summary(states) | odd_summary(states) | self._not_recorded.summary(states)

@@ -12,11 +12,12 @@ from common.location import Location
 from common.progress import track
 from recorder.errors import LogError
 from recorder.log.reader import Log
+from recorder.log.road_places import states_of
 from recorder.log.tagged_rows import fine_rows
 from recorder.mcap.mcap_file import McapFile
 from recorder.mcap.scan import read_structure
-from recorder.rows.odd_stretches import OddStretch
-from recorder.topics import VEHICLE, camera_topic
+from recorder.rows.odd_stretches import OddStretch, odd_stretches
+from recorder.topics import POSE, VEHICLE, camera_topic
 from recorder.upkeep.check_contents import GAPS, Contents, Finding, odd_findings
 from recorder.upkeep.check_structure import sound_chunks
 
@@ -73,6 +74,9 @@ def check(path: Location, *, look: bool = True) -> Checked:
         has_crcs = file.have_crcs(structure.chunks)
     has_rows = contents.counts[VEHICLE] and contents.counts[camera_topic("center")]
     odd = contents.odd
+    if contents.counts[POSE]:
+        with contextlib.suppress(LogError), Log(path) as log:
+            odd = odd_stretches(states_of(log))
     if look and has_rows and isinstance(path, Path):
         from recorder.seen.shown_stretches import with_pictures  # OpenCV
         from recorder.seen.side_cameras import are_swapped
