@@ -188,11 +188,8 @@ def main() -> None:
                         for each in steps
                     ]
                 )
-                places = zip(
-                    *((each.pose.x_m, each.pose.y_m, each.pose.heading_rad) for each in steps), strict=True
-                )
-                beyond_m = beyond_edge_m(track_name, "", *map(np.array, places))
-                states = replace(states, beyond_m=beyond_m)
+                poses = np.array([(each.pose.x_m, each.pose.y_m, each.pose.heading_rad) for each in steps])
+                states = replace(states, beyond_m=beyond_edge_m(track_name, "", *poses.T))
                 count = results.setdefault(f"{name}, a lap with recoveries", Counter())
                 found = odd_stretches(states)
                 count.update(rows=len(states.row), false=measure(found, "", [])[1])

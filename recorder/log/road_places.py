@@ -23,7 +23,7 @@ _FIELDS: Final = (
 )  # fmt: skip
 
 
-class PlacesWritten:
+class CarPlaces:
     """The places of a log that is being written: 56 bytes a row."""
 
     def __init__(self, session: Mapping[str, str] | None) -> None:

@@ -31,7 +31,7 @@ from recorder import topics
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.errors import LogError
 from recorder.log.meant_gaps import NotRecorded
-from recorder.log.road_places import PlacesWritten
+from recorder.log.road_places import CarPlaces
 from recorder.log.session_car import UDACITY, car_in
 from recorder.mcap.compressed_image import image_data, is_image_channel
 from recorder.mcap.copied_channels import CopiedChannels
@@ -108,7 +108,7 @@ class LogWriter:
         """Fingerprint of the log that this one holds the content of, at other places; empty if of none."""
         self._is_split = metadata is not None
         self._states = StatesWritten()
-        self._places = PlacesWritten(metadata)
+        self._places = CarPlaces(metadata)
         self._not_recorded = NotRecorded()
         self._sizes = PictureSizes()
         self._size_reader = SizeReader()
