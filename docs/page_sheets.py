@@ -20,7 +20,7 @@ import tyro
 from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
-from web.data.project_folders import ProjectFolders
+from web.folders.project_folders import ProjectFolders
 from web_browser import Pages, serving
 
 SIZES: Final = (390, 844), (768, 1024), (1280, 800), (1920, 1080)

@@ -7,11 +7,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from web.data import background
 
 from common.errors import StoreError
 from waiting import wait_until
-from web.data import background
-from web.data.background import Background
+from web.folders.background import Background
 
 LOG = Path("a.mcap"), "of now"
 

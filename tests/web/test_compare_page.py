@@ -13,8 +13,8 @@ import numpy as np
 from driving import road_jpeg, untrained_run
 from logs import write_log
 from waiting import wait_until
-from web.data.job_runner import ABOUT, EXIT, OUTPUT
-from web.data.jobs import Jobs
+from web.jobs.job_runner import ABOUT, EXIT, OUTPUT
+from web.jobs.jobs import Jobs
 from workbench import Served, served
 
 FORM = {"Content_Type": "application/x-www-form-urlencoded"}

@@ -21,11 +21,11 @@ from common.location import absolute
 from dataset.frames.frames_file import session_name
 from dataset.index.build_state import read_state
 from model.runs.run_files import CONFIG, WEIGHTS
-from web.data.picture_maps import MappedLog
-from web.data.project_folders import PLACES, key_of
-from web.data.run_networks import NETWORK_FILES, check_network
 from web.errors import WebError
+from web.folders.project_folders import PLACES, key_of
 from web.pages.workbench import Workbench
+from web.processes.picture_maps import MappedLog
+from web.runs.run_networks import NETWORK_FILES, check_network
 from web.server.templates import render
 
 _KEY: Final = re.compile(r"[0-9a-f]{64}")

@@ -14,12 +14,12 @@ from starlette.routing import Route
 from common import UserError
 from common.errors import printable
 from model.runs_cli import SORTED_BY, different_frames, driven_words, in_order, marks_of_splits
-from web.data.run_cards import RunCard
-from web.data.run_colours import COLOURS, run_colours
-from web.data.run_curves import run_curves
-from web.data.run_settings import differing, run_settings
 from web.pages.changes import runs_version
 from web.pages.workbench import Workbench
+from web.runs.run_cards import RunCard
+from web.runs.run_colours import COLOURS, run_colours
+from web.runs.run_curves import run_curves
+from web.runs.run_settings import differing, run_settings
 from web.server.templates import render
 
 PATIENCE_S: Final = 1.0

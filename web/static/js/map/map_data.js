@@ -2,7 +2,7 @@
 
 import { ask } from "../session/log_data.js";
 
-const COLUMNS = ["x", "y", "log", "row", "steering", "predicted", "nearest", "alone", "group", "odd"]; // web/data/picture_maps.py
+const COLUMNS = ["x", "y", "log", "row", "steering", "predicted", "nearest", "alone", "group", "odd"]; // web/processes/picture_maps.py
 const POLL_MS = 400;
 
 export class PictureMap {
