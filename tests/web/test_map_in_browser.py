@@ -21,8 +21,8 @@ from recorder import Log
 from recorder.log.tags import Tag, read_tags
 from udacity import call
 from waiting import wait_until
-from web.data import picture_maps
-from web.data.picture_maps import COLUMNS
+from web.processes import picture_maps
+from web.processes.picture_maps import COLUMNS
 from workbench import Served, served
 
 if TYPE_CHECKING:

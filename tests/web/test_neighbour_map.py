@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from web.data.neighbour_map import ROUNDS, groups, neighbour_map, principal
+from web.processes.neighbour_map import ROUNDS, groups, neighbour_map, principal
 
 KINDS, EACH = 4, 60
 
