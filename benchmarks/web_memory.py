@@ -2,15 +2,15 @@
 
 python benchmarks/web_memory.py PROJECT [--rounds 4] [--pictures 2000]
 
-PROJECT has sessions/, index/ and runs/. A round looks at every kind of page once, or several times. After each kind,
-the memory is printed that is the process's own (Linux: without what the page cache lends); it must not grow from
-round to round. Nothing depends on a clock.
+PROJECT has sessions/, index/ and runs/. A round looks at every kind of page once, or several times. After each
+kind, the memory is printed that is the process's own (USS); it must not grow from round to round.
 """
 
 from __future__ import annotations
 
 import argparse
 import http.client
+import json
 import os
 import re
 import subprocess
@@ -25,6 +25,7 @@ from typing import Final
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 
 PORT: Final = 8124
+CAMERAS: Final = "center", "left", "right"
 AT_ONCE: Final = 6  # connections of a browser
 DONE: Final = re.compile(rb'"about": ?\{|"is_done": ?true|"problem": ?"[^"]')
 
@@ -64,8 +65,8 @@ def uses(pictures: int) -> dict[str, Callable[[], object]]:
     """What a person does, by name. Each is done once a round."""
     while b"being read" in plain("/sessions.rows"):
         time.sleep(0.2)
+    pages = ["/sessions", "/sessions.rows", "/index", "/runs", "/drives", "/jobs"]
     logs, runs = keys("/sessions", "sessions"), keys("/runs", "runs")
-    # brought up to date by the first asking
     log, run = logs[0], runs[0] if runs else ""
 
     def at_once(paths: Iterator[str] | list[str]) -> None:
@@ -73,7 +74,7 @@ def uses(pictures: int) -> dict[str, Callable[[], object]]:
             list(pool.map(ask, paths))
 
     def fingerprint(log: str) -> str:
-        return re.findall(r'"fingerprint": ?"([^"]*)"', plain(f"/sessions/{log}/state").decode())[0]
+        return str(json.loads(plain(f"/sessions/{log}/state"))["fingerprint"])
 
     def predict() -> None:
         for each in logs[:2]:
@@ -99,9 +100,7 @@ def uses(pictures: int) -> dict[str, Callable[[], object]]:
         holding.close()
 
     found: dict[str, Callable[[], object]] = {
-        "lists": lambda: [
-            ask(path) for path in ("/sessions", "/sessions.rows", "/index", "/runs", "/drives", "/jobs") * 5
-        ],
+        "lists": lambda: [ask(path) for path in pages * 5],
         "strips, sketches": lambda: at_once(
             [f"/sessions/{each}/{name}" for each in logs for name in ("strip.jpg", "steering.svg")]
         ),
@@ -110,7 +109,7 @@ def uses(pictures: int) -> dict[str, Callable[[], object]]:
         ),
         "pictures": lambda: at_once(
             [
-                f"/sessions/{logs[at % len(logs)]}/pictures/{('center', 'left', 'right')[at % 3]}/{at * 7919 % 1000}"
+                f"/sessions/{logs[at % len(logs)]}/pictures/{CAMERAS[at % 3]}/{at * 7919 % 1000}"
                 for at in range(pictures)
             ]
         ),
@@ -126,7 +125,7 @@ def uses(pictures: int) -> dict[str, Callable[[], object]]:
     }
     if runs:
         found["runs"] = lambda: at_once(
-            [f"/runs/{each}{part}" for each in runs for part in ("", "/top", "/body", "/steering.png")] * 3
+            [f"/runs/{run}{part}" for run in runs for part in ("", "/top", "/body", "/steering.png")] * 3
         )
         found["predictions"] = predict
         found["attention"] = lambda: at_once(

@@ -11,8 +11,8 @@ import tyro
 
 from common.command import run_command
 from common.location_flag import LocationFlag
+from common.ray_flag import RayAddress
 from common.recipe import recipe_given
-from common.tasks import RayAddress
 from dataset.config import IndexConfig
 
 

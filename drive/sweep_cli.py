@@ -23,8 +23,8 @@ from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result, print_table
 from common.progress import track
 from common.random_access import is_there
+from common.ray_flag import RayAddress, tasks_of
 from common.steering_unit import DEGREES
-from common.tasks import RayAddress, tasks_of
 from drive.earlier_flags import understand_earlier
 from model.runs.run_files import without_nan
 

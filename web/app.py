@@ -52,6 +52,7 @@ from web.processes.rerun_viewers import RerunViewers
 from web.runs.attention import Attention
 from web.runs.run_cards import RunCards
 from web.server.error_pages import HANDLERS
+from web.server.memory import TrimmedApp
 from web.server.request_guard import RequestGuard
 from web.server.static_files import STATIC, PageFiles
 
@@ -141,7 +142,7 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
     try:
         app = Starlette(routes=routes, exception_handlers=HANDLERS)
         small = GZipMiddleware(app, compresslevel=5, exclude_content_types=_AS_THEY_ARE)
-        yield RequestGuard(small, host, token)
+        yield TrimmedApp(RequestGuard(small, host, token))
     finally:
         viewers.close()
         predictions.work.close()

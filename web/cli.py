@@ -47,6 +47,7 @@ def serve(config: Web, page: str = "") -> int:
     allow_places(config.sessions, config.drives)
     try:
         from web.app import workbench_app
+        from web.server.memory import give_memory_back
         from web.server.request_guard import TOKEN, token_for
         from web.server.workbench_server import WorkbenchServer
     except ModuleNotFoundError as error:
@@ -57,6 +58,7 @@ def serve(config: Web, page: str = "") -> int:
     from web.folders.project_folders import ProjectFolders
     from web.jobs.jobs import Jobs
 
+    give_memory_back()
     folders = ProjectFolders(config.sessions, config.index, config.runs, config.drives)
     token = token_for(config.host)
     with (

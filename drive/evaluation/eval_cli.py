@@ -25,7 +25,7 @@ from common.errors import counted
 from common.location import Location, absolute
 from common.output import print_message, print_next, print_result
 from common.progress import track
-from common.tasks import tasks_of
+from common.ray_flag import tasks_of
 from drive.earlier_flags import understand_earlier
 from drive.evaluation.eval_flags import Eval, refuse_contradictions
 

@@ -12,7 +12,7 @@ import tyro
 from common.command import flags_given
 from common.errors import UsageError
 from common.location_flag import LocationFlag
-from common.tasks import RayAddress
+from common.ray_flag import RayAddress
 
 
 def _default(metavar: str, value: str) -> Any:

@@ -7,10 +7,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from web.data import background
 
 from common.errors import StoreError
 from waiting import wait_until
+from web.folders import background
 from web.folders.background import Background
 
 LOG = Path("a.mcap"), "of now"

@@ -12,17 +12,19 @@ from recorder.log.tags import EXCLUDE, FINE, Tag
 from recorder.rows.row_quality import States
 from web.logs.open_logs import OpenLog
 from web.logs.picture_checks import PictureChecks
-from web.logs.session_stretches import shown_stretches
+from web.logs.session_stretches import PLAIN_FLAGS, flag_stretches, shown_stretches
 
 SURE: Final = "sure"
 Rows = tuple[int, int]
 
 
 def stretches_of_kind(opened: OpenLog, checks: PictureChecks, kind: str) -> list[Rows]:
-    """First and last row of each odd stretch of a kind, or of all that are surely odd."""
+    """First and last row of each stretch of a kind or flag, or of all that are surely odd."""
     states = opened.states
     if not len(states.row):
         return []
+    if kind in PLAIN_FLAGS:
+        return [_rows(states, first, last) for first, last in flag_stretches(states).get(kind, ())]
     found = shown_stretches(opened.log, states, checks.findings(opened.log))
     return [
         _rows(states, each.first, each.last)

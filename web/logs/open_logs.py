@@ -17,7 +17,9 @@ from recorder.mcap.chunk_cache import ChunkCache, default_cache
 from recorder.rows.row_quality import States
 from web.folders.project_folders import ProjectFolders
 
-_KEPT_OPEN: Final = 8
+MAX_OPEN: Final = 8
+MAX_MESSAGES: Final = 500_000
+"""In the logs that are kept open, unless it is one alone: each takes about 120 bytes of memory."""
 
 
 class OpenLog:
@@ -27,6 +29,7 @@ class OpenLog:
         self.log = Log(path, cache=cache)
         self.version = version
         """The version of the file, by `ProjectFolders.version_of`."""
+        self.messages = sum(self.log.counts.values())
         self.users = 0
         if isinstance(path, Url):  # a page's requests come at once: each would ask the store for the same
             try:
@@ -99,9 +102,12 @@ class OpenLogs:
                 self._drop(path)
             self._kept[path] = opened
             opened.users += 1
-            while len(self._kept) > _KEPT_OPEN:
+            while len(self._kept) > MAX_OPEN or (len(self._kept) > 1 and self._messages() > MAX_MESSAGES):
                 self._drop(next(iter(self._kept)))
         return opened
+
+    def _messages(self) -> int:
+        return sum(each.messages for each in self._kept.values())
 
     @cached_property
     def _cache(self) -> ChunkCache:

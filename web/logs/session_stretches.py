@@ -20,6 +20,8 @@ from recorder.rows.odd_stretches import odd_stretches
 from recorder.rows.row_quality import NOT_LEARNT, States, row_flags
 from recorder.topics import QUALITY_METADATA, camera_topic
 
+PLAIN_FLAGS: Final = ("standing_still", "manoeuvring")
+"""Flags of rows that are no kind of odd stretch: ordinary stops, and the ways out of crashes."""
 _SURE: Final = ("broken_picture", "steering_against_pictures")
 
 
@@ -51,6 +53,14 @@ def shown_stretches(log: Log, states: States, findings: ImageFindings | None) ->
         for first, last in stretches(mask)
     ]
     return sorted(found, key=lambda stretch: (stretch.first, stretch.last, stretch.kind))
+
+
+def flag_stretches(states: States) -> dict[str, list[tuple[int, int]]]:
+    """The stretches, as first and last position, of each flag of rows that is no kind of odd stretch."""
+    if not len(states.row):
+        return {}
+    flags = row_flags(states)
+    return {flag: stretches(flags[flag]) for flag in PLAIN_FLAGS if flags[flag].any()}
 
 
 def not_learnt_stretches(states: States) -> list[tuple[int, int]]:

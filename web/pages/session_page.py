@@ -25,7 +25,7 @@ from recorder.topics import camera_topic
 from web.folders.project_folders import Place
 from web.logs.drive_course import is_driven
 from web.logs.open_logs import OpenLog
-from web.logs.session_stretches import not_learnt_stretches, shown_stretches
+from web.logs.session_stretches import flag_stretches, not_learnt_stretches, shown_stretches
 from web.pages.log_jobs_page import shown_log_jobs
 from web.pages.tagging import TagChange, change_tags, json_of, names_known
 from web.pages.workbench import Workbench
@@ -152,6 +152,7 @@ def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
         "pictures": sum(log.counts.get(camera_topic(camera), 0) for camera in CAMERAS),
         "problem": printable(log.notice),  # tags of what is not finished would be lost with its recovery
         "odd": shown_stretches(log, states, findings) if len(states.row) else [],
+        "flags": flag_stretches(states),
         "not_learnt": not_learnt_stretches(states),
         "max_steering_deg": _max_steering_deg(log),
         "pictures_checked": findings is not None and findings.against is not None,

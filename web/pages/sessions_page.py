@@ -20,6 +20,7 @@ from web.index.index_view import bins_of_index
 from web.jobs.job_forms import form_of
 from web.logs.found_stretches import SURE
 from web.logs.session_cards import IndexState, SessionCard
+from web.logs.session_stretches import PLAIN_FLAGS
 from web.pages.changes import sessions_version
 from web.pages.workbench import Workbench
 from web.server.templates import render
@@ -34,7 +35,7 @@ SORTS: Final[dict[str, Callable[[SessionCard], Any]]] = {
 }
 KINDS: Final = {
     "with surely odd rows": SURE,
-    **{f"with {kind.replace('_', ' ')}": kind for kind in (*ODD_KINDS, "gap")},
+    **{f"with {kind.replace('_', ' ')}": kind for kind in (*ODD_KINDS, "gap", *PLAIN_FLAGS)},
 }
 """Choices of the list by which kind of odd rows a session has."""
 ONLY: Final[dict[str, Callable[[SessionCard], bool]]] = {
@@ -147,8 +148,10 @@ def list_sessions(bench: Workbench, query: SessionQuery, patience_s: float | Non
 
 
 def _has_kind(card: SessionCard, kind: str) -> bool:
+    if kind in PLAIN_FLAGS:
+        return bool(card.info and (card.info.flags or {}).get(kind))
     if kind == SURE:
-        return any(each.is_sure for each in (card.info.odd or ())) if card.info else False
+        return card.info is not None and any(each.is_sure for each in card.info.odd or ())
     return kind in card.flags
 
 

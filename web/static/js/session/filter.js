@@ -1,5 +1,5 @@
-// The odd stretches that are gone through: all, those of one kind, or instead of them the rows for which a condition
-// holds. A filter selects what it finds, so that it can be looked at and tagged at once.
+// The odd stretches that are gone through: all, those of one kind, or instead of them the rows with a flag, or those
+// for which a condition holds. A filter selects what it finds, so that it can be looked at and tagged at once.
 
 import { ask } from "./log_data.js";
 import { grouped, left } from "./odd.js";
@@ -14,6 +14,7 @@ export class Filter {
     by("where-form").addEventListener("submit", (event) => {
       event.preventDefault();
       this.find(by("where").value);
+      by("where").blur(); // the keys are the page's again
     });
     by("where-clear").addEventListener("click", () => this.use(""));
   }
@@ -56,14 +57,15 @@ export class Filter {
   }
 
   #groupsOf(kind) {
-    const { odd } = this.data.state;
+    const { odd, flags } = this.data.state;
+    if (flags[kind]) return flags[kind].map(([first, last]) => ({ first, last, flags: new Set([kind]), causes: [] }));
     return grouped(odd.filter(([flag, , , , isSure]) => !kind || (kind === SURE ? isSure : flag === kind)));
   }
 
   /** The buttons of the kinds, each with the number of what is left of it. */
   show() {
-    const { odd } = this.data.state;
-    const kinds = [...new Set(odd.map(([flag]) => flag))].sort();
+    const { odd, flags } = this.data.state;
+    const kinds = [...[...new Set(odd.map(([flag]) => flag))].sort(), ...Object.keys(flags)];
     if (odd.some((stretch) => stretch[4])) kinds.unshift(SURE);
     const chips = kinds.map((kind) => {
       const chip = document.createElement("button");
