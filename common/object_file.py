@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Final, NoReturn
 from common.closeable import Closeable
 from common.errors import ObjectChangedError, StoreError
 from common.location import Url
-from common.random_access import Range
 from common.store_connection import store_of
 from common.store_errors import as_store_error, is_cut_off, is_out_of_range, obstore
 from common.store_errors import exceptions as failures
@@ -28,6 +27,9 @@ LARGEST_READ: Final = 1 << 23
 
 CUT_OFF: Final = 4
 """Requests for a range that arrives incomplete; obstore itself repeats requests that get no answer."""
+
+Range = tuple[int, int]
+"""First byte, and number of bytes."""
 
 _SMALL: Final = 1 << 15  # a read of less brings its neighbours along: records lie side by side
 _KEPT_BYTES: Final = 1 << 26

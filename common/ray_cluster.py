@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from common.errors import UsageError, UserError, printable
+from common.grpc_probe import speaks_grpc
 from common.output import print_message
 from common.tasks import Tasks
 from common.versions import TOOLKIT, install_line, version_of
@@ -46,11 +47,6 @@ _MAX_TASKS: Final = 4_000
 _IN_FLIGHT: Final = 1_000
 _READY_AT_ONCE: Final = 64
 _POLL_EVERY_S: Final = 0.5
-
-# a client's first bytes in HTTP/2, and an empty SETTINGS frame (RFC 9113, 3.4 and 6.5): gRPC answers with its own
-_HTTP2_PREFACE: Final = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
-_FRAME_HEADER_BYTES: Final = 9
-_SETTINGS: Final = 4
 
 _ADDRESS: Final = re.compile(r"(ray://)?(\[[0-9a-fA-F:]+\]|[^\s:/\[\]]+):(\d{1,5})")
 _LOCAL_ADDRESSES: Final = ("", "auto", "local")
@@ -178,9 +174,7 @@ def _check_answers(address: str) -> None:
         with socket.create_connection((host, port), UNREACHABLE_S / 2) as stream:
             if os.environ.get("RAY_USE_TLS", "0") in ("0", ""):
                 stream.settimeout(UNREACHABLE_S / 2)
-                stream.sendall(_HTTP2_PREFACE)
-                answer = stream.recv(_FRAME_HEADER_BYTES)
-                if len(answer) < _FRAME_HEADER_BYTES or answer[3] != _SETTINGS:
+                if not speaks_grpc(stream):
                     raise ClusterError(f"--ray {address}: something else than Ray listens there")
     except (OSError, OverflowError) as error:
         why = "no answer" if isinstance(error, TimeoutError) else getattr(error, "strerror", None) or str(error)

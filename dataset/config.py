@@ -10,12 +10,13 @@ from tyro.conf import arg
 
 from common.car import Camera
 from common.recipe import Recipe
-from dataset.augment import Alteration
 from dataset.prediction_targets import MAX_AHEAD_S
+from dataset.steering_bins import BINS
 
 CORRECTION_SIGNS: Final[Mapping[Camera, float]] = {"center": 0.0, "left": 1.0, "right": -1.0}
 """The side correction's sign in the label of each camera that is trained on by default."""
 
+Alteration = Literal["blur", "brightness", "shadow"]
 Drives = Literal["all", "takeovers"]
 Labels = Literal["auto", "as-recorded"]
 
@@ -33,7 +34,7 @@ class IndexConfig:
     )
     recipe: Recipe = "people"
     """Defaults for learning from people, or the original project's."""
-    bins: int = 25
+    bins: int = BINS
     """Equal steering bins over -1..1."""
     balance: Annotated[bool, arg(help_behavior_hint="(default: balanced)")] = True
     """Take every sample once; fill and prune no bins."""

@@ -83,8 +83,8 @@ def _argument(invocation: str, meaning: str) -> Argument:
 def _list(help_text: str) -> str:
     lines = []
     for argument in arguments(help_text):
-        default = f" Default: `{argument.default}`." if argument.default else ""
-        lines.append(f"- `{argument.invocation}`: {argument.meaning}{default}")
+        default = f" (`{argument.default}`)" if argument.default else ""
+        lines.append(f"- `{argument.invocation}`{default}: {argument.meaning}")
     return "\n".join(lines) + "\n"
 
 

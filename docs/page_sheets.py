@@ -20,7 +20,7 @@ import tyro
 from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
-from web.data.project_folders import ProjectFolders
+from web.folders.project_folders import ProjectFolders
 from web_browser import Pages, serving
 
 SIZES: Final = (390, 844), (768, 1024), (1280, 800), (1920, 1080)
@@ -67,7 +67,10 @@ def pages_of(project: ProjectFolders) -> Iterator[Shown]:
     yield Shown("run", f"/runs/{runs[0]}", "#plots canvas")
     if len(runs) > 1:
         yield Shown(
-            "compare", f"/runs.compare?{urlencode({'a': runs[0], 'b': runs[1]})}", "main form, #compared svg"
+            "compare",
+            f"/runs.compare?{urlencode({'a': runs[0], 'b': runs[1]})}",
+            "main form, #compared svg",
+            _compare,
         )
     drives = urlencode([("log", key) for key in project.logs("drives")])
     yield Shown("drives", f"/drives?{drives}&by=error", "#list table")
@@ -77,6 +80,12 @@ def pages_of(project: ProjectFolders) -> Iterator[Shown]:
     yield Shown("wheel", "/wheel", "form.begin")
     yield Shown("after-a-drive", f"/wheel/after/sessions/{quote(session)}", "form")
     yield Shown("missing", "/runs/none", "main h1")
+
+
+def _compare(page: Page) -> None:
+    if page.is_visible("#compared button"):
+        page.click("#compared button")
+    page.wait_for_selector("#compared svg")
 
 
 def _drag_on_map(page: Page) -> None:
@@ -124,7 +133,11 @@ def _new(folder: Path) -> ProjectFolders:
 
 
 def _first_page(folders: ProjectFolders) -> Iterator[Shown]:
-    yield Shown("first", "/sessions", ".first-screen")
+    def as_at_home(page: Page) -> None:
+        page.locator(".first-screen code").evaluate_all("all => all[0].textContent = 'sessions'")
+        page.locator(".first-screen code").evaluate_all("all => all[1].textContent = 'bc-demo --folder=.'")
+
+    yield Shown("first", "/sessions", ".first-screen", as_at_home)
 
 
 def keep(pages: Pages, shown: Shown, path: Path) -> None:

@@ -111,10 +111,9 @@ def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], found: Diagnosi
         longest = max(stretches, key=lambda each: each.last_row - each.first_row)
         at = f"the longest stretch: rows {longest.first_row} to {longest.last_row}"
         found.odd.append(printable(f"{path}: {counted(rows, 'odd row')} of {info.rows:,} ({kinds}); {at}"))
-        if name == "sessions" and rows > _MUCH * info.rows:
-            is_sure = any(each.is_sure for each in stretches)
-            command = f"bc-log tag {path} exclude --odd" if is_sure else f"bc-log check {path}"
-            wanted.look.append(Advice(f"{counted(rows, 'odd row')} of {info.rows:,}", command))
+        perhaps = sum(each.rows for each in stretches if each.is_learnt)  # the rest is left out by itself
+        if name == "sessions" and perhaps > _MUCH * info.rows:
+            wanted.look.append(Advice(f"{counted(perhaps, 'odd row')} of {info.rows:,}", f"bc-log check {path}"))
     if len(odd) > _MAX_NAMED:
         found.odd.append(f"and {counted(len(odd) - _MAX_NAMED, 'more log')} in {name}: `bc-log ls {name}`")
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Literal
 
 from common.recipe import Recipe
+from dataset.epoch_alterations import EPOCH_ALTERATIONS, EpochAlteration
 from dataset.prediction_targets import STEERING_ONLY, TargetName, check_targets
 from model.network.names import check_network_name
 
@@ -60,6 +61,8 @@ class TrainConfig:
     """Rows of 160 cut off at top and bottom."""
     channels: Literal["BGR", "RGB", "YUV"] | None = None
     """Colours of its picture."""
+    alter_each_epoch: tuple[EpochAlteration | Literal["all", "none"], ...] = ("none",)
+    """Changes to every picture, drawn anew in every epoch: all, or some."""
     epochs: int = 10
     """Passes over the balanced samples."""
     batch: int = 256
@@ -117,7 +120,18 @@ class TrainConfig:
             raise ValueError("--target-weights: numbers of 0 or more, not all 0, were expected")
         if self.keep == "last" and self.patience:
             raise ValueError(f"--patience {self.patience}: with --keep last no epoch is better than a later one")
+        names = self.alter_each_epoch
+        if len(set(names)) < len(names) or (len(names) > 1 and {"all", "none"}.intersection(names)):
+            raise ValueError(
+                f"--alter-each-epoch {' '.join(names)}: each once, or all or none alone, was expected"
+            )
         if not 0 < self.rate < math.inf:
             raise ValueError(f"--rate {self.rate:g}: a number above 0 was expected")
         if not 0 <= self.dropout < 1:
             raise ValueError(f"--dropout {self.dropout:g}: a number from 0 to 1 (excluded) was expected")
+
+    @property
+    def epoch_alterations(self) -> tuple[EpochAlteration, ...]:
+        """What is done to every picture in every epoch."""
+        names = self.alter_each_epoch
+        return EPOCH_ALTERATIONS if "all" in names else tuple(name for name in EPOCH_ALTERATIONS if name in names)

@@ -1,7 +1,7 @@
 """A run's network as PyTorch modules for an ONNX file: from crops, or from a camera's picture of any size.
 
 The arithmetic is OpenCV's, with weights of 11 bits for the resize and of 14 for YUV, so that the crop is equal to
-the one of `dataset.preprocess.preprocess`. It uses doubles, which hold each of its integers exactly.
+the one of `dataset.preprocessing.preprocess`. It uses doubles, which hold each of its integers exactly.
 """
 
 from __future__ import annotations

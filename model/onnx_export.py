@@ -7,6 +7,7 @@ ONNX, ONNX Script and ONNX Runtime are an extra (`pip install ".[onnx]"`) and ar
 
 from __future__ import annotations
 
+import importlib
 import logging
 import warnings
 from collections.abc import Iterator, Sequence
@@ -28,7 +29,7 @@ from common.named_function import in_one_line
 from common.versions import TOOLKIT, install_line, version_of
 from dataset.picture_spec import PictureSpec, metadata_of
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
-from dataset.preprocess import as_bgr, preprocess
+from dataset.preprocessing import as_bgr, preprocess
 from model.errors import RunError
 from model.evaluation.predict import as_input
 from model.network.picture_network import PictureNetwork
@@ -91,9 +92,8 @@ def export_onnx(run: Path | str, path: Path | str, *, of_camera: bool = False, o
 def require_onnx() -> None:
     """Raises RunError if ONNX, ONNX Script or ONNX Runtime is not installed."""
     try:
-        import onnx
-        import onnxruntime
-        import onnxscript  # noqa: F401
+        for name in ("onnx", "onnxruntime", "onnxscript"):
+            importlib.import_module(name)
     except ImportError as error:
         raise RunError(
             f"exporting needs ONNX, ONNX Script and ONNX Runtime ({error}): install them with"

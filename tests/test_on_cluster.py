@@ -347,8 +347,8 @@ def test_a_session_is_not_taken_for_an_address(tmp_path: Path) -> None:
 def test_drives_on_a_cluster_have_the_numbers_of_drives_one_by_one(tmp_path: Path, cluster: Any) -> None:
     untrained_run(tmp_path / "runs" / "untrained")
     drives = ["--simulator", "lake", "--speed", 8, 12, "--laps", 0.002, "--json"]
-    here = run("bc-eval", *drives, "--logs", "here", cwd=tmp_path)
-    there = run("bc-eval", *drives, "--logs", "there", "--ray", cluster.address, cwd=tmp_path)
+    here = run("bc-eval", *drives, "--drives", "here", cwd=tmp_path)
+    there = run("bc-eval", *drives, "--drives", "there", "--ray", cluster.address, cwd=tmp_path)
     assert (here.returncode, there.returncode) == (0, 0), there.stderr
     # how far it is, where that takes long
     assert all(line.startswith("driving: ") for line in there.stderr.splitlines()), there.stderr

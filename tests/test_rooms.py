@@ -35,7 +35,7 @@ FOLDERS: dict[str, list[str]] = {
     "model": ["network", "runs", "evaluation", "training"],
     "viz": ["playback", "live"],
     "drive": ["control", "log", "evaluation"],
-    "web": ["data", "server", "pages"],
+    "web": ["folders", "jobs", "processes", "logs", "index", "runs", "server", "pages"],
 }
 SOURCES = sorted(path for room in MAY_IMPORT for path in (ROOT / room).rglob("*.py"))
 MODULES = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in SOURCES}

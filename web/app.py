@@ -14,20 +14,15 @@ from starlette.routing import Mount
 from starlette.types import ASGIApp
 
 from common.location import Url
-from web.data.attention import Attention
-from web.data.cache_folder import CacheFolder
-from web.data.drive_view import DriveViews
-from web.data.index_trials import IndexTrials
-from web.data.jobs import Jobs
-from web.data.open_logs import OpenLogs
-from web.data.picture_checks import PictureChecks
-from web.data.picture_maps import PictureMaps
-from web.data.predictions import Predictions
-from web.data.project_folders import PLACES, ProjectFolders
-from web.data.rerun_viewers import RerunViewers
-from web.data.run_cards import RunCards
-from web.data.session_cards import SessionCards
-from web.data.where_search import WhereSearches
+from web.folders.cache_folder import CacheFolder
+from web.folders.project_folders import PLACES, ProjectFolders
+from web.index.index_trials import IndexTrials
+from web.jobs.jobs import Jobs
+from web.logs.drive_view import DriveViews
+from web.logs.open_logs import OpenLogs
+from web.logs.picture_checks import PictureChecks
+from web.logs.session_cards import SessionCards
+from web.logs.where_search import WhereSearches
 from web.pages.altered_page import altered_routes
 from web.pages.attention_page import attention_routes
 from web.pages.bulk_page import bulk_routes
@@ -51,6 +46,11 @@ from web.pages.sessions_page import session_list_routes
 from web.pages.wheel_pages import wheel_routes
 from web.pages.wheel_socket import wheel_socket_routes
 from web.pages.workbench import Workbench
+from web.processes.picture_maps import PictureMaps
+from web.processes.predictions import Predictions
+from web.processes.rerun_viewers import RerunViewers
+from web.runs.attention import Attention
+from web.runs.run_cards import RunCards
 from web.server.error_pages import HANDLERS
 from web.server.memory import TrimmedApp
 from web.server.request_guard import RequestGuard

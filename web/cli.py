@@ -54,9 +54,9 @@ def serve(config: Web, page: str = "") -> int:
         if error.name not in ("starlette", "uvicorn", "jinja2"):
             raise
         raise UserError(f"{error.name} is not installed: `{install_line('web')}` brings it") from None
-    from web.data.cache_folder import default_cache_folder
-    from web.data.jobs import Jobs
-    from web.data.project_folders import ProjectFolders
+    from web.folders.cache_folder import default_cache_folder
+    from web.folders.project_folders import ProjectFolders
+    from web.jobs.jobs import Jobs
 
     give_memory_back()
     folders = ProjectFolders(config.sessions, config.index, config.runs, config.drives)

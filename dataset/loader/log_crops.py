@@ -23,7 +23,7 @@ from dataset.frames.pairing import paired_rows
 from dataset.loader.crops import Crops
 from dataset.loader.prefetch import prefetched
 from dataset.picture_spec import ORIGINAL, PictureSpec
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from dataset.samples.sample_rows import Rows
 from recorder import Log, Pictures
 from recorder.log.session_car import known_max_steering_deg, metadata_of, stored_car

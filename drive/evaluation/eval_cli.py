@@ -25,7 +25,8 @@ from common.errors import counted
 from common.location import Location, absolute
 from common.output import print_message, print_next, print_result
 from common.progress import track
-from common.tasks import tasks_of
+from common.ray_flag import tasks_of
+from drive.earlier_flags import understand_earlier
 from drive.evaluation.eval_flags import Eval, refuse_contradictions
 
 if TYPE_CHECKING:
@@ -183,7 +184,7 @@ def _compare_by_driving(config: Eval, a: Path, b: Path, names: tuple[str, str]) 
     from drive.evaluation.drive_comparison import TOLERANCE, DriveComparison
 
     drives = _drives(config)
-    logs = LogFolder.of(config.logs or DRIVES)
+    logs = LogFolder.of(config.drives or DRIVES)
     results = dict(_driven(config, [(a, logs / "a"), (b, logs / "b")], drives))
     code = max(DONE, *(_warn_problem(result) for result in results.values()))
     of_a, of_b = ([results[first + n] for n in range(len(drives))] for first in (0, len(drives)))
@@ -207,7 +208,7 @@ def _drive(config: Eval) -> int:
     codes = [DONE]
     try:
         (run,) = _found_runs(config, config.run)
-        for number, result in _driven(config, [(run, LogFolder.of(config.logs or DRIVES))], drives):
+        for number, result in _driven(config, [(run, LogFolder.of(config.drives or DRIVES))], drives):
             results[number] = result
             codes += [keep(run, "simulator", result.as_dict()), _warn_problem(result)]
             if config.json:
@@ -343,4 +344,5 @@ def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
 
 
 def main() -> None:
+    understand_earlier("bc-eval", {"--logs": "--drives"})
     run_command("bc-eval", Eval, evaluate)

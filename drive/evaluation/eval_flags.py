@@ -12,7 +12,7 @@ import tyro
 from common.command import flags_given
 from common.errors import UsageError
 from common.location_flag import LocationFlag
-from common.tasks import RayAddress
+from common.ray_flag import RayAddress
 
 
 def _default(metavar: str, value: str) -> Any:
@@ -31,7 +31,7 @@ class Eval:
     bc-eval --compare first second
     """
 
-    RARE: ClassVar[str] = "network tolerance split departure car precision logs ray"
+    RARE: ClassVar[str] = "network tolerance split departure car precision drives ray"
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
     """Name or folder; by default the newest."""
     network: tuple[str, ...] = ()
@@ -70,7 +70,7 @@ class Eval:
         Literal["auto", "float32", "bfloat16"] | None, _default("{auto,float32,bfloat16}", "auto")
     ] = None
     """Arithmetic; auto: the fastest."""
-    logs: Annotated[LocationFlag | None, _default("PATH|URL", "drives")] = None
+    drives: Annotated[LocationFlag | None, _default("PATH|URL", "drives")] = None
     """Folder of the drives' logs; finished logs are copied to a URL."""
     force: bool = False
     """Replace existing logs."""
@@ -85,7 +85,7 @@ class Eval:
 RECORDED: Final = "recorded frames"
 WAYS: Final = {
     RECORDED: ("index", "split", "session", "sessions", "bins", "worst"),
-    "--simulator TRACK": ("laps", "speed", "precision", "logs", "force", "ray"),
+    "--simulator TRACK": ("laps", "speed", "precision", "drives", "force", "ray"),
     "--on SESSION": ("sessions", "departure", "car", "precision"),
 }
 """The flags that belong to each way of measuring."""

@@ -26,7 +26,7 @@ from dataset.frames.crash_frames import in_crashes
 from dataset.index.sessions import by_session_name
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, steering_in
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from dataset.samples.samples_reader import Split
 from model.evaluation.predict import BATCH, predict_crops
 from model.metrics import Errors, Measures, errors, measure

@@ -110,9 +110,14 @@ class RunNumbers:
         return bool(cars) and all(isinstance(car, dict) and BUILT_IN_CAR.items() <= car.items() for car in cars)
 
     @property
+    def is_donkeycar(self) -> bool:
+        """Whether all of its sessions are tubs: no simulator has their road."""
+        return bool(self.data.logs) and all(log.get("source") == "donkeycar" for log in self.data.logs.values())
+
+    @property
     def drive_command(self) -> str:
-        """The command that lets it drive; there is no simulator of a DonkeyCar's road."""
-        if self.data.logs and all(log.get("source") == "donkeycar" for log in self.data.logs.values()):
+        """The command that lets it drive."""
+        if self.is_donkeycar:
             return f"bc-train export {self.run} --donkeycar car"
         return f"bc-drive {self.run}"
 

@@ -96,11 +96,11 @@ def read_structure(file: McapFile, *, without_chunks: bool = False) -> Structure
             return found
     found = read_summary(file)
     if found is None:
-        return _walk(file)
+        return walk(file)
     if is_complete(found):
         return found
     # other programs may leave out of the summary what can be found by walking; the file is a finished one
-    walked = _walk(file)
+    walked = walk(file)
     return replace(walked, problem="") if walked.has_end and not walked.lost else walked
 
 
@@ -232,7 +232,8 @@ def _take_chunk_indexes(summary: bytes, chunks: list[Chunk]) -> bytes:
     return b"".join((*others, summary[position:]))
 
 
-def _walk(file: McapFile) -> Structure:
+def walk(file: McapFile) -> Structure:
+    """The structure as it is found from the file's start to its end; what makes no sense is in `lost`."""
     found = Structure(problem=GOES_ON if is_being_written(file.path) else KILLED, has_end=False)
     position, wasted, max_waste = len(MAGIC), 0, search_budget(file)
     unsure = position  # from here on no CRC has held: a damaged length may have led past whole chunks

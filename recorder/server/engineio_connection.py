@@ -16,6 +16,9 @@ from engineio.socket import Socket
 from recorder.server.in_flight import InFlight
 from recorder.server.websocket import BROKEN_FRAME, TOO_LARGE, HandshakeError, WebSocket
 
+CONNECT, EVENT = "0", "2"
+"""Socket.IO packet types, the first character of an Engine.IO message."""
+BROKEN_PACKET: Final = "broken packet"
 STREAM: Final = "telemetry.stream"
 """The key of a request's socket in its WSGI environment."""
 WEBSOCKET_OVER: Final = "telemetry.has_hung_up"
@@ -25,6 +28,10 @@ MAX_UNREAD_PACKETS: Final = 64
 """The most packets that wait for a client to read them; answers to a websocket's telemetry never wait."""
 MAX_ECHOED_CHARACTERS: Final = 100  # of a heartbeat's content
 
+NOTICE_BROKEN: Final = (
+    "hung up on a client that broke the Socket.IO protocol: a simulator in autonomous mode does not, other clients"
+    " need python-socketio 5 or its like"
+)
 NOTICE_NOT_READING: Final = (
     "hung up on a client that does not read what it is sent: simulators do, it is something else"
 )
@@ -71,13 +78,15 @@ class ServerHost(Protocol):
 
 
 class Connection(Socket):  # type: ignore[misc]
-    """Sends an answer in the thread that has read the message, and is pinged by the server's tick.
+    """Sends an answer in the thread that has read the message, and is pinged by the server's tick. Clients of
+    Socket.IO 2, such as the real simulator, are served as modern ones are.
 
     Every further thread that an answer passes may delay it, and one that sleeps until the next ping would outlive
     the run.
     """
 
     has_sent_message: bool
+    is_announced: bool  # it has sent its first message
     awaits_first_command: bool  # no telemetry has come, and no command was sent
     first_command_sent: bool  # before any telemetry
     in_flight: InFlight[Received]
@@ -95,6 +104,7 @@ class Connection(Socket):  # type: ignore[misc]
         `notify` gets the reason where a client is disconnected."""
         connection.__class__ = cls
         connection.has_sent_message, connection.awaits_first_command = False, True
+        connection.is_announced = False
         connection.first_command_sent, connection.in_flight = False, InFlight()
         connection._lock, connection._host, connection._notify = lock, host, notify
         connection._websocket = None
@@ -170,6 +180,27 @@ class Connection(Socket):  # type: ignore[misc]
             self.send(packet.Packet(packet.PONG, data=data[:MAX_ECHOED_CHARACTERS]))
         else:
             super().receive(pkt)
+
+    def hand_over(self, message: str | bytes, received: Callable[[str, str | bytes], object]) -> None:
+        """Give a message to python-socketio's `received`, and hang up if it breaks the protocol.
+
+        A client of Socket.IO 2 sends no CONNECT packet, without which python-socketio 5 silently drops all of its
+        events: the packet is supplied.
+        """
+        try:
+            if not self.is_announced:
+                self.is_announced = True
+                if isinstance(message, str) and message.startswith(EVENT):
+                    received(self.sid, CONNECT)
+            received(self.sid, message)
+        except Exception:  # its parser raises nearly anything; a handler's own errors never come here
+            self.hang_up()
+
+    def hang_up(self) -> None:
+        """Close the connection of a client that broke the protocol."""
+        if not self.closed:
+            self._notify(NOTICE_BROKEN)
+            self.close(wait=False, reason=BROKEN_PACKET)
 
     def send(self, pkt: packet.Packet) -> None:
         """Queue a packet, to be sent later or fetched by a client that polls."""

@@ -16,17 +16,11 @@ from socketio import packet
 
 from common.errors import printable
 from recorder.server.allowed_hosts import AllowedHosts
-from recorder.server.connection_guard import END_S, MAX_CONNECTIONS, NOTICE_TOO_MANY, Notify
+from recorder.server.connection_guard import END_S, MAX_CONNECTIONS, NOTICE_TOO_MANY, Notify, landing_page
 from recorder.server.engineio_connection import WEBSOCKET_OVER, Connection, Received, ServerHost
 from recorder.server.locale_numbers import POINT
-from recorder.server.malformed_packets import (
-    CheckedPacket,
-    close_on_broken_packets,
-    is_telemetry,
-    one_line_logger,
-)
+from recorder.server.malformed_packets import CheckedPacket, check_body, is_telemetry, one_line_logger
 from recorder.server.running_clock import RunningClock
-from recorder.server.socketio2 import accept_socketio2_clients
 from recorder.server.telemetry import MAX_IMAGE_BYTES, format_command
 
 TICK_S: Final = 0.1
@@ -51,6 +45,7 @@ NOTICE_REFUSED: Final = (
     " write its address as numbers"
 )
 MAX_SHOWN_CHARACTERS: Final = 100  # of such a name
+_SID: Final = "telemetry.sid"  # the key of a connection's name in its request's environment
 
 ServerMode = Literal["eventlet", "threading"]
 Result = TypeVar("Result")
@@ -158,8 +153,7 @@ class TelemetryServer:
         self._server.on("connect", self._on_connect)
         self._server.on("disconnect", self._on_disconnect)
         self._server.on("telemetry", self._on_telemetry)
-        accept_socketio2_clients(self._server)
-        self._application = close_on_broken_packets(self._server, self._notify_once)
+        self._application = socketio.WSGIApp(self._server, landing_page(self._notify_once))
         self._engine = self._server.eio
         self._connected, self._received = (self._engine.handlers[name] for name in ("connect", "message"))
         self._engine.on("connect", self._on_connection)
@@ -241,7 +235,14 @@ class TelemetryServer:
             self._refuse(refused)
             start_response("403 Forbidden", [("Content-Length", "0")])
             return []
-        answer = self._application(environ, start_response)
+        try:
+            check_body(environ)
+            answer: Iterable[bytes] = self._application(environ, start_response)
+        except Exception:  # what is not even Engine.IO
+            if (connection := self._engine.sockets.get(environ.get(_SID))) is not None:
+                connection.hang_up()
+            start_response("400 Bad Request", [("Content-Length", "0")])
+            return []
         return self._host.after_websocket() if environ.get(WEBSOCKET_OVER) else answer
 
     def _refuse(self, what: str) -> None:
@@ -256,13 +257,14 @@ class TelemetryServer:
             self._notify_once(NOTICE_TOO_MANY)
             return False
         Connection.adopt(self._engine.sockets[engine_sid], self._lock, self._host, self._notify_once)
+        environ[_SID] = engine_sid
         with self._lock:
             return self._connected(engine_sid, environ)
 
     def _on_message(self, engine_sid: str, data: str | bytes) -> None:
         connection: Connection = self._engine.sockets[engine_sid]
         with self._lock:
-            self._received(engine_sid, data)
+            connection.hand_over(data, self._received)
             pending = self._pending_answers.pop(engine_sid, None)
             self._unsent_answers += pending is not None
         if pending is None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dataset import DatasetError
 from dataset.augment import ALTERATIONS, alter, blur, brightness, shadow
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 
 Change = Callable[[Image, np.random.Generator], Image]
 

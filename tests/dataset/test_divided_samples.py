@@ -20,7 +20,7 @@ from divided import in_one_file
 from logs import write_log
 from recorder import Log
 from recorder.log.tags import Tag, add_tag, tags_path
-from web.data.index_view import session_bins_sketch, view_index
+from web.index.index_view import session_bins_sketch, view_index
 
 CONFIG = IndexConfig(labels="as-recorded", block_s=3.0, gap_s=0.5, validation_share=0.3)
 

@@ -26,7 +26,7 @@ from dataset.augment import alter
 from dataset.figure_data import Kind, Moment, crop_rows, find_moments, steering_distribution, two_draws
 from dataset.figure_style import figure_style
 from dataset.index_figures import draw_augmentation, draw_balance, draw_preprocessing, write_figures
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from dataset.steering_figure import draw_steering, steered_sessions
 from logs import write_log
 from panorama import write_drive

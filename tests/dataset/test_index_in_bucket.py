@@ -12,10 +12,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import dataset.index_command
 import pyarrow as pa
 import pytest
 
-import dataset.cli
 from bucket import Bucket, serving_bucket
 from common.allowed_places import allow_places
 from common.location import Url
@@ -189,7 +189,7 @@ def test_a_name_that_leads_elsewhere_is_refused(bucket: Bucket, capsys: pytest.C
 @pytest.fixture
 def divided(bucket: Bucket, monkeypatch: pytest.MonkeyPatch) -> Bucket:
     """Two sessions, of which any number of frames are many."""
-    monkeypatch.setattr(dataset.cli, "build_index", partial(build_index, divide_from_frames=1))
+    monkeypatch.setattr(dataset.index_command, "build_index", partial(build_index, divide_from_frames=1))
     drive(bucket, 1)
     return bucket
 

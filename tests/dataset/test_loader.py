@@ -36,7 +36,7 @@ from dataset import (
     preprocess,
 )
 from dataset.augment import alter
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from driving import environment
 from logs import plain_read, write_log
 from places import Place

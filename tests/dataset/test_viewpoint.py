@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from common.car import CAMERAS, Camera
-from dataset.preprocess import Image, decode
+from dataset.preprocessing import Image, decode
 from dataset.viewpoint import Viewpoint
 from painted_road import render
 from recorder.log.session_car import UDACITY, Car, built_in

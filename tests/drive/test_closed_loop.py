@@ -233,7 +233,7 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
     """One here, one as a user calls it."""
     drives = [(BuiltInSimulator("lake", 0.002), DriveConfig())]
     with Child(
-        command("bc-eval", pilot_run, "--simulator", "lake", "--laps", 0.002, "--logs", tmp_path / "b", "--json")
+        command("bc-eval", pilot_run, "--simulator", "lake", "--laps", 0.002, "--drives", tmp_path / "b", "--json")
     ) as child:
         (here,) = evaluate(load_pilot(pilot_run), drives, tmp_path / "a")
         assert child.join() == 0, child.stderr
@@ -264,10 +264,18 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
 def test_an_unknown_track_ends_an_evaluation_in_a_line_and_leaves_no_log(
     pilot_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(eval_main, pilot_run, "--simulator", "nowhere", "--logs", tmp_path / "logs") == 1
+    assert call(eval_main, pilot_run, "--simulator", "nowhere", "--drives", tmp_path / "logs") == 1
     line = one_line_in(capsys)
     assert all(choice in line for choice in ("lake", "mountain", "random:SEED"))
     assert list(tmp_path.rglob("*.*")) == []
+
+
+def test_the_earlier_name_of_a_flag_is_understood(
+    pilot_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(eval_main, pilot_run, "--simulator", "lake", "--laps", 0.002, f"--logs={tmp_path / 'logs'}") == 0
+    assert "--logs is called --drives now" in capsys.readouterr().err
+    assert len(list((tmp_path / "logs").glob("*.mcap"))) == 1
 
 
 @pytest.mark.parametrize(
@@ -282,7 +290,7 @@ def test_an_unknown_track_ends_an_evaluation_in_a_line_and_leaves_no_log(
 def test_an_evaluation_of_nothing_is_one_line(
     pilot_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], says: str
 ) -> None:
-    assert call(eval_main, pilot_run, *flags, "--logs", tmp_path / "logs") == 2
+    assert call(eval_main, pilot_run, *flags, "--drives", tmp_path / "logs") == 2
     assert says in one_line_in(capsys)
 
 
@@ -299,7 +307,7 @@ def test_bc_drive_with_the_built_in_simulator_ends_by_itself_with_a_log(pilot_ru
 
 
 def test_an_evaluation_that_is_stopped_ends_and_keeps_what_it_drove(pilot_run: Path, tmp_path: Path) -> None:
-    arguments = (pilot_run, "--simulator", "lake", "--laps", 1, "--logs", tmp_path / "drives")
+    arguments = (pilot_run, "--simulator", "lake", "--laps", 1, "--drives", tmp_path / "drives")
     with Child(command("bc-eval", *arguments)) as process:
         process.wait_for(r"untrained on lake at 10 mph, 1 lap$")
         while not any(part.stat().st_size > 100_000 for part in (tmp_path / "drives").glob("*.part")):

@@ -113,7 +113,7 @@ def test_a_run_drives_no_worse_than_itself_and_as_its_own_report_says(
     for name, measure in found["measures"].items():
         assert measure["a"] == pytest.approx(pair["a"][name], rel=0.05, abs=0.02), name
     assert call(main, "--compare", "untrained", "untrained", *flags) == 1  # the logs are there already
-    assert "exists already: give --logs FOLDER for another place, or give --force" in capsys.readouterr().err
+    assert "exists already: give --drives FOLDER for another place, or give --force" in capsys.readouterr().err
     assert call(main, "--compare", "untrained", "untrained", *flags, "--force") == 0
     logs = "drives/a/untrained-lake-10mph.mcap drives/b/untrained-lake-10mph.mcap"
     assert f"bc-play {logs} --by place`" in capsys.readouterr().err.splitlines()[-1]

@@ -94,11 +94,14 @@ def test_odd_rows_are_named_with_their_longest_stretch() -> None:
 
 
 @pytest.mark.usefixtures("project")
-def test_the_named_command_excludes_rows_that_nobody_should_learn_from() -> None:
+def test_what_is_perhaps_odd_is_to_be_looked_at() -> None:
+    write_log(Path("sessions") / "sunday.mcap", [0.1] * 60, overwrite=True)
+    assert "bc-log check sessions/sunday.mcap" in commands()
+    assert call(log_command, "tag", "sessions/sunday.mcap", "exclude", "--start", 0) == 0
+    assert "bc-log check sessions/sunday.mcap" not in commands()
     write_log(Path("sessions") / "sunday.mcap", [3.0] * 30 + STEERING[:30], overwrite=True)
-    assert "bc-log tag sessions/sunday.mcap exclude --odd" in commands()
-    assert call(log_command, "tag", "sessions/sunday.mcap", "exclude", "--odd") == 0
-    assert not any("--odd" in command for command in commands())
+    assert any("values out of range: 30" in line for line in examine().odd)
+    assert not any("sunday" in command for command in commands())
 
 
 @pytest.mark.usefixtures("project")

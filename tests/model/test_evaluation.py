@@ -661,7 +661,7 @@ def test_an_index_of_somebody_else_is_damaged_in_one_line(here: Path, tmp_path: 
     [
         (["--laps", 1], "--laps: only with --simulator"),
         (["--speed", 20, "--force"], "--speed, --force: only with --simulator"),
-        (["--logs", "drives"], "--logs: only with --simulator"),
+        (["--drives", "drives"], "--drives: only with --simulator"),
         (["--simulator", "lake", "--index", "index"], "--index: of recorded frames"),
         (["--simulator", "lake", "--session", "a", "--worst", 3], "--session, --worst: of recorded frames"),
         (["--simulator"], "--simulator at least one"),

@@ -19,7 +19,7 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from dataset import decode
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from disk import files_of_at_most
 from driving import PATIENCE_S, environment, road_jpeg, run, untrained_run
 from model import RunError, load_pilot

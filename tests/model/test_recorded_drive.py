@@ -13,7 +13,7 @@ import pytest
 
 from common import UserError
 from common.car import Camera
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from drive.evaluation.eval_cli import main as eval_main
 from driving import one_line_in, untrained_run
 from logs import START_NS

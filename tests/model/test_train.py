@@ -19,7 +19,7 @@ from safetensors import safe_open
 from common.stored_settings import settings_from
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index, decode
 from dataset.cli import main as bc_index
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from logs import plain_read, write_log
 from model import Epoch, RunError, TrainConfig, find_run, load_pilot, train
 from model.cli import main

@@ -182,6 +182,22 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
             "bc-train --like first --answers as-learnt",
         ),
         (
+            numbers(  # RMSE alone is then worse than the mean's
+                sound(logs={"more": {"log": "../sessions/more.mcap"}, "b": {"log": "../sessions/b.mcap"}}),
+                epochs=[
+                    replace(
+                        each,
+                        answers=AnswerScale(0.5),
+                        learnt=replace(each.measures.network, rmse_deg=90.0),
+                        learnt_driving_error=0.4,
+                    )
+                    for each in [epoch(number, 0.2) for number in range(1, 11)]
+                ],
+            ),
+            "more of other roads",
+            "bc-record more-2 --from ~/recording",
+        ),
+        (
             numbers(drives=({"track": "lake", "set_speed_mph": 15.0, "interventions": 3},)),
             "3 interventions on lake at 15 mph",
             "bc-drive first --simulator lake --speed 15 --aggregate 2",
@@ -190,6 +206,11 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
             numbers(epochs=[*WEAK[:9], epoch(10, 0.3)]),
             "still fell in epoch 10",
             "bc-train --resume first --epochs 20",
+        ),
+        (
+            numbers(sound() | {"training": {"epochs": 2}}, [WEAK[0], replace(epoch(2, 0.4), is_best=False)]),
+            "networks of fewer than 4 seldom drive",
+            "bc-train --resume first --epochs 10",
         ),
         (
             numbers(sound(counts={name: {"frames": 6000, "training": 600} for name in ("a", "b")})),
@@ -220,8 +241,9 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
         (numbers(), "nothing in its numbers stands out", "bc-record more --track random:2"),
     ],
     ids=[
-        "being trained", "contradicting", "constant", "unfinished", "natural answers", "interventions",
-        "still improving", "few turns", "one session", "one side", "one side mirrored", "side cameras", "nothing",
+        "being trained", "contradicting", "constant", "unfinished", "natural answers", "natural and better",
+        "interventions", "still improving", "few epochs", "few turns", "one session", "one side",
+        "one side mirrored", "side cameras", "nothing",
     ],
 )  # fmt: skip
 def test_each_rule_names_its_numbers_and_a_command(of: RunNumbers, why: str, command: str) -> None:

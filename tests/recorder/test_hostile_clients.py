@@ -28,7 +28,6 @@ from recorder.server import (
     connection_guard,
     engineio_connection,
     eventlet_host,
-    malformed_packets,
     telemetry_server,
     threaded_host,
 )
@@ -215,7 +214,7 @@ def test_what_a_client_sends_is_not_sent_back_at_length(mode: ServerMode) -> Non
         assert len(message) <= 101
         client.websocket.send("40/" + "x" * 100_000 + ",")
         client.until_hung_up()
-        assert malformed_packets.NOTICE_BROKEN in serving.said
+        assert engineio_connection.NOTICE_BROKEN in serving.said
 
 
 def test_a_client_has_one_place_however_often_it_connects(mode: ServerMode) -> None:

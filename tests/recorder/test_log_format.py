@@ -255,7 +255,7 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
         "lake",
         "--laps",
         0.002,
-        "--logs",
+        "--drives",
         folder,
     )
     assert evaluated.returncode == 0, evaluated.stderr

@@ -10,8 +10,8 @@ import pytest
 
 from common.errors import StoreError
 from waiting import wait_until
-from web.data import background
-from web.data.background import Background
+from web.folders import background
+from web.folders.background import Background
 
 LOG = Path("a.mcap"), "of now"
 

@@ -11,13 +11,13 @@ from pathlib import Path
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 import pytest
 
-import web.data.open_logs
+import web.logs.open_logs
 from driving import command as command_line
 from driving import environment, road_jpeg
 from logs import write_log
 from ports import free_ports
-from web.data.open_logs import OpenLogs
-from web.data.project_folders import ProjectFolders
+from web.folders.project_folders import ProjectFolders
+from web.logs.open_logs import OpenLogs
 from web.server.memory import EVERY
 
 ROWS = 3000
@@ -57,12 +57,12 @@ def test_few_large_logs_are_kept_open(tmp_path: Path, monkeypatch: pytest.Monkey
     opened = OpenLogs(ProjectFolders(tmp_path / "sessions"))
     with opened.open(logs[0]) as first:
         pass
-    monkeypatch.setattr(web.data.open_logs, "MAX_MESSAGES", 2 * first.messages)
+    monkeypatch.setattr(web.logs.open_logs, "MAX_MESSAGES", 2 * first.messages)
     with opened.open(logs[1]), opened.open(logs[0]) as again:
         assert again is first  # two are not too many
     with opened.open(logs[2]), opened.open(logs[0]) as again:
         assert again is first  # the one that was used last
-    monkeypatch.setattr(web.data.open_logs, "MAX_MESSAGES", 1)
+    monkeypatch.setattr(web.logs.open_logs, "MAX_MESSAGES", 1)
     with opened.open(logs[1]) as large:
         pass
     with opened.open(logs[1]) as again:

@@ -10,11 +10,11 @@ import pytest
 from logs import write_log
 from toy import STEERING, road
 from waiting import wait_until
-from web.data.cache_folder import CacheFolder
-from web.data.picture_checks import PictureChecks
-from web.data.predictions import Predictions
-from web.data.rerun_viewers import RerunViewers
 from web.errors import WebError
+from web.folders.cache_folder import CacheFolder
+from web.logs.picture_checks import PictureChecks
+from web.processes.predictions import Predictions
+from web.processes.rerun_viewers import RerunViewers
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def test_a_bug_in_the_check_of_pictures_is_said(
     def fails(*_: object) -> None:
         raise IndexError("nobody has thought of this")
 
-    monkeypatch.setattr("web.data.picture_checks.check_images", fails)
+    monkeypatch.setattr("web.logs.picture_checks.check_images", fails)
     log = write_log(tmp_path / "a.mcap", STEERING, road, cameras=["center"])
     checks = PictureChecks(tmp_path / "index", CacheFolder(tmp_path / "cache"))
     checks.start(log, "fingerprint")

@@ -25,7 +25,7 @@ from recorder.log.tags import read_tags
 from runs import a_run
 from udacity import call
 from waiting import wait_until
-from web.data import background, refreshed
+from web.folders import background, refreshed
 from workbench import Served, served
 
 TURNING = [0.05 * (row % 9 - 4) for row in range(120)]

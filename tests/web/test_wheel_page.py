@@ -19,9 +19,9 @@ from recorder.teleop.wheel import Wheel
 from simulator.pose import Pose
 from simulator.roads.track import load_track
 from waiting import wait_until
-from web.data.project_folders import ProjectFolders
-from web.data.wheels import new_drive, quick_epochs, training
 from web.errors import WebError
+from web.folders.project_folders import ProjectFolders
+from web.jobs.wheels import new_drive, quick_epochs, training
 from workbench import Answer, Served, served
 
 FORM = {"Content_Type": "application/x-www-form-urlencoded"}

@@ -20,11 +20,12 @@ from common.files import PART_SUFFIX
 from common.location import absolute
 from dataset.frames.frames_file import session_name
 from dataset.index.build_state import read_state
-from web.data.picture_maps import MappedLog
-from web.data.project_folders import PLACES, key_of
-from web.data.run_networks import NETWORK_FILES, check_network
+from model.runs.run_files import CONFIG, WEIGHTS
 from web.errors import WebError
+from web.folders.project_folders import PLACES, key_of
 from web.pages.workbench import Workbench
+from web.processes.picture_maps import MappedLog
+from web.runs.run_networks import NETWORK_FILES, check_network
 from web.server.templates import render
 
 _KEY: Final = re.compile(r"[0-9a-f]{64}")
@@ -116,10 +117,13 @@ def _place_and_key(of: str) -> tuple[Any, str]:
 
 
 def _runs(bench: Workbench) -> dict[str, Path]:
-    """The runs whose networks may look at pictures here, the newest last."""
-    found = {card.key: card for card in bench.runs.cards(0.3) if card.summary and card.summary.kept_epoch}
-    ordered = sorted(found.values(), key=lambda card: card.summary.written_at if card.summary else "")
-    return {card.key: card.path for card in ordered}
+    """The runs that have weights, the newest last; in a store, as far as is known, all of them."""
+    times = {}
+    for key, path in bench.folders.run_folders().items():
+        with contextlib.suppress(OSError):
+            is_here = bench.folders.run_place(path) == path
+            times[key] = (path / (WEIGHTS if is_here else CONFIG)).stat().st_mtime, path
+    return {key: times[key][1] for key in sorted(times, key=lambda key: times[key])}
 
 
 def _asked(bench: Workbench, query: QueryParams) -> _Asked:

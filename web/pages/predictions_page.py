@@ -16,11 +16,11 @@ from common.files import PART_SUFFIX
 from common.location import Location
 from common.locks import is_being_written
 from recorder.topics import camera_topic
-from web.data.open_logs import OpenLog
-from web.data.project_folders import Place
-from web.data.run_networks import NETWORK_FILES, check_network
 from web.errors import WebError
+from web.folders.project_folders import Place
+from web.logs.open_logs import OpenLog
 from web.pages.workbench import Workbench
+from web.runs.run_networks import NETWORK_FILES, check_network
 
 _KEY: Final = re.compile(r"[0-9a-f]{64}")
 

@@ -16,10 +16,10 @@ from common import UserError
 from common.errors import printable
 from common.files import PART_SUFFIX
 from common.locks import is_being_written
-from web.data.project_folders import Place
-from web.data.rerun_viewers import FILES, viewer_version
 from web.errors import WebError
+from web.folders.project_folders import Place
 from web.pages.workbench import Workbench
+from web.processes.rerun_viewers import FILES, viewer_version
 from web.server.static_files import KEPT
 from web.server.templates import render
 

@@ -19,16 +19,16 @@ from common.steering_unit import DEGREES, SteeringUnit, assumed_deg, steering_un
 from common.whole_number import whole_number
 from model.network.names import BUILT_IN
 from model.runs.run_files import STEERING
-from web.data.project_folders import PLACES, ProjectFolders, key_of
-from web.data.run_bins import bin_bars
-from web.data.run_cards import RunCard
-from web.data.run_origins import index_checksum, origin_of
-from web.data.run_settings import run_settings
 from web.errors import WebError
+from web.folders.project_folders import PLACES, ProjectFolders, key_of
 from web.pages.address_number import number_in
 from web.pages.changes import runs_version
 from web.pages.runs_page import PATIENCE_S
 from web.pages.workbench import Workbench
+from web.runs.run_bins import bin_bars
+from web.runs.run_cards import RunCard
+from web.runs.run_origins import index_checksum, origin_of
+from web.runs.run_settings import run_settings
 from web.server.templates import render
 
 _MAX_NUMBERS: Final = 14  # of a result

@@ -22,14 +22,14 @@ from recorder.log.session_car import known_max_steering_deg
 from recorder.log.tags import EXCLUDE, tags_path
 from recorder.rows.row_condition import rows_where
 from recorder.topics import camera_topic
-from web.data.drive_course import is_driven
-from web.data.open_logs import OpenLog
-from web.data.project_folders import Place
-from web.data.rerun_viewers import command_of
-from web.data.session_stretches import flag_stretches, not_learnt_stretches, shown_stretches
+from web.folders.project_folders import Place
+from web.logs.drive_course import is_driven
+from web.logs.open_logs import OpenLog
+from web.logs.session_stretches import flag_stretches, not_learnt_stretches, shown_stretches
 from web.pages.log_jobs_page import shown_log_jobs
 from web.pages.tagging import TagChange, change_tags, json_of, names_known
 from web.pages.workbench import Workbench
+from web.processes.rerun_viewers import command_of
 from web.server.templates import render
 
 

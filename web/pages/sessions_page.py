@@ -16,10 +16,11 @@ from common.errors import printable
 from common.location import Location
 from recorder.log_list_cli import SORTED_BY
 from recorder.rows.odd_stretches import ODD_KINDS
-from web.data.found_stretches import SURE
-from web.data.job_forms import form_of
-from web.data.session_cards import SessionCard
-from web.data.session_stretches import PLAIN_FLAGS
+from web.index.index_view import bins_of_index
+from web.jobs.job_forms import form_of
+from web.logs.found_stretches import SURE
+from web.logs.session_cards import IndexState, SessionCard
+from web.logs.session_stretches import PLAIN_FLAGS
 from web.pages.changes import sessions_version
 from web.pages.workbench import Workbench
 from web.server.templates import render
@@ -41,7 +42,7 @@ ONLY: Final[dict[str, Callable[[SessionCard], bool]]] = {
     "all": lambda card: True,
     "with odd rows": lambda card: bool(card.flags),
     "with tags": lambda card: bool(card.tags),
-    "not in the index, or changed since": lambda card: not card.index.words.startswith("in the index"),
+    "not in the index, or changed since": lambda card: card.index.state is not IndexState.INDEXED,
     "unfinished or damaged": lambda card: card.state in ("unfinished", "damaged", "recording"),
     **{name: (lambda card, kind=kind: _has_kind(card, kind)) for name, kind in KINDS.items()},  # type: ignore[misc]
 }
@@ -107,6 +108,7 @@ def session_list_routes(bench: Workbench) -> list[Route]:
             "found": found,
             "folder": printable(str(folder)),
             "demo": demo,
+            "bins": bins_of_index(bench.folders.index_here),
             "problem": bench.folders.problem("sessions"),
         }
 
@@ -157,7 +159,7 @@ def _has(card: SessionCard, text: str) -> bool:
     """Whether all words of the text are in the session's name, tags, flags, states or metadata."""
     if not text:
         return True
-    words: Sequence[str] = (card.name, *card.tags, *card.flags, card.index.words, card.state)
+    words: Sequence[str] = (card.name, *card.tags, *card.flags, card.index.state, card.state)
     if card.info:
         words = (*words, card.info.start, *card.info.session.values())
     lower = " ".join(words).casefold()

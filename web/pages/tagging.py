@@ -22,8 +22,8 @@ from recorder.log.tags import (
     tags_path,
 )
 from recorder.upkeep.edit import check_rows
-from web.data.project_folders import Place
 from web.errors import WebError
+from web.folders.project_folders import Place
 from web.pages.workbench import Workbench
 
 MAX_STRETCHES: Final = 10_000  # in one change of a log

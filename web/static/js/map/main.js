@@ -3,21 +3,21 @@
 import { showStatus } from "../live.js";
 import { PointCloud } from "../point_cloud.js";
 import { clock } from "../session/clock.js";
+import { History } from "../session/history.js";
 import { listen } from "../session/keys.js";
 import { angle, EXCLUDE, FINE, paletteOf, waysOf } from "./colourings.js";
 import { PictureMap } from "./map_data.js";
-import { TagChanges } from "./tag_changes.js";
 
 const FEW = 60; // pictures that are shown of a large choice
 const LIKE = 24;
 const LONELY_SHARE = 0.01;
-const DOUBLE = 0.1; // of the usual distance to the most alike picture
+const DOUBLE = 0.05; // of the usual distance to the most alike picture
 
 const by = (id) => document.getElementById(id);
 const page = by("map");
 const of = page.dataset.of.split(" ").filter(Boolean).map((address) => address.slice(1));
 const map = new PictureMap(of, { onChange: show });
-const changes = new TagChanges();
+const changes = new History(map);
 const cloud = new PointCloud(by("cloud"), {
   onPoint: showUnder,
   onPick: pick,
@@ -206,21 +206,20 @@ function tag(name) {
   }
   const logs = map.stretches(cloud.selected);
   change(async () => {
-    const made = await changes.make(name, logs);
-    const rows = rowsOf(made.logs).toLocaleString("en");
-    showStatus([made.logs.length ? `${name}: ${rows} rows` : `${name}: nothing new`, ...made.problems].join("; "));
+    const { changed, notice } = await changes.make("add", name, logs);
+    const what = changed.length ? `${rowsOf(changed).toLocaleString("en")} rows` : "nothing new";
+    showStatus([`${name}: ${what}`, notice].filter(Boolean).join("; "));
   });
 }
 
-function turn(way, done) {
+function turn(move, words) {
   change(async () => {
-    const turned = await way();
-    if (!turned) showStatus(`nothing to ${done}`);
-    else showStatus([`${done}: ${turned.name}, ${rowsOf(turned.logs).toLocaleString("en")} rows`, ...turned.problems].join("; "));
+    const turned = await changes[move]();
+    showStatus(turned ? `${words}: ${turned.name}, ${rowsOf(turned.rows).toLocaleString("en")} rows` : `nothing to ${move}`);
   });
 }
-const undo = () => turn(() => changes.undo(), "undo");
-const redo = () => turn(() => changes.redo(), "redo");
+const undo = () => turn("undo", "undone");
+const redo = () => turn("redo", "again");
 
 function like() {
   const at = cloud.pointed < 0 ? cloud.pinned : cloud.pointed;
@@ -289,5 +288,6 @@ listen({
 });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => map.about && colour());
 
+changes.restore();
 showHistory();
 map.make(by("run").value);

@@ -2,12 +2,13 @@
 
 import { ask } from "../session/log_data.js";
 
-const COLUMNS = ["x", "y", "log", "row", "steering", "predicted", "nearest", "alone", "group", "odd"]; // web/data/picture_maps.py
+const COLUMNS = ["x", "y", "log", "row", "steering", "predicted", "nearest", "alone", "group", "odd"]; // web/processes/picture_maps.py
 const POLL_MS = 400;
 
 export class PictureMap {
   /** `of`: the logs as the address has them; `onChange()`: further, or there. */
   constructor(of, { onChange }) {
+    Object.assign(this, { address: "the map", state: { fingerprint: "" } }); // as a history of changes names them
     Object.assign(this, { of, onChange });
     this.clear("");
   }
@@ -93,6 +94,26 @@ export class PictureMap {
     if (this.about.step === 1) return [row, row];
     const next = this.after[at];
     return [row, next < 0 ? row : this.columns.row[next] - 1];
+  }
+
+  /** Name the rows of logs, or take the name from them: one log after the other, where one cannot be changed, the
+   * others are. */
+  async change(action, name, logs) {
+    const done = { changed: [], commands: [], notice: "" };
+    const problems = [];
+    for (const { at, log, rows } of logs) {
+      try {
+        const body = JSON.stringify({ action, name, rows, log });
+        const options = { method: "POST", headers: { "Content-Type": "application/json" }, body };
+        const { changed, commands } = await (await ask(`${at}/tags`, options)).json();
+        if (changed.length) done.changed.push({ at, log, rows: changed });
+        done.commands.push(...commands);
+      } catch (error) {
+        problems.push(error.message);
+      }
+    }
+    if (problems.length === logs.length) throw new Error(problems.join("; "));
+    return { ...done, notice: problems.join("; ") };
   }
 
   /** Points by session and row. */
