@@ -34,7 +34,7 @@ from recorder.mcap.message_index import LAST_TIME_NS, UNCOMPRESSED, Read, index_
 from recorder.mcap.number_fields import decode_numbers
 from recorder.mcap.picture_places import is_about_places, is_of_pictures, read_chunk_crcs, read_places
 from recorder.mcap.salvage import salvage
-from recorder.mcap.scan import is_complete, read_structure, read_summary
+from recorder.mcap.scan import read_structure
 from recorder.topics import camera_topic, prediction_topic
 
 if TYPE_CHECKING:  # training reads pictures where protobuf is not installed
@@ -77,7 +77,6 @@ class Log(Closeable):
     `salvages`: with whole chunks that lie elsewhere than they should, or have a damaged header, for a recovery.
     `shows_progress`: with a progress bar while all of it is read, which is when messages are first read.
     `cache`: keeps the chunks of a log in a store that pictures are read from.
-    `brief`: the places of chunks are read when they are first needed: in a long log, they are most of its end.
     Raises LogError where the file is missing, not an MCAP file, or damaged.
     """
 
@@ -88,13 +87,12 @@ class Log(Closeable):
         salvages: bool = False,
         shows_progress: bool = False,
         cache: ChunkCache | None = None,
-        brief: bool = False,
     ) -> None:
         self.path = location(path)
         self._shows_progress = shows_progress
         self._file = McapFile(self.path)
         try:
-            self._structure = self._as_found = read_structure(self._file, without_chunks=brief)
+            self._structure = self._as_found = read_structure(self._file)
             if not salvages:
                 self._file.check_count(self.message_count or 0)
             else:
@@ -125,13 +123,7 @@ class Log(Closeable):
 
     @property
     def chunks(self) -> list[Chunk]:
-        """The chunks, in the order of the file. Raises LogError where the list of a log that was opened `brief`
-        is damaged."""
-        if not self._structure.has_chunks:
-            whole = read_summary(self._file)  # walking through it would bring all of it here
-            if whole is None or not is_complete(whole):
-                raise self._file.damaged("the list of its chunks")
-            self._structure.chunks, self._structure.has_chunks = whole.chunks, True
+        """The chunks, in the order of the file."""
         return self._structure.chunks
 
     @cached_property

@@ -33,7 +33,6 @@ from recorder.mcap.mcap_file import (
     McapFile,
     prefixed,
 )
-from recorder.mcap.summary_groups import read_without_chunks
 from recorder.topics import QUALITY_METADATA
 
 GOES_ON: Final = "unfinished: its recording is still going on"
@@ -43,7 +42,6 @@ _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary start, summa
 _CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # first and last time, start, length, bytes of the map that follows
 _MAP_ENTRY_BYTES: Final = 2 + 8  # a channel, and where the index of its messages lies
 _MAX_MAP_BYTES: Final = _MAP_ENTRY_BYTES << 16  # there are as many numbers for channels
-_DATA_END_BYTES: Final = RECORD.size + 4
 
 # A chunk of less than 16 MiB: opcode, length, times, uncompressed size, CRC, compression.
 _CHUNK_START: Final = re.compile(
@@ -66,11 +64,9 @@ class Structure:
     statistics: Statistics | None = None  # of a finished file
     problem: str = ""  # why the file had to be walked through; empty for a finished one
     has_end: bool = True  # whether the data section is finished
-    data_end: int = 0  # where it ends in a finished file, by the summary
     attachment_names: dict[int, str] = field(default_factory=dict)  # by their offsets; by the summary
     has_quality: bool = False  # by the summary; every log of ours with rows whose data section has a CRC does
     lost: list[tuple[int, int]] = field(default_factory=list)  # stretches of bytes that make no sense
-    has_chunks: bool = True  # False: `chunks` was left out
 
     @property
     def image_channels(self) -> set[int]:
@@ -87,13 +83,8 @@ class Structure:
         return is_protobuf_channel(self.schemas.get(known.schema_id), known, schema)
 
 
-def read_structure(file: McapFile, *, without_chunks: bool = False) -> Structure:
-    """The structure of the file: from its end if that is sound, else by walking through it. `without_chunks`: of
-    a long file in a store, its chunks may be left out."""
-    if without_chunks and file.is_remote:
-        found = read_summary(file, without_chunks=True)
-        if found is not None and is_complete(found):
-            return found
+def read_structure(file: McapFile) -> Structure:
+    """The structure of the file: from its end if that is sound, else by walking through it."""
     found = read_summary(file)
     if found is None:
         return walk(file)
@@ -109,12 +100,12 @@ def is_complete(summary: Structure) -> bool:
     statistics = summary.statistics
     return (
         statistics is not None
-        and (len(summary.chunks) == statistics.chunk_count or not summary.has_chunks)
+        and len(summary.chunks) == statistics.chunk_count
         and len(summary.channels) >= statistics.channel_count
         and len(summary.schemas) >= statistics.schema_count
         and len(summary.metadata_at) == statistics.metadata_count
         and len(summary.attachments_at) == statistics.attachment_count
-        and (summary.chunks != [] or not statistics.message_count or not summary.has_chunks)
+        and (summary.chunks != [] or not statistics.message_count)
     )
 
 
@@ -152,25 +143,20 @@ def walk_on(file: McapFile, position: int, found: Structure) -> tuple[int, bool]
     return position, False
 
 
-def read_summary(file: McapFile, *, without_chunks: bool = False) -> Structure | None:
-    """The structure as the summary at the file's end lists it; None if that is not sound. `without_chunks`: the
-    chunks of a long one are left out."""
+def read_summary(file: McapFile) -> Structure | None:
+    """The structure as the summary at the file's end lists it; None if that is not sound."""
     tail = _FOOTER.size + len(MAGIC)
     if file.size < 2 * len(MAGIC) + _FOOTER.size:
         return None
     footer = file.read(file.size - tail, tail)
-    opcode, length, start, offsets_start, crc = _FOOTER.unpack_from(footer)
+    opcode, length, start, _, crc = _FOOTER.unpack_from(footer)
     is_footer = opcode == Opcode.FOOTER and length == _FOOTER.size - RECORD.size and footer.endswith(MAGIC)
     if not is_footer or not 0 < start <= file.size - tail or file.size - start > MAX_RECORD_BYTES:
         return None
-    found = Structure(data_end=start - _DATA_END_BYTES)
-    summary = read_without_chunks(file, start, offsets_start, file.size - tail) if without_chunks else None
-    if summary is not None:
-        found.has_chunks = False
-    else:
-        summary = file.read(start, file.size - start)
-        if not file.may_have_crc(crc, summary[: len(summary) - len(MAGIC) - 4]):
-            return None
+    found = Structure()
+    summary = file.read(start, file.size - start)
+    if not file.may_have_crc(crc, summary[: len(summary) - len(MAGIC) - 4]):
+        return None
     try:
         others = _take_chunk_indexes(summary, found.chunks)
         for record in StreamReader(

@@ -123,7 +123,7 @@ def logs_in(folder: Location) -> list[Path] | list[Url]:
 def describe(place: Location | Log, *, look: bool = False, with_tags: bool = True) -> LogInfo:
     """Describe a log by its place, or one that is open; `look` measures the steering's lag in some pictures, too.
     Raises LogError if the log cannot be read or, `with_tags`, its tags."""
-    with contextlib.nullcontext(place) if isinstance(place, Log) else Log(place, brief=True) as log:
+    with contextlib.nullcontext(place) if isinstance(place, Log) else Log(place) as log:
         first_ns, last_ns = log.time_range_ns
         duration_s = (last_ns - first_ns) / 1e9
         counts, schemas = log.counts, log.schemas
