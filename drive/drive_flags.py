@@ -67,8 +67,8 @@ class Drive:
     """The network's arithmetic; auto: the fastest on this processor."""
     viewer: Annotated[str, tyro.conf.arg(metavar="auto|window|web|ADDRESS|FILE.rrd|off")] = "auto"
     """Show the drive in Rerun; auto: in a window if there is a display."""
-    server: Literal["eventlet", "threading"] = "eventlet"
-    """Server for the simulator."""
+    server: Literal["eventlet", "threading"] = "threading"
+    """No effect: there is one server now. The next version drops this flag."""
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 lets other machines connect."""
     port: int = 4567
