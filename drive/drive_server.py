@@ -86,6 +86,7 @@ class DriveServer:
             self._open_session(log, overwrite)
             first: Steer | Literal["nothing"] = "nothing" if is_built_in else Steer(0.0, 0.0)
             self._server = TelemetryServer(self, host=host, port=port, notify=notify, first_command=first)
+            stack.callback(self._server.close)
             self._stack = stack.pop_all()
         self.port = self._server.port
 
