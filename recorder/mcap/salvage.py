@@ -41,8 +41,8 @@ def salvage(file: McapFile, structure: Structure) -> None:
         search.through(start, end)
     if structure.lost and not structure.problem:  # chunks may have moved
         walked = walk(file)
-        known = {chunk.start for chunk in structure.chunks}
-        if moved := [chunk for chunk in walked.chunks if chunk.start not in known]:
+        starts = {chunk.start for chunk in structure.chunks}
+        if moved := [chunk for chunk in walked.chunks if chunk.start not in starts]:
             structure.chunks += moved
             structure.lost = walked.lost
             structure.metadata_at, structure.attachments_at = walked.metadata_at, walked.attachments_at
