@@ -146,11 +146,16 @@ def print_logs(sessions: Path, server: Server) -> None:
         _print_moved(f"`bc-log info` {log.stem}", log.stat().st_size, server, before)
     total = sum(log.stat().st_size for log in sessions.glob("*.mcap"))
     with tempfile.TemporaryDirectory() as folder:
-        for what in ("`bc-index --labels as-recorded`", "again"):
+        for what in ("`bc-index`", "again"):
             before = server.counts()
             logs = [Url("s3", BUCKET, log.name) for log in sorted(sessions.glob("*.mcap"))]
-            build_index(logs, Path(folder) / "index", IndexConfig(labels="as-recorded"))
+            build_index(logs, Path(folder) / "index")
             _print_moved(what, total, server, before)
+        read = _bytes_read()
+        build_index(sorted(sessions.glob("*.mcap")), Path(folder) / "of_disk")
+        print(
+            f"| the same logs on a disk | {total / 1e6:,.1f} | | {(_bytes_read() - read) / 1e6:,.2f} |", flush=True
+        )
         for cache, what in (
             ("one", "`--index` there, too"),
             ("one", "again"),
@@ -159,9 +164,14 @@ def print_logs(sessions: Path, server: Server) -> None:
             before = server.counts()
             os.environ["BC_CACHE"] = f"{folder}/{cache}"
             with index_here(Url("s3", BUCKET, "index"), logs) as (here, put):
-                build_index(logs, here, IndexConfig(labels="as-recorded"))
+                build_index(logs, here)
                 put()
             _print_moved(what, total, server, before)
+
+
+def _bytes_read() -> int:
+    """Those that this process has read until now, of whatever file, where Linux counts them."""
+    return int(Path("/proc/self/io").read_text().split()[1])
 
 
 def print_long(sessions: Path, server: Server) -> None:

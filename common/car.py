@@ -11,3 +11,6 @@ CAMERAS: Final[tuple[Camera, ...]] = get_args(Camera)
 MAX_STEERING_DEG: Final = 25.0  # steering 1.0, as in the simulator (its CarController's maximum steer angle)
 
 MPS_PER_MPH: Final = 0.44704  # by the definition of the mile
+
+SPEED_RANGE_MPH: Final = (-30.0, 300.0)
+"""No car reverses faster, and no simulator's that anybody drives goes faster; the real simulator's reaches 30."""

@@ -5,14 +5,12 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
 from typing import Final
 from urllib.parse import urlsplit
-from urllib.request import url2pathname
 
 TOOLKIT: Final = "behavioural-cloning-toolkit"
-VERSION: Final = "0.2.0"
+VERSION: Final = "0.3.0"
 """Of the toolkit: the only place where it stands. pyproject.toml and all commands take it from here."""
 
 
@@ -22,6 +20,8 @@ def install_line(extra: str) -> str:
     checkout = Path(__file__).parent.parent
     if (checkout / "pyproject.toml").is_file():
         return _install(["-e", f"{_short(checkout)}[{extra}]"], checkout)
+    from urllib.request import url2pathname  # email and sockets
+
     url = _origin()
     folder = Path(url2pathname(urlsplit(url).path)) if url.startswith("file:") else None
     if folder is not None and (folder / "pyproject.toml").is_file():
@@ -63,6 +63,8 @@ def _short(path: Path) -> str:
 
 def _origin() -> str:
     """The URL that pip has noted of the toolkit's folder or repository; "" without one."""
+    from importlib.metadata import PackageNotFoundError, distribution  # email, too
+
     try:
         noted = json.loads(distribution(TOOLKIT).read_text("direct_url.json") or "{}")
         vcs = noted.get("vcs_info", {}).get("vcs")
@@ -75,6 +77,8 @@ def version_of(package: str = TOOLKIT) -> str:
     """The version of this toolkit, or of an installed package; "unknown" where that is not installed."""
     if package == TOOLKIT:
         return VERSION
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version(package)
     except PackageNotFoundError:

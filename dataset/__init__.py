@@ -26,14 +26,14 @@ from common.car import MAX_STEERING_DEG
 from common.lazy import lazy_names
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
-from dataset.loader.loader import Batch, Loader, load
-from dataset.loader.torch_dataset import SamplesDataset
-from dataset.preprocess import decode, preprocess
-from dataset.samples.samples_reader import Samples
 
 if TYPE_CHECKING:
     from dataset.index.build import Indexed, build_index
     from dataset.index.sessions import find_logs, sessions_not_indexed
+    from dataset.loader.loader import Batch, Loader, load
+    from dataset.loader.torch_dataset import SamplesDataset
+    from dataset.preprocessing import decode, preprocess
+    from dataset.samples.samples_reader import Samples
 
 __all__ = [
     "MAX_STEERING_DEG",
@@ -52,13 +52,20 @@ __all__ = [
     "sessions_not_indexed",
 ]
 
-# training reads an index where what builds one is not installed
+# training reads an index where what builds one is not installed; flags and errors need no NumPy
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        "Batch": "dataset.loader.loader",
         "Indexed": "dataset.index.build",
+        "Loader": "dataset.loader.loader",
+        "Samples": "dataset.samples.samples_reader",
+        "SamplesDataset": "dataset.loader.torch_dataset",
         "build_index": "dataset.index.build",
+        "decode": "dataset.preprocessing",
         "find_logs": "dataset.index.sessions",
+        "load": "dataset.loader.loader",
+        "preprocess": "dataset.preprocessing",
         "sessions_not_indexed": "dataset.index.sessions",
     },
 )

@@ -7,17 +7,15 @@ generator.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, Literal
+from typing import Final
 
 import cv2
 import numpy as np
 
 from dataset.drawn_views import VIEWPOINT, crop_from
 from dataset.errors import DatasetError
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from dataset.viewpoint import Viewpoint
-
-Alteration = Literal["blur", "brightness", "shadow"]
 
 
 def blur(picture: Image, random: np.random.Generator) -> Image:

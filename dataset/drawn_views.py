@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.picture_spec import ORIGINAL
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from dataset.viewpoint import Viewpoint
 from recorder.log.session_car import OUTLINE_PX, UDACITY
 

@@ -16,7 +16,7 @@ from dataset.augment import alter
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.picture_spec import ORIGINAL
-from dataset.preprocess import Image, decode
+from dataset.preprocessing import Image, decode
 from dataset.samples.samples_format import Balance
 from dataset.samples.samples_reader import Samples
 

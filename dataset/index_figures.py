@@ -37,7 +37,7 @@ from dataset.figure_style import (
     require_matplotlib,
 )
 from dataset.picture_spec import ORIGINAL
-from dataset.preprocess import Image, preprocess
+from dataset.preprocessing import Image, preprocess
 from dataset.samples.samples_reader import Samples
 from dataset.steering_figure import draw_steering, steered_sessions
 

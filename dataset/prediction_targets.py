@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Final, Literal, TypeVar, get_args
 
-import numpy as np
-from numpy.typing import NDArray
+from common.car import MAX_STEERING_DEG, SPEED_RANGE_MPH
 
-from common.car import MAX_STEERING_DEG
-from recorder.rows.row_quality import SPEED_RANGE_MPH
+if TYPE_CHECKING:  # flags need no NumPy
+    import numpy as np
+    from numpy.typing import NDArray
 
-Values = TypeVar("Values", NDArray[np.float32], NDArray[np.float64])
+Values = TypeVar("Values", "NDArray[np.float32]", "NDArray[np.float64]")
 
 TargetName = Literal["steering", "speed", "throttle"]
 TARGET_NAMES: Final[tuple[TargetName, ...]] = get_args(TargetName)

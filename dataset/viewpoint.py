@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS, Camera
 from dataset.picture_spec import PictureSpec
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from recorder.log.session_car import OUTLINE_PX, Car, Outline
 
 Mask = NDArray[np.bool_]

@@ -1,4 +1,4 @@
-"""Writes the lists of flags in docs/commands.md from each command's own `--help` (`make docs`)."""
+"""Writes the lists of flags in docs/commands.md from each command's own `--help-all` (`make docs`)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _DEFAULT: Final = re.compile(r" ?\((required|default: ([^()]*))\)$")
 
 @dataclass(frozen=True)
 class Argument:
-    """A flag or a positional argument of a command, as `--help` shows it."""
+    """A flag or a positional argument of a command, as `--help-all` shows it."""
 
     invocation: str
     """`--rate FLOAT`, `--force`, `NAME`"""
@@ -43,8 +43,9 @@ def generated_page(shown: dict[str, str] | None = None) -> str:
 
 
 def commands(help_of: Callable[[str], str] | None = None) -> dict[str, str]:
-    """The `--help` of each command with arguments of its own: "bc-index", "bc-log check", "bc-train export"; by
-    `help_of` of such a name, if one is given, at `COLUMNS`."""
+    """The `--help-all` of each command with arguments of its own: "bc-index", "bc-log check", "bc-train export".
+
+    `help_of` returns the text for such a name, at `COLUMNS`."""
     help_of = help_of or _help
     scripts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -57,7 +58,7 @@ def commands(help_of: Callable[[str], str] | None = None) -> dict[str, str]:
 
 
 def arguments(help_text: str) -> list[Argument]:
-    """The arguments in the boxes of a command's `--help`."""
+    """The arguments in the boxes of a command's `--help-all`."""
     found: list[tuple[str, str]] = []
     for line in re.findall(r"^│ (.*?) *│$", help_text, re.MULTILINE):
         if line.startswith(" "):  # goes on with the argument above
@@ -82,8 +83,8 @@ def _argument(invocation: str, meaning: str) -> Argument:
 def _list(help_text: str) -> str:
     lines = []
     for argument in arguments(help_text):
-        default = f" Default: `{argument.default}`." if argument.default else ""
-        lines.append(f"- `{argument.invocation}`: {argument.meaning}{default}")
+        default = f" (`{argument.default}`)" if argument.default else ""
+        lines.append(f"- `{argument.invocation}`{default}: {argument.meaning}")
     return "\n".join(lines) + "\n"
 
 
@@ -97,7 +98,7 @@ def _help(command: str) -> str:
         "NO_COLOR": "1",
         "OMP_NUM_THREADS": "1",
     }
-    line = [sys.executable, "-c", code, *subcommand, "--help"]
+    line = [sys.executable, "-c", code, *subcommand, "--help-all"]
     done = subprocess.run(line, env=environment, capture_output=True, text=True, check=True)
     return done.stdout
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from drive.errors import DriveError
-from recorder.log.session_car import Car
 from simulator.driving.drive_limits import MAX_SPEED_MPH
+
+if TYPE_CHECKING:  # NumPy
+    from recorder.log.session_car import Car
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ import tyro
 from common.command import DONE, run_command, warn
 from common.errors import UserError
 from common.output import print_result
-from drive.doctor import examine
 
 
 @dataclass(frozen=True)
@@ -38,6 +37,8 @@ def doctor(config: Doctor) -> int:
         raise UserError(
             f"{config.project}: no such folder; a project's was expected, which holds sessions/ or runs/"
         )
+    from drive.doctor import examine  # NumPy, Arrow
+
     with contextlib.chdir(config.project):  # the commands are to be typed there
         found = examine()
     if config.json:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from common.memory_allocator import keep_freed_memory
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
-from dataset.preprocess import Image, crop_of, in_channels
+from dataset.preprocessing import Image, crop_of, in_channels
 from model.config import Precision
 from model.device import training_dtype
 from model.errors import RunError

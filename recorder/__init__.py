@@ -9,21 +9,24 @@ from typing import TYPE_CHECKING
 
 from common.lazy import lazy_names
 from recorder.errors import LogError, RecordingError
-from recorder.log.reader import Log, Pictures
 
 if TYPE_CHECKING:
+    from recorder.log.reader import Log
     from recorder.log.writer import LogWriter
+    from recorder.mcap.picture_places import Pictures
     from recorder.sources.import_result import Imported
     from recorder.sources.import_udacity import import_udacity
 
 __all__ = ["Imported", "Log", "LogError", "LogWriter", "Pictures", "RecordingError", "import_udacity"]
 
-# training reads logs where what writes them is not installed
+# training reads logs where what writes them is not installed; flags and errors need no NumPy
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "Imported": "recorder.sources.import_result",
+        "Log": "recorder.log.reader",
         "LogWriter": "recorder.log.writer",
+        "Pictures": "recorder.mcap.picture_places",
         "import_udacity": "recorder.sources.import_udacity",
     },
 )

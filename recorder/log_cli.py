@@ -35,7 +35,8 @@ class ShowInfo:
     logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to describe."""
     look: bool = False
-    """Also measure the lag of the steering, in up to 1,500 pictures."""
+    """Also measure the lag of the steering, in up to 1,500 pictures, if it is not known; it is kept next to the
+    log."""
     json: bool = False
     """Print one JSON object a log."""
 
@@ -59,7 +60,7 @@ class ShowInfo:
 @dataclass(frozen=True)
 class Check:
     """Check whole logs: CRCs, indexes, order, gaps, broken or frozen pictures, rows without one, stuck or
-    contradicting steering, values out of range. Exit code 3 if something is wrong."""
+    contradicting steering, values out of range; measure the steering's lag. Exit code 3 if something is wrong."""
 
     logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to check."""
@@ -82,11 +83,13 @@ class Check:
             gaps = {"meant_gaps": checked.meant_gaps, "pauses": checked.pauses}
             more = {"has_crcs": checked.has_crcs, **gaps, "findings": found}
             more |= {"odd": [asdict(each) for each in checked.odd]}
+            more |= {"lag": checked.lag and checked.lag.lag and asdict(checked.lag.lag)}
             print_result(json.dumps({**result, **more}))
         else:
-            print_checked(checked)
+            info = describe(path)
+            print_checked(checked, info.tags)
             remark_crcs(path, checked.has_crcs)
-            steps.append(step_of_check(describe(path), checked.odd, is_damaged=checked.is_damaged))
+            steps.append(step_of_check(info, checked.odd, is_damaged=checked.is_damaged))
         return DONE_BUT_SKIPPED if checked.findings else DONE
 
 
@@ -101,7 +104,7 @@ class Cameras:
         return _each(self.logs, self._one)
 
     def _one(self, path: Location) -> int:
-        from recorder.seen.side_cameras import (  # OpenCV
+        from recorder.upkeep.side_cameras import (  # OpenCV
             UDACITY_MPH,
             UDACITY_SPACING,
             side_cameras,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any, Final
 
 from rich.markup import escape
@@ -11,13 +12,16 @@ from rich.table import Table
 from common import Skipped
 from common.command import warn, warn_skipped
 from common.errors import counted, printable
-from common.location import location
+from common.location import Location, location
 from common.output import print_result, print_table
 from common.steering_unit import DEGREES, FULL_LOCK
+from recorder.log.known_lag import lag_path
 from recorder.log.session_car import is_angle_unknown
-from recorder.log.tags import Tag
-from recorder.rows.odd_stretches import odd_advice, odd_lines
-from recorder.rows.steering_report import steering_line
+from recorder.log.tagged_rows import TaggedRows
+from recorder.log.tags import EXCLUDE, Tag
+from recorder.rows.label_plan import NOT_MEASURED
+from recorder.rows.odd_stretches import OddStretch, odd_advice, odd_lines
+from recorder.rows.steering_report import lag_in_words, steering_line
 from recorder.topics import VEHICLE
 from recorder.upkeep.check import Checked
 from recorder.upkeep.check_contents import ODD_FINDINGS
@@ -47,7 +51,8 @@ def print_info(info: LogInfo) -> None:
     _print_drives(info)
     if info.steering is not None and info.steering.rows:
         unit = FULL_LOCK if is_angle_unknown(info.session) else DEGREES
-        print_table(f"  {steering_line(info.steering, info.lag, unit)}", f"  labels: {info.labels}")
+        measures = f"; `bc-log check {plain(info.path)}` measures it" * (NOT_MEASURED in info.labels)
+        print_table(f"  {steering_line(info.steering, info.lag, unit)}", f"  labels: {info.labels}{measures}")
     for topic_name, sizes in list(info.picture_sizes.items())[:MAX_LINES]:
         print_table(f"  pictures of several sizes on {plain(topic_name)}: {plain(sizes)}")
     _print_more(len(info.picture_sizes), "more topic")
@@ -61,7 +66,7 @@ def _print_more(count: int, noun: str, shown: int = MAX_LINES) -> None:
         print_table(f"    and {counted(count - shown, noun)} (--json lists them)")
 
 
-def print_checked(checked: Checked) -> None:
+def print_checked(checked: Checked, tags: Sequence[Tag]) -> None:
     decoded = f", {counted(checked.pictures, 'picture')} decoded" if checked.pictures else ""
     verdict = counted(len(checked.findings), "finding") if checked.findings else "nothing wrong"
     print_result(f"{checked.path}: {counted(checked.messages, 'message')}{decoded}: {verdict}")
@@ -71,7 +76,12 @@ def print_checked(checked: Checked) -> None:
             found.add(finding.kind, finding.where)
     for line in found.lines(MAX_PLACES):
         print_result(f"  {line}")
-    print_result(*(f"  {line}" for line in (*odd_lines(checked.odd), *odd_advice(checked.odd, checked.path))))
+    if checked.lag is not None:
+        words = lag_in_words(checked.lag.lag) if checked.lag.lag else "its pictures show no lag of the steering"
+        print_result(f"  {words}")
+        if not checked.is_lag_kept:
+            warn(f"{lag_path(checked.path)}: cannot be written; `bc-index --look` keeps the lag in the index")
+    print_result(*(f"  {line}" for line in _odd_lines(checked.odd, tags, checked.path)))
     meant = Skipped()
     for where in checked.meant_gaps:
         meant.add("gaps in time that its events explain, so nothing is lost", where)
@@ -102,8 +112,7 @@ def _print_drives(info: LogInfo) -> None:
             print_table("  no rows: nothing was driven")
     elif info.drives:
         print_table(f"  {counted(info.drives, 'drive')}; {'odd:' if info.odd else 'no odd rows'}")
-        odd = info.odd or ()
-        print_result(*(f"    {line}" for line in (*odd_lines(odd), *odd_advice(odd, location(info.path)))))
+        print_result(*(f"    {line}" for line in _odd_lines(info.odd or (), info.tags, location(info.path))))
     if info.meant_gaps:
         print_table(f"  {counted(len(info.meant_gaps), 'gap')} that its events explain, so nothing is lost there")
     gaps = [each for each in info.stretches if each.flag == "gap" and each.last_row not in info.meant_gaps]
@@ -113,6 +122,14 @@ def _print_drives(info: LogInfo) -> None:
             f"    gap: rows {gap.first_row} to {gap.last_row}, {gap.begin_s:.1f} to {gap.end_s:.1f} s{goes_back}"
         )
     _print_more(len(gaps), "more gap", MAX_PLACES)
+
+
+def _odd_lines(odd: Sequence[OddStretch], tags: Sequence[Tag], log: Location) -> list[str]:
+    """What is odd in a log, and what to do about it; what is excluded is counted."""
+    left = TaggedRows(tags, EXCLUDE).left(odd)
+    excluded = len(odd) - len(left)
+    lines = [f"{counted(excluded, 'odd stretch is', 'odd stretches are')} excluded"] if excluded else []
+    return [*odd_lines(left), *lines, *odd_advice(left, log)]
 
 
 def _has_rows(info: LogInfo) -> bool:

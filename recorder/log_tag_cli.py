@@ -14,8 +14,8 @@ from common.errors import UsageError, counted, did_you_mean
 from common.location import Location
 from common.output import ask, print_message, print_next, print_result
 from common.stretches import stretches
-from recorder.log.fine_rows import fine_rows
 from recorder.log.reader import Log
+from recorder.log.tagged_rows import fine_rows
 from recorder.log.tags import (
     EXCLUDE,
     Tag,
@@ -23,7 +23,7 @@ from recorder.log.tags import (
     check_name,
     names_used,
     read_tags,
-    remove_tag,
+    remove_tags,
     tags_by_content,
     tags_path,
 )
@@ -102,7 +102,7 @@ class NameRows:
             if self.look:
                 from recorder.seen.shown_stretches import with_pictures  # OpenCV
 
-                odd = with_pictures(log, odd)
+                odd = with_pictures(log, states, odd)
         if self.where is not None:
             edges = stretches(rows_where(states, self.where))
             chosen = [Tag(int(states.row[first]), int(states.row[last]), name) for first, last in edges]
@@ -165,8 +165,9 @@ class NameRows:
         if not self._is_confirmed(chosen):
             raise UserError("nothing was tagged")
         if self.remove:
-            for tag in sorted(set(chosen) & set(tags)):
-                remove_tag(self.log, fingerprint, tag)
+            removed = sorted(set(chosen) & set(tags))
+            remove_tags(self.log, fingerprint, removed)
+            for tag in removed:
                 print_message(f"removed {tag.name}: {rows_of(tag)}")
         else:
             add_tags(self.log, fingerprint, chosen)

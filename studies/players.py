@@ -33,7 +33,7 @@ from scripted_player import DEVICES, Device, Player, Supervisor
 
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
-from web.data.wheels import EPOCHS_MORE, quick_epochs
+from web.jobs.wheels import EPOCHS_MORE, quick_epochs
 
 RECORDED: Final = ("lake", "mountain")
 DRIVEN: Final = ("lake", "mountain", "random:1", "random:2", "random:3")

@@ -30,12 +30,12 @@ MAY_IMPORT = {
 FOLDERS: dict[str, list[str]] = {
     "common": [],
     "simulator": ["roads", "rendering", "driving", "protocol"],
-    "recorder": ["pictures", "mcap", "rows", "log", "seen", "upkeep", "server", "teleop", "lerobot", "sources"],
+    "recorder": ["pictures", "mcap", "rows", "seen", "log", "upkeep", "server", "teleop", "lerobot", "sources"],
     "dataset": ["frames", "samples", "index", "loader"],
     "model": ["network", "runs", "evaluation", "training"],
     "viz": ["playback", "live"],
     "drive": ["control", "log", "evaluation"],
-    "web": ["data", "server", "pages"],
+    "web": ["folders", "jobs", "processes", "logs", "index", "runs", "server", "pages"],
 }
 SOURCES = sorted(path for room in MAY_IMPORT for path in (ROOT / room).rglob("*.py"))
 MODULES = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in SOURCES}
@@ -266,3 +266,13 @@ def test_a_rooms_public_names_are_not_hidden_by_its_modules(room: str) -> None:
             importlib.import_module(f"{room}.{module}")
     for name in package.__all__:
         assert getattr(package, name).__module__.startswith(f"{room}.")
+
+
+def test_names_of_tests_have_fewer_than_70_characters() -> None:
+    names = [
+        node.name
+        for path in (ROOT / "tests").rglob("test_*.py")
+        for node in parsed(path).body
+        if isinstance(node, ast.FunctionDef)
+    ]
+    assert [name for name in names if len(name) >= 70] == []

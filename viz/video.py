@@ -22,7 +22,7 @@ from common.errors import counted
 from common.files import refuse_existing, write_remedy
 from common.progress import track
 from common.versions import install_line
-from dataset.preprocess import decode
+from dataset.preprocessing import decode
 from recorder import Log, LogError
 from recorder.rows.row_quality import GAP_S
 from recorder.topics import camera_topic

@@ -10,7 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from common.steering_unit import SteeringUnit, assumed_deg, steering_unit
-from dataset.preprocess import decode
+from dataset.preprocessing import decode
 from model.runs.worst_pictures import WORST_COUNT, WorstPictures
 from model.worst_moments import WorstFrame
 from viz.playback.blueprint import BLUE, ORANGE

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from common.car import Camera
 from recorder.log.tags import EXCLUDE
 from recorder.rows.row_quality import NOT_LEARNT, ROW_FLAGS, RowFlag, States, row_flags
+from recorder.rows.steering_habits import LagFinding
 
 PictureFlag = Literal["missing_picture", "broken_picture", "frozen_picture", "steering_against_pictures"]
 FrameFlag = RowFlag | PictureFlag
@@ -33,6 +34,7 @@ class ImageFindings:
     broken: Mapping[Camera, Stretches]  # positions among a camera's pictures (`Log.pictures`)
     frozen: Mapping[Camera, Stretches]
     against: Stretches | None = None  # positions of vehicle states; None in what earlier versions have found
+    lag: LagFinding | None = None  # of the steering; None where labels do not depend on it, and likewise
 
 
 @dataclass(frozen=True)

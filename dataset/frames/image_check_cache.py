@@ -30,8 +30,10 @@ from dataset.frames.frame_flags import ImageFindings, Position, Stretches
 from recorder import Log, LogError
 from recorder.mcap.message_index import UNCOMPRESSED
 from recorder.pictures.image_check import ImageCheck
-from recorder.rows.row_quality import STANDING_MPH
+from recorder.rows.row_quality import STANDING_MPH, States
+from recorder.rows.steering_habits import LagFinding
 from recorder.topics import camera_topic
+from recorder.upkeep.log_info import find_lag, lacks_lag
 
 IMAGE_CHECKS_FOLDER: Final = "looks"
 _MAX_BYTES: Final = 1 << 26
@@ -41,7 +43,8 @@ def check_images(
     log: Log, on_decoded: Callable[[int], object] = lambda count: None, threads: int | None = None
 ) -> ImageFindings:
     """Decode every camera picture of a log, on all cores or in so many `threads`, and with bounded memory; and
-    compare those of the centre camera with the steering.
+    compare those of the centre camera with the steering. The steering's lag is measured, and kept beside the log,
+    if it was not known.
 
     `on_decoded` is called with the number decoded since the last call. Raises LogError if the log is damaged.
     """
@@ -68,7 +71,8 @@ def check_images(
         check.decoded,
         {camera: tuple(consecutive(broken[topic])) for camera, topic in topics.items() if topic in broken},
         {camera: frozen[topic] for camera, topic in topics.items() if frozen.get(topic)},
-        tuple(stretches(against_pictures(log, lambda count: on_decoded(0)))),
+        tuple(stretches(against_pictures(log, States.of(log.vehicle()), lambda count: on_decoded(0)))),
+        find_lag(log),
     )
 
 
@@ -86,7 +90,7 @@ def check_all_images(
     for session, path in logs.items():
         with contextlib.suppress(*unreadable), Log(path) as log:
             found = read_image_check(index, session, log.fingerprint)
-            if found is None or found.against is None:
+            if found is None or found.against is None or (found.lag is None and lacks_lag(log)):
                 counts = log.counts
                 pictures[session] = sum(counts.get(camera_topic(camera), 0) for camera in CAMERAS)
     names, checked = list(pictures), []
@@ -126,12 +130,13 @@ class _Stored(msgspec.Struct):
     broken: dict[str, Stretches]
     frozen: dict[str, Stretches]
     against: Stretches | None = None
+    lag: LagFinding | None = None
 
 
 def write_image_check(index: Path, session: str, fingerprint: str, found: ImageFindings) -> None:
     """Keep what was found in the log with this fingerprint."""
     broken, frozen = (dict[str, Stretches](each.items()) for each in (found.broken, found.frozen))
-    stored = _Stored(1, fingerprint, found.pictures, broken, frozen, found.against)
+    stored = _Stored(1, fingerprint, found.pictures, broken, frozen, found.against, found.lag)
     write_findings(image_check_path(index, session), stored)
 
 
@@ -144,7 +149,7 @@ def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindin
     if stored.fingerprint != fingerprint or not all(map(_are_ascending, of_all)):
         return None
     broken, frozen = _of_our_cameras(stored.broken), _of_our_cameras(stored.frozen)
-    return ImageFindings(stored.pictures, broken, frozen, stored.against)
+    return ImageFindings(stored.pictures, broken, frozen, stored.against, stored.lag)
 
 
 def _of_our_cameras(stored: dict[str, Stretches]) -> dict[Camera, Stretches]:

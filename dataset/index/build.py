@@ -8,11 +8,12 @@ which can be read give.
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 import pyarrow as pa
@@ -20,6 +21,7 @@ import pyarrow.parquet as pq
 
 from common.allowed_places import folders_of, remember_places
 from common.car import MAX_STEERING_DEG
+from common.errors import counted
 from common.location import Location, location
 from common.progress import track
 from common.steering_unit import assumed_deg
@@ -76,9 +78,13 @@ from recorder.log.session_car import (
     metadata_of,
 )
 from recorder.mcap.mcap_file import WITHOUT_CRCS
+from recorder.rows.label_plan import NOT_MEASURED
 
 _Made = tuple[Balance, dict[str, SessionCounts], dict[str, SessionLabels]]
 """How samples are balanced; and of each session what becomes of its frames, and how it is learnt."""
+
+
+MAX_NAMES: Final = 8
 
 
 class _StaleStateError(Exception):
@@ -230,6 +236,7 @@ class _Build:
         sizes_px = {name: sorted(set(entry.sizes_px)) for name, entry in held.items()}
         remarks = [f"{by_name[name]}: {WITHOUT_CRCS}" for name, entry in held.items() if not entry.has_crcs]
         remarks += [_mixed(by_name[name], held[name]) for name in held if name in read and held[name].is_mixed]
+        remarks += _not_measured([by_name[name] for name in held if labels[name].plan.why == NOT_MEASURED])
         return Indexed(index, list(held), read, balance, counts, notices, remarks, labels, sizes_px)
 
     def _entries(self, state: BuildState, damaged: Mapping[str, str], stage: Path) -> dict[str, BuiltLog]:
@@ -272,14 +279,28 @@ def _mixed(log: Location, entry: BuiltLog) -> str:
     )
 
 
+def _not_measured(logs: Sequence[Location]) -> list[str]:
+    """A line if labels would go by a lag that nobody has measured: of which logs."""
+    if not logs:
+        return []
+    command = shlex.join(["bc-log", "check", *map(str, logs[:MAX_NAMES])])
+    more = f" (and {len(logs) - MAX_NAMES:,} more)" * (len(logs) > MAX_NAMES)
+    return [
+        f"the steering's lag was never measured in {counted(len(logs), 'session')} of presses: their"
+        f" labels take it to be in time. `{command}`{more} measures it, and the next `bc-index` goes by it"
+    ]
+
+
 def _about_log(log: Location, index: Path, entry: BuiltLog, views_car: Car | None) -> dict[str, Any]:
-    """What the samples' metadata has of a log: its place, its fingerprint, and its car, or that of its views."""
+    """What the samples' metadata has of a log: its place, fingerprint and foreign source, and its car, or that of
+    its views."""
     car = metadata_of(views_car).get(CAR_KEY, entry.car)
     return {
         "log": relative_log_path(log, index),
         "fingerprint": entry.fingerprint,
         **file_if_rewritten(entry.fingerprint, entry.file),
         **({"max_steering_deg": entry.max_steering_deg} if entry.max_steering_deg != MAX_STEERING_DEG else {}),
+        **({"source": entry.source} if entry.source else {}),
         **({CAR_KEY: json.loads(car)} if car else {}),
     }
 
@@ -293,8 +314,9 @@ def _up_to_date(
     divide_from_frames: int,
 ) -> _Made | None:
     """Balance, counts and labels from samples.parquet, if building it anew would give the same file."""
-    before = {name: entry.frames for name, entry in state.logs.items() if entry.fingerprint}
-    if {name: entry.frames for name, entry in held.items()} != before or stale_frames_files(set(held), index):
+    before = {name: (entry.frames, entry.lag) for name, entry in state.logs.items() if entry.fingerprint}
+    now = {name: (entry.frames, entry.lag) for name, entry in held.items()}
+    if now != before or stale_frames_files(set(held), index):
         return None
     samples = index / SAMPLES_NAME
     stored = read_metadata(samples) or {}
@@ -304,6 +326,8 @@ def _up_to_date(
     try:
         counts = {name: msgspec.convert(stored["counts"][name], SessionCounts) for name in held}
         labels = {name: msgspec.convert(stored["labels"][name], SessionLabels) for name in held}
+        if any(count.not_measured is None for count in counts.values()):
+            return None  # earlier versions measured by crashes
         if any(each.lag is not None and each.lag.margin_s is None for each in labels.values()):
             return None  # earlier versions went by lags that are not believed
         is_divided = sum(count.frames for count in counts.values()) >= divide_from_frames

@@ -21,17 +21,20 @@ from dataset.frames.frames_file import (
     relative_log_path,
 )
 from dataset.frames.frames_table import frames_table
+from dataset.frames.image_check_cache import read_image_check
 from dataset.index.build_state import FRAMES_FOLDER, BuildState, BuiltLog, Stats, sources_of, stat_of
 from dataset.index.sessions import name_problem
 from dataset.parquet_file import read_metadata, write_table
 from recorder import Log, LogError
 from recorder.errors import RecordingError
+from recorder.log.known_lag import kept_lag, lag_path, noted_lag
 from recorder.log.session_car import (
     CAR_KEY,
     UDACITY,
     Car,
     car_in,
     car_of,
+    foreign_source,
     known_max_steering_deg,
     metadata_of,
     named_car,
@@ -39,6 +42,7 @@ from recorder.log.session_car import (
 )
 from recorder.log.tags import read_tags
 from recorder.pictures.picture_size import width_and_height
+from recorder.rows.steering_habits import LagFinding
 from recorder.topics import QUALITY_METADATA, camera_topic
 from recorder.upkeep.log_info import driven_by, first_picture_sizes, set_speeds_mph
 
@@ -89,6 +93,7 @@ def _unchanged(
         entry.sources != sources_of(name, log, index, stats)
         or entry.frames is None
         or entry.frames != stat_of(file)
+        or entry.lag_file != stats(lag_path(log))
     ):
         return None
     if not entry.file:  # as an earlier version left it, to which a rewritten log was another one, without its tags
@@ -122,6 +127,7 @@ def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Pa
 
     Raises LogError for a log that is damaged, or whose name no index can hold.
     """
+    lag_file = stat_of(lag_path(path))
     sources = sources_of(name, path, index)  # before anything is read: what changes from now on will be noticed
     if problem := name_problem(path):
         raise LogError(problem)
@@ -140,9 +146,12 @@ def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Pa
             set_speeds_mph=set_speeds_mph(log),
             sizes_px=_sizes_px(log),
             max_steering_deg=known_max_steering_deg(log),
+            source=foreign_source(log),
             car=metadata_of(car).get(CAR_KEY, ""),
             implied_car=_implied_car(log) if car is None else "",
             has_several_sizes=_has_several_sizes(log),
+            lag=_lag(log, index, name, has_file=lag_file is not None),
+            lag_file=lag_file,
             is_mixed=isinstance(path, Url) and log.is_mixed,
         )
     file = index / FRAMES_FOLDER / f"{name}.parquet"
@@ -153,6 +162,14 @@ def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Pa
         new.unlink()
         return msgspec.structs.replace(entry, frames=stat_of(file))
     return msgspec.structs.replace(entry, frames=stat_of(new))
+
+
+def _lag(log: Log, index: Path, session: str, *, has_file: bool) -> LagFinding | None:
+    """The lag of a log's steering as it is known; no picture is looked at."""
+    found = noted_lag(log.read_metadata(QUALITY_METADATA)) or (kept_lag(log) if has_file else None)
+    if found is None and (images := read_image_check(index, session, log.fingerprint)) is not None:
+        return images.lag
+    return found
 
 
 def car_to_warp(path: Location, entry: BuiltLog) -> Car:

@@ -1,6 +1,7 @@
 """The steering habits of each session of an index, and the plan of its labels.
 
-A lag that was measured in pictures is kept in `index/lags/SESSION.json`, so that it is measured once.
+No picture is looked at. Where a log's lag is not known, one that an earlier version has measured and kept in
+`index/lags/SESSION.json` holds.
 """
 
 from __future__ import annotations
@@ -15,22 +16,21 @@ import numpy as np
 import pyarrow as pa
 
 from common.car import MAX_STEERING_DEG
-from common.location import Location, Url
+from common.location import Location
 from common.progress import track
 from common.steering_unit import assumed_deg
-from common.tasks import Tasks, in_threads, one_by_one
+from common.tasks import Tasks, one_by_one
 from dataset.config import IndexConfig
-from dataset.errors import SessionError, log_problem
-from dataset.findings_file import read_findings, write_findings
+from dataset.findings_file import read_findings
 from dataset.frames.distinct_rows import number_distinct
 from dataset.frames.frames_file import codes, read_frames
 from dataset.index.build_state import BuiltLog
 from dataset.samples.samples_format import SessionLabels
-from recorder import Log, LogError
+from recorder import Log
 from recorder.rows.devices import DEVICES, most_used_of
 from recorder.rows.label_plan import AS_RECORDED, goes_by_lag, plan_labels
 from recorder.rows.row_quality import States
-from recorder.rows.steering_habits import SteeringHabits, SteeringLag, steering_habits
+from recorder.rows.steering_habits import LagFinding, SteeringHabits, SteeringLag, steering_habits
 from recorder.topics import VEHICLE_COLUMNS
 from recorder.upkeep.log_info import set_speeds_mph
 
@@ -46,26 +46,15 @@ def labels_of_sessions(
     config: IndexConfig,
     tasks: Tasks = one_by_one,
 ) -> dict[str, SessionLabels]:
-    """The habits and label plan of each session, from its frames file, its log, and the log's entry. Pictures are
-    decoded only of sessions whose labels may depend on them. Raises SessionError for a log
-    whose pictures cannot be looked at, LogError or FramesError for a damaged file."""
+    """The habits and label plan of each session, from its frames file, its log, and the log's entry. Raises
+    LogError or FramesError for a damaged file."""
     names = list(frames)
     steered = tasks(
         habits_of_frames, [(frames[name], assumed_deg(built[name].max_steering_deg)) for name in names]
     )
     habits = {names[number]: found for number, found in track(steered, "looking at the steering", len(names))}
-    needs_lag = config.labels == "auto" and config.label_shift_s is None
-    lagging = [name for name in frames if needs_lag and goes_by_lag(habits[name], built[name].driven_by)]
-    lags = {name: _read_lag(index, name, built[name].fingerprint) for name in lagging}
-    missing = [name for name in lagging if lags[name] is None]
-    calls = [(logs[name], index, name, built[name].fingerprint) for name in missing]
-    if tasks is one_by_one and any(isinstance(logs[name], Url) for name in missing):
-        tasks = in_threads  # they wait for answers
-    measured = tasks(_measure, calls)
-    for number, lag in track(measured, "measuring the steering's lag", len(missing)):
-        if isinstance(lag, LogError):
-            raise SessionError(missing[number], lag)
-        lags[missing[number]] = lag
+    lagging = [name for name in frames if goes_by_lag(habits[name], built[name].driven_by)]
+    lags = {name: built[name].lag or _read_lag(index, name, built[name].fingerprint) for name in lagging}
     return {
         name: replace(
             _labels(config, habits[name], lags.get(name), built[name].driven_by),
@@ -82,14 +71,13 @@ def _set_speeds_mph(log: Location, built: BuiltLog) -> tuple[float, ...]:
         return set_speeds_mph(opened)
 
 
-def _labels(config: IndexConfig, habits: SteeringHabits, known: _Stored | None, driver: str) -> SessionLabels:
-    lag = known.lag if known else None
-    plan = AS_RECORDED if config.labels == "as-recorded" else plan_labels(habits, lag, driver)
+def _labels(config: IndexConfig, habits: SteeringHabits, found: LagFinding | None, driver: str) -> SessionLabels:
+    plan = AS_RECORDED if config.labels == "as-recorded" else plan_labels(habits, found, driver)
     if config.label_smooth_s is not None:
         plan = replace(plan, smooth_s=config.label_smooth_s, why=AS_RECORDED.why)
     if config.label_shift_s is not None:
         plan = replace(plan, shift_s=config.label_shift_s, why=AS_RECORDED.why)
-    return SessionLabels(habits, lag, plan)
+    return SessionLabels(habits, found.lag if found else None, plan)
 
 
 def habits_of_frames(file: Path, max_steering_deg: float = MAX_STEERING_DEG) -> SteeringHabits:
@@ -111,24 +99,7 @@ class _Stored(msgspec.Struct):
     lag: SteeringLag | None
 
 
-def _measure(path: Location, index: Path, session: str, fingerprint: str) -> _Stored | LogError:
-    """Measure the lag of a session in its pictures, and keep it; or why it cannot be measured."""
-    from recorder.seen.steering_lag import measure_lag  # OpenCV
-
-    try:
-        with Log(path) as log:
-            measured = _Stored(2, fingerprint, measure_lag(log))
-    except Exception as error:
-        return log_problem(path, error)
-    write_findings(_path(index, session), measured)
-    return measured
-
-
-def _read_lag(index: Path, session: str, fingerprint: str) -> _Stored | None:
+def _read_lag(index: Path, session: str, fingerprint: str) -> LagFinding | None:
     """The lag measured in the log with this fingerprint; None if none was, or the file is damaged."""
-    stored = read_findings(_path(index, session), _Stored, _MAX_BYTES)
-    return stored if stored is not None and stored.fingerprint == fingerprint else None
-
-
-def _path(index: Path, session: str) -> Path:
-    return index / LAGS_FOLDER / f"{session}.json"
+    stored = read_findings(index / LAGS_FOLDER / f"{session}.json", _Stored, _MAX_BYTES)
+    return LagFinding(stored.lag) if stored is not None and stored.fingerprint == fingerprint else None

@@ -14,7 +14,7 @@ from dataset.frames.frames_file import session_name
 from dataset.frames.pairing import paired_rows
 from dataset.loader.crops import UNDECODED
 from dataset.picture_spec import ORIGINAL, PictureSpec
-from dataset.preprocess import Image, crop_of, decode
+from dataset.preprocessing import Image, crop_of, decode
 from dataset.recorded_line import DrivableStretch, stretches_to_drive
 from dataset.viewpoint import Viewpoint
 from recorder import Log, LogError

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dataset.errors import UnusablePictureError
 from dataset.picture_spec import PictureSpec
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 
 _JOBS: Final = 4  # for each thread of a part: small enough that none waits long for the others' last one
 

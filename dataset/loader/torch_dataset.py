@@ -21,7 +21,7 @@ from common.location import Location, absolute, location
 from dataset.loader.crops import Crops
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from dataset.samples.samples_reader import Samples, Split, open_logs
 
 

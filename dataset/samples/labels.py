@@ -14,12 +14,13 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from common.car import SPEED_RANGE_MPH
 from dataset.frames.distinct_rows import number_distinct
 from dataset.frames.drivers import DRIVERS
 from dataset.frames.frame_flags import is_excluded, is_not_driving, is_unusable
 from dataset.frames.frames_file import SPLITS, codes
 from recorder.rows.label_plan import LabelPlan
-from recorder.rows.row_quality import GAP_S, SPEED_RANGE_MPH
+from recorder.rows.row_quality import GAP_S
 
 _ONE: Final = 1 << 40
 """A steering of 1 as an integer: sums of integers are exact, no rounding carries over from stretch to stretch."""
@@ -33,7 +34,7 @@ Times = NDArray[np.int64]
 
 def planned_labels(frames: pa.Table, plan: LabelPlan) -> tuple[Steering, NDArray[np.bool_]]:
     """The steering to be learnt of each of a session's frames (N,), as `labels_of` gives it, and a mask of those
-    that are left out of training: of crashes, of driving backwards, and of a parked car.
+    that are left out: of crashes, of driving backwards, and of a parked car.
 
     No label depends on another driver's steering, on the other side of the split, on frames that cannot be used or
     are tagged `exclude`, or are left out so.

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from drive.config import DriveConfig
 from drive.control.braking import WALKING_MPH, EmergencyBrake
 from drive.control.course_events import CourseEvents

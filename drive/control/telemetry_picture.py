@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from dataset import decode
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from recorder.pictures.picture_size import pixels
 from recorder.server.telemetry import TelemetryError, check_whole_picture
 

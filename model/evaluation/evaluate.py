@@ -26,7 +26,7 @@ from dataset.frames.crash_frames import in_crashes
 from dataset.index.sessions import by_session_name
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, steering_in
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from dataset.samples.samples_reader import Split
 from model.evaluation.predict import BATCH, predict_crops
 from model.metrics import Errors, Measures, errors, measure
@@ -90,14 +90,23 @@ class Evaluation:
 
     @cached_property
     def crashes(self) -> int:
-        """The number of frames in crashes: the steering there is no answer to the road."""
+        """The number of frames in crashes and the like: the steering there is no answer to the road."""
         return int(pc.sum(self.frames["crash"]).as_py() or 0)
 
     @cached_property
+    def driving(self) -> Evaluation:
+        """The same of all other frames, by which a network is judged; itself where crashes have none, or all."""
+        others = self.frames.filter(pc.invert(self.frames["crash"]))
+        return replace(self, frames=others) if self._is_mixed else self
+
+    @property
+    def _is_mixed(self) -> bool:
+        return 0 < self.crashes < len(self.frames)
+
+    @property
     def without_crashes(self) -> Measures | None:
         """The measures of all other frames; None where that are all of them, or none."""
-        others = self.frames.filter(pc.invert(self.frames["crash"]))
-        return self._measure(others) if 0 < len(others) < len(self.frames) else None
+        return self.driving.measures if self._is_mixed else None
 
     @cached_property
     def as_learnt(self) -> Errors:
@@ -124,8 +133,7 @@ class Evaluation:
     def as_dict(self) -> dict[str, Any]:
         """For JSON, in the words of metrics.jsonl; a measure that does not exist (NaN) is None."""
         found = _as_dict(self.measures)
-        for name in ("zero", "mean"):
-            found[name]["balanced_rmse_deg"] = self.balanced_rmse_deg[name]
+        found["zero"]["balanced_rmse_deg"] = self.balanced_rmse_deg["zero"]
         return {
             "run": run_name(self.run),
             "learnt": self.trained_on,
@@ -313,7 +321,7 @@ def _as_dict(measures: Measures) -> dict[str, Any]:
         "frames": measures.frames,
         "network": without_nan(asdict(measures.network)),
         "zero": without_nan(asdict(measures.zero)),
-        "mean": without_nan(asdict(measures.mean)),
+        "mean": without_nan({**asdict(measures.mean), "balanced_rmse_deg": measures.mean_balanced_rmse_deg}),
         "balanced_rmse_deg": measures.balanced_rmse_deg,
         "bins": [asdict(part) for part in measures.bins],
     }

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from common.memory_allocator import keep_freed_memory
 from dataset import Loader
 from dataset.picture_spec import PictureSpec
-from dataset.preprocess import Image, as_bgr
+from dataset.preprocessing import Image, as_bgr
 from model.errors import RunError
 from model.network.picture_network import PictureNetwork
 from model.network.visual_backprop import visual_backprop

@@ -17,7 +17,7 @@ from dataset.errors import DatasetError
 from dataset.loader.log_crops import LogCrops
 from dataset.picture_spec import metadata_of
 from dataset.prediction_targets import steering_in
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from model.errors import RunError
 from model.evaluation.log_predictions import LogPredictions
 from model.evaluation.predict import BATCH, predict_crops

@@ -25,7 +25,7 @@ from common.progress import progress_bar
 from dataset.errors import DatasetError
 from dataset.loader.log_views import LogViews
 from dataset.picture_spec import ORIGINAL, PictureSpec
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from dataset.recorded_line import SHORTEST_S, SLOW_MPH, CarBesideLine, DrivableStretch
 from model.errors import RunError
 

@@ -18,11 +18,11 @@ from common.steering_unit import assumed_deg
 from dataset import MAX_STEERING_DEG
 from dataset.frames.split import block_numbers
 from dataset.prediction_targets import TARGETS, TargetName
-from dataset.steering_bins import bin_of
+from dataset.steering_bins import BINS, bin_of
 from model.evaluation.block_bootstrap import Floats
 from model.evaluation.differences import CONFIDENCE, Difference, Measure, compare_sums, overall
 from model.evaluation.evaluate import Evaluation, target_columns
-from model.metrics import BINS, TURNING
+from model.metrics import TURNING
 from model.runs.run_folder import run_name
 
 BLOCK_S: Final = 5.0  # measured: what one second has to do with another is gone after 2 to 5 s

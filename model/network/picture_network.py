@@ -40,7 +40,7 @@ class PictureNetwork(nn.Module):
         raise NotImplementedError
 
     def forward(self, pictures: Tensor) -> Tensor:
-        learnt = targets_of(self.answers(scaled(pictures).to(self.input_dtype)), len(pictures), self.outputs)
+        learnt = targets_of(self.answers(scaled(pictures).to(self.input_dtype)), pictures.shape[0], self.outputs)
         if self.natural is None:
             return learnt
         if self.outputs == 1:

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from common.car import MAX_STEERING_DEG
 from dataset.prediction_targets import TARGET_NAMES
-from dataset.preprocess import decode, may_be_crop
+from dataset.preprocessing import decode, may_be_crop
 from model.metrics import BinErrors, Errors, Measures
 from model.runs.answer_scale import AnswerScale
 from model.runs.training_progress import Epoch, Step

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from common.steering_unit import assumed_deg
 from dataset import MAX_STEERING_DEG, Loader
-from dataset.preprocess import Image, as_bgr
+from dataset.preprocessing import Image, as_bgr
 from model.worst_moments import WorstFrame, worst_frames
 
 WORST_FILE: Final = "worst.jsonl"

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.car import Camera
-from recorder.log.reader import Log, Pictures
+from recorder.log.reader import Log
 from recorder.log.tags import EXCLUDE, read_tags
+from recorder.mcap.picture_places import Pictures
 from recorder.rows.row_quality import States, drive_numbers, row_flags
 from recorder.topics import camera_topic
 

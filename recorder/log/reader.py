@@ -32,7 +32,13 @@ from recorder.mcap.fetched_chunks import FetchedChunks
 from recorder.mcap.mcap_file import CHUNK_HEADER, Chunk, McapFile, has_crc_in, stored_message
 from recorder.mcap.message_index import LAST_TIME_NS, UNCOMPRESSED, Read, index_messages
 from recorder.mcap.number_fields import decode_numbers
-from recorder.mcap.picture_places import is_about_places, is_of_pictures, read_chunk_crcs, read_places
+from recorder.mcap.picture_places import (
+    Pictures,
+    is_about_places,
+    is_of_pictures,
+    read_chunk_crcs,
+    read_places,
+)
 from recorder.mcap.salvage import salvage
 from recorder.mcap.scan import read_structure
 from recorder.topics import camera_topic, prediction_topic
@@ -58,17 +64,6 @@ class Message:
     offset: int  # from the start of the file, or within `chunk` unpacked
     length: int
     chunk: int = UNCOMPRESSED  # where in the file the compressed chunk begins that holds it
-
-
-@dataclass(frozen=True)
-class Pictures:
-    """Places in a log of the pictures of one topic; arrays of one length, in the order of writing."""
-
-    sequence: NDArray[np.int64]
-    log_time_ns: NDArray[np.int64]
-    offset: NDArray[np.int64]  # of the JPEG or PNG itself, as in Message
-    length: NDArray[np.int64]  # bytes
-    chunk: NDArray[np.int64]  # as in Message
 
 
 class Log(Closeable):

@@ -214,6 +214,14 @@ def is_angle_unknown(session: Mapping[str, str]) -> bool:
     return CAR_KEY not in session and session.get("log_source", session.get("source")) in _OF_UNKNOWN_CARS
 
 
+def foreign_source(log: Log) -> str:
+    """The source of a log of others' data, such as a tub; of a merged one, if all of its logs have it. Else
+    empty."""
+    found = {session.get("log_source", session.get("source", "")) for session in _sessions(log)}
+    source = found.pop() if len(found) == 1 else ""
+    return source if source in _OF_UNKNOWN_CARS else ""
+
+
 def car_of(log: Log, car: str = "auto") -> Car:
     """The car that a log is of, or the one that `car` names (see `named_car`).
 

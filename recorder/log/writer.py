@@ -30,15 +30,18 @@ from common.versions import version_of
 from recorder import topics
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.errors import LogError
+from recorder.log.known_lag import lag_note
 from recorder.log.meant_gaps import NotRecorded
 from recorder.log.session_car import UDACITY, car_in
+from recorder.log.written_pictures import WrittenPictures
 from recorder.mcap.compressed_image import image_data, is_image_channel
 from recorder.mcap.copied_channels import CopiedChannels
 from recorder.mcap.split_chunks import SplitChunks
 from recorder.pictures.picture_size import PNG_START, PictureSizes, SizeReader
+from recorder.rows.label_plan import goes_by_lag, machine_of
 from recorder.rows.odd_stretches import odd_summary
-from recorder.rows.row_quality import StatesWritten, summary
-from recorder.rows.steering_habits import steering_habits
+from recorder.rows.row_quality import States, StatesWritten, summary
+from recorder.rows.steering_habits import LagFinding, SteeringHabits, steering_habits
 from recorder.topics import (
     CAMERA_TOPICS,
     COMPRESSED_IMAGE,
@@ -49,6 +52,7 @@ from recorder.topics import (
     prediction_topic,
 )
 
+_CENTER: Final = camera_topic("center")
 FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush can come late, and the disk takes its time
 
 EventLevel = Literal["INFO", "WARNING", "ERROR"]
@@ -104,7 +108,10 @@ class LogWriter:
         self._max_steering_deg = UDACITY.max_steering_deg
         self.same_as = ""
         """Fingerprint of the log that this one holds the content of, at other places; empty if of none."""
+        self._session = metadata
         self._is_split = metadata is not None
+        self._center_channels = set[int]()
+        self._has_commands = False
         self._states = StatesWritten()
         self._not_recorded = NotRecorded()
         self._sizes = PictureSizes()
@@ -193,7 +200,11 @@ class LogWriter:
         elif channel.topic == topics.EVENTS and schema is not None and schema.name == LOG_MESSAGE.name:
             with contextlib.suppress(DecodeError):
                 self._not_recorded.add(message.log_time, LogMessage.FromString(message.data).message)
+        elif channel.topic == topics.PILOT_COMMAND:
+            self._has_commands = True
         elif is_picture and channel.topic in CAMERA_TOPICS:
+            if channel.topic == _CENTER:
+                self._center_channels.add(self._copied_channels.number_of(schema, channel))
             at, length = image_data(message.data, 0, len(message.data))
             if at >= 0:
                 size = self._size_reader.width_and_height(message.data[at : at + length])
@@ -257,13 +268,29 @@ class LogWriter:
             states = self._states.states()
             habits = steering_habits(states, self._max_steering_deg, self._states.device)
             steering = json.dumps(asdict(habits), allow_nan=False)
+            lag = self._measured_lag(states, habits)
             rows = summary(states) | odd_summary(states) | self._not_recorded.summary(states)
-            self.add_metadata(topics.QUALITY_METADATA, rows | {"steering": steering} | sizes)
+            self.add_metadata(topics.QUALITY_METADATA, rows | {"steering": steering} | lag | sizes)
         if self.same_as:
             self._to_disk(self._chunks.flush)
             about = {"fingerprint": self.same_as, "chunks": self._chunks.content_digest}
             self.add_metadata(topics.REWRITTEN_METADATA, about)
         self._to_disk(self._finish)
+
+    def _measured_lag(self, states: States, habits: SteeringHabits) -> dict[str, str]:
+        """The lag as a log notes it, measured when all is written: which pictures are looked at depends on all
+        rows, and the page cache still has them."""
+        session = self._session or {}
+        if not self._is_split or not goes_by_lag(habits, machine_of(session, has_commands=self._has_commands)):
+            return {}
+        self._to_disk(self._chunks.flush)  # whatever happens from here on, nothing of what was recorded is lost
+        self._to_disk(self._stream.flush)
+        with contextlib.suppress(Exception):  # of OpenCV, for pictures of strangers: it is then not measured
+            from recorder.seen.steering_lag import measure_lag
+
+            with WrittenPictures(self.part, self._chunks.pictures(self._center_channels)) as pictures:
+                return lag_note(LagFinding(measure_lag(pictures, states)))
+        return {}
 
     def publish(self) -> None:
         """Give the finished log its name. Raises what `close` does."""
@@ -334,7 +361,11 @@ class LogWriter:
         name = message.DESCRIPTOR.full_name
         if name not in self._schemas:
             self._schemas[name] = register_schema(self._chunks.mcap, message)
-        return self._chunks.mcap.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
+        number = self._chunks.mcap.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
+        if topic == _CENTER:
+            self._center_channels.add(number)
+        self._has_commands |= topic == topics.PILOT_COMMAND
+        return number
 
     def _finish(self) -> None:
         self._chunks.finish()

@@ -8,6 +8,7 @@ this file: another program that writes a log anew copies attachments as they are
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -51,6 +52,17 @@ Attached = tuple[int, int, str, str, bytes]
 """Create time, log time, name, media type, content."""
 
 
+@dataclass(frozen=True)
+class Pictures:
+    """Places in a log of the pictures of one topic; arrays of one length, in the order of writing."""
+
+    sequence: NDArray[np.int64]
+    log_time_ns: NDArray[np.int64]
+    offset: NDArray[np.int64]  # of the JPEG or PNG itself, from the start of the file, or within `chunk` unpacked
+    length: NDArray[np.int64]  # bytes
+    chunk: NDArray[np.int64]  # where in the file the compressed chunk begins that holds it; else UNCOMPRESSED
+
+
 class PlacesWritten:
     """Collects where the pictures of a file lie while it is written: 34 bytes a picture."""
 
@@ -67,6 +79,19 @@ class PlacesWritten:
         self._places += places_in(record, len(self._chunks), self.channels)
         self.count = len(self._places) // _PLACE.size
         self._chunks.append((start, crc))
+
+    def pictures(self, channels: set[int]) -> Pictures:
+        """Those on some channels that were not taken yet."""
+        places = np.frombuffer(bytes(self._places), PLACE)
+        places = places[np.isin(places["channel"], list(channels)) & (places["picture"] != NO_PICTURE)]
+        starts = np.array([start for start, _ in self._chunks], np.int64)
+        return Pictures(
+            places["sequence"].astype(np.int64),
+            places["log_time_ns"].astype(np.int64),
+            starts[places["chunk"]] + RECORDS_AT + places["picture"],
+            places["picture_length"].astype(np.int64),
+            np.full(len(places), UNCOMPRESSED, np.int64),
+        )
 
     def take_pictures(self) -> Attached:
         """The attachment about the pictures that were not taken yet."""

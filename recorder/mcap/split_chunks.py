@@ -11,7 +11,7 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
 from recorder.mcap.mcap_file import CHUNK_HEADER, MESSAGE
-from recorder.mcap.picture_places import PLACES_AT_ONCE, PlacesWritten
+from recorder.mcap.picture_places import PLACES_AT_ONCE, Pictures, PlacesWritten
 
 CHUNK_BYTES: Final = 256 * 1024
 ROWS_CHUNK_BYTES: Final = 32 * 1024
@@ -85,6 +85,10 @@ class SplitChunks:
                 number_of, log_time_ns, data, publish_time_ns, sequence = self._waiting.popleft()
                 self._mcap.add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
             self._mcap.flush()  # type: ignore[no-untyped-call]
+
+    def pictures(self, channels: set[int]) -> Pictures:
+        """The pictures on some channels in the chunks until now; of millions, the last."""
+        return self._stream.places.pictures(channels)
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         self._mcap.add_metadata(name, values)

@@ -7,11 +7,12 @@ asked for.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
 from recorder.rows.devices import Device
-from recorder.rows.steering_habits import SteeringHabits, SteeringLag
+from recorder.rows.steering_habits import LagFinding, SteeringHabits, SteeringLag
 
 SMOOTH_S: Final = 0.5
 """A press lasts 0.2 to 1 s and pauses are as long: half a second holds one, and is shorter than any bend."""
@@ -50,11 +51,14 @@ class LabelPlan:
 
 
 AS_RECORDED: Final = LabelPlan(0.0, 0.0, False, "asked for")
+NOT_MEASURED: Final = "lag not measured"
+"""Why presses are taken to be in time, as those of all recordings that were measured are."""
 
 
-def plan_labels(habits: SteeringHabits, lag: SteeringLag | None, driven_by: str = "") -> LabelPlan:
-    """The plan of a session; `driven_by` names the machine that drove it, if one did. The device that a person
-    steered with goes before it: in a drive of both, the person's rows are those to learn."""
+def plan_labels(habits: SteeringHabits, found: LagFinding | None, driven_by: str = "") -> LabelPlan:
+    """The plan of a session; `found` is None where its lag was never measured. `driven_by` names the machine that
+    drove it, if one did. The device that a person steered with goes before it: in a drive of both, the person's
+    rows are those to learn."""
     if habits.device:
         is_late = habits.device in LATE_DEVICES and (habits.rate_hz or 0.0) >= MIN_HZ
         return LabelPlan(SMOOTH_S * is_late, REACTION_S * is_late, True, habits.device)
@@ -62,11 +66,12 @@ def plan_labels(habits: SteeringHabits, lag: SteeringLag | None, driven_by: str 
         return LabelPlan(0.0, 0.0, False, f"driven by {driven_by}")
     if habits.kind not in ("steps", "smooth"):
         return LabelPlan(0.0, 0.0, True, _WHY[habits.kind])
+    lag = found.lag if found else None
     if lag is not None and lag.correlation < 0:
         return LabelPlan(0.0, 0.0, True, "the pictures turn the other way: is left right?")
     if habits.kind == "smooth":
         return LabelPlan(0.0, 0.0, True, "smooth" + _of_smooth(lag))
-    late_s, why = _late(lag)
+    late_s, why = _late(lag) if found else (0.0, NOT_MEASURED)
     if (habits.rate_hz or 0.0) < MIN_HZ:
         return LabelPlan(0.0, late_s, True, why or "too few rows a second to smooth")
     return LabelPlan(SMOOTH_S, round(REACTION_S + late_s, 2), True, why)
@@ -98,6 +103,16 @@ def _late(lag: SteeringLag | None) -> tuple[float, str]:
 def goes_by_lag(habits: SteeringHabits, driven_by: str) -> bool:
     """True if `plan_labels` goes by the lag, which takes pictures to measure."""
     return not habits.device and not driven_by and habits.kind in ("steps", "smooth")
+
+
+def machine_of(session: Mapping[str, str], *, has_commands: bool) -> str:
+    """The machine that drove a session, by the metadata of its log, and whether a driver's commands are in it: its
+    hand is smooth and in time. Empty for people, and if it is unknown."""
+    if has_commands:
+        return "a network"
+    if session.get("source") == "gymnasium":
+        return "an expert"  # an environment's actions are some program's
+    return "the built-in expert" if session.get("driver") == "expert" else ""
 
 
 _WHY: Final = {

@@ -69,7 +69,7 @@ class OddStretch:
     @property
     def is_learnt(self) -> bool:
         """False for what `bc-index` leaves out of training by itself."""
-        return not self.is_sure or self.is_shown or self.kind not in NOT_LEARNT
+        return not self.is_sure or self.is_shown or self.kind not in (*NOT_LEARNT, "out_of_range")
 
     @property
     def rows(self) -> int:
@@ -218,7 +218,7 @@ def exclude_command(odd: Sequence[OddStretch], log: Location) -> str:
 def odd_advice(odd: Sequence[OddStretch], log: Location) -> list[str]:
     """What becomes of what is odd in a log, and what to do about it; nothing where nothing is."""
     lines, place = [], shlex.quote(str(log))
-    if any(not each.is_learnt for each in odd):
+    if any(not each.is_learnt and each.kind in NOT_LEARNT for each in odd):
         lines.append("crashes, driving backwards and parked cars are not learnt by default, if a person drove")
     if any(each.is_sure for each in odd):
         lines.append(f"`{exclude_command(odd, log)}` excludes all that is sure")

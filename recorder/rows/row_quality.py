@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from common.car import SPEED_RANGE_MPH
 from common.stretches import stretches, stretches_within
 from recorder.rows.crashes import crashed_rows, manoeuvring_rows
 from recorder.rows.devices import RowDevice, most_used
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 GAP_S: Final = 1.0
 APART_S: Final = 1000.0  # more than any time over which rows are compared
 STANDING_MPH: Final = 0.5
-SPEED_RANGE_MPH: Final = (-30.0, 300.0)
-"""No car reverses faster, and no simulator's that anybody drives goes faster; the real simulator's reaches 30."""
 STUCK_S: Final = 3.0
 STUCK_AT_ZERO_S: Final = 30.0
 MAX_STRETCHES: Final = 100  # listed in a log's summary of its rows; the counts are of all

@@ -83,6 +83,13 @@ class SteeringLag:
     margin_s: float | None = None  # it is surely so near to that; None in what earlier versions have written
 
 
+@dataclass(frozen=True)
+class LagFinding:
+    """What a measurement of the lag has found."""
+
+    lag: SteeringLag | None  # None: the pictures do not show it
+
+
 def habits_from(text: str) -> SteeringHabits | None:
     """The habits in a log's note of itself, from JSON; None for any other text, which strangers may write."""
     return json_as(text, SteeringHabits)

@@ -46,8 +46,12 @@ def steering_line(habits: SteeringHabits, lag: SteeringLag | None, unit: Steerin
         f"ceiling {' / '.join(_formatted(ceiling, '{:.2f}') for ceiling in habits.ceiling)}",
     ]
     if lag is not None:
-        parts.append(f"lag {_lag_words(lag)} s (correlation {lag.correlation:.2f})")
+        parts.append(lag_in_words(lag))
     return "; ".join(parts)
+
+
+def lag_in_words(lag: SteeringLag) -> str:
+    return f"lag {_lag_words(lag)} s (correlation {lag.correlation:.2f})"
 
 
 def _lag_words(lag: SteeringLag) -> str:

@@ -6,14 +6,15 @@ one picture to the next is the car's yaw, whatever steering the log has.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from recorder.errors import LogError
-from recorder.log.reader import Log
+from recorder.mcap.message_index import UNCOMPRESSED
+from recorder.mcap.picture_places import Pictures
 from recorder.pictures.decoding import decode_picture
 from recorder.pictures.scaling import scaled_to_width
 from recorder.rows.row_quality import States, Values
@@ -53,10 +54,18 @@ def rows_apart(states: States, time_s: Values, most: int | None = None) -> NDArr
     return chosen
 
 
+class PictureLog(Protocol):
+    """What has the pictures: a `Log`, or a log that is being written."""
+
+    def pictures(self, topic: str) -> Pictures: ...
+
+    def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes: ...
+
+
 class CenterPictures:
     """The centre camera's pictures, by the positions of their rows."""
 
-    def __init__(self, log: Log, states: States) -> None:
+    def __init__(self, log: PictureLog, states: States) -> None:
         self._log = log
         found = log.pictures(camera_topic("center"))
         places = zip(*(each.tolist() for each in (found.offset, found.length, found.chunk)), strict=True)
@@ -83,7 +92,7 @@ class CenterPictures:
 class FarField:
     """The far field of the centre camera's pictures."""
 
-    def __init__(self, log: Log, states: States) -> None:
+    def __init__(self, log: PictureLog, states: States) -> None:
         self._pictures = CenterPictures(log, states)
         self._last: tuple[int, Picture | None] = (-1, None)
 

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from common.progress import progress_bar
 from common.stretches import stretches
-from recorder.log.reader import Log
 from recorder.rows.odd_stretches import OddStretch, stretch_of
 from recorder.rows.row_quality import STANDING_MPH, States, Values, elapsed_s
-from recorder.seen.far_field import WIDTH_PX, CenterPictures, FarField, rows_apart
+from recorder.seen.far_field import WIDTH_PX, CenterPictures, FarField, PictureLog, rows_apart
 from recorder.seen.picture_growth import SHOWN as SHOWN_GROWTH
 from recorder.seen.picture_growth import growth
 from recorder.seen.steering_against_pictures import against_pictures
@@ -32,13 +31,11 @@ _STILL: Final = 0.5
 """Of the session's spread of turning: a car that is steered alike turns alike."""
 
 
-def with_pictures(log: Log, odd: Sequence[OddStretch]) -> list[OddStretch]:
-    """The odd stretches of a log's rows, and those that its centre camera's pictures show; all are decoded. Raises
-    LogError for a log whose rows cannot be read."""
-    states = States.of(log.vehicle())
+def with_pictures(log: PictureLog, states: States, odd: Sequence[OddStretch]) -> list[OddStretch]:
+    """The odd stretches of a log's rows, and those that its centre camera's pictures show; all are decoded."""
     with progress_bar() as bar:
         task = bar.add_task("comparing steering with pictures", total=len(states.row), note="")
-        against = against_pictures(log, partial(bar.advance, task))
+        against = against_pictures(log, states, partial(bar.advance, task))
     why = "the pictures turn the other way"
     found = [
         replace(stretch_of(states, first, last, "steering_against_pictures", why, is_sure=True), is_shown=True)
@@ -69,7 +66,7 @@ def _by_growth(each: OddStretch, grown: float) -> OddStretch | None:
 
 
 def _direction(
-    log: Log, states: States, time_s: Values, odd: Sequence[OddStretch]
+    log: PictureLog, states: States, time_s: Values, odd: Sequence[OddStretch]
 ) -> Callable[[int, int], float] | None:
     """The growth between two rows; None where the session's pictures do not show that it drives forwards."""
     pictures = CenterPictures(log, states)
@@ -88,7 +85,7 @@ def _direction(
     return partial(growth, pictures, states, time_s)
 
 
-def _turning(log: Log, states: States, time_s: Values) -> Callable[[int, int], float] | None:
+def _turning(log: PictureLog, states: States, time_s: Values) -> Callable[[int, int], float] | None:
     """The spread of the car's turning between two rows, as the pictures show it, as a share of the session's;
     None where they do not."""
     shown = FarField(log, states)

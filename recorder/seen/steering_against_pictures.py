@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.stretches import stretches
-from recorder.log.reader import Log
 from recorder.rows.row_quality import States, Values, elapsed_s
-from recorder.seen.far_field import WIDTH_PX, FarField, rows_apart
+from recorder.seen.far_field import WIDTH_PX, FarField, PictureLog, rows_apart
 
 _WINDOW_S: Final = 5.0  # in less, a person who corrects the steering on a straight looks like it
 _MIN_PAIRS: Final = 15  # in a window
@@ -34,14 +33,15 @@ _USUAL: Final = 0.35
 the whole, as `recorder.seen.steering_lag` takes it: a sixth of wrong labels would spoil it."""
 
 
-def against_pictures(log: Log, on_pairs: Callable[[int], object] = lambda count: None) -> NDArray[np.bool_]:
+def against_pictures(
+    log: PictureLog, states: States, on_pairs: Callable[[int], object] = lambda count: None
+) -> NDArray[np.bool_]:
     """The rows (N,) of the log whose steering contradicts its pictures; none where the pictures as a whole do not
     show how the car turned.
 
     Decodes the centre camera's pictures, a second of one core for four thousand rows; `on_pairs` is called with
-    the pairs done since the last call. Raises LogError for a log whose rows cannot be read.
+    the pairs done since the last call.
     """
-    states = States.of(log.vehicle())
     found = np.zeros(len(states.row), np.bool_)
     time_s = elapsed_s(states.time_ns)
     is_sound = np.abs(states.steering) <= 1  # False for NaN too

@@ -15,10 +15,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.log.reader import Log
 from recorder.rows.row_quality import States, Values, elapsed_s
 from recorder.rows.steering_habits import SteeringLag
-from recorder.seen.far_field import WIDTH_PX, FarField, rows_apart
+from recorder.seen.far_field import WIDTH_PX, FarField, PictureLog, rows_apart
 
 MAX_PICTURES: Final = 1500
 """That are decoded, of however long a session: half a second of one core."""
@@ -33,11 +32,10 @@ _RESAMPLINGS: Final = 200
 _SURE: Final = 0.95
 
 
-def measure_lag(log: Log) -> SteeringLag | None:
-    """Measure in the centre camera's pictures; None if they do not show it: too few of them from a moving car, too
-    far apart, or nothing in them that moves with the steering. Raises LogError for a log whose rows cannot be
-    read; a picture that cannot is passed over."""
-    states = States.of(log.vehicle())
+def measure_lag(log: PictureLog, states: States) -> SteeringLag | None:
+    """Measure in the centre camera's pictures of these rows; None if they do not show it: too few of them from a
+    moving car, too far apart, or nothing in them that moves with the steering. A picture that cannot be read is
+    passed over."""
     states = states.part(np.abs(states.steering) <= 1)  # False for NaN too
     time_s = elapsed_s(states.time_ns)
     pairs = rows_apart(states, time_s, MAX_PICTURES)

@@ -11,14 +11,17 @@ from pathlib import Path
 from common.location import Location
 from common.progress import track
 from recorder.errors import LogError
-from recorder.log.fine_rows import fine_rows
 from recorder.log.reader import Log
+from recorder.log.tagged_rows import fine_rows
 from recorder.mcap.mcap_file import McapFile
 from recorder.mcap.scan import read_structure
 from recorder.rows.odd_stretches import OddStretch
+from recorder.rows.row_quality import States
+from recorder.rows.steering_habits import LagFinding
 from recorder.topics import VEHICLE, camera_topic
 from recorder.upkeep.check_contents import GAPS, Contents, Finding, odd_findings
 from recorder.upkeep.check_structure import sound_chunks
+from recorder.upkeep.log_info import find_lag, lacks_lag
 
 
 def is_whole(path: Location) -> bool:
@@ -47,6 +50,8 @@ class Checked:
     has_crcs: bool  # other programs may do without: damage is then not noticed
     meant_gaps: list[str]  # gaps in time that its events explain; no findings
     pauses: list[str]  # of a recorder that people switch off and on; no findings
+    lag: LagFinding | None  # of the steering, known or measured; None: not looked for
+    is_lag_kept: bool  # in the log or beside it
     odd: list[OddStretch]  # not tagged fine; also those that may be meant and are no findings
 
 
@@ -55,8 +60,8 @@ def check(path: Location, *, look: bool = True) -> Checked:
 
     Structure: every CRC, the indexes and counts against what is there. Meaning: rows out of order, pictures that
     do not decode, frozen ones, rows without a picture and pictures without a row, gaps, stuck steering, values out
-    of range; with `look`, of a log on this machine, also steering that contradicts the pictures. Raises LogError
-    if it is no MCAP file.
+    of range; with `look`, of a log on this machine, also steering that contradicts the pictures. With `look`, the
+    steering's lag is measured and kept beside the log, if it was not known. Raises LogError if it is no MCAP file.
     """
     damage: list[Finding] = []
     findings: list[Finding] = []
@@ -73,12 +78,17 @@ def check(path: Location, *, look: bool = True) -> Checked:
         has_crcs = file.have_crcs(structure.chunks)
     has_rows = contents.counts[VEHICLE] and contents.counts[camera_topic("center")]
     odd = contents.odd
+    lag, is_lag_kept = None, False
+    if look and has_rows:
+        with contextlib.suppress(LogError), Log(path) as log:
+            lag = find_lag(log)
+            is_lag_kept = not lacks_lag(log)
     if look and has_rows and isinstance(path, Path):
         from recorder.seen.shown_stretches import with_pictures  # OpenCV
-        from recorder.seen.side_cameras import are_swapped
+        from recorder.upkeep.side_cameras import are_swapped
 
         with contextlib.suppress(LogError), Log(path) as log:
-            odd = with_pictures(log, odd)
+            odd = with_pictures(log, States.of(log.vehicle()), odd)
             if are_swapped(log):
                 left_out = "`bc-index --cameras center` leaves them out"
                 findings.append(Finding("side cameras that are swapped", f"left and right; {left_out}"))
@@ -94,6 +104,8 @@ def check(path: Location, *, look: bool = True) -> Checked:
         has_crcs,
         contents.meant_gaps,
         [finding.where for finding in pauses],
+        lag,
+        is_lag_kept,
         odd,
     )
 

@@ -14,17 +14,18 @@ from typing import Any, overload
 from common.location import Location, Url
 from common.untrusted_json import json_as
 from recorder import topics
-from recorder.log.fine_rows import FineRows
+from recorder.log.known_lag import keep_lag, kept_lag, known_lag, noted_lag
 from recorder.log.meant_gaps import NotRecorded, meant_rows
 from recorder.log.reader import Log
 from recorder.log.row_devices import device_numbers
 from recorder.log.session_car import max_steering_deg_of
+from recorder.log.tagged_rows import TaggedRows
 from recorder.log.tags import Tag, tags_by_content
 from recorder.rows.devices import most_used_of
-from recorder.rows.label_plan import goes_by_lag, plan_labels
+from recorder.rows.label_plan import goes_by_lag, machine_of, plan_labels
 from recorder.rows.odd_stretches import OddStretch, odd_in, odd_stretches, odd_summary
 from recorder.rows.row_quality import ROW_FLAGS, States, summary
-from recorder.rows.steering_habits import SteeringHabits, SteeringLag, habits_from, steering_habits
+from recorder.rows.steering_habits import LagFinding, SteeringHabits, SteeringLag, habits_from, steering_habits
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,7 @@ class LogInfo:
     odd: list[OddStretch] | None  # not tagged fine, the first of them; None: its rows were not measured
     steering: SteeringHabits | None  # None: its rows were not measured, or it has none
     lag: SteeringLag | None  # of the steering; None: not measured, or not to be found in its pictures
+    lacks_lag: bool  # labels depend on it, and it was never measured
     labels: str  # what an index makes of its steering, as far as is known; empty if nothing is
     picture_sizes: dict[str, str]  # of each topic whose pictures are of several sizes: which, and how many
     tags: list[Tag]
@@ -120,9 +122,12 @@ def logs_in(folder: Location) -> list[Path] | list[Url]:
     return sorted((*folder.glob("*.mcap"), *folder.glob("*.mcap.*.part")))
 
 
-def describe(place: Location | Log, *, look: bool = False, with_tags: bool = True) -> LogInfo:
-    """Describe a log by its place, or one that is open; `look` measures the steering's lag in some pictures, too.
-    Raises LogError if the log cannot be read or, `with_tags`, its tags."""
+def describe(
+    place: Location | Log, *, look: bool = False, with_tags: bool = True, with_kept_lag: bool = True
+) -> LogInfo:
+    """Describe a log by its place, or one that is open; `look` measures the steering's lag in some pictures if
+    nobody has yet. `with_tags`, `with_kept_lag`: with what is kept beside the log. Raises LogError if the log
+    cannot be read or, `with_tags`, its tags; StoreError."""
     with contextlib.nullcontext(place) if isinstance(place, Log) else Log(place) as log:
         first_ns, last_ns = log.time_range_ns
         duration_s = (last_ns - first_ns) / 1e9
@@ -134,11 +139,10 @@ def describe(place: Location | Log, *, look: bool = False, with_tags: bool = Tru
         rate_s = duration_s if driven_s is None else driven_s
         tags = sorted(by_content.get(fingerprint, ()))
         odd = _odd(log, quality)
-        steering, lag = _steering(log, quality), None
-        if look and steering and goes_by_lag(steering, driven_by(log)):
-            from recorder.seen.steering_lag import measure_lag  # OpenCV
-
-            lag = measure_lag(log)
+        steering, found = _steering(log, quality), noted_lag(quality)
+        goes_by = steering is not None and goes_by_lag(steering, driven_by(log))
+        if found is None and goes_by:
+            found = (kept_lag(log) if with_kept_lag else None) or (_measured(log) if look else None)
         return LogInfo(
             path=str(log.path),
             size_bytes=log.size,
@@ -153,10 +157,11 @@ def describe(place: Location | Log, *, look: bool = False, with_tags: bool = Tru
             drives=_count(quality.get("drives")) if quality else None,
             flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS} if quality else None,
             stretches=_stretches(quality.get("stretches", "")),
-            odd=FineRows(tags).left(odd) if odd is not None else None,
+            odd=TaggedRows(tags).left(odd) if odd is not None else None,
             steering=steering,
-            lag=lag,
-            labels=str(plan_labels(steering, lag, driven_by(log))) if steering else "",
+            lag=found.lag if found else None,
+            lacks_lag=found is None and goes_by,
+            labels=str(plan_labels(steering, found, driven_by(log))) if steering else "",
             picture_sizes=_texts(quality.get("picture_sizes", "")),
             tags=tags,
             stale_tags=sum(len(tags) for content, tags in by_content.items() if content != fingerprint),
@@ -179,13 +184,32 @@ def _start(log: Log, first_ns: int) -> str:
 
 
 def driven_by(log: Log) -> str:
-    """The machine that drove a session, by its log: its hand is smooth and in time. Empty for people, and if it is
-    unknown."""
-    if log.counts.get(topics.PILOT_COMMAND):
-        return "a network"
-    if log.metadata.get("source") == "gymnasium":
-        return "an expert"  # an environment's actions are some program's
-    return "the built-in expert" if log.metadata.get("driver") == "expert" else ""
+    """The machine that drove a session, as `machine_of` gives it."""
+    return machine_of(log.metadata, has_commands=bool(log.counts.get(topics.PILOT_COMMAND)))
+
+
+def find_lag(log: Log) -> LagFinding | None:
+    """The lag of a log's steering, measured in its pictures and kept beside it if it was not known; None where
+    labels do not depend on it. Raises LogError for rows that cannot be read, and StoreError."""
+    return known_lag(log) or (_measured(log) if _goes_by_lag(log) else None)
+
+
+def lacks_lag(log: Log) -> bool:
+    """Whether labels of a log depend on the lag of its steering, which nobody has measured."""
+    return known_lag(log) is None and _goes_by_lag(log)
+
+
+def _goes_by_lag(log: Log) -> bool:
+    steering = _steering(log, _quality(log))
+    return steering is not None and goes_by_lag(steering, driven_by(log))
+
+
+def _measured(log: Log) -> LagFinding:
+    from recorder.seen.steering_lag import measure_lag  # OpenCV
+
+    found = LagFinding(measure_lag(log, States.of(log.vehicle())))
+    keep_lag(log, found)
+    return found
 
 
 def set_speeds_mph(log: Log) -> tuple[float, ...]:

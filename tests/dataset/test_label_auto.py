@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from bucket import Bucket
+from bytes_read import count_bytes, note_reads
 from common.stored_settings import settings_from
 from dataset import IndexConfig, Indexed, Samples, build_index
 from dataset.cli import main
 from dataset.index.build_state import stat_of
+from dataset.index.not_learnt import not_learnt_in
 from logs import write_log
-from panorama import hand, views, write_drive
+from mcap_patch import without_lag
+from panorama import hand, of_size, pressed, views, write_drive
 from recorder import Log
 from recorder.log.tags import Tag, add_tag
+from recorder.log_cli import main as bc_log
 from udacity import call
 
 ROWS = 650  # of 65 s
@@ -74,11 +81,6 @@ def test_seconds_that_are_given_hold_for_every_session(tmp_path: Path) -> None:
     ]
 
 
-def pressed(at_s: np.ndarray) -> np.ndarray:
-    """The hand that the pictures show, where it turns enough: else the wheel is let go."""
-    return np.where(np.abs(hand(at_s)) < 0.15, 0.0, hand(at_s))
-
-
 @pytest.mark.parametrize("late_s", [0.3, -0.7])
 def test_a_smooth_hand_is_learnt_as_recorded_whatever_pictures_show(late_s: float, tmp_path: Path) -> None:
     log = write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: hand(at_s - late_s))
@@ -106,15 +108,20 @@ def test_an_index_that_went_by_a_lag_of_unknown_margin_is_built_anew(tmp_path: P
     samples, stored = index.samples, metadata(index)
     del stored["labels"]["a"]["lag"]["margin_s"]
     stored["labels"]["a"]["plan"]["shift_s"] = 0.4
+    replace_samples(index, samples, stored)
+    assert metadata(indexed(tmp_path, log))["labels"]["a"]["plan"]["shift_s"] == 0
+
+
+def replace_samples(index: Indexed, samples: pa.Table, stored: dict[str, Any]) -> None:
+    """As the version that wrote them would have left the index."""
     file = index.path / "samples.parquet"
     pq.write_table(samples.replace_schema_metadata({b"bc.index": json.dumps(stored).encode()}), file)
     state = json.loads((index.path / "state.json").read_text())
     state["samples"] = list(stat_of(file) or ())
     (index.path / "state.json").write_text(json.dumps(state))
-    assert metadata(indexed(tmp_path, log))["labels"]["a"]["plan"]["shift_s"] == 0
 
 
-def test_the_built_in_expert_is_learnt_as_recorded_whatever_it_did_and_no_picture_is_looked_at(
+def test_the_built_in_expert_is_learnt_as_recorded_without_pictures(
     tmp_path: Path,
 ) -> None:
     """Its pictures would say that it is late; and no rows are left out."""
@@ -123,24 +130,91 @@ def test_the_built_in_expert_is_learnt_as_recorded_whatever_it_did_and_no_pictur
     automatic = indexed(tmp_path, log)
     stored = metadata(automatic)
     assert stored["labels"]["a"]["lag"] is None
-    assert not (tmp_path / "index" / "lags").exists()
     as_recorded = indexed(tmp_path, log, labels="as-recorded")
     assert automatic.samples.equals(as_recorded.samples)
     assert metadata(as_recorded)["balance"] == stored["balance"]
 
 
-def test_pictures_are_looked_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    log = write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: pressed(at_s - 0.3))
-    first = metadata(indexed(tmp_path, log))["labels"]
+@pytest.mark.parametrize("is_old", [False, True])
+def test_the_index_reads_a_hundredth_of_a_log_and_no_picture(
+    is_old: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = write_drive(tmp_path / "a.mcap", of_size(views(ROWS), 15_000), lambda at_s: pressed(at_s - 0.3))
+    if is_old:
+        without_lag(log)
+    with Log(log) as opened:
+        images = {number for number, channel in opened.channels.items() if channel.topic.startswith("/camera/")}
+        pictures = [(chunk.start, chunk.end) for chunk in opened.chunks if (chunk.channels or set()) & images]
+    read = note_reads(monkeypatch)
+    plan = metadata(indexed(tmp_path, log))["labels"]["a"]["plan"]
+    assert plan["shift_s"] == pytest.approx(0.2 if is_old else 0.6, abs=0.051)
+    assert 0 < count_bytes(read) < 0.03 * log.stat().st_size
+    assert not [one for one in read if any(start < one[1] and one[0] < end for start, end in pictures)]
+
+
+def test_the_index_of_a_bucket_moves_a_hundredth_of_its_logs(bucket: Bucket) -> None:
+    new, old = (
+        write_drive(bucket.folder / f"{name}.mcap", of_size(views(ROWS), 15_000), pressed, start_s=start_s)
+        for name, start_s in (("new", 0), ("old", 1000))
+    )
+    size = new.stat().st_size + without_lag(old).stat().st_size
+    settings = ("--sessions", bucket.url(), "--index", "index")
+    assert call(main, *settings) == 0
+    assert 0 < bucket.bytes_sent < 0.03 * size
+    assert call(bc_log, "check", bucket.url("old.mcap")) == 0
+    before = bucket.bytes_sent
+    assert call(main, *settings) == 0  # goes by what is kept in the bucket
+    assert bucket.bytes_sent - before < 0.03 * size
+    labels = json.loads(pq.read_schema("index/samples.parquet").metadata[b"bc.index"])["labels"]
+    assert [labels[name]["lag"]["lag_s"] for name in ("new", "old")] == pytest.approx([0, 0], abs=0.051)
+
+
+def test_a_lag_that_is_measured_later_is_gone_by(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "sessions"
+    folder.mkdir()
+    log = without_lag(write_drive(folder / "a.mcap", views(ROWS), lambda at_s: pressed(at_s - 0.3)))
+    settings = ("--sessions", folder, "--index", tmp_path / "index")
+    assert call(main, *settings) == 0
+    out, said = (" ".join(each.split()) for each in capsys.readouterr())
+    assert "lag not measured" in out
+    assert f"`bc-log check {log}`" in said
+    assert call(bc_log, "check", log) == 0
+    capsys.readouterr()
+    assert call(main, *settings) == 0
+    out, said = (" ".join(each.split()) for each in capsys.readouterr())
+    assert "is 0.4 s late" in out
+    assert "bc-log check" not in said
+
+
+@pytest.mark.parametrize("is_kept_beside", [True, False])
+def test_a_look_at_all_pictures_measures_the_lag(is_kept_beside: bool, tmp_path: Path) -> None:
+    """Where nothing can be written beside the log, the index keeps it."""
+    folder = tmp_path / "sessions"
+    folder.mkdir()
+    log = without_lag(write_drive(folder / "a.mcap", views(ROWS), lambda at_s: pressed(at_s - 0.3)))
+    if not is_kept_beside:
+        (folder / "a.lag.json").mkdir()
+    assert call(main, "--sessions", folder, "--index", tmp_path / "index", "--look") == 0
+    assert (folder / "a.lag.json").is_file() == is_kept_beside
+    stored = json.loads(pq.read_schema(tmp_path / "index" / "samples.parquet").metadata[b"bc.index"])
+    assert stored["labels"]["a"]["plan"]["shift_s"] == pytest.approx(0.6, abs=0.051)
+    assert log.stat().st_size
+
+
+def test_an_index_keeps_the_lag_that_an_earlier_version_has_measured(tmp_path: Path) -> None:
+    log = without_lag(write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: pressed(at_s - 0.3)))
+    with Log(log) as opened:
+        lag = {"lag_s": 0.3, "correlation": 0.9, "pictures": 650, "margin_s": 0.05}
+        stored = {"format": 2, "fingerprint": opened.fingerprint, "lag": lag}
     kept = tmp_path / "index" / "lags" / "a.json"
-    stored = json.loads(kept.read_text())
-    stored["lag"]["lag_s"] = 0.45  # what is kept is believed, for the log that it was measured in
+    kept.parent.mkdir(parents=True)
     kept.write_text(json.dumps(stored))
-    again = metadata(indexed(tmp_path, log, seed=7))["labels"]
-    assert (first["a"]["plan"]["shift_s"], again["a"]["plan"]["shift_s"]) == (pytest.approx(0.6, abs=0.051), 0.75)
+    plan = metadata(indexed(tmp_path, log))["labels"]["a"]["plan"]
+    assert (plan["shift_s"], plan["why"]) == (0.6, "steering is 0.4 s late")
     for damaged in ("{", json.dumps(stored | {"fingerprint": "another"}), json.dumps(stored | {"lag": 3})):
         kept.write_text(damaged)
-        assert metadata(indexed(tmp_path, log, seed=len(damaged)))["labels"] == first
+        plan = metadata(indexed(tmp_path, log, seed=len(damaged)))["labels"]["a"]["plan"]
+        assert (plan["shift_s"], plan["why"]) == (0.2, "lag not measured")
 
 
 def crashing(at_s: np.ndarray) -> np.ndarray:
@@ -148,7 +222,7 @@ def crashing(at_s: np.ndarray) -> np.ndarray:
     return np.asarray(np.where((at_s % 20 >= 10) & (at_s % 20 < 14) & (at_s > 29), 0.2, 25.0))
 
 
-def test_crashes_are_not_learnt_but_measured_and_no_label_depends_on_them(tmp_path: Path) -> None:
+def test_crashes_are_neither_learnt_nor_held_out_and_no_label_depends_on_them(tmp_path: Path) -> None:
     at_the_wall = lambda at_s: np.where(crashing(at_s) < 1, 1.0, keys(at_s))  # noqa: E731
     log = write_drive(tmp_path / "a.mcap", NO_PICTURES, at_the_wall, crashing)
     crash = {*range(300, 340), *range(500, 540)}
@@ -163,10 +237,11 @@ def test_crashes_are_not_learnt_but_measured_and_no_label_depends_on_them(tmp_pa
     }  # a second before it, and a turned wheel
     assert {*range(291, 300), *range(491, 500)} <= about <= {*range(290, 370), *range(490, 570)} - crash
     samples = {row["row"]: row for row in learnt.samples.to_pylist()}
-    assert not {row for row in crash | about if split[row] == "train"} & samples.keys()
-    assert {row for row in crash if split[row] == "validation" and row + 2 in crash} <= samples.keys()
-    assert max(abs(row["label"]) for row in samples.values() if row["row"] not in crash) <= 0.6 + 1e-9
-    assert learnt.counts["a"].not_driven == sum(split[row] == "train" for row in crash | about)
+    assert not (crash | about) & samples.keys()
+    assert max(abs(row["label"]) for row in samples.values()) <= 0.6 + 1e-9
+    sides = Counter(split[row] for row in crash | about)
+    assert learnt.counts["a"].not_driven == sides["train"] + sides["validation"]
+    assert learnt.counts["a"].not_measured == sides["validation"] > 0
     everything = indexed(tmp_path, log, validation_share=0.5, seed=1, labels="as-recorded")
     assert {row["row"] for row in everything.samples.to_pylist()} == set(range(ROWS))
     assert everything.counts["a"].not_driven == 0
@@ -189,6 +264,23 @@ def test_an_index_of_an_earlier_version_is_read_as_recorded_and_rebuilt(tmp_path
     assert build_index([log], tmp_path / "again", config).samples.equals(before)
     assert not indexed(tmp_path, log).samples.equals(before)
     assert metadata(index)["settings"]["labels"] == "auto"
+
+
+def test_an_index_that_held_out_crashes_is_read_and_made_anew(tmp_path: Path) -> None:
+    log = write_drive(tmp_path / "a.mcap", NO_PICTURES, keys, crashing)
+    index = indexed(tmp_path, log)
+    stored, now = metadata(index), index.samples
+    assert not_learnt_in(index.path)[0].startswith("neither learnt nor held out: a (")
+    del stored["counts"]["a"]["not_measured"]
+    replace_samples(index, now.slice(1), stored)
+    with Samples(index.path) as samples:
+        assert len(samples.table) == len(now) - 1
+    (line,) = not_learnt_in(index.path)
+    assert line.endswith("`bc-index` leaves these out")
+    assert indexed(tmp_path, log).samples.equals(now)
+    stored["labels"]["a"]["plan"]["without_crashes"] = False  # an expert's: nothing was to be left out
+    replace_samples(index, now, stored)
+    assert not_learnt_in(index.path)[0].startswith("neither learnt nor held out: a (")
 
 
 # What is said of it

@@ -14,7 +14,7 @@ from common.car import CAMERAS, Camera
 from dataset import Batch, DatasetError, IndexConfig, Loader, Samples, build_index, decode, preprocess
 from dataset.augment import alter, blur, brightness, shadow
 from dataset.picture_spec import PictureSpec
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from logs import write_log
 from udacity import jpeg
 

@@ -35,21 +35,41 @@ def views(rows: int) -> list[bytes]:
     return [cv2.imencode(".jpg", picture)[1].tobytes() for picture in shown]
 
 
+def pressed(at_s: Seconds) -> Seconds:
+    """The hand that the pictures show, where it turns enough: else the wheel is let go."""
+    return np.where(np.abs(hand(at_s)) < 0.15, 0.0, hand(at_s))
+
+
+def of_size(pictures: list[bytes], size: int) -> list[bytes]:
+    """The same JPEGs with a comment, so that each has as many bytes as those of a car's camera."""
+    comments = [size - len(picture) - 4 for picture in pictures]
+    return [
+        picture[:2] + b"\xff\xfe" + (count + 2).to_bytes(2) + bytes(count) + picture[2:]
+        for picture, count in zip(pictures, comments, strict=True)
+    ]
+
+
 def write_drive(
     path: Path,
     pictures: list[bytes],
     wheel: Callable[[Seconds], Seconds] = hand,
     speed_mph: Callable[[Seconds], Seconds] | float = 15.0,
+    *,
+    live: bool = False,
+    start_s: int = 0,
+    device: VehicleState.Device = VehicleState.UNKNOWN,
     **about: str,
 ) -> Path:
     """A log of these pictures in which the wheel is noted to have stood so; `about` is its metadata."""
     at_s = np.arange(len(pictures)) / RATE_HZ
     steering = wheel(at_s)
     speed = speed_mph(at_s) if callable(speed_mph) else np.full(len(at_s), speed_mph)
-    with LogWriter(path, {"source": "test", **about}) as writer:
+    with LogWriter(path, {"source": "test", **about}, live=live) as writer:
         for row, picture in enumerate(pictures):
-            time_ns = START_NS + round(row * 1e9 / RATE_HZ)
-            state = VehicleState(steering=float(steering[row]), throttle=0.5, speed_mph=float(speed[row]))
+            time_ns = START_NS + start_s * 1_000_000_000 + round(row * 1e9 / RATE_HZ)
+            state = VehicleState(
+                steering=float(steering[row]), throttle=0.5, speed_mph=float(speed[row]), device=device
+            )
             writer.picture("center", time_ns, row, picture)
             writer.vehicle(time_ns, row, state)
     return path

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from dataset import decode
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from driving import Process, road_jpeg, untrained_run
 from model import Pilot, load_pilot
 from model.network.original import SteeringNetwork

@@ -204,7 +204,7 @@ def test_the_same_holds_for_compressed_logs(tmp_path: Path, compression: Compres
 
 
 @pytest.mark.parametrize("every", [5, pytest.param(1, marks=pytest.mark.long)])
-def test_a_killed_recording_of_which_any_byte_is_broken_loses_one_chunk_at_most(whole: Path, every: int) -> None:
+def test_a_killed_recording_with_any_broken_byte_loses_one_chunk(whole: Path, every: int) -> None:
     """Without an end that tells where the chunks are, those behind the damage are searched for.
 
     A topic is described in the chunk of its first message, and nobody knows what follows on it without that.

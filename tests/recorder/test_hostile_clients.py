@@ -101,9 +101,7 @@ def test_clients_that_leave_before_their_answer_leave_no_open_file(monkeypatch: 
             gc.enable()
 
 
-def test_more_connections_than_are_served_are_told_and_their_places_come_free(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_connections_beyond_the_limit_are_refused_and_places_come_free(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threaded_host, "MAX_CONNECTIONS", 4)
     with Serving(Book()) as serving, ExitStack() as crowd:
         for _ in range(8):
@@ -128,7 +126,7 @@ def test_who_begins_to_poll_and_never_comes_back_does_not_fill_the_memory(monkey
 # Those who do not read
 
 
-def test_a_client_that_does_not_read_its_answers_keeps_nobody_else_waiting() -> None:
+def test_a_client_that_reads_no_answers_delays_nobody() -> None:
     book = Book()
     with Serving(book) as serving:
         deaf = RawClient(serving.port)
@@ -239,7 +237,7 @@ def driving(log: Path, pilot_run: Path) -> Iterator[DriveServer]:
             running.result(PATIENCE_S)
 
 
-def test_malformed_telemetries_are_answered_and_the_good_ones_in_between_driven(tmp_path: Path) -> None:
+def test_malformed_telemetries_are_answered_and_good_ones_driven(tmp_path: Path) -> None:
     run = untrained_run(tmp_path / "run")
     log = tmp_path / "run.mcap"
     chance = random.Random(11)

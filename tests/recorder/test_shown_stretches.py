@@ -52,7 +52,7 @@ def judged(path: Path) -> tuple[list[OddStretch], list[OddStretch]]:
     """By the numbers alone, and by the pictures."""
     with Log(path) as log:
         odd = odd_stretches(States.of(log.vehicle()))
-        return odd, with_pictures(log, odd)
+        return odd, with_pictures(log, States.of(log.vehicle()), odd)
 
 
 def test_pictures_that_shrink_show_that_a_car_rolls_backwards(
@@ -84,7 +84,7 @@ def test_pictures_that_are_flat_leave_it_open(tmp_path: Path, monkeypatch: pytes
     assert shown == odd
 
 
-def test_steering_that_never_changes_while_the_pictures_turn_is_surely_wrong(tmp_path: Path) -> None:
+def test_steering_that_never_changes_while_pictures_turn_is_wrong(tmp_path: Path) -> None:
     def wheel(at_s: np.ndarray) -> np.ndarray:
         return np.asarray(np.where((at_s >= 20) & (at_s < 28), 0.2, hand(at_s)))
 

@@ -16,6 +16,7 @@ from dataset.index.quality_report import find_flagged_frames
 from panorama import RATE_HZ, Seconds, hand, views, write_drive
 from recorder import Log
 from recorder.log_cli import main as bc_log
+from recorder.rows.row_quality import States
 from recorder.seen.steering_against_pictures import against_pictures
 from udacity import call
 
@@ -25,7 +26,7 @@ WRONG_S = (20.0, 32.0)
 
 def found_in(path: Path) -> list[tuple[int, int]]:
     with Log(path) as log:
-        return stretches(against_pictures(log))
+        return stretches(against_pictures(log, States.of(log.vehicle())))
 
 
 def wrong_for_a_while(other: Callable[[Seconds], Seconds]) -> Callable[[Seconds], Seconds]:

@@ -18,7 +18,7 @@ from logs import START_NS, write_log
 from recorder.log_cli import main
 from recorder.rows.label_plan import plan_labels
 from recorder.rows.row_quality import States
-from recorder.rows.steering_habits import SteeringHabits, SteeringLag, steering_habits
+from recorder.rows.steering_habits import LagFinding, SteeringHabits, SteeringLag, steering_habits
 from udacity import call
 
 
@@ -66,13 +66,20 @@ def test_a_hand_at_the_wheel_is_smooth() -> None:
 def test_a_hand_is_in_time_only_if_pictures_have_told() -> None:
     habits = steering_habits(rows_of(hand(100)))
     assert plan_labels(habits, None).why == "smooth"
-    assert plan_labels(habits, SteeringLag(-0.1, 0.9, 400)).why == "smooth and in time"
+    assert plan_labels(habits, LagFinding(SteeringLag(-0.1, 0.9, 400))).why == "smooth and in time"
+
+
+def test_presses_whose_lag_nobody_has_measured_are_in_time_and_say_so() -> None:
+    habits = steering_habits(rows_of(keys(100)))
+    unknown, none = plan_labels(habits, None), plan_labels(habits, LagFinding(None))
+    assert (unknown.smooth_s, unknown.shift_s, unknown.why) == (0.5, 0.2, "lag not measured")
+    assert (none.smooth_s, none.shift_s, none.why) == (0.5, 0.2, "")
 
 
 @pytest.mark.parametrize("lag_s", [-0.5, -0.1, 0.3, 0.95])
 def test_a_smooth_driver_is_learnt_as_recorded_whatever_the_lag(lag_s: float) -> None:
     """An expert of another simulator was measured to be 0.5 s early, and turned in the same step by its poses."""
-    plan = plan_labels(steering_habits(rows_of(hand(100))), SteeringLag(lag_s, 0.9, 400, 0.05))
+    plan = plan_labels(steering_habits(rows_of(hand(100))), LagFinding(SteeringLag(lag_s, 0.9, 400, 0.05)))
     assert (plan.smooth_s, plan.shift_s) == (0, 0)
 
 
@@ -89,12 +96,12 @@ def test_a_smooth_driver_is_learnt_as_recorded_whatever_the_lag(lag_s: float) ->
 def test_presses_are_shifted_by_a_lag_that_is_sure_and_can_be(
     lag_s: float, margin_s: float, late_s: float, why: str
 ) -> None:
-    plan = plan_labels(steering_habits(rows_of(keys(100))), SteeringLag(lag_s, 0.9, 400, margin_s))
+    plan = plan_labels(steering_habits(rows_of(keys(100))), LagFinding(SteeringLag(lag_s, 0.9, 400, margin_s)))
     assert plan.shift_s == pytest.approx(0.2 + late_s)
     assert why in plan.why
 
 
-def test_the_ceiling_is_the_correlation_with_the_neighbours_of_the_same_drive() -> None:
+def test_the_ceiling_is_the_correlation_with_neighbours_of_a_drive() -> None:
     """Beside one that is computed row by row; one row is alone."""
     steering = np.random.default_rng(0).uniform(-1, 1, 200).cumsum() % 1
     time_s = np.sort(np.random.default_rng(1).uniform(0, 25, 200))
@@ -132,7 +139,7 @@ ODD: dict[str, tuple[Callable[[], States], str, str]] = {
 def test_a_session_that_tells_nothing_is_named_and_learnt_as_recorded(name: str) -> None:
     make, kind, why = ODD[name]
     habits = steering_habits(make())
-    plan = plan_labels(habits, None)
+    plan = plan_labels(habits, LagFinding(None))
     assert (habits.kind, plan.smooth_s, plan.shift_s) == (kind, 0, 0)
     assert why in plan.why
     json.dumps(asdict(habits), allow_nan=False)

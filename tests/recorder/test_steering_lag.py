@@ -10,6 +10,7 @@ import pytest
 
 from panorama import RATE_HZ, Seconds, hand, views, write_drive
 from recorder import Log
+from recorder.rows.row_quality import States
 from recorder.rows.steering_habits import SteeringLag
 from recorder.seen.steering_lag import measure_lag
 
@@ -18,7 +19,7 @@ ROWS = 420
 
 def lag_of(path: Path) -> SteeringLag | None:
     with Log(path) as log:
-        return measure_lag(log)
+        return measure_lag(log, States.of(log.vehicle()))
 
 
 @pytest.mark.parametrize("late_s", [-0.5, -0.2, 0.0, 0.1, 0.3, 0.6])

@@ -47,7 +47,7 @@ from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorM
 from waiting import wait_until
 
 
-def test_the_old_protocol_and_modern_clients_are_served_at_once_on_one_port() -> None:
+def test_old_and_modern_clients_are_served_at_once_on_one_port() -> None:
     book = Book()
     old: list[ServerCommand] = []
     with Serving(book) as serving:
@@ -104,7 +104,7 @@ def test_a_telemetry_is_timed_from_its_last_byte_to_the_answers_leaving() -> Non
 
 
 @pytest.mark.skipif(not hasattr(socket, "TCP_QUICKACK"), reason="only Linux delays and can be told not to")
-def test_what_comes_is_acknowledged_at_once_and_what_leaves_is_not_held_back() -> None:
+def test_what_comes_is_acknowledged_at_once_and_answers_do_not_wait() -> None:
     """In the middle of question and answer, where Linux by itself delays."""
     listener = listen("127.0.0.1", 0)
     client = socket.create_connection(listener.getsockname(), PATIENCE_S)
@@ -520,7 +520,7 @@ def test_the_reason_is_plain_where_a_telemetry_is_no_object(data: str, reason: s
     assert book.reasons == [reason]
 
 
-def test_thousands_of_malformed_telemetries_are_each_answered_once_and_good_ones_driven() -> None:
+def test_thousands_of_malformed_telemetries_are_each_answered_once() -> None:
     with Serving(Book()) as serving:
         ask(serving, 2_000, seed=7)
     assert serving.said == []
@@ -528,7 +528,7 @@ def test_thousands_of_malformed_telemetries_are_each_answered_once_and_good_ones
 
 @pytest.mark.parametrize("first", [Steer(0.0, 0.0), "manual"])
 @pytest.mark.parametrize("hello", [(), ("40",)], ids=["old client", "modern client"])
-def test_who_waits_for_a_first_command_gets_one_and_whoever_tells_at_once_none(
+def test_a_first_command_goes_to_a_simulator_that_waits_for_one(
     first: Steer | Literal["manual"], hello: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A classic server sends a steer when a client connects. For the real simulator each is one telemetry more in

@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from viz.playback.picture_columns import picture_columns
 from viz.timelines import Clock, Times
 

@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from dataset.preprocess import Image
+from dataset.preprocessing import Image
 from model.evaluation.log_predictions import LogPredictions
 from model.evaluation.predict_log import predict_log, run_names
 from recorder.topics import STEERING

@@ -1,0 +1,94 @@
+"""The lag of a log's steering as it is known: noted by the log's writer, or measured later and kept in
+NAME.lag.json beside it, for one content of the log."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Final, Literal, overload
+
+import msgspec
+
+from common import atomic_file
+from common.errors import UserError
+from common.location import Location, Url
+from common.untrusted import read_bounded
+from common.untrusted_json import json_as
+from recorder import topics
+from recorder.log.reader import Log
+from recorder.rows.steering_habits import LagFinding, SteeringLag
+
+_KEY: Final = "lag"
+_MAX_BYTES: Final = 1 << 16
+
+
+class _Kept(msgspec.Struct):
+    format: Literal[1]
+    log: str  # its fingerprint
+    lag: SteeringLag | None
+
+
+def lag_note(found: LagFinding) -> dict[str, str]:
+    """What a log's writer notes of the lag in the summary of its rows."""
+    return {_KEY: json.dumps(found.lag and asdict(found.lag), allow_nan=False)}
+
+
+def noted_lag(quality: Mapping[str, str]) -> LagFinding | None:
+    """The lag in a log's summary of its rows; None where its writer did not measure it."""
+    return json_as(f'{{"lag":{quality.get(_KEY, "")}}}', LagFinding)
+
+
+@overload
+def lag_path(log: Path) -> Path: ...
+
+
+@overload
+def lag_path(log: Url) -> Url: ...
+
+
+def lag_path(log: Location) -> Location:
+    return log.with_name(f"{log.name.removesuffix('.mcap')}.lag.json")
+
+
+def known_lag(log: Log) -> LagFinding | None:
+    """The lag of a log's steering; None where nobody has measured it. Raises StoreError."""
+    return noted_lag(log.read_metadata(topics.QUALITY_METADATA)) or kept_lag(log)
+
+
+def kept_lag(log: Log) -> LagFinding | None:
+    """The lag kept beside a log for this content of it; None without, or if the file is damaged."""
+    data = _beside(lag_path(log.path))
+    kept = json_as(data, _Kept) if data else None
+    return LagFinding(kept.lag) if kept is not None and kept.log == log.fingerprint else None
+
+
+def _beside(path: Location) -> bytes | None:
+    if isinstance(path, Url):
+        from common.object_store import read_object  # an extra
+
+        return read_object(path, _MAX_BYTES)
+    with contextlib.suppress(OSError):
+        return None if path.is_symlink() else read_bounded(path, _MAX_BYTES)
+    return None
+
+
+def keep_lag(log: Log, found: LagFinding) -> bool:
+    """Keep the lag beside a log that has its name; False where nothing can be written."""
+    path = lag_path(log.path)
+    if log.path.suffix != ".mcap":
+        return False  # it still grows, or is recovered: then it is measured again
+    data = msgspec.json.encode(_Kept(1, log.fingerprint, found.lag)) + b"\n"
+    try:
+        if isinstance(path, Url):
+            from common.object_store import put_over  # an extra
+
+            put_over(path, data)
+        else:
+            with atomic_file(path, overwrite=True) as part:
+                part.write_bytes(data)
+    except (OSError, UserError):
+        return False
+    return True
