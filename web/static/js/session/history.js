@@ -47,6 +47,8 @@ export class History {
     const change = from.at(-1);
     if (!change) return null;
     const answer = await this.data.change(turned(change.action), change.name, change.rows);
+    if (!answer.changed.length && answer.notice) throw new Error(answer.notice);
+    this.notice = answer.notice; // what of it could not be changed
     from.pop(); // not before it is done: an error leaves all as it was
     to.push(change);
     this.commands.push(...answer.commands);

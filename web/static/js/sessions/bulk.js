@@ -96,7 +96,8 @@ function close() {
 
 async function step(move, words) {
   const change = await done[move]();
-  showStatus(change ? `${words}: ${change.action} ${change.name}, ${said(change.rows)}` : `nothing to ${move}`);
+  const what = change && `${words}: ${change.action} ${change.name}, ${said(change.rows)}`;
+  showStatus([what ?? `nothing is left to ${move}`, change && done.notice].filter(Boolean).join("; "));
 }
 
 /** There is something to tag where the filter is of rows. */
