@@ -66,8 +66,8 @@ class _Failed:
 
 
 def address_of(flag: Sequence[str]) -> str:
-    """The address that `--ray [ADDRESS]` gives: "" for the one that Ray finds by itself. Raises UsageError for
-    what is none."""
+    """The address that `--ray [ADDRESS]` gives, or "" if Ray finds one by itself. Raises UsageError for anything
+    else."""
     if len(flag) > 1:
         raise UsageError(f"--ray {' '.join(flag)}: at most one address; names go before --ray")
     address = flag[0] if flag else ""
@@ -111,9 +111,7 @@ def connection(address: str) -> Iterator[Any]:
     if address not in _LOCAL_ADDRESSES:
         _check_answers(address)
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a cluster that is started here reports to nobody
-    os.environ.setdefault(
-        "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0"
-    )  # its way from 2.55 on, of which it warns else
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # its way from 2.55 on; otherwise it warns
     if address == "local":  # nobody else's cluster: its tasks are what the command is there for, and as important
         os.environ.setdefault("RAY_worker_niceness", "0")
     before = signal.getsignal(signal.SIGTERM)  # Ray puts its own in its place

@@ -65,6 +65,7 @@ def pages_of(project: ProjectFolders) -> Iterator[Shown]:
     yield Shown("index", "/index", "main img")
     yield Shown("runs", f"/runs?{chosen}", "#plots canvas")
     yield Shown("run", f"/runs/{runs[0]}", "#plots canvas")
+    yield Shown("scatter", f"/runs/{runs[0]}", "#scatter-show", _scatter)
     if len(runs) > 1:
         yield Shown(
             "compare",
@@ -86,6 +87,14 @@ def _compare(page: Page) -> None:
     if page.is_visible("#compared button"):
         page.click("#compared button")
     page.wait_for_selector("#compared svg")
+
+
+def _scatter(page: Page) -> None:
+    page.click("#scatter-show")
+    page.wait_for_selector("#scatter[data-shown]")
+    page.locator("#scatter").evaluate("section => section.scrollIntoView()")
+    page.focus("#scatter-cloud")
+    page.keyboard.press("ArrowRight")
 
 
 def _drag_on_map(page: Page) -> None:

@@ -68,7 +68,7 @@ def card(of: ModelCard) -> str:
     ]
     return rendered(
         "model",
-        "model_card.md",
+        "model_card.md.jinja",
         card=of,
         toolkit=TOOLKIT,
         version=version_of(),

@@ -86,7 +86,7 @@ def print_checked(checked: Checked, tags: Sequence[Tag]) -> None:
     for where in checked.meant_gaps:
         meant.add("gaps in time that its events explain, so nothing is lost", where)
     for where in checked.pauses:
-        meant.add("pauses of the recording, behind each of which a new drive begins", where)
+        meant.add("pauses of the recording; a new drive begins after each", where)
     for line in meant.lines(MAX_PLACES):
         print_result(f"  {line}")
 

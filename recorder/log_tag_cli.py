@@ -15,6 +15,7 @@ from common.location import Location
 from common.output import ask, print_message, print_next, print_result
 from common.stretches import stretches
 from recorder.log.reader import Log
+from recorder.log.road_places import states_of
 from recorder.log.tagged_rows import fine_rows
 from recorder.log.tags import (
     EXCLUDE,
@@ -32,7 +33,6 @@ from recorder.log_report import MAX_LINES, rows_of
 from recorder.log_row_flags import rows_of_flags
 from recorder.rows.odd_stretches import odd_stretches
 from recorder.rows.row_condition import rows_where
-from recorder.rows.row_quality import States
 
 LogPlace = Annotated[LogFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 
@@ -97,7 +97,7 @@ class NameRows:
         if (self.start, self.end, self.rows) != (None,) * 3 or (self.odd and self.where is not None):
             raise UsageError("give one of --odd, --where, --rows, or --start and --end")
         with Log(self.log) as log:
-            states = States.of(log.vehicle())
+            states = states_of(log)
             odd = odd_stretches(states) if self.odd else []
             if self.look:
                 from recorder.seen.shown_stretches import with_pictures  # OpenCV

@@ -165,7 +165,7 @@ class Jobs:
 
 
 class Study:
-    """The steps, each of which leaves a file or folder by which it is known to be done."""
+    """The steps. Each leaves a file or folder that shows that it is done."""
 
     jobs: Jobs
 

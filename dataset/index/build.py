@@ -280,7 +280,7 @@ def _mixed(log: Location, entry: BuiltLog) -> str:
 
 
 def _not_measured(logs: Sequence[Location]) -> list[str]:
-    """A line if labels would go by a lag that nobody has measured: of which logs."""
+    """A line that names the logs whose labels need a lag that nobody has measured, if there are any."""
     if not logs:
         return []
     command = shlex.join(["bc-log", "check", *map(str, logs[:MAX_NAMES])])

@@ -18,7 +18,7 @@ _MAX_NAMES: Final = 8
 
 
 def not_learnt_line(counts: Mapping[str, SessionCounts]) -> list[str]:
-    """A line if frames are left out as no driving: how many of which session, and why."""
+    """A line if frames are left out because they are no driving: how many of each session, and why."""
     parts = []
     for session, of_session in counts.items():
         reasons = {

@@ -105,7 +105,7 @@ class Crops:
         return failed
 
     def wanted(self, samples: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The pictures that have to be read for some samples: those of which no crop is kept."""
+        """The pictures that have to be read for some samples, because no crop of them is kept."""
         numbers = np.unique(self._rows.picture[samples]).astype(np.int64)
         is_kept = np.zeros(len(numbers), np.bool_)
         can_be = numbers < len(self._kept)

@@ -212,8 +212,9 @@ def load(
     targets: Sequence[TargetName] = STEERING_ONLY,
     alter_each_epoch: Sequence[EpochAlteration] = (),
 ) -> Loader:
-    """The samples of a split of `index`, in batches of `batch` over all `ranks`, of which this process is `rank`:
-    whatever their number, batch k is the same, and each takes its part of it (one may be empty in the last).
+    """The samples of a split of `index`, in batches of `batch` over all `ranks`. This process is `rank`.
+
+    Batch k is the same for any number of ranks. Each takes its part of it, which may be empty in the last batch.
 
     `budget_bytes` is how much memory decoded crops may take (49 KB each); `threads` decode (0: one for each core);
     `driving_view` leaves only what the car sees itself (`Samples.driving_view`); `seen` is what a network sees,

@@ -78,7 +78,7 @@ class Division:
 
     @classmethod
     def of(cls, metadata: Mapping[str, Any]) -> Division | None:
-        """None where all samples are in one file. Raises KeyError, TypeError or ValueError for what is none."""
+        """None if all samples are in one file. Raises KeyError, TypeError or ValueError for other metadata."""
         if "parts" not in metadata:
             return None
         digest, sessions = str(metadata["parts"]["digest"]), tuple(map(str, metadata["parts"]["sessions"]))

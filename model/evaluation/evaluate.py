@@ -68,7 +68,7 @@ class Evaluation:
         int | None
     )  # number of the frames that the run was trained on; None where its config does not record it
     skipped: Skipped  # pictures that do not decode
-    notices: tuple[str, ...] = ()  # logs that were never finished, or of which no frame is measured; of all runs
+    notices: tuple[str, ...] = ()  # unfinished logs, and logs without a measured frame; of all runs
     remarks: tuple[str, ...] = ()  # logs in which damage is not noticed
     answers: AnswerScale = field(default_factory=AnswerScale)  # that is in the predictions
     targets: tuple[TargetName, ...] = STEERING_ONLY  # that the network answers, and the frames have

@@ -111,7 +111,7 @@ def blocks_of(session: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray
 
 
 def sums_of_blocks(frames: pa.Table, unit: NDArray[np.int64], max_deg: float | None = MAX_STEERING_DEG) -> Floats:
-    """The sums of each block, (blocks, K), of which `measures_of_sums` makes measures. `max_deg` is the wheels'
+    """The sums of each block, (blocks, K), for `measures_of_sums`. `max_deg` is the wheels'
     angle at steering 1."""
     predicted, recorded = (frames[name].to_numpy() for name in ("predicted", "recorded"))
     off_deg = assumed_deg(max_deg) * (predicted - recorded)
@@ -136,7 +136,7 @@ def sums_of_blocks(frames: pa.Table, unit: NDArray[np.int64], max_deg: float | N
 
 
 def _sums_of_targets(frames: pa.Table, unit: NDArray[np.int64], targets: Sequence[TargetName]) -> Iterator[Floats]:
-    """For each target the sums of each block, (blocks, 2): frames of which it is known, and its squared errors."""
+    """For each target the sums of each block, (blocks, 2): frames where it is known, and its squared errors."""
     for target in targets:
         predicted, recorded = (frames[column].to_numpy() for column in target_columns(target))
         off = predicted - recorded

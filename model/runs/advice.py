@@ -21,7 +21,9 @@ FEW_EPOCHS: Final = 4
 STILL_IMPROVING: Final = 0.02
 """By so much of itself the driving error still fell in the last epoch."""
 FEW_TURNS: Final = 500
-"""Rows of turns to learn from: with 700 of them every network of the study drove, with 170 none."""
+HARDLY_ANY_TURNS: Final = 170
+"""Rows of turns to learn from: with 700 of them every network of the study drove, with 170 none, however long it
+learnt."""
 FEW_OF_A_SIDE: Final = 0.1
 WORSE_ANSWERS: Final = 1.05
 """The driving error of natural answers, over that of the answers as learnt."""
@@ -142,6 +144,11 @@ def is_still_improving(numbers: RunNumbers) -> Advice | None:
     return None
 
 
+def has_hardly_any_turns(numbers: RunNumbers) -> Advice | None:
+    turns = _turns_learnt(numbers)
+    return None if turns is None or turns > HARDLY_ANY_TURNS else has_few_turns(numbers)
+
+
 def has_few_turns(numbers: RunNumbers) -> Advice | None:
     if (turns := _turns_learnt(numbers)) is None or turns >= FEW_TURNS:
         return None
@@ -192,6 +199,7 @@ RULES: Final[tuple[Callable[[RunNumbers], Advice | None], ...]] = (
     has_worse_answers,
     is_enough,
     has_left_the_road,
+    has_hardly_any_turns,
     is_still_improving,
     has_few_turns,
     has_one_session,

@@ -45,7 +45,7 @@ def card(
     """The text of a card. `picture`: the file name of an example."""
     return rendered(
         "recorder",
-        "dataset_card.md",
+        "dataset_card.md.jinja",
         info=info,
         sessions=sessions,
         task=task,

@@ -51,7 +51,7 @@ Columns = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Exported:
-    """A dataset that was written, and what of its logs is not in it."""
+    """A dataset that was written, and the parts of its logs that are not in it."""
 
     folder: Path
     episodes: int

@@ -98,9 +98,7 @@ def _cameras(paths: Sequence[Location], wanted: Sequence[Camera]) -> tuple[tuple
                     having[camera].append(path.name)
     cameras = tuple(camera for camera in having if len(having[camera]) == len(paths))
     if not cameras:
-        raise LogError(
-            f"{', '.join(map(str, paths))}: no camera of which each log has pictures; export them one by one"
-        )
+        raise LogError(f"{', '.join(map(str, paths))}: no camera is in every log; export them one by one")
     notices = [
         f"the {camera} camera is left out: {', '.join(names)} {'has' if len(names) == 1 else 'have'} its pictures,"
         f" {counted(len(paths) - len(names), 'other log')} not, and every frame of a dataset needs them"

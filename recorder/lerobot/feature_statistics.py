@@ -60,7 +60,7 @@ class PictureStatistics:
             self._counts[2 - channel] += found.ravel().astype(np.int64)
 
     def statistics(self) -> Statistics:
-        """Statistics of the pictures added until now, of which there must be one; each of shape (3, 1, 1)."""
+        """Statistics of the pictures added until now, at least one; each of shape (3, 1, 1)."""
         level = np.arange(256) / 255
         share = self._counts / self._counts.sum(axis=1, keepdims=True)
         below = np.cumsum(share, axis=1)

@@ -31,7 +31,7 @@ class TaggedRows:
         return at >= 0 and last_row <= self._last[at]
 
     def left(self, odd: Iterable[OddStretch]) -> list[OddStretch]:
-        """The stretches of which not all rows have it."""
+        """The stretches in which some row lacks it."""
         return [each for each in odd if not self.hold(each.first_row, each.last_row)]
 
 

@@ -48,7 +48,7 @@ def _size_at(picture: bytes) -> tuple[tuple[int, int], int] | None:
 
 
 class SizeReader:
-    """Gives the sizes of many pictures, most of which begin as the one before: those are not searched through."""
+    """Gives the sizes of many pictures. A picture that begins as the one before is not searched through."""
 
     def __init__(self) -> None:
         self._header = b""

@@ -20,6 +20,7 @@ from common.stretches import stretches_within
 from common.untrusted_json import json_as
 from recorder.rows.crashes import impact_rows
 from recorder.rows.driving_backwards import SURELY_MPH, driven_backwards
+from recorder.rows.road_edge import off_road_rows
 from recorder.rows.row_quality import (
     NOT_LEARNT,
     States,
@@ -34,6 +35,7 @@ ODD_KINDS: Final[Mapping[str, str]] = {
     "crash": "crash",
     "backwards": "driving backwards",
     "parked": "parked",
+    "off_road": "off the road",
     "out_of_range": "values out of range",
     "stuck_steering": "steering that never changes",
     "steering_against_pictures": "steering against the pictures",
@@ -150,6 +152,14 @@ def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask
             f"stands for {time_s[rows][-1] - time_s[rows][0]:.0f} s",
         ),
     )
+    if states.beyond_m is not None:
+        beyond_m = states.beyond_m
+        yield (
+            "off_road",
+            off_road_rows(beyond_m, time_s, drive),
+            True,
+            lambda rows: ("off_road", f"its middle is up to {np.nanmax(beyond_m[rows]):.1f} m beyond the edge"),
+        )
     yield "out_of_range", flags["out_of_range"], True, "steering, a pedal or a speed that no car has"
     perhaps = driven_backwards(speed_mph, states.throttle, states.brake, time_s, drive).perhaps
     yield (

@@ -17,6 +17,7 @@ from recorder import topics
 from recorder.log.known_lag import keep_lag, kept_lag, known_lag, noted_lag
 from recorder.log.meant_gaps import NotRecorded, meant_rows
 from recorder.log.reader import Log
+from recorder.log.road_places import states_of
 from recorder.log.row_devices import device_numbers
 from recorder.log.session_car import max_steering_deg_of
 from recorder.log.tagged_rows import TaggedRows
@@ -263,8 +264,8 @@ def _steering(log: Log, quality: dict[str, str]) -> SteeringHabits | None:
 
 
 def _states(log: Log) -> States | None:
-    vehicle = log.vehicle()
-    return States.of(vehicle) if len(vehicle) else None
+    states = states_of(log)
+    return states if len(states.row) else None
 
 
 def _count(text: str | None) -> int:

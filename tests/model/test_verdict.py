@@ -252,6 +252,17 @@ def test_each_rule_names_its_numbers_and_a_command(of: RunNumbers, why: str, com
     assert found.command == command
 
 
+def test_more_epochs_are_not_advised_where_there_is_hardly_a_turn_to_learn() -> None:
+    improving = [*WEAK[:2], epoch(3, 0.3)]
+    few, hardly_any = (
+        sound(counts={name: {"frames": 6000, "training": frames} for name in ("a", "b")})
+        | {"training": {"epochs": 3}}
+        for frames in (600, 200)
+    )
+    assert advice(numbers(few, improving)).command == "bc-train --resume first --epochs 10"
+    assert advice(numbers(hardly_any, improving)).command == "bc-record more --track random:2"
+
+
 def test_the_rules_have_an_end() -> None:
     """The last one always has an advice, also of a run of which nothing is known."""
     empty = run_numbers(Path("runs/first"), {}, [])

@@ -37,7 +37,7 @@ def test_a_prediction_without_room_for_temporary_files(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("no_room")
 def test_a_log_in_rerun_without_room_for_temporary_files(tmp_path: Path) -> None:
     with pytest.raises(WebError, match="Rerun cannot be started: No such file"):
-        RerunViewers().open(tmp_path / "a.mcap", is_growing=False)
+        RerunViewers(CacheFolder(tmp_path / "cache")).open(tmp_path / "a.mcap", is_growing=False)
 
 
 def test_a_bug_in_the_check_of_pictures_is_said(

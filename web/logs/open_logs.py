@@ -13,6 +13,7 @@ import numpy as np
 
 from common.location import Location, Url
 from recorder import Log, LogError
+from recorder.log.road_places import states_of
 from recorder.mcap.chunk_cache import ChunkCache, default_cache
 from recorder.rows.row_quality import States
 from web.folders.project_folders import ProjectFolders
@@ -42,7 +43,7 @@ class OpenLog:
     @cached_property
     def states(self) -> States:
         """The vehicle states, one for each row; empty for a log without them."""
-        return States.of(self.log.vehicle())
+        return states_of(self.log)
 
     @cached_property
     def first_time_ns(self) -> int:

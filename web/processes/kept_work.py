@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import os
 import subprocess
 import tempfile
@@ -24,11 +23,10 @@ from numpy.typing import NDArray
 
 from common.errors import printable
 from common.interrupts import leave_signals_to_main_thread
-from common.output import print_result
 from model.runs.run_files import CONFIG, WEIGHTS
 from web.errors import WebError
 from web.folders.file_versions import version_of
-from web.processes.own_process import own_process
+from web.processes.own_process import reports, start_process
 
 Result = TypeVar("Result")
 
@@ -157,7 +155,6 @@ class KeptWork:
     def _run(self, work: Work, words: list[str]) -> None:
         leave_signals_to_main_thread()
         try:
-            # of its own: a process that is killed leaves its copy of a log in a store behind
             with tempfile.TemporaryDirectory(prefix="bc-web-", ignore_cleanup_errors=True) as temporary:
                 self._run_in(temporary, work, words)
         except OSError as error:
@@ -173,25 +170,12 @@ class KeptWork:
                 return
             work.is_begun = True
             self._at_work = work
-            self._process = process = subprocess.Popen(
-                own_process(self._module, *words),
-                stdin=subprocess.PIPE,  # it ends with this process
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                env={**os.environ, "PYTHONUNBUFFERED": "1", "TMPDIR": temporary},
-                start_new_session=True,
-            )
+            self._process = process = start_process(self._module, words, temporary)
         with process:
-            assert process.stdout is not None  # noqa: S101
-            for line in process.stdout:
-                _update(work, line)
+            for message in reports(process):
+                _update(work, message)
         if process.returncode and not work.problem:
             work.problem = f"the process at work ended with {process.returncode}; try it again"
-
-
-def report(**values: object) -> None:
-    """Tell the server, from the process at work, its progress (`pictures`, `total`, `stage`) or `problem`."""
-    print_result(json.dumps(values))
 
 
 def write_result(path: Path, **columns: NDArray[Any]) -> None:
@@ -206,9 +190,8 @@ def write_result(path: Path, **columns: NDArray[Any]) -> None:
         part.unlink(missing_ok=True)
 
 
-def _update(work: Work, line: bytes) -> None:
-    with contextlib.suppress(ValueError):
-        message = json.loads(line)
+def _update(work: Work, message: Mapping[str, Any]) -> None:
+    with contextlib.suppress(ValueError, KeyError, TypeError):
         if "problem" in message:
             work.problem = printable(str(message["problem"]))
         else:

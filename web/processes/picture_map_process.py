@@ -4,9 +4,6 @@ pixels. It reports progress on stdout, and writes a file. A network of one's own
 from __future__ import annotations
 
 import contextlib
-import os
-import signal
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +17,6 @@ from numpy.typing import NDArray
 from common import UserError
 from common.errors import printable
 from common.location import location
-from common.parent_process import end_with_parent
 from dataset.loader.log_crops import LogCrops
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
@@ -29,8 +25,9 @@ from recorder.log_copy_cli import brought_here
 from recorder.rows.odd_stretches import ODD_KINDS, odd_stretches
 from recorder.rows.row_quality import States
 from web.errors import WebError
-from web.processes.kept_work import report, write_result
+from web.processes.kept_work import write_result
 from web.processes.neighbour_map import ROUNDS, Floats, groups, neighbour_map
+from web.processes.own_process import report, run_in_process
 from web.processes.picture_maps import MapAbout
 
 _BATCH: Final = 64
@@ -53,20 +50,13 @@ class _Columns:
 
 
 def main() -> None:
-    if sys.platform != "win32":
-        signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the web server's threads block those that end a process
-        os.nice(_NICENESS)
-    end_with_parent()
-    most, run, *pairs, result = sys.argv[1:]
+    run_in_process(_work, _NICENESS)
+
+
+def _work(most: str, run: str, *words: str) -> None:
+    *pairs, result = words
     logs = list(zip(pairs[::2], pairs[1::2], strict=True))
-    try:
-        _make(logs, Path(run) if run else None, int(most), Path(result))
-    except UserError as error:
-        report(problem=printable(str(error)))
-    except OSError as error:
-        report(problem=printable(f"{error.filename or result}: {error.strerror}"))
-    except MemoryError:
-        report(problem="not enough memory")
+    _make(logs, Path(run) if run else None, int(most), Path(result))
 
 
 def _make(logs: Sequence[tuple[str, str]], run: Path | None, most: int, result: Path) -> None:

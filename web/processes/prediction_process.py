@@ -6,26 +6,22 @@ one's own code is not run here, because no user has named it.
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
 from pathlib import Path
 from typing import Final
 
 import msgspec
 import numpy as np
 
-from common import UserError
 from common.errors import printable
 from common.location import location
-from common.parent_process import end_with_parent
 from model.evaluation.log_predictions import LogPredictions
 from model.evaluation.predict import BATCH
 from model.evaluation.predict_log import predict_log
 from model.metrics import measure
 from recorder.log_copy_cli import brought_here
 from web.errors import WebError
-from web.processes.kept_work import report, write_result
+from web.processes.kept_work import write_result
+from web.processes.own_process import report, run_in_process
 from web.processes.predictions import Measured, WorstMoment
 
 _WORST: Final = 30  # moments that are listed
@@ -33,23 +29,15 @@ _NICENESS: Final = 5
 
 
 def main() -> None:
-    if sys.platform != "win32":
-        signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the web server's threads block those that end a process
-        os.nice(_NICENESS)
-    end_with_parent()
-    log, run, fingerprint, result = sys.argv[1:]
-    try:
-        with brought_here([location(log)]) as (here,):
-            found = _predict(here, Path(run))
-        if found.about["log_fingerprint"] != fingerprint:
-            raise WebError("the log has been replaced since this page was opened: reload it")
-        _write(found, Path(result))
-    except UserError as error:
-        report(problem=printable(str(error)))
-    except OSError as error:
-        report(problem=printable(f"{error.filename or log}: {error.strerror}"))
-    except MemoryError:
-        report(problem="not enough memory")
+    run_in_process(_work, _NICENESS)
+
+
+def _work(log: str, run: str, fingerprint: str, result: str) -> None:
+    with brought_here([location(log)]) as (here,):
+        found = _predict(here, Path(run))
+    if found.about["log_fingerprint"] != fingerprint:
+        raise WebError("the log has been replaced since this page was opened: reload it")
+    _write(found, Path(result))
 
 
 def _predict(log: Path, run: Path) -> LogPredictions:

@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import http.client
-import json
 import os
 import secrets
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
@@ -31,7 +29,7 @@ from common.versions import package_line, version_of
 from web.errors import WebError
 from web.folders.cache_folder import CacheFolder
 from web.folders.project_folders import as_word
-from web.processes.own_process import own_process
+from web.processes.own_process import reports, start_process
 
 MOST: Final = 2
 """Logs that are open at once; one more ends the oldest."""
@@ -44,7 +42,6 @@ _GRACE_S: Final = 3.0  # for a process to end by itself
 _POLL_S: Final = 0.05
 _MAX_NOTES: Final = 20
 _AT_ONCE: Final = 1 << 18  # bytes
-_RECORDING: Final = "log.rrd"
 
 
 class RerunViewer:
@@ -60,20 +57,11 @@ class RerunViewer:
         if isinstance(log, Url):
             self.notes.append("a copy of the log comes from its store first")
         try:
-            # of its own: a process that is killed leaves its copy of a log in a store behind
-            self._temporary = Path(tempfile.mkdtemp(prefix="bc-web-"))
-            self._folder = self._temporary / "recording"
+            self._temporary = tempfile.TemporaryDirectory(prefix="bc-web-", ignore_cleanup_errors=True)
+            self._folder = Path(self._temporary.name) / "recording"
             self._folder.mkdir()
-            words = [as_word(log), str(self._folder / _RECORDING), "growing" if is_growing else "finished"]
-            # its stdin ends with this process, and then it does; a group of its own, so that nothing of it stays
-            self._process = subprocess.Popen(
-                own_process("web.processes.rerun_process", *words),
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                env={**os.environ, "PYTHONUNBUFFERED": "1", "TMPDIR": str(self._temporary)},
-                start_new_session=True,
-            )
+            words = [as_word(log), str(self._folder / "log.rrd"), "growing" if is_growing else "finished"]
+            self._process = start_process("web.processes.rerun_process", words, self._temporary.name)
         except OSError as error:
             raise WebError(f"Rerun cannot be started: {error.strerror}", 500) from None
         self._reader = threading.Thread(target=self._read, name="rerun", daemon=True)
@@ -131,18 +119,14 @@ class RerunViewer:
         self._process.kill()
         self._process.wait()
         self._reader.join()
-        shutil.rmtree(self._temporary, ignore_errors=True)
+        self._temporary.cleanup()
 
     def _read(self) -> None:
         leave_signals_to_main_thread()
-        assert self._process.stdout is not None  # noqa: S101
-        with self._process.stdout as lines:
-            for line in lines:
-                with contextlib.suppress(ValueError):
-                    message = json.loads(line)
-                    self.problem = self.problem or printable(str(message.get("problem", "")))
-                    if "note" in message and len(self.notes) < _MAX_NOTES:
-                        self.notes.append(printable(str(message["note"])))
+        for message in reports(self._process):
+            self.problem = self.problem or printable(str(message.get("problem", "")))
+            if "note" in message and len(self.notes) < _MAX_NOTES:
+                self.notes.append(printable(str(message["note"])))
         if code := self._process.wait():
             self.problem = self.problem or f"the process that reads the log ended with {code}; open it again"
 
