@@ -41,7 +41,7 @@ def fine_rows(path: Location) -> TaggedRows:
         tags = tags_by_content(path)
         if not any(tag.name == FINE for of_one in tags.values() for tag in of_one):
             return TaggedRows(())
-        with Log(path, brief=True) as log:  # its fingerprint
+        with Log(path) as log:  # its fingerprint
             return TaggedRows(tags[log.fingerprint])
     except LogError:
         return TaggedRows(())

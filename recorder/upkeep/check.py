@@ -116,6 +116,6 @@ def check(path: Location, *, look: bool = True) -> Checked:
 
 def _is_paused_by_people(path: Location) -> bool:
     """Whether a log was imported from a recorder that people switch off and on: a gap is then no loss."""
-    with contextlib.suppress(LogError), Log(path, brief=True) as log:
+    with contextlib.suppress(LogError), Log(path) as log:
         return log.metadata.get("source") in ("udacity", "donkeycar", "csv")
     return False

@@ -129,7 +129,7 @@ def describe(
     """Describe a log by its place, or one that is open; `look` measures the steering's lag in some pictures if
     nobody has yet. `with_tags`, `with_kept_lag`: with what is kept beside the log. Raises LogError if the log
     cannot be read or, `with_tags`, its tags; StoreError."""
-    with contextlib.nullcontext(place) if isinstance(place, Log) else Log(place, brief=True) as log:
+    with contextlib.nullcontext(place) if isinstance(place, Log) else Log(place) as log:
         first_ns, last_ns = log.time_range_ns
         duration_s = (last_ns - first_ns) / 1e9
         counts, schemas = log.counts, log.schemas
