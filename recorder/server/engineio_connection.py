@@ -103,6 +103,11 @@ class Connection(Socket):  # type: ignore[misc]
         return self._websocket is not None and (not self._websocket.is_idle or self._websocket.has_unread)
 
     @property
+    def is_busy(self) -> bool:
+        """True while the client has sent something that is not handled yet, be it that it hangs up."""
+        return not self.closed and self.has_unread
+
+    @property
     def waiting(self) -> list[str | bytes]:
         """The messages that were read, and are not handled yet."""
         return [] if self._websocket is None else self._websocket.waiting

@@ -29,6 +29,8 @@ FIRST_COMMAND_S: Final = 1.0
 """The time that a first command waits for telemetry: the real simulator sends its own at once."""
 NO_TELEMETRY_S: Final = 5.0
 """A client that has sent nothing for so long speaks another protocol."""
+LEAVE_S: Final = 1.0
+"""The time that a new client waits for others of which something is not read yet: it may be that they hang up."""
 MAX_MESSAGE_BYTES: Final = 4 * MAX_IMAGE_BYTES
 """Longer messages close the connection; a picture that is too large is within, and is answered."""
 
@@ -261,10 +263,18 @@ class TelemetryServer:
             # a websocket is a connection, which the host counts; a polling client leaves none
             self._notify_once(NOTICE_TOO_MANY)
             return False
+        self._let_leave()
         Connection.adopt(self._engine.sockets[engine_sid], self._lock, self._notify_once)
         environ[_SID] = engine_sid
         with self._lock:
             return self._connected(engine_sid, environ)
+
+    def _let_leave(self) -> None:
+        """Let the clients leave that have hung up before a new one came: it may be one of them again."""
+        until_s = time.monotonic() + LEAVE_S
+        leaving = [each for each in list(self._engine.sockets.values()) if isinstance(each, Connection)]
+        while time.monotonic() < until_s and (leaving := [each for each in leaving if each.is_busy]):
+            time.sleep(0.001)
 
     def _on_message(self, engine_sid: str, data: str | bytes) -> None:
         connection: Connection = self._engine.sockets[engine_sid]
