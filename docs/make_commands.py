@@ -38,8 +38,11 @@ def main() -> None:
 
 def generated_page(shown: dict[str, str] | None = None) -> str:
     """docs/commands.md as it should be, of what `commands` has found."""
-    lists = {name: _list(text) for name, text in (shown or commands()).items()}
-    return with_blocks(PAGE.read_text(encoding="utf-8"), lists)
+    lists: dict[str, list[str]] = {}
+    for name, text in (shown or commands()).items():
+        lists[name] = _without_repeated(_list(text), lists)
+    blocks = {name: "\n".join(lines) + "\n" for name, lines in lists.items()}
+    return with_blocks(PAGE.read_text(encoding="utf-8"), blocks)
 
 
 def commands(help_of: Callable[[str], str] | None = None) -> dict[str, str]:
@@ -80,12 +83,23 @@ def _argument(invocation: str, meaning: str) -> Argument:
     return Argument(_REPEATED.sub(r"\1 ...", invocation), meaning, default)
 
 
-def _list(help_text: str) -> str:
+def _list(help_text: str) -> list[str]:
     lines = []
     for argument in arguments(help_text):
         default = f" (`{argument.default}`)" if argument.default else ""
         lines.append(f"- `{argument.invocation}`{default}: {argument.meaning}")
-    return "\n".join(lines) + "\n"
+    return lines
+
+
+def _without_repeated(lines: list[str], described: dict[str, list[str]]) -> list[str]:
+    """The lines of a command. Three or more that an earlier command has, too, become one that names them."""
+    for name, known in described.items():
+        repeated = [line for line in lines if line in known]
+        if len(repeated) >= 3:
+            flags = ", ".join(f"`{line.split('`')[1]}`" for line in repeated)
+            named = f"- As in [{name}](#{name.replace(' ', '-')}): {flags}."
+            return [line for line in lines if line not in repeated] + [named]
+    return lines
 
 
 def _help(command: str) -> str:
