@@ -28,13 +28,14 @@ from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.lerobot.export import export_lerobot
 from recorder.log.meant_gaps import not_recorded
 from recorder.log.tags import Tag, read_tags
-from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
+from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.gymnasium_flags import GymFlags
 from recorder.sources.import_csv import import_csv
 from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.import_lerobot import import_lerobot
 from recorder.sources.import_mcap import import_mcap
 from recorder.sources.record_gymnasium import GymRecording, record_gymnasium
+from recorder.sources.simulated_drive import SimulatedDrive
 from recorder.upkeep.edit import merge, rewrite, split, trim
 from recorder.upkeep.recover import recover
 from repository import ROOT

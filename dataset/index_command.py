@@ -1,0 +1,124 @@
+"""What `bc-index` does: it builds the index, and prints what is in it."""
+
+from __future__ import annotations
+
+import shlex
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pyarrow.compute as pc
+
+from common.command import FAILED, usage_errors, warn
+from common.errors import UsageError, counted, printable
+from common.location import Location, Url
+from common.output import print_message, print_next, print_result, print_table
+from common.tasks import tasks_of
+from dataset.errors import DatasetError
+from dataset.frames.frames_file import FRAMES_SCHEMA, session_name
+from dataset.frames.image_check_cache import check_all_images
+from dataset.index.build import Indexed, build_index, check_settings
+from dataset.index.index_report import balance_table, labels_table, print_log_notices, sessions_table
+from dataset.index.leaks import find_leaks
+from dataset.index.quality_report import find_flagged_frames, print_quality_report
+from dataset.index.sessions import find_logs, sessions_beside
+from dataset.index.stored_index import index_here
+from dataset.parquet_file import read_columns
+from dataset.samples.filter import Condition
+from dataset.samples.samples_format import sample_files
+
+if TYPE_CHECKING:
+    from dataset.cli import Index
+
+
+def index(config: Index) -> int:
+    _refuse_contradictions(config)
+    logs = find_logs(config.sessions, config.folder)
+    with index_here(config.index, logs) as (folder, put):
+        return _index_in(folder, config, logs, put)
+
+
+def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callable[[], object]) -> int:
+    """`folder`: where the index is, until `put` brings it to its place."""
+    # before anything is written, or takes long
+    check_settings(logs, folder, config.config)
+    if config.figures is not None:
+        from dataset.index_figures import check_figures, write_figures
+
+        check_figures(config.figures, config.force)
+    # named by nobody, one damaged log must not keep all the others from being indexed
+    is_any = not config.sessions
+    others = [] if is_any else sessions_beside(logs, config.folder)
+    with tasks_of(config.ray) as tasks:
+        if config.look:
+            by_name = {session_name(log): log for log in logs}
+            check_all_images(by_name, folder, leave_out_unreadable=is_any, tasks=tasks)
+        indexed = build_index(
+            logs, folder, config.config, leave_out_unreadable=is_any, passed_over=others, tasks=tasks
+        )
+    put()
+    code = print_log_notices(indexed, config.folder, config.sessions)
+    for notice in _one_sided(indexed, config):
+        code = warn(notice)
+    if others:  # reported here, so that training need not
+        names = ", ".join(map(printable, others))
+        print_message(
+            f"{config.index}: does not hold {names}; `bc-index` without names takes in all of {config.folder}"
+        )
+    print_table(sessions_table(indexed))
+    print_table(labels_table(indexed.labels))
+    print_table(balance_table(indexed.balance))
+    splits = Counter[str]()
+    for file in sample_files(folder):
+        split = read_columns(file, ["split"], read_dictionary=["split"])["split"]
+        splits.update({row["values"]: row["counts"] for row in pc.value_counts(split).to_pylist()})
+    counts = ", ".join(f"{count:,} {split}" for split, count in sorted(splits.items()))
+    frames = sum(session.frames for session in indexed.counts.values())
+    print_result(f"{config.index}: {counted(frames, 'frame')}, {counted(splits.total(), 'sample')} ({counts})")
+    if config.figures is not None:
+        for path in write_figures(folder, config.figures, seed=config.config.seed, overwrite=config.force):
+            print_result(str(path))
+    if config.report:
+        print_quality_report(find_flagged_frames(folder))
+    if config.check:
+        leaks = find_leaks(folder)
+        for leak in leaks:
+            print_message(leak)
+        print_result("no leak between training and validation" if not leaks else counted(len(leaks), "leak"))
+        code = FAILED if leaks else code
+    if code != FAILED and any(count.training for count in indexed.counts.values()):
+        flag = "" if config.index == type(config).index else f" --index {shlex.quote(str(config.index))}"
+        print_next(f"bc-train{flag}")
+    return code
+
+
+def _refuse_contradictions(config: Index) -> None:
+    """Raise UsageError for flags that would be passed over, and for a condition that is none."""
+    if config.force and config.figures is None:
+        raise UsageError("--force: only of figures: give --figures FOLDER as well")
+    if config.ray not in (None, ("local",)) and isinstance(config.index, Url):
+        raise UsageError(
+            f"--index {config.index}: nodes of a cluster write into a folder that all of them see; without --ray"
+            " it is built here"
+        )
+    if config.config.where is not None:
+        condition = Condition(config.config.where)
+        with usage_errors(DatasetError):
+            condition.check(FRAMES_SCHEMA.empty_table())
+
+
+def _one_sided(indexed: Indexed, config: Index) -> list[str]:
+    """A line for a split without samples, unless the settings mean that."""
+    counts = indexed.counts.values()
+    if not any(count.training for count in counts):
+        return [
+            f"{config.index}: no sample for training: all frames are held out, in the gap, excluded, unusable, or"
+            " without a label"
+        ]
+    if config.config.validation_share > 0 and not any(count.validation for count in counts):
+        return [
+            f"{config.index}: no sample for validation, the drives are too short; give a smaller --block-s, or"
+            " hold out whole sessions with --validation SESSION"
+        ]
+    return []
