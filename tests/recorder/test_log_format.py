@@ -23,6 +23,7 @@ from driving import road_jpeg, run, run_code, untrained_run
 from logs import START_NS, STEP_NS, plain_read, read_messages
 from model.evaluation.predict_log import predict_log
 from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
+from panorama import write_drive
 from recorder import Log, LogWriter, import_udacity
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.lerobot.export import export_lerobot
@@ -274,6 +275,7 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
             writer.picture("center", row, row, cv2.imencode(".jpg", np.zeros(size, np.uint8))[1].tobytes())
             writer.vehicle(row, row, VehicleState())
 
+    path["a minute"] = write_drive(folder / "a minute.mcap", [b"no picture"] * 601, source="udacity")
     recover(path["udacity"], path["recovered"])
     trim(path["simulator"], path["trimmed"], (1, 2))
     path["rewritten"] = rewrite(path["udacity"], folder / "rewritten.mcap").path
