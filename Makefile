@@ -11,32 +11,39 @@ PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-
 # compiled once, and not by each of the hundreds of processes that tests start, whatever the environment says
 test test-long coverage: export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install demo test test-long coverage bench check docs site pictures proto foxglove-reader azurite lerobot-reader donkeycar clean
+.PHONY: install install-dev demo test test-long coverage bench check docs site pictures proto foxglove-reader azurite lerobot-reader donkeycar clean
 
+# what people need; tests, checks and docs install what they need besides
 install: $(VENV)/installed
 
 $(VENV)/installed: pyproject.toml constraints.txt
-	@echo "Installing into $(VENV): PyTorch, Rerun and what else is needed; some minutes, and 3 GB of disk, several more"
+	@echo "Installing into $(VENV): PyTorch, Rerun and what else is needed; a few minutes, and 2 GB of disk, several more"
 	@echo "where PyTorch comes with its GPU libraries (on Linux, unless CPU-only wheels are asked for)."
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	$(BIN)/pip install --disable-pip-version-check -c constraints.txt -e ".[web]"
 	@touch $@
 	@echo "Installed, $$(du -sh $(VENV) | cut -f1). The commands are in $(BIN): type $(BIN)/bc-demo,"
 	@echo "or 'source $(BIN)/activate' once in a terminal, and then bc-demo."
 
+install-dev: $(VENV)/installed-dev
+
+$(VENV)/installed-dev: $(VENV)/installed
+	$(BIN)/pip install --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	@touch $@
+
 demo: install
 	$(BIN)/bc-demo
 
-test: install
+test: $(VENV)/installed-dev
 	$(PYTEST)
 
 # what takes long by nature (every byte, every moment), and twenty times the examples of what holds for whatever is given
-test-long: install
+test-long: $(VENV)/installed-dev
 	$(PYTEST) -m "long or hypothesis" --hypothesis-profile=long
 
 # a few tests fail where everything is measured: those of full disks and of Ctrl-C
 coverage: export COVERAGE_FILE := $(CURDIR)/build/coverage/data
-coverage: install
+coverage: $(VENV)/installed-dev
 	rm -rf build/coverage && mkdir -p build/coverage
 	-COVERAGE_PROCESS_START=$(CURDIR)/pyproject.toml $(PYTEST) --junitxml=build/coverage/junit.xml
 	$(BIN)/coverage combine -q build/coverage
@@ -44,16 +51,16 @@ coverage: install
 	@tail -1 build/coverage/report.txt
 
 # training step, index and reply, beside what is kept for this kind of processor; `ARGS=--keep` keeps them
-bench: install
+bench: $(VENV)/installed-dev
 	$(BIN)/python benchmarks/bench.py $(ARGS)
 
-check: install
+check: $(VENV)/installed-dev
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/mypy
 	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/win32 $(ROOMS)
 
-docs: install
+docs: $(VENV)/installed-dev
 	$(BIN)/python docs/make_commands.py
 	$(BIN)/python docs/make_architecture.py
 
@@ -61,11 +68,11 @@ site: $(VENV)/installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@echo "build/site/index.html"
 
-$(VENV)/installed-docs: $(VENV)/installed
+$(VENV)/installed-docs: $(VENV)/installed-dev
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[docs]"
 	@touch $@
 
-pictures: install
+pictures: $(VENV)/installed-dev
 	$(BIN)/python docs/make_pictures.py
 
 # bc_pb2.py for every protobuf from 5.29 on: written by the protoc of that time

@@ -33,11 +33,11 @@ from model.network.original import SteeringNetwork
 from model.training.step import training_step
 
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
-from runs import untrained_run
+from driving import untrained_run
 
 KEPT: Final = Path(__file__).with_name("kept_figures.json")
 MOVED: Final = 0.1
-ROUNDS: Final = 7
+ROUNDS: Final = 5
 BATCHES: Final = 4  # of 256, in a round
 ROWS: Final = 20_000  # of the log that is indexed
 REPLIES: Final = 1_500  # in a round
@@ -95,7 +95,9 @@ def answer(folder: Path) -> Iterator[Callable[[], float]]:
     pictures.mkdir()
     write_pictures(None, pictures)
     with ExitStack() as stack:
-        server = start_ours("bc-drive", untrained_run(folder / "run"), folder / "drive.mcap", stack)
+        server = start_ours(
+            "bc-drive", untrained_run(folder / "run", network="original"), folder / "drive.mcap", stack
+        )
         server.suspend()
         yield lambda: server.drive(pictures, REPLIES, 60.0).replies_per_s
 

@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 
 from common.car import CAMERAS
-from common.tasks import Tasks, tasks_of
+from common.ray_flag import tasks_of
+from common.tasks import Tasks
 from dataset import IndexConfig
 from dataset.frames.frames_table import frames_table
 from dataset.index import build

@@ -42,7 +42,7 @@ def flag_errors_in_one_line(config: Any) -> Iterator[None]:
 
 def _line_of(event: Any, config: Any) -> str:
     subcommands = {name for name in _names_of(config) if not name.startswith("-")}
-    help_line = f"`{' '.join([event.prog, *subcommands.intersection(sys.argv[1:2])])} --help` has all flags"
+    help_line = f"`{' '.join([event.prog, *subcommands.intersection(sys.argv[1:2])])} --help-all` has all flags"
     match type(event).__name__:
         case "UnrecognizedArgs":
             return f"{_unknown(event.tokens, config)}; {help_line}"

@@ -12,9 +12,6 @@ from common.closeable import Closeable
 from common.location import Location, Url
 from common.untrusted import open_regular
 
-Range = tuple[int, int]
-"""First byte, and number of bytes."""
-
 
 class RandomAccess(Protocol):
     """A file, open for reading."""
@@ -36,9 +33,9 @@ class RandomAccess(Protocol):
     def read_alone(self, offset: int, length: int) -> bytes:
         """The same as `read`, but nothing beside is read, and nothing is kept for the next call."""
 
-    def read_many(self, ranges: Iterable[Range]) -> Iterator[bytes]:
-        """The bytes of each range, in their order; later ones are requested meanwhile. Raises what `read`
-        does."""
+    def read_many(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
+        """The bytes of each range (first byte, number of bytes), in their order; later ones are requested
+        meanwhile. Raises what `read` does."""
 
     def close(self) -> None: ...
 
@@ -73,7 +70,7 @@ class LocalFile(Closeable):
 
     read_alone = read
 
-    def read_many(self, ranges: Iterable[Range]) -> Iterator[bytes]:
+    def read_many(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
         return (self.read(offset, length) for offset, length in ranges)
 
 

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from common.errors import UsageError, UserError, printable
+from common.grpc_probe import speaks_grpc
 from common.output import print_message
 from common.tasks import Tasks
 from common.versions import TOOLKIT, install_line, version_of
@@ -47,11 +48,6 @@ _IN_FLIGHT: Final = 1_000
 _READY_AT_ONCE: Final = 64
 _POLL_EVERY_S: Final = 0.5
 
-# a client's first bytes in HTTP/2, and an empty SETTINGS frame (RFC 9113, 3.4 and 6.5): gRPC answers with its own
-_HTTP2_PREFACE: Final = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
-_FRAME_HEADER_BYTES: Final = 9
-_SETTINGS: Final = 4
-
 _ADDRESS: Final = re.compile(r"(ray://)?(\[[0-9a-fA-F:]+\]|[^\s:/\[\]]+):(\d{1,5})")
 _LOCAL_ADDRESSES: Final = ("", "auto", "local")
 
@@ -70,8 +66,8 @@ class _Failed:
 
 
 def address_of(flag: Sequence[str]) -> str:
-    """The address that `--ray [ADDRESS]` gives: "" for the one that Ray finds by itself. Raises UsageError for
-    what is none."""
+    """The address that `--ray [ADDRESS]` gives, or "" if Ray finds one by itself. Raises UsageError for anything
+    else."""
     if len(flag) > 1:
         raise UsageError(f"--ray {' '.join(flag)}: at most one address; names go before --ray")
     address = flag[0] if flag else ""
@@ -115,9 +111,7 @@ def connection(address: str) -> Iterator[Any]:
     if address not in _LOCAL_ADDRESSES:
         _check_answers(address)
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a cluster that is started here reports to nobody
-    os.environ.setdefault(
-        "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0"
-    )  # its way from 2.55 on, of which it warns else
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # its way from 2.55 on; otherwise it warns
     if address == "local":  # nobody else's cluster: its tasks are what the command is there for, and as important
         os.environ.setdefault("RAY_worker_niceness", "0")
     before = signal.getsignal(signal.SIGTERM)  # Ray puts its own in its place
@@ -178,9 +172,7 @@ def _check_answers(address: str) -> None:
         with socket.create_connection((host, port), UNREACHABLE_S / 2) as stream:
             if os.environ.get("RAY_USE_TLS", "0") in ("0", ""):
                 stream.settimeout(UNREACHABLE_S / 2)
-                stream.sendall(_HTTP2_PREFACE)
-                answer = stream.recv(_FRAME_HEADER_BYTES)
-                if len(answer) < _FRAME_HEADER_BYTES or answer[3] != _SETTINGS:
+                if not speaks_grpc(stream):
                     raise ClusterError(f"--ray {address}: something else than Ray listens there")
     except (OSError, OverflowError) as error:
         why = "no answer" if isinstance(error, TimeoutError) else getattr(error, "strerror", None) or str(error)

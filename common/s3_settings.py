@@ -1,55 +1,12 @@
-"""S3's endpoint and credentials, from the usual environment and ~/.aws, in the form of each of the two clients."""
+"""S3's endpoint and credentials in ~/.aws, for obstore, which reads the environment alone."""
 
 from __future__ import annotations
 
 import configparser
 import contextlib
 import os
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-
-
-@dataclass(frozen=True)
-class S3Settings:
-    """The settings by which another client than obstore reaches the same store with the same credentials. What is
-    None the client finds by itself, such as the machine's role."""
-
-    region: str
-    endpoint: str | None
-    access_key_id: str | None
-    secret_access_key: str | None = field(repr=False)
-    session_token: str | None = field(repr=False)
-    profile: str | None
-    is_unsigned: bool
-    is_virtual_hosted: bool  # the bucket is in the host's name, not in the path
-
-
-def s3_settings() -> S3Settings:
-    """The settings by which obstore reaches S3."""
-    given, config = os.environ, obstore_s3_config()
-
-    def of(*names: str) -> str | None:
-        found = (
-            given.get(f"AWS_{name.upper()}") or config.get(name) or config.get(f"aws_{name}") for name in names
-        )
-        return next(filter(None, found), None)
-
-    return S3Settings(
-        region=of("region", "default_region") or "us-east-1",
-        endpoint=config.get("endpoint") or given.get("AWS_ENDPOINT"),
-        access_key_id=of("access_key_id"),
-        secret_access_key=of("secret_access_key"),
-        session_token=of("session_token", "token"),
-        profile=given.get("AWS_PROFILE"),
-        is_unsigned=_is_on("AWS_SKIP_SIGNATURE"),
-        is_virtual_hosted=_is_on("AWS_VIRTUAL_HOSTED_STYLE_REQUEST"),
-    )
-
-
-def _is_on(variable: str) -> bool:
-    """True for the values that obstore takes for true."""
-    return os.environ.get(variable, "").lower() in ("1", "true", "on", "yes", "y")
 
 
 def obstore_s3_config() -> dict[str, Any]:

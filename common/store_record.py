@@ -1,4 +1,4 @@
-"""`.store.json`, in a folder that is kept in a store and in copies of it: of which object each file is a copy.
+"""`.store.json`, in a folder kept in a store and in its copies: the object that each file was copied from.
 
 It is read without obstore: a command that only reads the local copy needs no store.
 """
@@ -46,7 +46,7 @@ def read_record(folder: Path) -> StoreRecord:
 
 
 def cached_from(folder: Path) -> str:
-    """The URL of which a folder in the user's cache is a copy; empty for any other folder."""
+    """The URL that a folder in the user's cache was copied from; empty for any other folder."""
     is_cached = folder.absolute().is_relative_to(users_cache().absolute())
     return read_record(folder).url if is_cached else ""
 

@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from typing import Annotated, Any, Final, Protocol, TypeVar
-
-import tyro
+from typing import Any, Final, Protocol, TypeVar
 
 Result = TypeVar("Result")
 
 _THREADS: Final = 8
-
-
-RayAddress = Annotated[
-    tuple[str, ...] | None, tyro.conf.arg(metavar="[ADDRESS]", help_behavior_hint="(default: none)")
-]
-"""The flag `--ray [ADDRESS]`: None where it is not given, empty where no address is."""
 
 
 class Tasks(Protocol):
@@ -60,13 +51,3 @@ def in_threads(
                 yield numbers[done], done.result()
         finally:
             pool.shutdown(cancel_futures=True)
-
-
-def tasks_of(ray: RayAddress, **options: object) -> contextlib.AbstractContextManager[Tasks]:
-    """The way to make calls that `--ray` chooses: one by one without it. `options` are those of Ray's tasks.
-    Raises UsageError for an address that is none, ClusterError where no cluster can be reached."""
-    if ray is None:
-        return contextlib.nullcontext(one_by_one)
-    from common.ray_cluster import address_of, cluster_tasks
-
-    return cluster_tasks(address_of(ray), **options)

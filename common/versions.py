@@ -10,7 +10,7 @@ from typing import Final
 from urllib.parse import urlsplit
 
 TOOLKIT: Final = "behavioural-cloning-toolkit"
-VERSION: Final = "0.2.0"
+VERSION: Final = "0.3.0"
 """Of the toolkit: the only place where it stands. pyproject.toml and all commands take it from here."""
 
 

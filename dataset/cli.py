@@ -5,14 +5,14 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
 from common.command import run_command
 from common.location_flag import LocationFlag
+from common.ray_flag import RayAddress
 from common.recipe import recipe_given
-from common.tasks import RayAddress
 from dataset.config import IndexConfig
 
 
@@ -27,24 +27,25 @@ class Index:
     bc-index export --lerobot datasets/driving
     """
 
+    RARE: ClassVar[str] = "figures force ray"
     sessions: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SESSION ...]")] = ()
-    """Sessions by name, or logs by path; by default all in the folder."""
+    """Names of sessions, or paths; by default all."""
     folder: Annotated[LocationFlag, tyro.conf.arg(name="sessions")] = Path("sessions")
-    """Folder or URL of the logs."""
+    """The logs."""
     index: LocationFlag = Path("index")
     """Folder of the index; a URL for logs in stores."""
     look: bool = False
-    """Decode all pictures; flag broken and frozen ones, and contradicting steering."""
+    """Decode all pictures; flag broken, frozen and contradicting ones."""
     report: bool = False
-    """List stretches of odd frames, such as gaps and stuck steering."""
+    """List stretches of odd frames."""
     check: bool = False
     """Check the split for leaks; exit code 1 if there is one."""
     figures: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Write figures for a paper: preprocessing, augmentation, balance, steering."""
+    """Write figures for a paper."""
     force: bool = False
     """Replace existing figures."""
     ray: RayAddress = None
-    """Read the logs on a Ray cluster whose nodes share these folders."""
+    """Read the logs on a Ray cluster with shared folders."""
     config: tyro.conf.OmitArgPrefixes[IndexConfig] = field(default_factory=IndexConfig)
 
 

@@ -11,6 +11,7 @@ from tyro.conf import arg
 from common.car import Camera
 from common.recipe import Recipe
 from dataset.prediction_targets import MAX_AHEAD_S
+from dataset.steering_bins import BINS
 
 CORRECTION_SIGNS: Final[Mapping[Camera, float]] = {"center": 0.0, "left": 1.0, "right": -1.0}
 """The side correction's sign in the label of each camera that is trained on by default."""
@@ -27,40 +28,44 @@ class IndexConfig:
     EARLIER: ClassVar[Mapping[str, Any]] = {"recipe": "original", "labels": "as-recorded"}
     """The values by which the original project worked, and earlier versions of this one without these settings."""
 
+    RARE: ClassVar[str] = (
+        "per_bin max_uses alter viewpoints label_smooth_s"
+        " label_shift_s speed_ahead_s block_s gap_s validation_share drives"
+    )
     recipe: Recipe = "people"
-    """Defaults that learn best from people, or those of the original project."""
-    bins: int = 25
+    """Defaults for learning from people, or the original project's."""
+    bins: int = BINS
     """Equal steering bins over -1..1."""
     balance: Annotated[bool, arg(help_behavior_hint="(default: balanced)")] = True
-    """Balance the steering bins; --no-balance takes every sample once."""
+    """Take every sample once; fill and prune no bins."""
     per_bin: Annotated[Literal["mean", "median"] | int, arg(metavar="mean|median|N")] = "mean"
-    """Samples in each bin: mean or median of the non-empty bins, or N."""
+    """Samples in a bin: mean or median of the non-empty ones, or N."""
     max_uses: int = 10
-    """Most uses of one picture, and of its mirror image, in a bin."""
+    """Most uses of a picture, and of its mirror image, in a bin."""
     flip: Annotated[bool, arg(help_behavior_hint="(default: with them)")] = True
-    """Add a mirrored copy of every picture; --no-flip does not."""
+    """Add no mirrored copies."""
     cameras: tuple[Camera, ...] = tuple(CORRECTION_SIGNS)
     """Cameras to train on."""
     side_correction: float = 0.2
-    """Steering added for left-camera pictures, subtracted for right-camera ones."""
+    """Steering added for the left camera, subtracted for the right."""
     labels: Labels = "auto"
-    """auto: smooth and shift people's steering, leave out what is no driving; as-recorded: change nothing."""
+    """auto: smooth and shift people's steering, leave out crashes."""
     label_smooth_s: Annotated[float | None, arg(name="label-smooth", metavar="SECONDS")] = None
-    """Average the steering over this time, in all sessions; 0: no smoothing."""
+    """Average the steering over this time; 0: not."""
     label_shift_s: Annotated[float | None, arg(name="label-shift", metavar="SECONDS")] = None
-    """Take the steering this much later, in all sessions; 0: no shift."""
+    """Take the steering this much later; 0: not."""
     speed_ahead_s: Annotated[float, arg(name="speed-ahead", metavar="SECONDS")] = 0.5
-    """Learn the speed driven this much later, for --targets speed."""
+    """For --targets speed: learn the speed this much later."""
     alter: tuple[Alteration | Literal["none"], ...] = ("blur", "brightness", "shadow")
-    """Changes to copies that fill bins, each with probability one half."""
+    """Changes to copies, each with probability one half."""
     viewpoints: int = 0
-    """Warped views from off the line for each centre picture; 0: none."""
+    """Warped views from off the line for each centre picture."""
     drives: Drives = "all"
-    """Frames of drives: all, or only those of takeovers."""
+    """Frames of drives: all, or takeovers only."""
     where: Annotated[str | None, arg(metavar="SQL")] = None
     """Condition on the frames to use, such as "speed_mph > 5"."""
     block_s: float = 10.0
-    """Seconds in a block, which is all for training or validation."""
+    """Seconds in a block of the split."""
     gap_s: float = 1.0
     """Seconds of frames left out around a validation block."""
     validation_share: float = 0.2

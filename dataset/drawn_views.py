@@ -34,7 +34,7 @@ Numbers = NDArray[np.int64]
 
 
 def draw_views(count: int, random: np.random.Generator) -> Numbers:
-    """Numbers (N,) of views, each of which stands for a place beside the line and a turn."""
+    """Numbers (N,) of views. Each number stands for a place beside the line and a turn."""
     return random.integers(0, LAST_VIEW, count, endpoint=True)
 
 

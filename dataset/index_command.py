@@ -14,7 +14,7 @@ from common.command import FAILED, usage_errors, warn
 from common.errors import UsageError, counted, printable
 from common.location import Location, Url
 from common.output import print_message, print_next, print_result, print_table
-from common.tasks import tasks_of
+from common.ray_flag import tasks_of
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import FRAMES_SCHEMA, session_name
 from dataset.frames.image_check_cache import check_all_images

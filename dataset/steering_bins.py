@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
+
+BINS: Final = 25
+"""The number of bins of the original project, and of an index by default."""
 
 
 def bin_of(steering: NDArray[np.float64], bins: int) -> NDArray[np.int64]:

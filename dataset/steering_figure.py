@@ -19,6 +19,7 @@ from dataset.frames.frames_file import read_frames
 from dataset.samples.labels import planned_labels
 from dataset.samples.samples_format import SessionLabels
 from dataset.samples.samples_reader import Samples
+from dataset.steering_bins import BINS
 from recorder.rows.row_quality import APART_S, Values, drive_numbers, elapsed_s
 from recorder.rows.steering_report import in_words
 
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 MAX_SESSIONS: Final = 6  # the first ones by name: more are too small to read
 SHOWN_S: Final = 30.0
-_BINS: Final = np.linspace(-1, 1, 26).tolist()
+_EDGES: Final = np.linspace(-1, 1, BINS + 1).tolist()
 
 
 @dataclass(frozen=True)
@@ -119,8 +120,8 @@ def _draw_course(axes: Axes, session: SteeredSession) -> None:
 
 def _draw_histogram(axes: Axes, session: SteeredSession) -> None:
     recorded, label = (steering[np.abs(steering) <= 1] for steering in (session.recorded, session.label))
-    axes.hist(recorded, _BINS, orientation="horizontal", log=True, color=BLUE, alpha=0.35)
-    axes.hist(label, _BINS, orientation="horizontal", log=True, color=ORANGE, histtype="step", linewidth=1.2)
+    axes.hist(recorded, _EDGES, orientation="horizontal", log=True, color=BLUE, alpha=0.35)
+    axes.hist(label, _EDGES, orientation="horizontal", log=True, color=ORANGE, histtype="step", linewidth=1.2)
 
 
 def _busiest(session: SteeredSession) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Writes the lists of flags in docs/commands.md from each command's own `--help` (`make docs`)."""
+"""Writes the lists of flags in docs/commands.md from each command's own `--help-all` (`make docs`)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _DEFAULT: Final = re.compile(r" ?\((required|default: ([^()]*))\)$")
 
 @dataclass(frozen=True)
 class Argument:
-    """A flag or a positional argument of a command, as `--help` shows it."""
+    """A flag or a positional argument of a command, as `--help-all` shows it."""
 
     invocation: str
     """`--rate FLOAT`, `--force`, `NAME`"""
@@ -38,13 +38,17 @@ def main() -> None:
 
 def generated_page(shown: dict[str, str] | None = None) -> str:
     """docs/commands.md as it should be, of what `commands` has found."""
-    lists = {name: _list(text) for name, text in (shown or commands()).items()}
-    return with_blocks(PAGE.read_text(encoding="utf-8"), lists)
+    lists: dict[str, list[str]] = {}
+    for name, text in (shown or commands()).items():
+        lists[name] = _without_repeated(_list(text), lists)
+    blocks = {name: "\n".join(lines) + "\n" for name, lines in lists.items()}
+    return with_blocks(PAGE.read_text(encoding="utf-8"), blocks)
 
 
 def commands(help_of: Callable[[str], str] | None = None) -> dict[str, str]:
-    """The `--help` of each command with arguments of its own: "bc-index", "bc-log check", "bc-train export"; by
-    `help_of` of such a name, if one is given, at `COLUMNS`."""
+    """The `--help-all` of each command with arguments of its own: "bc-index", "bc-log check", "bc-train export".
+
+    `help_of` returns the text for such a name, at `COLUMNS`."""
     help_of = help_of or _help
     scripts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -57,7 +61,7 @@ def commands(help_of: Callable[[str], str] | None = None) -> dict[str, str]:
 
 
 def arguments(help_text: str) -> list[Argument]:
-    """The arguments in the boxes of a command's `--help`."""
+    """The arguments in the boxes of a command's `--help-all`."""
     found: list[tuple[str, str]] = []
     for line in re.findall(r"^│ (.*?) *│$", help_text, re.MULTILINE):
         if line.startswith(" "):  # goes on with the argument above
@@ -79,12 +83,23 @@ def _argument(invocation: str, meaning: str) -> Argument:
     return Argument(_REPEATED.sub(r"\1 ...", invocation), meaning, default)
 
 
-def _list(help_text: str) -> str:
+def _list(help_text: str) -> list[str]:
     lines = []
     for argument in arguments(help_text):
-        default = f" Default: `{argument.default}`." if argument.default else ""
-        lines.append(f"- `{argument.invocation}`: {argument.meaning}{default}")
-    return "\n".join(lines) + "\n"
+        default = f" (`{argument.default}`)" if argument.default else ""
+        lines.append(f"- `{argument.invocation}`{default}: {argument.meaning}")
+    return lines
+
+
+def _without_repeated(lines: list[str], described: dict[str, list[str]]) -> list[str]:
+    """The lines of a command. Three or more that an earlier command has, too, become one that names them."""
+    for name, known in described.items():
+        repeated = [line for line in lines if line in known]
+        if len(repeated) >= 3:
+            flags = ", ".join(f"`{line.split('`')[1]}`" for line in repeated)
+            named = f"- As in [{name}](#{name.replace(' ', '-')}): {flags}."
+            return [line for line in lines if line not in repeated] + [named]
+    return lines
 
 
 def _help(command: str) -> str:
@@ -97,7 +112,7 @@ def _help(command: str) -> str:
         "NO_COLOR": "1",
         "OMP_NUM_THREADS": "1",
     }
-    line = [sys.executable, "-c", code, *subcommand, "--help"]
+    line = [sys.executable, "-c", code, *subcommand, "--help-all"]
     done = subprocess.run(line, env=environment, capture_output=True, text=True, check=True)
     return done.stdout
 

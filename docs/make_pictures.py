@@ -87,12 +87,14 @@ def main(config: Pictures) -> None:
         write(config.folder / "video.png", video_picture(made, Path(folder)))
     with figure_style():
         draw_curves(read_history(run)[0]).savefig(config.folder / "curves.png", format="png", dpi=DPI)
-    _python(str(Path(__file__).parent / "moving_picture.py"))
+    docs = Path(__file__).parent
+    _python(str(docs / "page_sheets.py"), str(run.parent.parent), "--folder", str(config.folder / "pages"))
+    _python(str(docs / "moving_picture.py"))
 
 
 def driven(run: Path, session: Path, laps: float, folder: Path) -> Made:
     """Let `run` drive at two speeds."""
-    where = ["--simulator", TRACK, "--laps", f"{laps:g}", "--logs", str(folder)]
+    where = ["--simulator", TRACK, "--laps", f"{laps:g}", "--drives", str(folder)]
     _bc("drive.evaluation.eval_cli", str(run), *where, "--speed", str(SLOW_MPH), str(FAST_MPH))
     slow, fast = (next(folder.glob(f"*-{TRACK}-{mph}mph.mcap")) for mph in (SLOW_MPH, FAST_MPH))
     return Made(run, session, slow.rename(folder / "slow.mcap"), fast.rename(folder / "fast.mcap"))

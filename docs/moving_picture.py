@@ -36,7 +36,7 @@ from playwright.sync_api import Browser, Page, WebSocket, sync_playwright
 from common.car import MAX_STEERING_DEG, MPS_PER_MPH
 from simulator.driving.vehicle import WHEELBASE_M
 from web.app import workbench_app
-from web.data.project_folders import ProjectFolders
+from web.folders.project_folders import ProjectFolders
 from web.server.workbench_server import WorkbenchServer
 
 PICTURE: Final = Path(__file__).absolute().parent / "pictures" / "drive-train-drive.webp"

@@ -1,4 +1,5 @@
-"""Brings the pages outside of docs/ into the site, and turns links between files into links between pages.
+"""Brings the pages outside of docs/ into the site, turns links between files into links between pages, and shows
+the code of examples.
 
 A hook of MkDocs (mkdocs.yml); GitHub shows the same files where they are.
 """
@@ -22,6 +23,8 @@ PAGES: Final = {
     "benchmarks/README.md": "benchmarks.md",
 }
 _LINK: Final = re.compile(r"(?<=\]\()([^)#\s]+)")
+_CODE: Final = re.compile(r"^\[(\S+)\]\(\.\./\1\)$", re.MULTILINE)
+_LANGUAGES: Final = {".py": "python", ".proto": "proto"}
 
 
 def on_files(files: Files, config: Any) -> Files:
@@ -29,6 +32,16 @@ def on_files(files: Files, config: Any) -> Files:
         content = (ROOT / source).read_text(encoding="utf-8")
         files.append(File.generated(config, page, content=content))
     return files
+
+
+def with_code(markdown: str) -> str:
+    """The text of a page, in which each line that is a link to a file of code alone becomes that code."""
+
+    def shown(match: re.Match[str]) -> str:
+        path = ROOT / match[1]
+        return f"```{_LANGUAGES[path.suffix]}\n{path.read_text(encoding='utf-8')}```"
+
+    return _CODE.sub(shown, markdown)
 
 
 def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
@@ -42,4 +55,4 @@ def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
         target = PAGES.get(source, source.removeprefix("docs/"))
         return posixpath.relpath(target, posixpath.dirname(page.file.src_uri))
 
-    return _LINK.sub(linked, markdown)
+    return _LINK.sub(linked, with_code(markdown))

@@ -14,7 +14,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page
 
 from web.app import workbench_app
-from web.data.project_folders import ProjectFolders
+from web.folders.project_folders import ProjectFolders
 from web.server.workbench_server import WorkbenchServer
 
 WIDTH: Final = 1280

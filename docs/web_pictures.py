@@ -22,7 +22,7 @@ import tyro
 from PIL import Image
 from playwright.sync_api import Browser, sync_playwright
 
-from web.data.project_folders import ProjectFolders
+from web.folders.project_folders import ProjectFolders
 from web_browser import Pages, serving
 
 _PHONE: Final = (390, 844)

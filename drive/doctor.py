@@ -112,16 +112,16 @@ def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], found: Diagnosi
         longest = max(stretches, key=lambda each: each.last_row - each.first_row)
         at = f"the longest stretch: rows {longest.first_row} to {longest.last_row}"
         found.odd.append(printable(f"{path}: {counted(rows, 'odd row')} of {info.rows:,} ({kinds}); {at}"))
-        if name == "sessions" and rows > _MUCH * info.rows:
-            is_sure = any(each.is_sure for each in stretches)
-            command = f"bc-log tag {path} exclude --odd" if is_sure else f"bc-log check {path}"
-            wanted.look.append(Advice(f"{counted(rows, 'odd row')} of {info.rows:,}", command))
+        perhaps = sum(each.rows for each in stretches if each.is_learnt)  # the rest is left out by itself
+        if name == "sessions" and perhaps > _MUCH * info.rows:
+            wanted.look.append(Advice(f"{counted(perhaps, 'odd row')} of {info.rows:,}", f"bc-log check {path}"))
     if len(odd) > _MAX_NAMED:
         found.odd.append(f"and {counted(len(odd) - _MAX_NAMED, 'more log')} in {name}: `bc-log ls {name}`")
 
 
 def _index(project: Path, found: Diagnosis, wanted: _Wanted, *, has_sessions: bool) -> None:
     from dataset import sessions_not_indexed
+    from dataset.index.not_learnt import has_earlier_rules
     from dataset.parquet_file import read_metadata
     from dataset.samples.samples_format import SAMPLES_NAME
 
@@ -134,7 +134,8 @@ def _index(project: Path, found: Diagnosis, wanted: _Wanted, *, has_sessions: bo
         if has_sessions and not own:
             wanted.learn.append(Advice("no index yet", "bc-index"))
         return
-    counts = (read_metadata(index / SAMPLES_NAME) or {}).get("counts")
+    stored = read_metadata(index / SAMPLES_NAME) or {}
+    counts = stored.get("counts")
     if not isinstance(counts, dict):
         found.problems.append(f"{index / SAMPLES_NAME}: damaged, or of another version; `bc-index` makes it anew")
         wanted.mend.append(Advice("the index cannot be read", "bc-index"))
@@ -143,6 +144,11 @@ def _index(project: Path, found: Diagnosis, wanted: _Wanted, *, has_sessions: bo
     held_out = sum(_number(each, "validation") for each in counts.values())
     sizes = f"{counted(training, 'frame')} for training, {held_out:,} held out"
     found.here.append(f"index: {counted(len(counts), 'session')}, {sizes}")
+    if has_earlier_rules(stored):
+        found.odd.append(
+            "index: an earlier version made it, which held out crashes and did not know all that is odd"
+        )
+        wanted.learn.append(Advice("what is odd is then neither learnt nor held out", "bc-index"))
     absent = _tried(lambda: sessions_not_indexed(index, sessions), index, found) if has_sessions else []
     if absent:
         names = ", ".join(map(printable, absent[:_MAX_NAMED])) + (

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import tyro
 
@@ -24,64 +24,67 @@ class Drive:
 
     bc-drive first --log run.mcap
     bc-drive first --simulator mountain --takeover me --open
-    bc-drive racer --gym CarRacing-v3 --gym-action steering,throttle,brake --expert my_expert:drive
     """
 
+    RARE: ClassVar[str] = (
+        "network drives start real_time page epochs sessions"
+        " smooth steering_rate precision server host port seed runs"
+    )
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
-    """The run that drives, by name or folder; by default the newest."""
+    """Name or folder; by default the newest."""
     network: str | None = None
-    """Code of your own network: FILE.py:CLASS or package.module:CLASS."""
+    """Your network's code: FILE.py:CLASS or MODULE:CLASS."""
     log: LocationFlag | None = None
     """The drive's log; by default DATE.mcap in --drives."""
     drives: LocationFlag = Path("drives")
     """Folder of the drives' logs; finished logs are copied to a URL."""
     simulator: Annotated[str | None, tyro.conf.arg(metavar="TRACK")] = None
-    """Drive the built-in simulator: lake, mountain, random:SEED, or hairpins:SEED."""
+    """Built-in: lake, mountain, random:SEED, or hairpins:SEED."""
     laps: float = 1.0
-    """Laps in the built-in simulator, or in each round of --aggregate."""
+    """Laps with --simulator, or in each round of --aggregate."""
     start: Annotated[float, tyro.conf.arg(metavar="METRES")] = 0.0
-    """Start in the built-in simulator, along the track."""
+    """Where to start with --simulator."""
     real_time: bool = False
-    """Run the built-in simulator no faster than the clock."""
+    """Run --simulator no faster than the clock."""
     takeover: Annotated[Literal["expert", "me"] | None, tyro.conf.arg(metavar="[expert|me]")] = None
-    """Who takes over: the simulator's expert outside the lane, or you, in a browser."""
+    """The expert takes over outside the lane, or you in a browser."""
     open: bool = False
-    """With --takeover me: open the page in a browser."""
+    """With --takeover me: open the browser."""
     page: bool = True
-    """With --takeover me: serve the page; --no-page if a bc-web started this."""
+    """With --takeover me: serve no page; a running bc-web does."""
     aggregate: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: not)")] = None
-    """Drive, train on the expert's takeovers, and drive again, N times."""
+    """Drive, train on the expert's takeovers, drive again: N times."""
     epochs: int = 5
-    """Epochs of each training of --aggregate."""
+    """Epochs of each --aggregate training."""
     sessions: LocationFlag = Path("sessions")
-    """Folder of the run's sessions, for --aggregate and --takeover me."""
+    """The run's sessions, for --aggregate and --takeover me."""
     speed: float = 10.0
     """Set speed in mph."""
     slow_in_curves: bool = False
     """Drive slower in curves."""
     smooth: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 0.0
-    """Smooth the steering with this time constant; 0: not at all."""
+    """Time constant of the steering's smoothing; 0: none."""
     steering_rate: float = 0.0
-    """Largest change of the steering (-1..1) in a second; 0: no limit."""
+    """Largest change of the steering in a second; 0: no limit."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """The network's arithmetic; auto: the fastest on this processor."""
+    """Arithmetic; auto: the fastest."""
     viewer: Annotated[str, tyro.conf.arg(metavar="auto|window|web|ADDRESS|FILE.rrd|off")] = "auto"
-    """Show the drive in Rerun; auto: in a window if there is a display."""
-    server: Literal["eventlet", "threading"] = "eventlet"
-    """Server for the simulator."""
+    """Show the drive in Rerun; auto: a window, with a display."""
+    server: Literal["eventlet", "threading"] = "threading"
+    """No effect; the next version drops this flag."""
     host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0 lets other machines connect."""
+    """Address to listen on; 0.0.0.0 admits other machines."""
     port: int = 4567
-    """Port to listen on; Udacity's simulator connects to 4567."""
+    """Port to listen on."""
     car: Annotated[str | None, tyro.conf.arg(metavar="udacity|built-in|FILE.toml")] = None
-    """The driven car, as in bc-record; by default that of the run's sessions."""
+    """The car, as in bc-record; by default that of the run."""
     environment: tyro.conf.OmitArgPrefixes[GymFlags] = field(default_factory=GymFlags)
     seed: int = 0
     """Seed of --gym's first episode."""
     runs: LocationFlag = Path("runs")
-    """Folder or URL of the runs."""
+    """The runs."""
     force: bool = False
-    """Replace an existing log, and the file of --viewer."""
+    """Replace the log, and the file of --viewer."""
 
 
 def with_default_driver(words: Sequence[str]) -> list[str]:

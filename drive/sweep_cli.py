@@ -23,8 +23,9 @@ from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result, print_table
 from common.progress import track
 from common.random_access import is_there
+from common.ray_flag import RayAddress, tasks_of
 from common.steering_unit import DEGREES
-from common.tasks import RayAddress, tasks_of
+from drive.earlier_flags import understand_earlier
 from model.runs.run_files import without_nan
 
 if TYPE_CHECKING:
@@ -51,13 +52,13 @@ class Sweep:
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE.toml")]
     """The plan: varied settings, seeds, drives."""
     index: LocationFlag = Path("index")
-    """Folder or URL of the index."""
+    """The index."""
     runs: LocationFlag = Path("runs")
     """Folder of the runs; copied to a URL, which several machines may share."""
-    logs: LocationFlag = Path("drives")
+    drives: LocationFlag = Path("drives")
     """Folder of the drives' logs; finished logs are copied to a URL."""
     ray: RayAddress = None
-    """Train and drive on a Ray cluster whose nodes share these folders."""
+    """Train and drive on a Ray cluster with shared folders."""
     cpus: float = 1.0
     """Processors for each task of --ray."""
     gpus: float = 0.0
@@ -86,7 +87,7 @@ def sweep(config: Sweep) -> int:
     done: list[Swept] = []
     try:
         with tasks_of(config.ray, num_cpus=config.cpus, num_gpus=config.gpus) as tasks:
-            found = run_sweep(plan, config.index, config.runs, config.logs, tasks)
+            found = run_sweep(plan, config.index, config.runs, config.drives, tasks)
             # one by one, each training has a bar of its own
             shown = found if config.ray is None else track(found, "training", len(plan.trainings))
             for swept in shown:
@@ -164,4 +165,5 @@ def _spread(values: Sequence[float], digits: int) -> str:
 
 
 def main() -> None:
+    understand_earlier("bc-sweep", {"--logs": "--drives"})
     run_command("bc-sweep", Sweep, sweep)

@@ -141,8 +141,8 @@ def _tried_out(
 def _print_outcome(trained: Trained, settings: TrainConfig) -> int:
     """Print how a training went, and how to drive with its run; the exit code."""
     from model.runs.history import read_epochs
-    from model.runs.run_arguments import run_argument
-    from model.runs.run_folder import WEIGHTS
+    from model.runs.run_folder import WEIGHTS, load_config
+    from model.runs.run_numbers import run_numbers
     from model.runs.run_summary import judge
     from model.runs.training_outcome import outcome_lines
 
@@ -158,7 +158,7 @@ def _print_outcome(trained: Trained, settings: TrainConfig) -> int:
     best = trained.best_epoch
     for line in outcome_lines(read_epochs(run), best, settings.keep) if best else ():
         print_result(line)
-    drive = f"bc-drive {run_argument(run)}{_network_flag(run)}"
+    drive = run_numbers(run, load_config(run), ()).drive_command + _network_flag(run)
     print_result(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `{drive}`")
     if best:
         print_result(*judge(run).lines)

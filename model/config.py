@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Literal
 
 from common.recipe import Recipe
+from dataset.epoch_alterations import EPOCH_ALTERATIONS, EpochAlteration
 from dataset.prediction_targets import STEERING_ONLY, TargetName, check_targets
 from model.network.names import check_network_name
 
@@ -40,22 +41,28 @@ class TrainConfig:
     }
     """Settings of the original project, and of earlier versions of this one, which lacked these fields."""
 
+    RARE: ClassVar[str] = (
+        "network_args target_weights picture_px crop_rows channels average_steps"
+        " answers keep dropout precision micro_batch threads picture_memory_mb"
+    )
     recipe: Recipe = "people"
-    """Defaults that learn best from people, or those of the original project."""
+    """Defaults for learning from people, or the original project's."""
     network: str = "original"
-    """original, pilotnet, small, resnet18, or your own: FILE.py:CLASS or package.module:CLASS."""
+    """original, pilotnet, small, resnet18, FILE.py:CLASS or MODULE:CLASS."""
     network_args: tuple[str, ...] = ()
     """Arguments of your own network: NAME=VALUE."""
     targets: tuple[TargetName, ...] = STEERING_ONLY
-    """What the network learns and drives: steering, and speed or throttle."""
+    """What it learns: steering, and speed or throttle."""
     target_weights: tuple[float, ...] = ()
-    """Weight of each target's squared error, 1 by default (speed in 30 mph)."""
+    """Weight of each target's squared error (speed / 30 mph); by default 1."""
     picture_px: tuple[int, int] | None = None
-    """Width and height of the network's picture; by default its own."""
+    """Width and height of its picture."""
     crop_rows: tuple[int, int] | None = None
-    """Rows of 160 cut off at top and bottom; by default 50 20."""
+    """Rows of 160 cut off at top and bottom."""
     channels: Literal["BGR", "RGB", "YUV"] | None = None
-    """Colours of the network's picture; by default its own."""
+    """Colours of its picture."""
+    alter_each_epoch: tuple[EpochAlteration | Literal["all", "none"], ...] = ("none",)
+    """Changes to every picture, drawn anew in every epoch: all, or some."""
     epochs: int = 10
     """Passes over the balanced samples."""
     batch: int = 256
@@ -63,27 +70,27 @@ class TrainConfig:
     rate: float = 1e-4
     """Learning rate of Adam."""
     average_steps: int = 100
-    """Keep weights averaged over about this many steps; 1: no average."""
+    """Average the weights over about this many steps; 1: not."""
     answers: Answers = "natural"
-    """natural: undo the balancing's effect on answers; as-learnt: do not."""
+    """natural: undo the balancing's effect on answers."""
     keep: Keep = "driving-error"
-    """Keep the epoch with the smallest held-out error of this kind, or the last."""
+    """Keep the epoch with the smallest of these errors, or the last."""
     dropout: float = 0.5
     """Share of activations that dropout zeroes."""
     seed: int = 0
     """Seed of weights, dropout and the order of samples."""
     patience: int = 0
-    """Stop after this many epochs without improvement; 0: never."""
+    """Stop after this many epochs without progress; 0: never."""
     device: Device = "auto"
-    """Where to compute; auto: on a GPU if there is one."""
+    """auto: a GPU if there is one."""
     precision: Precision = "auto"
-    """Arithmetic of training; auto: bfloat16 where the device has it."""
+    """Arithmetic; auto: bfloat16 where the device has it."""
     micro_batch: int = 0
-    """Samples in the network at once; 0: chosen for the device."""
+    """Samples in the network at once; 0: by device."""
     threads: int = 0
-    """Processor threads; 0: one a core. Fewer are faster on a busy machine."""
+    """Threads; 0: one a core. Fewer are faster on a busy machine."""
     picture_memory_mb: int = 1024
-    """Memory for decoded pictures; the rest are decoded in every epoch."""
+    """Memory for decoded pictures; others are decoded every epoch."""
 
     @classmethod
     def of(cls, recipe: Recipe) -> TrainConfig:
@@ -113,7 +120,18 @@ class TrainConfig:
             raise ValueError("--target-weights: numbers of 0 or more, not all 0, were expected")
         if self.keep == "last" and self.patience:
             raise ValueError(f"--patience {self.patience}: with --keep last no epoch is better than a later one")
+        names = self.alter_each_epoch
+        if len(set(names)) < len(names) or (len(names) > 1 and {"all", "none"}.intersection(names)):
+            raise ValueError(
+                f"--alter-each-epoch {' '.join(names)}: each once, or all or none alone, was expected"
+            )
         if not 0 < self.rate < math.inf:
             raise ValueError(f"--rate {self.rate:g}: a number above 0 was expected")
         if not 0 <= self.dropout < 1:
             raise ValueError(f"--dropout {self.dropout:g}: a number from 0 to 1 (excluded) was expected")
+
+    @property
+    def epoch_alterations(self) -> tuple[EpochAlteration, ...]:
+        """What is done to every picture in every epoch."""
+        names = self.alter_each_epoch
+        return EPOCH_ALTERATIONS if "all" in names else tuple(name for name in EPOCH_ALTERATIONS if name in names)

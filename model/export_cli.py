@@ -34,9 +34,9 @@ class Export:
     license: str | None = None
     """Licence on the hub's card, such as mit or cc-by-4.0."""
     network: str | None = None
-    """Code of your own network: FILE.py:CLASS or package.module:CLASS."""
+    """Your network's code: FILE.py:CLASS or MODULE:CLASS."""
     runs: LocationFlag = RUNS
-    """Folder or URL of the runs."""
+    """The runs."""
     force: bool = False
     """Replace an existing file."""
 

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from common.steering_unit import SteeringUnit, assumed_deg, steering_unit
 from dataset import MAX_STEERING_DEG
-from dataset.steering_bins import bin_of
+from dataset.steering_bins import BINS, bin_of
 
 TURNING = 0.05  # |steering| above this is turning
-BINS = 25  # those of the original project
 
 Floats = NDArray[np.float32] | NDArray[np.float64]
 

@@ -3,24 +3,21 @@ to load it."""
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import msgspec
 
-from common.errors import counted, printable
-from common.markdown import as_markdown
+from common.errors import printable
+from common.markdown import as_markdown, rendered, shown_number
 from common.steering_unit import assumed_deg
 from common.versions import TOOLKIT, version_of
 from dataset.prediction_targets import TARGETS, TargetName
+from model.metrics import Measures
 from model.runs.kept_results import KeptResult
 from model.runs.training_progress import Epoch
-
-NO_LICENCE: Final = "Not stated: ask whoever trained it before you use it."
-_TAGS: Final = ("behavioural-cloning", "imitation-learning", "self-driving")
 
 
 @dataclass(frozen=True)
@@ -63,65 +60,33 @@ class _Data(msgspec.Struct):
 
 def card(of: ModelCard) -> str:
     """The text of a card: the hub's YAML, then Markdown."""
-    return "\n".join(
-        [
-            *_front_matter(of),
-            "",
-            f"# {as_markdown(of.name)}",
-            "",
-            f"A network that steers a car by what its camera sees: {_network(of)},"
-            f" {of.parameters:,} parameters. {_answers(of)}",
-            "",
-            *_learnt_from(of),
-            *_measures(of),
-            *_drives(of),
-            *_loading(of),
-            "## What it is not for",
-            "",
-            "Real cars and real roads. It knows of no other car and no person, and nothing limits what it answers"
-            " to pictures of another camera, car or world than those that it learnt from.",
-            "",
-            "## Licence",
-            "",
-            as_markdown(of.licence) if of.licence else NO_LICENCE,
-            "",
-            f"Exported by {TOOLKIT} {version_of()} (`bc-train export --hub`).",
-            "",
-        ]
+    data, measures = _data(of), of.epoch.measures if of.epoch and of.epoch.measures.frames else None
+    drives = [kept for kept in of.results if kept.way != "frames"]
+    places = [
+        (heading, [_place(of, kept) for kept in drives if (kept.result.get("interventions") == 0) is is_clean])
+        for heading, is_clean in (("Without an intervention", True), ("Not without an intervention", False))
+    ]
+    return rendered(
+        "model",
+        "model_card.md.jinja",
+        card=of,
+        toolkit=TOOLKIT,
+        version=version_of(),
+        network=_network(of),
+        answers=_answers(of),
+        data=data,
+        held_out=f"held out of {printable(', '.join(data.logs) or 'its logs')}",
+        sessions=[_session(name, log, data) for name, log in data.logs.items()],
+        measures=measures,
+        metrics=_metrics(measures) if measures else [],
+        errors=_errors(measures) if measures else [],
+        unit=_unit(measures) if measures else "",
+        drives=[_drive(of, kept) for kept in drives],
+        places=places,
     )
 
 
-def _front_matter(of: ModelCard) -> Iterator[str]:
-    yield "---"
-    if of.licence:
-        yield f"license: {json.dumps(of.licence)}"
-    yield "pipeline_tag: robotics"
-    yield f"library_name: {TOOLKIT}"
-    yield "tags:"
-    yield from (f"- {tag}" for tag in (*_TAGS, *(["onnx"] if of.onnx_example else [])))
-    if of.epoch is not None and of.epoch.measures.frames:
-        yield "metrics:"
-        yield "- rmse"
-        yield "- mae"
-        yield "model-index:"
-        yield f"- name: {json.dumps(of.name)}"
-        yield "  results:"
-        yield "  - task:"
-        yield "      type: robotics"
-        yield "      name: steering"
-        yield "    dataset:"
-        yield "      type: driving-logs"
-        yield f"      name: {json.dumps('held out of ' + printable(', '.join(_data(of).logs) or 'its logs'))}"
-        yield "    metrics:"
-        for kind, name, value in _metrics(of.epoch):
-            yield f"    - type: {kind}"
-            yield f"      name: {name}"
-            yield f"      value: {value:.4f}"
-    yield "---"
-
-
-def _metrics(epoch: Epoch) -> list[tuple[str, str, float]]:
-    measures = epoch.measures
+def _metrics(measures: Measures) -> list[tuple[str, str, float]]:
     found = [
         ("rmse", "RMSE of the steering", measures.network.rmse_deg),
         ("rmse", "balanced RMSE of the steering", measures.balanced_rmse_deg),
@@ -153,96 +118,49 @@ def _data(of: ModelCard) -> _Data:
         return _Data()
 
 
-def _learnt_from(of: ModelCard) -> Iterator[str]:
-    data = _data(of)
-    yield "## What it learnt from"
-    yield ""
-    if not data.logs:
-        yield "It does not say."
-    else:
-        yield "| session | pictures learnt from | held out | labels | fingerprint of its log |"
-        yield "|---|---|---|---|---|"
-        for name, log in data.logs.items():
-            counts = data.counts.get(name, _Counts())
-            fingerprint = str(log.get("fingerprint", "")) if isinstance(log, dict) else ""
-            why = data.labels.get(name, _Labels()).plan.why
-            yield (
-                f"| {as_markdown(name)} | {counts.training:,} | {counts.validation:,} |"
-                f" {as_markdown(why) or '-'} | `{as_markdown(fingerprint[:16])}` |"
-            )
-        yield ""
-        yield "The whole of its settings, also those of its data, is in `config.json`."
-    yield ""
+def _session(name: str, log: object, data: _Data) -> dict[str, object]:
+    counts = data.counts.get(name, _Counts())
+    return {
+        "name": name,
+        "training": counts.training,
+        "validation": counts.validation,
+        "why": data.labels.get(name, _Labels()).plan.why,
+        "fingerprint": str(log.get("fingerprint", ""))[:16] if isinstance(log, dict) else "",
+    }
 
 
-def _measures(of: ModelCard) -> Iterator[str]:
-    yield "## How well"
-    yield ""
-    if of.epoch is None or not of.epoch.measures.frames:
-        yield "Nobody has measured it: nothing was held out."
-        yield ""
-        return
-    measures = of.epoch.measures
-    unit = "degrees of the wheels" if measures.max_deg is not None else measures.unit.name
-    yield (
-        f"Errors on {counted(measures.frames, 'frame')} held out, whole stretches of time, in {unit},"
-        " beside those of predictors that know nothing:"
-    )
-    yield ""
-    yield "| | MAE | RMSE | balanced RMSE: every bin of steering alike | MAE where it turns | correlation |"
-    yield "|---|---|---|---|---|---|"
+def _unit(measures: Measures) -> str:
+    return "degrees of the wheels" if measures.max_deg is not None else measures.unit.name
+
+
+def _errors(measures: Measures) -> list[tuple[str, list[float]]]:
+    """The rows of the table of errors."""
     rows = [
         ("this network", measures.network, measures.balanced_rmse_deg),
         ("always the mean", measures.mean, measures.mean_balanced_rmse_deg),
         ("always straight on", measures.zero, math.nan),
     ]
+    found = []
     for name, errors, balanced in rows:
         angles = (errors.mae_deg, errors.rmse_deg, balanced, errors.turning_mae_deg)
-        numbers = (*map(measures.unit.of, angles), errors.correlation)
-        yield f"| {name} | {' | '.join(map(_number, numbers))} |"
-    if not measures.network.rmse_deg < measures.mean.rmse_deg:
-        yield ""
-        yield "**No better than always predicting the mean.**"
-    for target in of.epoch.targets:
-        if target.frames:
-            yield ""
-            yield f"Of the {as_markdown(str(target))}."
-    for picture in of.pictures:
-        yield ""
-        yield f"![{picture.removesuffix('.png')}]({picture})"
-    yield ""
+        found.append((name, [*map(measures.unit.of, angles), errors.correlation]))
+    return found
 
 
-def _drives(of: ModelCard) -> Iterator[str]:
-    drives = [kept for kept in of.results if kept.way != "frames"]
-    yield "## Where it drives, and where not"
-    yield ""
-    if not drives:
-        yield "**Nobody has let it drive**: small errors on recorded pictures do not say that it keeps to a road."
-        yield ""
-        return
-    for heading, is_clean in (("Without an intervention", True), ("Not without an intervention", False)):
-        names = [_place(of, kept) for kept in drives if (kept.result.get("interventions") == 0) is is_clean]
-        if names:
-            yield f"- {heading}: {'; '.join(names)}."
-    yield ""
-    yield "| where | km | interventions | autonomy | beside the line, on average | at most | measured |"
-    yield "|---|---|---|---|---|---|---|"
-    for kept in drives:
-        found, is_simulator = kept.result, kept.way == "simulator"
-        unit = ("", " of half the road") if is_simulator else ("_m", " m")
-        beside = [f"{_number(found.get(f'{name}_offset{unit[0]}'))}{unit[1]}" for name in ("mean", "max")]
-        yield (
-            f"| {_place(of, kept)} | {_number(_km(found.get('distance_m')))} |"
-            f" {_number(found.get('interventions'), 0)} | {_number(found.get('autonomy_percent'), 1)} % |"
-            f" {beside[0]} | {beside[1]} | {as_markdown(kept.measured_at[:10])} |"
-        )
-    yield ""
-    yield (
-        "Driven by the network in a closed loop: on tracks of the built-in simulator, or on recordings, whose"
-        " pictures are warped to where its steering has brought the car. Other roads, speeds and cars: not tried."
-    )
-    yield ""
+def _drive(of: ModelCard, kept: KeptResult) -> dict[str, object]:
+    """A row of the table of drives."""
+    ending, unit = ("", " of half the road") if kept.way == "simulator" else ("_m", " m")
+    distance_m = kept.result.get("distance_m")
+    return {
+        "place": _place(of, kept),
+        "km": distance_m / 1000 if isinstance(distance_m, int | float) else math.nan,
+        "interventions": kept.result.get("interventions"),
+        "autonomy": kept.result.get("autonomy_percent"),
+        "mean": kept.result.get(f"mean_offset{ending}"),
+        "max": kept.result.get(f"max_offset{ending}"),
+        "unit": unit,
+        "day": kept.measured_at[:10],
+    }
 
 
 def _place(of: ModelCard, kept: KeptResult) -> str:
@@ -251,49 +169,6 @@ def _place(of: ModelCard, kept: KeptResult) -> str:
         session = str(found.get("session", "?"))
         learnt = ", which it has learnt from" if session in _data(of).logs else ""
         return f"the recording {as_markdown(session)}{learnt}"
-    laps = f"{_number(found.get('laps'))} laps at {_number(found.get('set_speed_mph'), 0)} mph"
+    laps = f"{shown_number(found.get('laps'))} laps at {shown_number(found.get('set_speed_mph'), 0)} mph"
     supervised = ", supervised by a person" if kept.way == "supervised" else ""
     return f"{as_markdown(str(found.get('track', '?')))} ({laps}{supervised})"
-
-
-def _loading(of: ModelCard) -> Iterator[str]:
-    yield "## How to load it"
-    yield ""
-    yield f"`hf download OWNER/NAME --local-dir NAME`, and in that folder, with {TOOLKIT} installed:"
-    yield ""
-    yield "```python"
-    yield "from pathlib import Path"
-    yield "from dataset import decode"
-    yield "from model import load_pilot"
-    if of.code:
-        yield "from model.network.own_code import load_code"
-    yield ""
-    if of.code:
-        yield f"load_code({json.dumps(of.code)})  # this runs somebody's code: read it first"
-    yield 'pilot = load_pilot(Path("."))'
-    yield 'picture = decode(Path("picture.jpg").read_bytes())  # of its camera, uncropped'
-    yield "print(pilot.predict(pilot.crop(picture)))"
-    yield "```"
-    yield ""
-    flag = f" --network {of.code}" if of.code else ""
-    yield f"`bc-drive .{flag} --simulator lake` lets it drive."
-    yield ""
-    if of.onnx_example:
-        yield "Without it, and without PyTorch (`pip install onnxruntime opencv-python-headless`):"
-        yield ""
-        yield "```python"
-        yield of.onnx_example.rstrip("\n")
-        yield "```"
-    else:
-        yield "There is no ONNX file: the network has something in it that cannot be written as ONNX."
-    yield ""
-
-
-def _km(distance_m: object) -> float:
-    return distance_m / 1000 if isinstance(distance_m, int | float) else math.nan
-
-
-def _number(value: object, digits: int = 2) -> str:
-    """A number of a file that is not trusted; "-" where it is none."""
-    is_number = isinstance(value, int | float) and math.isfinite(value) and abs(value) < 1e9
-    return f"{value:.{digits}f}" if is_number else "-"

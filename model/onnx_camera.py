@@ -1,77 +1,79 @@
-"""The preprocessing of a camera's picture as nodes of an ONNX graph: crop, size and order of colours.
+"""A run's network as PyTorch modules for an ONNX file: from crops, or from a camera's picture of any size.
 
-It does what `preprocess` of `dataset.preprocessing` does. OpenCV rounds its weights to 11 bits: levels may differ
-by 1 of 255, by 2 in YUV.
+The arithmetic is OpenCV's, with weights of 11 bits for the resize and of 14 for YUV, so that the crop is equal to
+the one of `dataset.preprocessing.preprocess`. It uses doubles, which hold each of its integers exactly.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Sequence
 
-import numpy as np
+import torch
+from torch import Tensor, nn
 
 from dataset.picture_spec import ROWS, PictureSpec
-
-if TYPE_CHECKING:
-    from model.onnx_graph import Graph
-
-PICTURE, CROP = "picture", "crop"
-LARGEST_DIFFERENCE: Final = {"BGR": 1, "RGB": 1, "YUV": 2}
-"""Levels of 255 by which a crop may differ from that of training."""
-
-# OpenCV's COLOR_RGB2YUV: luma of ITU-R BT.601, and its differences from blue and red
-_LUMA: Final = np.array([0.299, 0.587, 0.114])
-_YUV: Final = np.stack([_LUMA, 0.492 * (np.array([0, 0, 1]) - _LUMA), 0.877 * (np.array([1, 0, 0]) - _LUMA)])
+from dataset.prediction_targets import TARGETS, TargetName
+from model.network.picture_network import PictureNetwork
 
 
-def add_preprocessing(graph: Graph, spec: PictureSpec) -> str:
-    """Add the nodes from "picture", uint8 (height, width, 3) RGB of any size, to "crop", uint8 of the network's
-    shape and colours. The value of the crop's levels, float32 (1, 3, height, width)."""
-    from onnx import TensorProto
+class FromCrops(nn.Module):
+    """Crops, uint8 (N, height, width, 3), to the steering and other targets in their units, each float32 (N,)."""
 
-    value = graph.add("Slice", "rows", PICTURE, *_row_range(graph, spec), graph.integers("row_axis", 0))
-    value = graph.add("Transpose", "row_planes", value, perm=[2, 0, 1])
-    value = graph.add("Unsqueeze", "one_picture", value, graph.integers("first_axis", 0))
-    value = graph.add("Cast", "row_levels", value, to=TensorProto.FLOAT)
-    size = graph.integers("size", 1, 3, spec.height_px, spec.width_px)
-    value = graph.add(
-        "Resize", "resized", value, "", "", size, mode="linear", coordinate_transformation_mode="half_pixel"
-    )
-    value = graph.add("Round", "levels", value)
-    if spec.channels == "BGR":
-        value = graph.add("Gather", "bgr", value, graph.integers("bgr_order", 2, 1, 0), axis=1)
-    elif spec.channels == "YUV":
-        weights = graph.constant("yuv_weights", _YUV[..., None, None].astype(np.float32))
-        value = graph.add(
-            "Conv", "yuv", value, weights, graph.constant("yuv_zero", np.array([0, 128, 128], np.float32))
-        )
-        value = graph.add(
-            "Clip",
-            "yuv_levels",
-            graph.add("Round", "yuv_rounded", value),
-            graph.constant("black", np.array(0, np.float32)),
-            graph.constant("white", np.array(255, np.float32)),
-        )
-    crop = graph.add(
-        "Transpose", "crop_levels", graph.add("Squeeze", "crop_planes", value, "first_axis"), perm=[1, 2, 0]
-    )
-    graph.add("Cast", CROP, crop, to=TensorProto.UINT8)
-    return value
+    def __init__(self, network: PictureNetwork, targets: Sequence[TargetName]) -> None:
+        super().__init__()
+        self.network, self.targets = network, tuple(targets)
+
+    def forward(self, pictures: Tensor) -> tuple[Tensor, ...]:
+        answers = self.network(pictures.permute(0, 3, 1, 2))
+        if len(self.targets) == 1:
+            return (answers,)
+        others = (answers[:, at] * TARGETS[name].per_unit for at, name in enumerate(self.targets[1:], 1))
+        return (answers[:, 0], *others)
 
 
-def _row_range(graph: Graph, spec: PictureSpec) -> tuple[str, str]:
-    """The first row of the crop and the one after its last, each int64 (1,): `PictureSpec.crop_slice`."""
-    from onnx import TensorProto
+class FromCamera(FromCrops):
+    """One picture, uint8 RGB (height, width, 3), to what `FromCrops` gives, and the crop."""
 
-    height = graph.add("Gather", "height", graph.add("Shape", "shape", PICTURE), graph.integers("height_at", 0))
-    exact = graph.add("Cast", "exact_height", height, to=TensorProto.DOUBLE)
+    def __init__(self, network: PictureNetwork, targets: Sequence[TargetName], spec: PictureSpec) -> None:
+        super().__init__(network, targets)
+        self.spec = spec
 
-    def rows_of(name: str, share: int) -> str:
-        rows = graph.add("Mul", f"exact_{name}", exact, graph.constant(f"{name}_share", np.array([share / ROWS])))
-        return graph.add("Cast", name, graph.add("Round", f"whole_{name}", rows), to=TensorProto.INT64)
+    def forward(self, picture: Tensor) -> tuple[Tensor, ...]:
+        crop = _in_channels(_resized(picture, self.spec), self.spec.channels).to(torch.uint8)
+        return (*super().forward(crop.unsqueeze(0)), crop)
 
-    one_row = graph.integers("one_row", 1)
-    last = graph.add("Sub", "last_row", height, one_row)
-    first = graph.add("Min", "first_row", rows_of("rows_off_top", spec.crop_top), last)
-    below = graph.add("Sub", "uncut_end", height, rows_of("rows_off_bottom", spec.crop_bottom))
-    return first, graph.add("Max", "end_row", below, graph.add("Add", "least_end", first, one_row))
+
+def _resized(picture: Tensor, spec: PictureSpec) -> Tensor:
+    """The rows of `PictureSpec.crop_slice` in the network's size, as cv2.resize with INTER_LINEAR gives them."""
+    height, width = (torch.scalar_tensor(side, dtype=torch.float64) for side in picture.shape[:2])
+    top = torch.minimum(torch.round(height * (spec.crop_top / ROWS)), height - 1)
+    rows = torch.maximum(height - torch.round(height * (spec.crop_bottom / ROWS)) - top, torch.ones_like(top))
+    left, right, share = _neighbours(width, spec.width_px)
+    share = share[:, None]
+    levels = picture.double()
+    levels = ((levels[:, left] * (2048 - share) + levels[:, right] * share) / 16).floor()
+    above, below, share = _neighbours(rows, spec.height_px)
+    above, below, share = above + top.long(), below + top.long(), share[:, None, None]
+    upper, lower = levels[above] * (2048 - share), levels[below] * share
+    return (((upper / 65536).floor() + (lower / 65536).floor() + 2) / 4).floor()
+
+
+def _neighbours(length: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
+    """For each of `size` places on an axis: the two pixels next to it, and the share of the second in 1/2048."""
+    place = ((torch.arange(size, dtype=torch.float64) + 0.5) * (length / size) - 0.5).float()
+    first, last = place.floor(), (length - 1).float()
+    pixels = (torch.minimum(first.clamp(min=0), last).long(), torch.minimum(first + 1, last).long())
+    return *pixels, ((place - first) * 2048).round().double()
+
+
+def _in_channels(rgb: Tensor, channels: str) -> Tensor:
+    """Levels as cv2.cvtColor gives them."""
+    if channels == "RGB":
+        return rgb
+    red, green, blue = rgb.unbind(2)
+    if channels == "BGR":
+        return torch.stack([blue, green, red], dim=2)
+    luma = ((red * 4899 + green * 9617 + blue * 1868 + 8192) / 16384).floor()
+    from_blue, from_red = ((blue - luma) * 8061, (red - luma) * 14369)
+    chroma = (((part + 8192) / 16384).floor() + 128 for part in (from_blue, from_red))
+    return torch.stack([luma, *chroma], dim=2).clamp(0, 255)

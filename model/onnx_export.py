@@ -1,15 +1,17 @@
 """A run's network as one ONNX file, for programs that have neither this toolkit nor PyTorch.
 
-The graph is written node by node (onnx_graph.py). `torch.onnx.export` needs onnxscript as well, writes operator
-set 18 at least, and puts paths of the machine into the file. No file gets its name before ONNX Runtime has been
-compared with PyTorch.
+PyTorch's exporter writes the graph. No file gets its name before ONNX Runtime has been compared with PyTorch.
 
-ONNX and ONNX Runtime are an extra (`pip install ".[onnx]"`) and are imported only here.
+ONNX, ONNX Script and ONNX Runtime are an extra (`pip install ".[onnx]"`) and are imported only here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import importlib
+import logging
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,10 +19,13 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
+from torch.export import Dim
 
 from common import atomic_file
 from common.errors import printable
 from common.files import refuse_existing
+from common.named_function import in_one_line
 from common.versions import TOOLKIT, install_line, version_of
 from dataset.picture_spec import PictureSpec, metadata_of
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
@@ -28,12 +33,10 @@ from dataset.preprocessing import as_bgr, preprocess
 from model.errors import RunError
 from model.evaluation.predict import as_input
 from model.network.picture_network import PictureNetwork
-from model.onnx_camera import CROP, LARGEST_DIFFERENCE, PICTURE
-from model.onnx_graph import onnx_graph
+from model.onnx_camera import FromCamera, FromCrops
 from model.runs.car_of_run import known_max_steering_deg_of_run
 from model.runs.run_files import run_write_errors
 from model.runs.run_folder import (
-    load_answer_scale,
     load_network,
     picture_of_run,
     run_name,
@@ -44,7 +47,7 @@ from model.runs.run_folder import (
 if TYPE_CHECKING:
     from onnx import ModelProto
 
-OPSET, IR_VERSION = 13, 7  # of ONNX 1.8 (2020), which whatever reads ONNX today can read
+OPSET, IR_VERSION = 18, 8  # of ONNX 1.13 (2022); PyTorch writes no earlier operators
 _ABOUT: Final = {
     "speed": "the speed in mph that it wants to be driven a little later, not clamped",
     "throttle": "-1 (full brake) .. 1 (full throttle), not clamped",
@@ -52,6 +55,7 @@ _ABOUT: Final = {
 _CAMERA_PX: Final = ((320, 160), (160, 120), (640, 480), (128, 128), (97, 61), (224, 224), (40, 30), (320, 240))
 """Widths and heights of the cameras' pictures with which a file with preprocessing is compared."""
 MAX_DIFFERENCE: Final = 1e-4  # of steering -1..1: 0.0025 degrees; float32 leaves about 1e-6
+MAX_CROP_DIFFERENCE: Final = 1  # level of 255; none with OpenCV 5 on x86
 
 
 def export_onnx(run: Path | str, path: Path | str, *, of_camera: bool = False, overwrite: bool = False) -> float:
@@ -86,13 +90,14 @@ def export_onnx(run: Path | str, path: Path | str, *, of_camera: bool = False, o
 
 
 def require_onnx() -> None:
-    """Raises RunError if ONNX or ONNX Runtime is not installed."""
+    """Raises RunError if ONNX, ONNX Script or ONNX Runtime is not installed."""
     try:
-        import onnx  # noqa: F401
-        import onnxruntime  # noqa: F401
+        for name in ("onnx", "onnxruntime", "onnxscript"):
+            importlib.import_module(name)
     except ImportError as error:
         raise RunError(
-            f"exporting needs ONNX and ONNX Runtime ({error}): install them with `{install_line('onnx')}`"
+            f"exporting needs ONNX, ONNX Script and ONNX Runtime ({error}): install them with"
+            f" `{install_line('onnx')}`"
         ) from None
 
 
@@ -161,18 +166,54 @@ def _model(
     from onnx import checker, helper
 
     try:
-        graph = onnx_graph(network, load_answer_scale(run), picture, targets, of_camera=of_camera)
+        model = _exported(network, picture, targets, of_camera)
     except RunError as error:
-        raise RunError(f"{run}: {error}") from None
-    model = helper.make_model(
-        graph,
-        producer_name=TOOLKIT,
-        producer_version=version_of(),
-        opset_imports=[helper.make_opsetid("", OPSET)],
-        ir_version=IR_VERSION,
-    )
+        raise RunError(f"{run}: its network cannot be written as ONNX: {error}") from None
+    model.producer_name, model.producer_version, model.ir_version = TOOLKIT, version_of(), IR_VERSION
     helper.set_model_props(model, description(run, picture, targets, of_camera))
     checker.check_model(model, full_check=True)
+    return model
+
+
+def _exported(
+    network: PictureNetwork, picture: PictureSpec, targets: Sequence[TargetName], of_camera: bool
+) -> ModelProto:
+    """PyTorch's export, without the paths of this machine. Raises RunError for a network that it cannot write."""
+    from onnx_ir.passes.common import ClearMetadataAndDocStringPass
+    from torch.onnx import OnnxExporterError
+
+    names = [TARGETS[name].answer_name for name in targets]
+    if of_camera:
+        module: nn.Module = FromCamera(network, targets, picture)
+        inputs, outputs, sample = "picture", [*names, "crop"], torch.zeros(160, 320, 3, dtype=torch.uint8)
+        sizes = ({0: Dim("height"), 1: Dim("width")},)
+    else:
+        module = FromCrops(network, targets)
+        inputs, outputs, sample = "pictures", names, torch.zeros(2, *picture.shape, dtype=torch.uint8)
+        sizes = ({0: Dim("N")},)
+    with warnings.catch_warnings(), torch.no_grad(), _without_log():
+        warnings.simplefilter("ignore")
+        try:
+            traced = torch.export.export(module.eval(), (sample,), dynamic_shapes=sizes)
+        except Exception as error:  # of its own code, asked for what is only known of pictures
+            raise RunError(f"its way depends on what it sees ({in_one_line(error)})") from None
+        try:
+            program = torch.onnx.export(
+                traced,
+                dynamic_shapes=sizes,
+                input_names=[inputs],
+                output_names=outputs,
+                opset_version=OPSET,
+                verbose=False,
+            )
+        except OnnxExporterError as error:
+            raise RunError(f"a part is missing there ({in_one_line(_cause(error))})") from None
+    assert program is not None  # noqa: S101  # it was given no file to write
+    ClearMetadataAndDocStringPass()(program.model)
+    model = program.model_proto
+    model.graph.ClearField("value_info")
+    for value in (*model.graph.input, *model.graph.output):
+        value.ClearField("metadata_props")
     return model
 
 
@@ -201,13 +242,27 @@ def _largest_difference_of_camera(
     differences = []
     for size, crop in zip(_CAMERA_PX, _pictures(picture), strict=True):
         bgr = cv2.resize(as_bgr(crop, picture), size).astype(np.uint8, copy=False)
-        *answers, seen = session.run([*names, CROP], {PICTURE: np.ascontiguousarray(bgr[..., ::-1])})
+        *answers, seen = session.run([*names, "crop"], {"picture": np.ascontiguousarray(bgr[..., ::-1])})
         off = int(np.abs(seen.astype(np.int16) - preprocess(bgr, picture)).max())
-        if off > LARGEST_DIFFERENCE[picture.channels]:
+        if off > MAX_CROP_DIFFERENCE:
             raise RunError(f"{path}: not written: its crop is {off} levels off the crop of training")
         expected = network(as_input(seen[None])).numpy()
         differences.append(_difference(np.stack(answers, axis=1), expected, targets))
     return float(np.max(differences))  # not a number if one is not
+
+
+@contextmanager
+def _without_log() -> Iterator[None]:
+    """PyTorch logs whole graphs to stderr where it fails."""
+    logging.disable()
+    try:
+        yield
+    finally:
+        logging.disable(logging.NOTSET)
+
+
+def _cause(error: BaseException) -> BaseException:
+    return error if error.__cause__ is None else _cause(error.__cause__)
 
 
 def _session(path: Path) -> Any:

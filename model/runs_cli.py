@@ -48,7 +48,7 @@ class Runs:
     """
 
     runs: LocationFlag = Path("runs")
-    """Folder or URL of the runs."""
+    """The runs."""
     sort: Literal["newest", "name", "rmse", "balanced-rmse", "correlation", "interventions"] = "newest"
     """Order of the list, best first; runs with the same held-out frames together."""
     json: bool = False

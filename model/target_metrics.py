@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TargetErrors:
-    """The errors of a target on the frames of which its label is known, in its unit; NaN where there is nothing to
+    """The errors of a target on the frames with a known label, in its unit; NaN where there is nothing to
     measure."""
 
     target: TargetName

@@ -7,7 +7,7 @@ import contextlib
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, ClassVar, Final
 
 import tyro
 
@@ -30,6 +30,7 @@ class Train:
     `bc-train export RUN` writes a network for other programs (--onnx) or the Hugging Face hub (--hub).
     """
 
+    RARE: ClassVar[str] = "tensorboard listener ray sessions drives copy_to"
     name: str = ""
     """Name of the run; by default date, time and six random digits."""
     resume: str | None = None
@@ -37,31 +38,31 @@ class Train:
     init: str | None = None
     """Start from this run's weights."""
     on: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SESSION [SESSION ...]")] = ()
-    """Train on these sessions alone; builds index-NAME next to --index."""
+    """Train on these sessions alone; builds index-NAME."""
     takeovers: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = ()
-    """Add these drives' takeovers to what the run of --init learnt from."""
+    """Add these drives' takeovers to the samples of --init."""
     like: str | None = None
-    """Repeat this run: its settings and index, except for other flags."""
+    """Repeat this run's settings and index, except other flags."""
     tensorboard: bool = False
     """Also write the curves for TensorBoard."""
     listener: str | None = None
-    """Your code that receives the progress: FILE.py:CLASS or package.module:CLASS."""
+    """Your code for the progress: FILE.py:CLASS or MODULE:CLASS."""
     viewer: bool = False
     """Show the curves in Rerun."""
     ray: Annotated[
         tuple[str, ...] | None, tyro.conf.arg(metavar="N [ADDRESS]", help_behavior_hint="(default: none)")
     ] = None
-    """Train on N workers of a Ray cluster whose nodes share these folders."""
+    """Train on N workers of a Ray cluster with shared folders."""
     index: LocationFlag = Path("index")
-    """Folder or URL of the index."""
+    """The index."""
     sessions: LocationFlag = Path("sessions")
-    """Folder or URL of the logs, if the index must be built."""
+    """The logs, if the index must be built."""
     drives: LocationFlag = Path("drives")
-    """Folder or URL of the drives that --init's run learnt from."""
+    """The drives that --init learnt from."""
     runs: LocationFlag = RUNS
-    """Folder of the runs; a run is copied to a URL as it grows."""
+    """Folder of the runs; at a URL, the run is copied as it grows."""
     copy_to: Annotated[LocationFlag | None, tyro.conf.arg(metavar="URL")] = None
-    """Also copy the run to this folder in a store."""
+    """Also copy the run to this store."""
     config: tyro.conf.OmitArgPrefixes[TrainConfig] = field(default_factory=TrainConfig)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
@@ -25,50 +25,50 @@ class Record:
     bc-record lake --track lake --laps 0.5
     bc-record mine --driver me --track lake --open
     bc-record mine --from ~/beta_simulator/recording --watch
-    bc-record racing --gym CarRacing-v3 --gym-action steering,throttle,brake --expert my_expert:drive
     """
 
+    RARE: ClassVar[str] = "idle host port topics columns all_catalogs udacity copy_to page wander"
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
     """Name of the session, without folder or ending."""
     source: Annotated[LocationFlag | None, tyro.conf.arg(name="from", metavar="SOURCE")] = None
-    """Import a Udacity folder, DonkeyCar tub, .mcap, ROS 2 bag, LeRobot dataset, or csv."""
+    """Import a Udacity folder, DonkeyCar tub, .mcap, ROS 2 bag, LeRobot dataset or csv."""
     watch: bool = False
-    """Follow the folder of --from while the simulator writes it."""
+    """Follow the folder of --from as it is written."""
     listen: bool = False
-    """Record the telemetry of a simulator that connects."""
+    """Record a simulator that connects."""
     idle: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
-    """End --watch or --listen after this long without new data; otherwise, Ctrl-C ends them."""
+    """End --watch or --listen after this long without data."""
     viewer: bool = False
-    """Show what --watch or --listen records, in Rerun."""
+    """Show --watch or --listen in Rerun."""
     host: str = "127.0.0.1"
-    """Address for --listen; 0.0.0.0 lets other machines connect."""
+    """Address for --listen; 0.0.0.0 admits other machines."""
     port: int = 4567
-    """Port for --listen; Udacity's simulator connects to 4567."""
+    """Port for --listen."""
     car: Annotated[str | None, tyro.conf.arg(metavar="udacity|built-in|FILE.toml")] = None
-    """The recorded car: steering angle, cameras, unit of speed. By default Udacity's."""
+    """Angle, cameras, unit of speed; by default Udacity's."""
     topics: tyro.conf.OmitArgPrefixes[Topics] = field(default_factory=Topics)
     columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHAT=COLUMN [WHAT=COLUMN ...]")] = ()
-    """Columns of a csv next to pictures: image=frame steering=angle, and more."""
+    """Columns of a csv: image=frame steering=angle, and more."""
     all_catalogs: bool = False
-    """Also import a tub's catalogues that its manifest does not name."""
+    """Also import a tub's catalogues missing in its manifest."""
     rate: float | None = None
-    """Rows a second; the built-in simulator's rate (10 by default) must divide 50."""
+    """Rows a second; simulated: 10, or another divisor of 50."""
     udacity: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Also write the simulated drive as a Udacity recording, to a new folder."""
+    """Also write the simulated drive as a Udacity recording."""
     sessions: LocationFlag = Path("sessions")
-    """Folder of the logs; finished logs are copied to a URL."""
+    """Folder of the logs, or a URL for copies."""
     force: bool = False
     """Replace a session of the same name."""
     copy_to: Annotated[LocationFlag | None, tyro.conf.arg(metavar="URL")] = None
-    """Also copy the finished log there (s3://BUCKET/FOLDER)."""
+    """Also copy the finished log to this store."""
     open: bool = False
-    """With --driver me: open the page in a browser."""
+    """With --driver me: open the browser."""
     page: bool = True
-    """With --driver me: serve the page; --no-page if a bc-web runs here."""
+    """With --driver me: serve no page; a running bc-web does."""
     drive: tyro.conf.OmitArgPrefixes[SimulatedDrive] = field(default_factory=SimulatedDrive)
     environment: tyro.conf.OmitArgPrefixes[GymFlags] = field(default_factory=GymFlags)
     wander: float = 0.0
-    """With --gym: disturb the expert's steering by this standard deviation, such as 0.1."""
+    """With --gym: standard deviation of noise in the expert's steering, such as 0.1."""
 
 
 def _record(config: Record) -> int:

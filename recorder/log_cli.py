@@ -87,9 +87,10 @@ class Check:
             more |= {"lag": checked.lag and checked.lag.lag and asdict(checked.lag.lag)}
             print_result(json.dumps({**result, **more}))
         else:
-            print_checked(checked)
+            info = describe(path)
+            print_checked(checked, info.tags)
             remark_crcs(path, checked.has_crcs)
-            steps.append(step_of_check(describe(path), checked.odd, is_damaged=checked.is_damaged))
+            steps.append(step_of_check(info, checked.odd, is_damaged=checked.is_damaged))
         return DONE_BUT_SKIPPED if checked.findings else DONE
 
 

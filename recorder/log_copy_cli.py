@@ -29,21 +29,17 @@ _MAX_NAMED: Final = 8
 @dataclass(frozen=True)
 class CopyLogs:
     """Copy logs and tags to or from a store, whole or not at all, with every CRC compared. The same command
-    continues a stopped copy."""
+    continues a stopped download, and skips what is there."""
 
     places: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...] TO")]
     """Logs or folders of logs, then the target: a folder, a URL, or a new name."""
     force: bool = False
     """Replace logs and tags of the same names."""
-    abort: bool = False
-    """Copy nothing; remove the uploaded parts of copies that were stopped."""
 
     def run(self) -> int:
         if len(self.places) < 2:
             raise UsageError("give the logs and where to: `bc-log copy sessions/lake.mcap s3://BUCKET/sessions`")
         logs, to = [named_log(place) for place in self.places[:-1]], self.places[-1]
-        if self.abort:
-            return _abort(logs, to)
         code = copy_logs(logs, to, overwrite=self.force)
         if code != FAILED:
             index = f" --index {shlex.quote(str(to.parent / 'index'))}" if isinstance(to, Url) else ""
@@ -65,8 +61,7 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
             of_many = f" ({number} of {len(pairs)})" if len(pairs) > 1 else ""
             task = progress.add_task(f"copying {log.name}{of_many}, bytes", total=size_of(log), note="")
             try:
-                on_bytes, on_left = partial(progress.advance, task), partial(_print_left, log, target)
-                done = copy_log(log, target, overwrite=overwrite, on_bytes=on_bytes, on_left=on_left)
+                done = copy_log(log, target, overwrite=overwrite, on_bytes=partial(progress.advance, task))
             except OSError as error:
                 codes.append(print_error(prog, _unreadable_or_full(log, target, error)))
                 continue
@@ -92,29 +87,6 @@ def _unreadable_or_full(log: Location, target: Location, error: OSError) -> User
     return UserError(f"{error.filename or log}: {error.strerror}")
 
 
-def _print_left(log: Location, target: Location, size: int) -> None:
-    """Print how an unfinished upload is resumed, and how it is removed."""
-    is_in_s3 = isinstance(target, Url) and target.scheme == "s3"
-    print_message(
-        f"{size / 1e6:,.1f} MB of {log} stay in the store: `bc-log copy {log} {target}` goes on with them,"
-        f" {'--abort removes them' if is_in_s3 else 'after a week they are dropped'}"
-    )
-
-
-def _abort(places: Sequence[Location], to: Location) -> int:
-    """Remove what uploads that were stopped have left."""
-    if not isinstance(to, Url) or to.scheme != "s3":
-        raise UsageError(
-            f"{to}: only what uploads to s3:// leave can be removed; Azure drops what they leave after a week"
-        )
-    from common.resumable_upload import remove_unfinished  # botocore, an extra
-
-    targets = [target for _, target in _pairs(places, to) if isinstance(target, Url)]
-    for target in targets:
-        print_result(f"{target}: {counted(remove_unfinished(target), 'unfinished upload')} removed")
-    return DONE
-
-
 def refuse_copying(to: Location) -> None:
     """Raise UserError, before anything is recorded, for a place that logs cannot be copied to."""
     if not isinstance(to, Url) or to.suffix == ".mcap":
@@ -135,10 +107,10 @@ def copy_recording(log: Path, to: Location, overwrite: bool, *, prog: str = "bc-
     copied: it is recorded all the same."""
     code = DONE if copy_logs([log], to, overwrite=overwrite, prog=prog) == DONE else DONE_BUT_SKIPPED
     try:
-        there = {other.name for other in logs_in(to)}
+        names_stored = {other.name for other in logs_in(to)}
     except StoreError:  # reported already
-        there = set()
-    missing = [each for each in logs_in(log.parent) if each.suffix == ".mcap" and each.name not in there]
+        names_stored = set()
+    missing = [each for each in logs_in(log.parent) if each.suffix == ".mcap" and each.name not in names_stored]
     if missing:
         names = ", ".join(printable(each.name) for each in missing[:_MAX_NAMED])
         more = f" and {len(missing) - _MAX_NAMED:,} more" if len(missing) > _MAX_NAMED else ""
@@ -153,10 +125,10 @@ def brought_here(places: Sequence[Location]) -> Iterator[tuple[Path, ...]]:
     from recorder.upkeep.copy_log import copy_log  # obstore, an extra
 
     with tempfile.TemporaryDirectory(prefix="bc-logs-") as folder:
-        found: list[Path] = []
+        copies: list[Path] = []
         for number, place in enumerate(places):
             if isinstance(place, Path):
-                found.append(place)
+                copies.append(place)
                 continue
             copy = Path(folder) / str(number) / place.name
             with progress_bar() as progress:
@@ -164,8 +136,8 @@ def brought_here(places: Sequence[Location]) -> Iterator[tuple[Path, ...]]:
                 done = copy_log(place, copy, on_bytes=partial(progress.advance, task))
             if done.notice:
                 print_message(done.notice)
-            found.append(copy)
-        yield tuple(found)
+            copies.append(copy)
+        yield tuple(copies)
 
 
 def _pairs(places: Sequence[Location], to: Location) -> list[tuple[Location, Location]]:
@@ -194,6 +166,6 @@ def size_of(log: Location) -> int | None:
     if isinstance(log, Url):
         from common.object_store import find_object
 
-        found = find_object(log)
-        return found.size if found else None
+        stored = find_object(log)
+        return stored.size if stored else None
     return log.stat().st_size if log.is_file() else None

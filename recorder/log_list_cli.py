@@ -44,21 +44,21 @@ class ListLogs:
     def run(self) -> int:
         from recorder.upkeep.log_info import describe  # NumPy
 
-        found, codes = [], [DONE]
+        infos, codes = [], [DONE]
         for path in self._logs():
             try:
-                found.append(describe(path))
+                infos.append(describe(path))
             except Exception as error:
                 codes.append(print_error("bc-log", as_user_error(path, error)))
-        found.sort(key=lambda info: (SORTED_BY[self.sort](info), info.path))
+        infos.sort(key=lambda info: (SORTED_BY[self.sort](info), info.path))
         if self.json:
-            for info in found:
+            for info in infos:
                 print_result(info.as_json())
-        elif found:
-            print_table(_table(found))
-        code = max([*codes, *(warn(info.notice) for info in found if info.notice)])
-        if found and not self.json:
-            print_first([step_of_list(found)])
+        elif infos:
+            print_table(_table(infos))
+        code = max([*codes, *(warn(info.notice) for info in infos if info.notice)])
+        if infos and not self.json:
+            print_first([step_of_list(infos)])
         return code
 
     def _logs(self) -> list[Location]:
@@ -78,13 +78,13 @@ def _is_folder(place: Location) -> bool:
     return place.suffix != ".mcap" if isinstance(place, Url) else place.is_dir()
 
 
-def _table(found: Sequence[LogInfo]) -> Table:
+def _table(infos: Sequence[LogInfo]) -> Table:
     table = Table(box=None, pad_edge=False)
     for heading in ("log", "begun, UTC", "min", "rows", "MB", "driven by", "odd", "tags"):
         is_number = heading in ("min", "rows", "MB")
         no_wrap = is_number or heading == "begun, UTC"
         table.add_column(heading, justify="right" if is_number else "left", no_wrap=no_wrap, overflow="fold")
-    for info in found:
+    for info in infos:
         odd = ", ".join(f"{rows:,} {kind.replace('_', ' ')}" for kind, rows in info.odd_rows.items())
         table.add_row(
             plain(location(info.path).name.removesuffix(".mcap")),

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from common.location import Location, location
 from common.output import print_next
-from recorder.log.tags import EXCLUDE, Tag
+from recorder.log.tagged_rows import TaggedRows
+from recorder.log.tags import EXCLUDE
 from recorder.log_flag import SESSIONS
 
 if TYPE_CHECKING:  # NumPy
@@ -66,12 +67,9 @@ def step_of_list(logs: Sequence[LogInfo]) -> NextStep:
 
 def _left(info: LogInfo, odd: Sequence[OddStretch] | None = None) -> list[OddStretch]:
     """What is odd in a log and not excluded."""
-    tags = [tag for tag in info.tags if tag.name == EXCLUDE]
-    return [each for each in (odd or info.odd or ()) if not any(_holds(tag, each) for tag in tags)]
+    from recorder.log.tagged_rows import TaggedRows  # NumPy
 
-
-def _holds(tag: Tag, each: OddStretch) -> bool:
-    return tag.first_row <= each.first_row and each.last_row <= tag.last_row
+    return TaggedRows(info.tags, EXCLUDE).left(odd or info.odd or ())
 
 
 def _go_on(log: Location) -> NextStep:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from rich.markup import escape
@@ -11,13 +12,14 @@ from rich.table import Table
 from common import Skipped
 from common.command import warn, warn_skipped
 from common.errors import counted, printable
-from common.location import location
+from common.location import Location, location
 from common.output import print_result, print_table
 from common.steering_unit import DEGREES, FULL_LOCK
-from recorder.log.tags import Tag
+from recorder.log.tags import EXCLUDE, Tag
 from recorder.topics import VEHICLE
 
 if TYPE_CHECKING:  # NumPy
+    from recorder.rows.odd_stretches import OddStretch
     from recorder.upkeep.check import Checked
     from recorder.upkeep.derived_log import Written
     from recorder.upkeep.log_info import LogInfo
@@ -64,9 +66,8 @@ def _print_more(count: int, noun: str, shown: int = MAX_LINES) -> None:
         print_table(f"    and {counted(count - shown, noun)} (--json lists them)")
 
 
-def print_checked(checked: Checked) -> None:
+def print_checked(checked: Checked, tags: Sequence[Tag]) -> None:
     from recorder.log.known_lag import lag_path
-    from recorder.rows.odd_stretches import odd_advice, odd_lines
     from recorder.rows.steering_report import lag_in_words
     from recorder.upkeep.check_contents import ODD_FINDINGS
 
@@ -84,12 +85,12 @@ def print_checked(checked: Checked) -> None:
         print_result(f"  {words}")
         if not checked.is_lag_kept:
             warn(f"{lag_path(checked.path)}: cannot be written; `bc-index --look` keeps the lag in the index")
-    print_result(*(f"  {line}" for line in (*odd_lines(checked.odd), *odd_advice(checked.odd, checked.path))))
+    print_result(*(f"  {line}" for line in _odd_lines(checked.odd, tags, checked.path)))
     meant = Skipped()
     for where in checked.meant_gaps:
         meant.add("gaps in time that its events explain, so nothing is lost", where)
     for where in checked.pauses:
-        meant.add("pauses of the recording, behind each of which a new drive begins", where)
+        meant.add("pauses of the recording; a new drive begins after each", where)
     for line in meant.lines(MAX_PLACES):
         print_result(f"  {line}")
 
@@ -108,7 +109,6 @@ def rows_of(tag: Tag) -> str:
 
 
 def _print_drives(info: LogInfo) -> None:
-    from recorder.rows.odd_stretches import odd_advice, odd_lines
 
     if info.drives is None or info.flags is None:
         if not info.is_ours:
@@ -117,8 +117,7 @@ def _print_drives(info: LogInfo) -> None:
             print_table("  no rows: nothing was driven")
     elif info.drives:
         print_table(f"  {counted(info.drives, 'drive')}; {'odd:' if info.odd else 'no odd rows'}")
-        odd = info.odd or ()
-        print_result(*(f"    {line}" for line in (*odd_lines(odd), *odd_advice(odd, location(info.path)))))
+        print_result(*(f"    {line}" for line in _odd_lines(info.odd or (), info.tags, location(info.path))))
     if info.meant_gaps:
         print_table(f"  {counted(len(info.meant_gaps), 'gap')} that its events explain, so nothing is lost there")
     gaps = [each for each in info.stretches if each.flag == "gap" and each.last_row not in info.meant_gaps]
@@ -128,6 +127,17 @@ def _print_drives(info: LogInfo) -> None:
             f"    gap: rows {gap.first_row} to {gap.last_row}, {gap.begin_s:.1f} to {gap.end_s:.1f} s{goes_back}"
         )
     _print_more(len(gaps), "more gap", MAX_PLACES)
+
+
+def _odd_lines(odd: Sequence[OddStretch], tags: Sequence[Tag], log: Location) -> list[str]:
+    """What is odd in a log, and what to do about it; what is excluded is counted."""
+    from recorder.log.tagged_rows import TaggedRows
+    from recorder.rows.odd_stretches import odd_advice, odd_lines
+
+    left = TaggedRows(tags, EXCLUDE).left(odd)
+    excluded = len(odd) - len(left)
+    lines = [f"{counted(excluded, 'odd stretch is', 'odd stretches are')} excluded"] if excluded else []
+    return [*odd_lines(left), *lines, *odd_advice(left, log)]
 
 
 def _has_rows(info: LogInfo) -> bool:

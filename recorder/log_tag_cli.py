@@ -20,7 +20,7 @@ from recorder.log.tags import (
     check_name,
     names_used,
     read_tags,
-    remove_tag,
+    remove_tags,
     tags_by_content,
     tags_path,
 )
@@ -93,14 +93,14 @@ class NameRows:
         if (self.start, self.end, self.rows) != (None,) * 3 or (self.odd and self.where is not None):
             raise UsageError("give one of --odd, --where, --rows, or --start and --end")
         from common.stretches import stretches
-        from recorder.log.fine_rows import fine_rows
         from recorder.log.reader import Log
+        from recorder.log.road_places import states_of
+        from recorder.log.tagged_rows import fine_rows
         from recorder.rows.odd_stretches import odd_stretches
         from recorder.rows.row_condition import rows_where
-        from recorder.rows.row_quality import States
 
         with Log(self.log) as log:
-            states = States.of(log.vehicle())
+            states = states_of(log)
             odd = odd_stretches(states) if self.odd else []
             if self.look:
                 from recorder.seen.shown_stretches import with_pictures  # OpenCV
@@ -168,8 +168,9 @@ class NameRows:
         if not self._is_confirmed(chosen):
             raise UserError("nothing was tagged")
         if self.remove:
-            for tag in sorted(set(chosen) & set(tags)):
-                remove_tag(self.log, fingerprint, tag)
+            removed = sorted(set(chosen) & set(tags))
+            remove_tags(self.log, fingerprint, removed)
+            for tag in removed:
                 print_message(f"removed {tag.name}: {rows_of(tag)}")
         else:
             add_tags(self.log, fingerprint, chosen)

@@ -195,7 +195,7 @@ def driven(run: Path, track: str, mph: float) -> dict[str, Any]:
     """What `bc-eval` says of a lap, now or before."""
     kept = run / f"drive-{track.replace(':', '-')}-{mph:g}.json"
     if not kept.exists():
-        logs = ("--logs", str(run / "drives"), "--force")
+        logs = ("--drives", str(run / "drives"), "--force")
         said = command("bc_eval", str(run), "--simulator", track, "--speed", f"{mph:g}", *logs, "--json")
         with atomic_file(kept, overwrite=True) as part:
             part.write_text(said)

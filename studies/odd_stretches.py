@@ -21,7 +21,9 @@ from typing import Final
 import numpy as np
 
 from recorder import Log
+from recorder.log.road_places import states_of as states_of_log
 from recorder.rows.odd_stretches import OddStretch, odd_stretches
+from recorder.rows.road_edge import beyond_edge_m
 from recorder.rows.row_quality import States
 from simulator.driving.course import Course
 from simulator.driving.drive_limits import DriverName
@@ -45,12 +47,13 @@ class Drive:
 
     course: Course
     driver: SimulatedDriver
-    rows: list[tuple[float, float, float, float, float]]
+    rows: list[tuple[float, ...]]
 
     def row(self, steering: float, throttle: float) -> None:
         course = self.course
         speed_mph = abs(course.vehicle.speed_mph)
-        self.rows.append((course.time_s, steering, max(0.0, throttle), max(0.0, -throttle), speed_mph))
+        state = (course.time_s, steering, max(0.0, throttle), max(0.0, -throttle), speed_mph)
+        self.rows.append((*state, abs(course.offset_m) - course.half_width_m))
         for _ in range(STEPS_EACH):
             course.advance(steering, throttle)
 
@@ -113,8 +116,17 @@ def stuck_steering(drive: Drive) -> None:
     drive.holds(4.0, 0.3, 0.07)
 
 
+def off_road(drive: Drive) -> None:
+    """Beside the road, and back onto it."""
+    drive.course.displace(1.5 * drive.course.half_width_m, 0.0, 0.0)
+    for _ in range(10 * RATE_HZ):
+        if not drive.course.off_road:
+            return
+        drive.drives(1 / RATE_HZ)
+
+
 FAULTS: Final[dict[str, Callable[[Drive], None]]] = {
-    each.__name__: each for each in (backwards, crash, parked, coasting, creeping, stuck_steering)
+    each.__name__: each for each in (backwards, crash, parked, coasting, creeping, stuck_steering, off_road)
 }
 
 
@@ -156,7 +168,7 @@ def main() -> None:
     logs = parser.parse_args().logs
     for path in logs:
         with Log(path) as log:
-            found = odd_stretches(States.of(log.vehicle()))
+            found = odd_stretches(states_of_log(log))
         print(f"{path.stem}: {'; '.join(map(str, found)) or 'nothing'}")
     if logs:
         return
@@ -170,13 +182,15 @@ def main() -> None:
             names: tuple[DriverName, ...] = ("expert", "keyboard")
             for name in names:
                 driver = make_driver(name, track.line, mph, 0.03, 0)
-                steps = drive_for_recording(course, driver, 1.0, RATE_HZ, 0.35, 0)
+                steps = list(drive_for_recording(course, driver, 1.0, RATE_HZ, 0.35, 0))
                 states = states_of(
                     [
                         (each.time_s, each.steering, each.throttle, each.brake, abs(each.speed_mph))
                         for each in steps
                     ]
                 )
+                poses = np.array([(each.pose.x_m, each.pose.y_m, each.pose.heading_rad) for each in steps])
+                states = replace(states, beyond_m=beyond_edge_m(track_name, "", *poses.T))
                 count = results.setdefault(f"{name}, a lap with recoveries", Counter())
                 found = odd_stretches(states)
                 count.update(rows=len(states.row), false=measure(found, "", [])[1])

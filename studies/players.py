@@ -33,13 +33,13 @@ from scripted_player import DEVICES, Device, Player, Supervisor
 
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
-from web.data.wheels import EPOCHS_MORE, quick_epochs
+from web.jobs.wheels import EPOCHS_MORE, quick_epochs
 
 RECORDED: Final = ("lake", "mountain")
 DRIVEN: Final = ("lake", "mountain", "random:1", "random:2", "random:3")
 BEGINNERS: Final = "mountain"
 SUPERVISED: Final = ("random:6", "random:7")
-"""A road a round. On the mountain, of which it saw a fifth, the first beginner never erred."""
+"""A road a round. The first beginner saw a fifth of the mountain, and never erred there."""
 BEGINNERS_DRIVEN: Final = ("mountain", *(f"random:{seed}" for seed in range(1, 6)))
 KINDS: Final = {"record": 150.0, "supervise": 330.0, "train": 180.0, "eval": 60.0}
 """With the seconds that a step takes where none has been made."""

@@ -165,7 +165,7 @@ class Jobs:
 
 
 class Study:
-    """The steps, each of which leaves a file or folder by which it is known to be done."""
+    """The steps. Each leaves a file or folder that shows that it is done."""
 
     jobs: Jobs
 
@@ -252,7 +252,7 @@ class Study:
         with tempfile.TemporaryDirectory(dir=self.folder / "drives") as logs:
             flags = ("--simulator", *DRIVEN, "--laps", self.laps, "--speed", self.speed_mph)
             told = self.jobs.bc(
-                self.folder, "eval", network, "--runs", "networks", *flags, "--logs", logs, "--json"
+                self.folder, "eval", network, "--runs", "networks", *flags, "--drives", logs, "--json"
             )
         with atomic_file(kept, overwrite=True) as part:
             part.write_text(told)

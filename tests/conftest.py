@@ -9,7 +9,7 @@ import sys
 import sysconfig
 from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import pytest
 from hypothesis import settings
@@ -122,15 +122,9 @@ def place(
 @pytest.fixture
 def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bucket]:
     """An empty bucket of its own, for who works in an empty folder and has nothing cached yet."""
-    from bucket import serving_bucket  # botocore
+    from bucket import serving_bucket  # obstore
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
     with serving_bucket(tmp_path / "server", monkeypatch) as served:
         yield served
-
-
-@pytest.fixture(params=["eventlet", "threading"])
-def mode(request: pytest.FixtureRequest) -> Any:
-    """Each way in which a telemetry server can serve: a `ServerMode`."""
-    return request.param

@@ -67,9 +67,11 @@ def test_it_is_named_at_the_import_and_not_learnt(
 
     assert call(bc_index, "--validation-share", 0) == 0
     said = capsys.readouterr().err
-    assert "not learnt: student (" in said
+    assert "neither learnt nor held out: student (" in said
     assert "of driving backwards" in said
-    assert not_learnt_in(Path("index")) == [line for line in said.splitlines() if line.startswith("not learnt: ")]
+    assert not_learnt_in(Path("index")) == [
+        line for line in said.splitlines() if line.startswith("neither learnt")
+    ]
 
     def learnt(index: str) -> set[int]:
         with Samples(Path(index)) as samples:

@@ -27,11 +27,11 @@ FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 
 @pytest.fixture(scope="module")
 def helps() -> dict[str, str]:
-    """The --help of each command."""
+    """The --help-all of each command."""
 
     def help_of(name: str) -> str:
         command_name, *subcommand = name.split()
-        python, flag, code, *arguments = command(command_name, *subcommand, "--help")
+        python, flag, code, *arguments = command(command_name, *subcommand, "--help-all")
         code = f"import os; os.environ['COLUMNS'] = '{make_commands.COLUMNS}'; {code}"
         with Process([python, flag, code, *arguments], loads_pytorch=True) as process:
             assert process.join() == 0, process.stderr
@@ -42,7 +42,7 @@ def helps() -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def flags(helps: dict[str, str]) -> dict[str, set[str]]:
-    """The flags that the --help of each command shows, and of each of its subcommands (`bc-log info`)."""
+    """The flags that the --help-all of each command shows, and of each of its subcommands (`bc-log info`)."""
     result: dict[str, set[str]] = {name: set() for name in COMMANDS}
     for name, shown in helps.items():
         invocations = [argument.invocation.split()[0] for argument in make_commands.arguments(shown)]

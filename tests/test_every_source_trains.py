@@ -100,3 +100,20 @@ def test_tubs_of_both_versions_a_bag_and_an_environment_are_trained_on(
     )
     written = {path.name for path in (tmp_path / "runs" / "first").iterdir()}
     assert written >= {"model.safetensors", "config.json", "metrics.jsonl"}
+
+
+@pytest.mark.usefixtures("without_figures")
+def test_what_learnt_from_tubs_goes_to_the_car(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """There is no simulator of its road: `bc-drive` would wait for one."""
+    monkeypatch.chdir(tmp_path)
+    assert call(bc_record, "track", *tub_2(tmp_path / "tub")) == 0
+    assert call(bc_index, "--block-s", 1, "--gap-s", 0) == 0
+    few = ("--network", "small", "--epochs", 1, "--batch", 32, "--threads", 1)
+    assert call(bc_train, *few, "--name", "first") == 0
+    said = capsys.readouterr().out.replace(".venv/bin/", "")
+    assert "; drive with `bc-train export first --donkeycar car`" in said
+    assert "bc-drive" not in said
+    assert call(bc_train, "export", "first", "--donkeycar", "car") == 0
+    assert Path("car/first.onnx").is_file()

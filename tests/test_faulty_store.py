@@ -132,7 +132,7 @@ def add(store: Store) -> None:
 
 REQUESTS: dict[Callable[[Store], None], int] = {
     upload: 11,
-    upload_in_parts: 10,
+    upload_in_parts: 13,
     download: 5,
     index: 6,
     read: 9,

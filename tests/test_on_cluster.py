@@ -109,9 +109,7 @@ def index_files(index: Path) -> dict[str, bytes]:
     return {str(path.relative_to(index)): path.read_bytes() for path in files}
 
 
-def test_the_index_has_the_same_bytes_and_a_damaged_log_is_left_out_as_on_one_machine(
-    tmp_path: Path, small_cluster: Any
-) -> None:
+def test_the_index_has_the_same_bytes_and_omits_a_damaged_log(tmp_path: Path, small_cluster: Any) -> None:
     drives(tmp_path / "sessions", picture=tiny_picture)
     (tmp_path / "sessions" / "damaged.mcap").write_bytes(b"this is no log")
     here = run("bc-index", "--look", "--index", "here", cwd=tmp_path)
@@ -241,7 +239,7 @@ def test_a_cluster_of_another_version_is_told(tmp_path: Path, small_cluster: Any
 
 
 @pytest.mark.long
-def test_so_many_calls_that_several_are_a_task_have_their_results_and_the_error_of_one(cluster: Any) -> None:
+def test_calls_in_shared_tasks_have_their_results_and_one_error(cluster: Any) -> None:
     def half(number: int) -> int:
         if number % 2:
             raise UserError(f"{number}: an even number was expected")
@@ -349,8 +347,8 @@ def test_a_session_is_not_taken_for_an_address(tmp_path: Path) -> None:
 def test_drives_on_a_cluster_have_the_numbers_of_drives_one_by_one(tmp_path: Path, cluster: Any) -> None:
     untrained_run(tmp_path / "runs" / "untrained")
     drives = ["--simulator", "lake", "--speed", 8, 12, "--laps", 0.002, "--json"]
-    here = run("bc-eval", *drives, "--logs", "here", cwd=tmp_path)
-    there = run("bc-eval", *drives, "--logs", "there", "--ray", cluster.address, cwd=tmp_path)
+    here = run("bc-eval", *drives, "--drives", "here", cwd=tmp_path)
+    there = run("bc-eval", *drives, "--drives", "there", "--ray", cluster.address, cwd=tmp_path)
     assert (here.returncode, there.returncode) == (0, 0), there.stderr
     # how far it is, where that takes long
     assert all(line.startswith("driving: ") for line in there.stderr.splitlines()), there.stderr

@@ -21,7 +21,7 @@ from repository import ROOT
 from toy import STEERING, road
 from udacity import call
 
-EXTRAS = ("ray", "obstore", "boto3", "botocore")
+EXTRAS = ("ray", "obstore", "boto3")
 
 SWEEP = 'seeds = [1]\n[train]\nepochs = 1\nbatch = 10\nnetwork = "small"\nthreads = 1\n'
 

@@ -57,13 +57,13 @@ class Play:
     run: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="RUN")] = ()
     """Show what this run's network would have steered."""
     network: tuple[str, ...] = ()
-    """Code of your own network: FILE.py:CLASS or package.module:CLASS."""
+    """Your network's code: FILE.py:CLASS or MODULE:CLASS."""
     attention: bool = False
     """Show where these networks look (VisualBackProp)."""
     write: Path | None = None
     """Write the predictions to a new log; open nothing."""
     runs: LocationFlag = Path("runs")
-    """Folder or URL of the runs."""
+    """The runs."""
     force: bool = False
     """Replace the file of --save, --video or --write."""
 

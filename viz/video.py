@@ -47,7 +47,7 @@ _BT601: Final = 6  # SMPTE 170M, which OpenCV converts to
 
 @dataclass(frozen=True)
 class Video:
-    """A video that was written, and what of its log is not in it."""
+    """A video that was written, and the parts of its log that are not in it."""
 
     pictures: int
     duration_s: float
@@ -56,7 +56,7 @@ class Video:
     left_out: int
     """Pictures that fell on the same sixtieth of a second as another."""
     gaps: int
-    """Gaps of more than a second, of which `HELD_S` is left."""
+    """Gaps of more than a second; each is cut to `HELD_S`."""
     cut_s: float
     """Seconds of the log that these gaps took."""
     skipped: Skipped

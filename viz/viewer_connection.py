@@ -13,6 +13,7 @@ import rerun as rr
 
 from common import UserError
 from common.errors import UsageError
+from common.grpc_probe import speaks_grpc
 from viz.timelines import SINCE_START
 from viz.viewer_process import LOCAL
 
@@ -23,9 +24,6 @@ _PATIENCE_S: Final = 10.0  # a machine may be slow, and busy
 _POLL_S: Final = 0.1
 _PORT: Final = re.compile(r"\d{1,5}")
 _PLACE: Final = re.compile(r"(?P<host>[\w.-]+|\[[\da-fA-F:]+\]):(?P<port>\d{1,5})")
-# How every gRPC connection begins: HTTP/2's preface and empty settings (RFC 9113, 3.4); so does its answer.
-_HELLO: Final = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
-_SETTINGS: Final = 4
 
 
 def viewer_url(address: str) -> str:
@@ -101,11 +99,10 @@ def _refuse_others(url: str, where: str) -> None:
         raise UserError(f"{where}: no viewer listens there; open one with `rerun --port PORT`") from None
     with connection:
         try:
-            connection.sendall(_HELLO)
-            answer = connection.recv(9)
+            is_viewer = speaks_grpc(connection)
         except TimeoutError:
             raise UserError(f"{where}: what listens there does not answer: a frozen viewer, or none") from None
         except OSError:
-            answer = b""
-    if len(answer) < 4 or answer[3] != _SETTINGS:
+            is_viewer = False
+    if not is_viewer:
         raise UserError(f"{where}: what listens there is no Rerun viewer; open one with `rerun --port PORT`")

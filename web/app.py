@@ -14,21 +14,18 @@ from starlette.routing import Mount
 from starlette.types import ASGIApp
 
 from common.location import Url
-from web.data.attention import Attention
-from web.data.cache_folder import CacheFolder
-from web.data.drive_view import DriveViews
-from web.data.index_trials import IndexTrials
-from web.data.jobs import Jobs
-from web.data.open_logs import OpenLogs
-from web.data.picture_checks import PictureChecks
-from web.data.predictions import Predictions
-from web.data.project_folders import PLACES, ProjectFolders
-from web.data.rerun_viewers import RerunViewers
-from web.data.run_cards import RunCards
-from web.data.session_cards import SessionCards
-from web.data.where_search import WhereSearches
+from web.folders.cache_folder import CacheFolder
+from web.folders.project_folders import PLACES, ProjectFolders
+from web.index.index_trials import IndexTrials
+from web.jobs.jobs import Jobs
+from web.logs.drive_view import DriveViews
+from web.logs.open_logs import OpenLogs
+from web.logs.picture_checks import PictureChecks
+from web.logs.session_cards import SessionCards
+from web.logs.where_search import WhereSearches
 from web.pages.altered_page import altered_routes
 from web.pages.attention_page import attention_routes
+from web.pages.bulk_page import bulk_routes
 from web.pages.changes import change_routes
 from web.pages.compare_page import compare_routes
 from web.pages.course_page import course_routes
@@ -39,6 +36,7 @@ from web.pages.jobs_page import job_routes
 from web.pages.log_files import log_file_routes
 from web.pages.log_jobs_page import log_job_routes
 from web.pages.log_links import log_link_routes
+from web.pages.map_page import map_routes
 from web.pages.predictions_page import prediction_routes
 from web.pages.rerun_page import rerun_log_routes, rerun_routes
 from web.pages.run_page import run_routes
@@ -48,7 +46,13 @@ from web.pages.sessions_page import session_list_routes
 from web.pages.wheel_pages import wheel_routes
 from web.pages.wheel_socket import wheel_socket_routes
 from web.pages.workbench import Workbench
+from web.processes.picture_maps import PictureMaps
+from web.processes.predictions import Predictions
+from web.processes.rerun_viewers import RerunViewers
+from web.runs.attention import Attention
+from web.runs.run_cards import RunCards
 from web.server.error_pages import HANDLERS
+from web.server.memory import TrimmedApp
 from web.server.request_guard import RequestGuard
 from web.server.static_files import STATIC, PageFiles
 
@@ -97,8 +101,9 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
     cards.cards("sessions", 0)  # begins to read them before the first request
     checks = PictureChecks(folders.index_here, kept)
     runs = RunCards(folders)
-    viewers = RerunViewers()
+    viewers = RerunViewers(kept)
     predictions = Predictions(cache)
+    maps = PictureMaps(cache)
     bench = Workbench(
         folders,
         kept,
@@ -113,15 +118,18 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
         viewers,
         predictions,
         Attention(),
+        maps,
     )
     routes = [
         *session_list_routes(bench),
+        *bulk_routes(bench),
         *change_routes(bench),
         *(route for place in PLACES for routes in _OF_A_LOG for route in routes(bench, place)),
         *rerun_routes(bench),
         *drive_routes(bench),
         *index_routes(bench),
         *altered_routes(bench),
+        *map_routes(bench),
         *job_routes(bench),
         *import_routes(bench),
         *wheel_routes(bench),
@@ -134,10 +142,11 @@ def _app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterato
     try:
         app = Starlette(routes=routes, exception_handlers=HANDLERS)
         small = GZipMiddleware(app, compresslevel=5, exclude_content_types=_AS_THEY_ARE)
-        yield RequestGuard(small, host, token)
+        yield TrimmedApp(RequestGuard(small, host, token))
     finally:
         viewers.close()
-        predictions.close()
+        predictions.work.close()
+        maps.work.close()
         pool.shutdown(cancel_futures=True)
         from_stores.shutdown(cancel_futures=True)
         runs.close()

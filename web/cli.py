@@ -31,13 +31,13 @@ class Web:
     open: bool = False
     """Open the browser."""
     sessions: LocationFlag = Path("sessions")
-    """Folder or URL of the sessions."""
+    """The sessions."""
     index: LocationFlag = Path("index")
-    """Folder or URL of the index."""
+    """The index."""
     runs: LocationFlag = Path("runs")
-    """Folder or URL of the runs."""
+    """The runs."""
     drives: LocationFlag = Path("drives")
-    """Folder or URL of the drives."""
+    """The drives."""
 
 
 def serve(config: Web, page: str = "") -> int:
@@ -47,16 +47,18 @@ def serve(config: Web, page: str = "") -> int:
     allow_places(config.sessions, config.drives)
     try:
         from web.app import workbench_app
+        from web.server.memory import give_memory_back
         from web.server.request_guard import TOKEN, token_for
         from web.server.workbench_server import WorkbenchServer
     except ModuleNotFoundError as error:
         if error.name not in ("starlette", "uvicorn", "jinja2"):
             raise
         raise UserError(f"{error.name} is not installed: `{install_line('web')}` brings it") from None
-    from web.data.cache_folder import default_cache_folder
-    from web.data.jobs import Jobs
-    from web.data.project_folders import ProjectFolders
+    from web.folders.cache_folder import default_cache_folder
+    from web.folders.project_folders import ProjectFolders
+    from web.jobs.jobs import Jobs
 
+    give_memory_back()
     folders = ProjectFolders(config.sessions, config.index, config.runs, config.drives)
     token = token_for(config.host)
     with (

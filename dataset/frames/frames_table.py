@@ -130,7 +130,7 @@ def _split_of(
 ) -> NDArray[np.int8]:
     """0 for training, 1 for validation, 2 for the gap between them.
 
-    Validation is a share of what is taken, and never all of it: blocks of which nothing is used do not count.
+    Validation is a share of the used frames, never all of them. Blocks without used frames do not count.
     Takeovers are few and of any length, so that chance may hold out most of them: then it is the other way round.
     """
     if config.validation:

@@ -280,7 +280,7 @@ def _mixed(log: Location, entry: BuiltLog) -> str:
 
 
 def _not_measured(logs: Sequence[Location]) -> list[str]:
-    """A line if labels would go by a lag that nobody has measured: of which logs."""
+    """A line that names the logs whose labels need a lag that nobody has measured, if there are any."""
     if not logs:
         return []
     command = shlex.join(["bc-log", "check", *map(str, logs[:MAX_NAMES])])
@@ -292,13 +292,15 @@ def _not_measured(logs: Sequence[Location]) -> list[str]:
 
 
 def _about_log(log: Location, index: Path, entry: BuiltLog, views_car: Car | None) -> dict[str, Any]:
-    """What the samples' metadata has of a log: its place, its fingerprint, and its car, or that of its views."""
+    """What the samples' metadata has of a log: its place, fingerprint and foreign source, and its car, or that of
+    its views."""
     car = metadata_of(views_car).get(CAR_KEY, entry.car)
     return {
         "log": relative_log_path(log, index),
         "fingerprint": entry.fingerprint,
         **file_if_rewritten(entry.fingerprint, entry.file),
         **({"max_steering_deg": entry.max_steering_deg} if entry.max_steering_deg != MAX_STEERING_DEG else {}),
+        **({"source": entry.source} if entry.source else {}),
         **({CAR_KEY: json.loads(car)} if car else {}),
     }
 
@@ -324,6 +326,8 @@ def _up_to_date(
     try:
         counts = {name: msgspec.convert(stored["counts"][name], SessionCounts) for name in held}
         labels = {name: msgspec.convert(stored["labels"][name], SessionLabels) for name in held}
+        if any(count.not_measured is None for count in counts.values()):
+            return None  # earlier versions measured by crashes
         if any(each.lag is not None and each.lag.margin_s is None for each in labels.values()):
             return None  # earlier versions went by lags that are not believed
         is_divided = sum(count.frames for count in counts.values()) >= divide_from_frames

@@ -41,6 +41,7 @@ class BuiltLog(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     set_speeds_mph: tuple[float, ...] | None = None  # of its driver; None in what earlier versions have written
     sizes_px: list[tuple[int, int]] = []  # width and height of the first picture of each camera
     max_steering_deg: float | None = MAX_STEERING_DEG  # of its wheels, at steering 1; None: unknown
+    source: str = ""  # where others' data come from (`foreign_source`)
     car: str = ""  # as the log stores it, in JSON
     implied_car: str = ""  # its name, if the log stores none and it is known from the session's source
     has_several_sizes: bool | None = None  # of pictures, one camera; None in what earlier versions have written

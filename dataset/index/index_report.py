@@ -29,7 +29,7 @@ def sessions_table(indexed: Indexed) -> Table:
     some_odd = any(counts.not_driven for counts in indexed.counts.values())
     columns = ["frames", "training", "validation", "gap", "left out"]
     columns += [COUNT_HEADINGS["not_taken_over"]] * some_piloted + [COUNT_HEADINGS["unlabelled"]] * some_unlabelled
-    columns += ["not learnt"] * some_odd
+    columns += ["not driven"] * some_odd
     # narrow, so that names of sessions stand whole in 80 columns
     table = Table(
         box=None, pad_edge=False, collapse_padding=True, title="frames, one a picture", title_justify="left"

@@ -1,10 +1,12 @@
-"""What the default labels leave out of training: crashes, driving backwards, manoeuvres, parked cars."""
+"""What the default labels leave out: crashes, driving backwards, manoeuvres, parked cars. A network neither learns
+from them nor is measured by them."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
@@ -16,7 +18,7 @@ _MAX_NAMES: Final = 8
 
 
 def not_learnt_line(counts: Mapping[str, SessionCounts]) -> list[str]:
-    """A line if frames are left out of training as no driving: how many of which session, and why."""
+    """A line if frames are left out because they are no driving: how many of each session, and why."""
     parts = []
     for session, of_session in counts.items():
         reasons = {
@@ -32,15 +34,31 @@ def not_learnt_line(counts: Mapping[str, SessionCounts]) -> list[str]:
         return []
     more = f" and {len(parts) - _MAX_NAMES:,} more" if len(parts) > _MAX_NAMES else ""
     return [
-        f"not learnt: {', '.join(parts[:_MAX_NAMES])}{more}; `bc-index --report` lists their rows,"
-        " `--labels as-recorded` learns them"
+        f"neither learnt nor held out: {', '.join(parts[:_MAX_NAMES])}{more};"
+        " `bc-index --report` lists their rows, `--labels as-recorded` keeps them"
     ]
 
 
 def not_learnt_in(index: Path) -> list[str]:
-    """The same of an index, as far as it says so."""
+    """The same of an index, as far as it says so; of an earlier version's, that its rules were others."""
+    stored = read_metadata(index / SAMPLES_NAME) or {}
+    if has_earlier_rules(stored):
+        flag = "" if index.name == "index" else f" --index {shlex.quote(str(index))}"
+        return [
+            f"{index}: an earlier version made it, which held out crashes and did not know all that is odd;"
+            f" `bc-index{flag}` leaves these out"
+        ]
     try:
-        counts = msgspec.convert((read_metadata(index / SAMPLES_NAME) or {})["counts"], dict[str, SessionCounts])
+        return not_learnt_line(msgspec.convert(stored["counts"], dict[str, SessionCounts]))
     except (KeyError, TypeError, ValueError):
         return []
-    return not_learnt_line(counts)
+
+
+def has_earlier_rules(metadata: Mapping[str, Any]) -> bool:
+    """Whether an earlier version made an index of these samples' metadata, and left out less of what a person
+    drove, or nothing of it for measuring."""
+    try:
+        kept = {name for name, each in metadata.get("labels", {}).items() if not each["plan"]["without_crashes"]}
+        return any("not_measured" not in count for name, count in metadata["counts"].items() if name not in kept)
+    except (KeyError, TypeError, AttributeError):
+        return False

@@ -29,7 +29,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 @dataclass(frozen=True)
 class FlaggedFrames:
-    """Neighbouring rows of a session of which some frame has a flag; a gap begins at the row before it."""
+    """Neighbouring rows of a session with a flag on some frame. A gap begins at the row before it."""
 
     session: str
     flag: str

@@ -77,7 +77,7 @@ def _hint(given: str, folder: Location) -> str:
     """What somebody may have meant by a session that is not there."""
     path = Path(given)
     if (path / "driving_log.csv").is_file():
-        return f"a recording is there, of which `bc-record NAME --from {shlex.quote(given)}` makes a log"
+        return f"this is a recording; `bc-record NAME --from {shlex.quote(given)}` makes a log of it"
     meant = did_you_mean(path.name, [session_name(other) for other in finished_logs(folder)])
     return meant or f"the sessions are named by the files in {folder}"
 

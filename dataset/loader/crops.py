@@ -6,7 +6,7 @@ Any number of threads may ask at once; OpenCV releases Python's lock while it wo
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Final
 
 import cv2
@@ -68,8 +68,13 @@ class Crops:
         self._kept = np.empty((kept, *spec.shape), np.uint8)  # no memory is taken before it is written to
         self._is_kept = np.zeros(kept, np.bool_)
 
-    def fill(self, pictures: Image, samples: NDArray[np.int64]) -> dict[int, UnusablePictureError]:
-        """Write what `samples` show into `pictures` (N, height, width, 3).
+    def fill(
+        self,
+        pictures: Image,
+        samples: NDArray[np.int64],
+        altered: Callable[[Image, NDArray[np.int64]], object] | None = None,
+    ) -> dict[int, UnusablePictureError]:
+        """Write what `samples` show into `pictures` (N, height, width, 3); `altered` changes them in BGR.
 
         Returns the samples whose picture does not decode, or lies in a damaged chunk of its log, and why; what is
         written for them is arbitrary.
@@ -92,12 +97,15 @@ class Crops:
             if names := self._rows.alterations[alteration]:
                 cameras = self._cameras(number) if names.startswith(VIEWPOINT) else None
                 picture[:] = alter(picture, names, seed, cameras)
-            if self._spec.channels != "BGR":  # last: alterations are of BGR
+        if altered is not None:
+            altered(pictures, samples)
+        if self._spec.channels != "BGR":  # last: alterations are of BGR
+            for picture in pictures:
                 picture[:] = in_channels(picture, self._spec)
         return failed
 
     def wanted(self, samples: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The pictures that have to be read for some samples: those of which no crop is kept."""
+        """The pictures that have to be read for some samples, because no crop of them is kept."""
         numbers = np.unique(self._rows.picture[samples]).astype(np.int64)
         is_kept = np.zeros(len(numbers), np.bool_)
         can_be = numbers < len(self._kept)

@@ -16,6 +16,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -25,10 +26,11 @@ from numpy.typing import NDArray
 from common import Skipped
 from common.closeable import Closeable
 from common.location import Location
+from dataset.epoch_alterations import EpochAlteration, EpochAlterations
 from dataset.errors import UnusablePictureError
 from dataset.loader.crops import Crops
 from dataset.loader.look_ahead import LookAhead
-from dataset.loader.prefetch import prefetched
+from dataset.loader.prefetch import Fill, prefetched
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName
 from dataset.preprocessing import Image
@@ -67,6 +69,7 @@ class Loader(Closeable):
         threads: int = 0,
         seen: PictureSpec = ORIGINAL,
         targets: Sequence[TargetName] = STEERING_ONLY,
+        alter_each_epoch: Sequence[EpochAlteration] = (),
     ) -> None:
         """``rows`` are of ``samples``, which `close()` closes. For the rest see `load`."""
         if batch < 1 or threads < 0 or seed < 0 or budget_bytes < 0:
@@ -87,6 +90,10 @@ class Loader(Closeable):
         self._samples = samples
         self._undecoded: set[int] = set()  # the pictures in `skipped`
         self._crops = Crops(self.rows, samples.logs, budget_bytes, seen)
+        self.alterations: EpochAlterations | None = None
+        """What `epoch` does to every picture; nothing else does."""
+        if alter_each_epoch:
+            self.alterations = EpochAlterations(alter_each_epoch, seed, samples.settings.side_correction)
         self._look_ahead = LookAhead.of(self.rows, samples.logs, rank / ranks)
         self._at_once = 1 + max(1, _AHEAD * ranks // batch)  # batches that are worked on
 
@@ -126,7 +133,7 @@ class Loader(Closeable):
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[Batch]:
         """The batches of an epoch in their shuffled order, from `start_batch` on; the last one may be smaller, and
         so is one with pictures that do not decode, or lie where their log is damaged."""
-        return self._batches(self.parts(epoch, start_batch))
+        return self._batches(self.parts(epoch, start_batch), epoch)
 
     def in_order(self) -> Iterator[Batch]:
         """All samples once, in the order of the index (for evaluation)."""
@@ -153,17 +160,28 @@ class Loader(Closeable):
         for start in range(start_batch * self.batch, len(order), self.batch):
             yield np.array_split(order[start : start + self.batch].astype(np.int64), self.ranks)[self.rank]
 
-    def _batches(self, parts: Iterable[NDArray[np.int64]]) -> Iterator[Batch]:
-        return (Batch(pictures, self.rows.label[part]) for part, pictures in self._decoded(parts, self._crops))
+    def labels(self, samples: NDArray[np.int64], epoch: int | None = None) -> NDArray[np.float32]:
+        """The labels of samples, those of their altered pictures in an epoch."""
+        labels = self.rows.label[samples]
+        if epoch is None or self.alterations is None:
+            return labels
+        return self.alterations.labels(labels, epoch, samples)
+
+    def _batches(self, parts: Iterable[NDArray[np.int64]], epoch: int | None = None) -> Iterator[Batch]:
+        decoded = self._decoded(parts, self._crops, epoch)
+        return (Batch(pictures, self.labels(part, epoch)) for part, pictures in decoded)
 
     def _decoded(
-        self, parts: Iterable[NDArray[np.int64]], crops: Crops
+        self, parts: Iterable[NDArray[np.int64]], crops: Crops, epoch: int | None = None
     ) -> Iterator[tuple[NDArray[np.int64], Image]]:
         """The samples of each part that decode, and their pictures; the others are skipped."""
         if self._look_ahead is not None:
             parts = self._look_ahead.parts(parts, crops.wanted)
+        fill: Fill = crops.fill
+        if epoch is not None and self.alterations is not None:
+            fill = partial(crops.fill, altered=partial(self.alterations.alter, epoch))
         for part, pictures, failed in prefetched(
-            parts, crops.fill, self.seen, threads=self.threads, at_once=self._at_once
+            parts, fill, self.seen, threads=self.threads, at_once=self._at_once
         ):
             if failed:
                 self._skip(failed)
@@ -192,13 +210,16 @@ def load(
     driving_view: bool = False,
     seen: PictureSpec = ORIGINAL,
     targets: Sequence[TargetName] = STEERING_ONLY,
+    alter_each_epoch: Sequence[EpochAlteration] = (),
 ) -> Loader:
-    """The samples of a split of `index`, in batches of `batch` over all `ranks`, of which this process is `rank`:
-    whatever their number, batch k is the same, and each takes its part of it (one may be empty in the last).
+    """The samples of a split of `index`, in batches of `batch` over all `ranks`. This process is `rank`.
+
+    Batch k is the same for any number of ranks. Each takes its part of it, which may be empty in the last batch.
 
     `budget_bytes` is how much memory decoded crops may take (49 KB each); `threads` decode (0: one for each core);
     `driving_view` leaves only what the car sees itself (`Samples.driving_view`); `seen` is what a network sees,
-    `targets` what it learns. Raises DatasetError if there is no index, if it is damaged or does not fit its logs.
+    `targets` what it learns. `epoch` alters every picture by `alter_each_epoch`, drawn anew in every epoch.
+    Raises DatasetError if there is no index, if it is damaged or does not fit its logs.
     """
     samples = Samples(index)
     try:
@@ -215,6 +236,7 @@ def load(
             threads=threads,
             seen=seen,
             targets=targets,
+            alter_each_epoch=alter_each_epoch,
         )
     except BaseException:
         samples.close()

@@ -100,12 +100,15 @@ class LogCrops(Closeable):
     def __len__(self) -> int:
         return len(self.row)
 
-    def batches(self, size: int, spec: PictureSpec = ORIGINAL) -> Iterator[tuple[NDArray[np.int64], Image]]:
-        """Numbers of pictures and their crops (at most `size` of `spec.shape`), in order, read ahead by threads.
+    def batches(
+        self, size: int, spec: PictureSpec = ORIGINAL, step: int = 1
+    ) -> Iterator[tuple[NDArray[np.int64], Image]]:
+        """Numbers of pictures and their crops (at most `size` of `spec.shape`), in order, read ahead by threads;
+        every `step`th picture.
 
         Pictures that do not decode, or lie where the log is damaged, are left out, and named in `skipped`.
         """
-        numbers = np.arange(len(self))
+        numbers = np.arange(0, len(self), step)
         parts = np.split(numbers, numbers[size::size])
         threads = os.cpu_count() or 1
         of_log = Crops(self._rows, {self.session: self._log}, budget_bytes=0, spec=spec)

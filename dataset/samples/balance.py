@@ -38,7 +38,7 @@ def balance(
     """Bring every bin that is not empty to one count: their mean, their median, or a number.
 
     A bin above it is pruned at random to it. A bin below is filled up to it with copies, spread evenly over its
-    originals, of which none is used more than `max_uses` times (itself included).
+    originals. None is used more than `max_uses` times (itself included).
     """
     quota, target, short = quota_of(np.bincount(bin_index, minlength=bins), max_uses, per_bin)
     chosen, is_copy = draw(bin_index, quota, random)

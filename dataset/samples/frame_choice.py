@@ -47,9 +47,10 @@ def choose_frames(
     steering, is_odd = planned_labels(frames, labels.plan)
     usable = is_wanted & ~is_bad & ~is_tagged
     has_label = ~np.isnan(steering)
-    is_left_out = is_odd & (split == 0)
+    is_left_out = is_odd & (split != 2)
     left_out = dict[str, int]()
     is_open = usable & is_left_out
+    not_measured = int((is_open & (split == 1)).sum())
     for flag in NOT_LEARNT:
         is_flagged = is_open & lists_with(frames["flags"], flag)
         left_out[flag] = int(is_flagged.sum())
@@ -69,5 +70,6 @@ def choose_frames(
         backwards=left_out["backwards"],
         manoeuvring=left_out["manoeuvring"],
         parked=left_out["parked"],
+        not_measured=not_measured,
     )
     return FrameChoice(chosen, split == 0, steering, counts)

@@ -34,7 +34,7 @@ Times = NDArray[np.int64]
 
 def planned_labels(frames: pa.Table, plan: LabelPlan) -> tuple[Steering, NDArray[np.bool_]]:
     """The steering to be learnt of each of a session's frames (N,), as `labels_of` gives it, and a mask of those
-    that are left out of training: of crashes, of driving backwards, and of a parked car.
+    that are left out: of crashes, of driving backwards, and of a parked car.
 
     No label depends on another driver's steering, on the other side of the split, on frames that cannot be used or
     are tagged `exclude`, or are left out so.

@@ -78,7 +78,7 @@ class Division:
 
     @classmethod
     def of(cls, metadata: Mapping[str, Any]) -> Division | None:
-        """None where all samples are in one file. Raises KeyError, TypeError or ValueError for what is none."""
+        """None if all samples are in one file. Raises KeyError, TypeError or ValueError for other metadata."""
         if "parts" not in metadata:
             return None
         digest, sessions = str(metadata["parts"]["digest"]), tuple(map(str, metadata["parts"]["sessions"]))
@@ -136,11 +136,12 @@ class SessionCounts:
     unusable: int  # steering out of range, or a broken picture
     unlabelled: int  # so near the end of a stretch that --label-shift finds no steering for it
     not_asked_for: int  # another camera, or not what --where chooses
-    crashed: int  # for training otherwise, and left out of it as rows of crashes
+    crashed: int  # of a crash: neither learnt nor measured by, whatever their side of the split
     not_taken_over: int  # of a drive, and driven neither by an expert nor by a human, with --drives takeovers
     backwards: int = 0  # as crashed: the car drives backwards
     manoeuvring: int = 0  # as crashed: the way into a crash, and out of it or of driving backwards
     parked: int = 0  # as crashed: it stands for long
+    not_measured: int | None = None  # of these four: held out otherwise; None: earlier versions held them out
 
     @property
     def not_driven(self) -> int:

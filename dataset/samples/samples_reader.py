@@ -262,7 +262,7 @@ class Samples(Closeable):
             raise self._damaged(error) from None
 
     def _table(self, columns: Sequence[str] | None, **values: str | bool) -> pa.Table:
-        """The rows of which these columns have these values."""
+        """The rows with these values in these columns."""
         try:
             return pa.concat_tables(self._matching(columns, **values))
         except _UNREADABLE as error:

@@ -125,7 +125,7 @@ def slower_set_speeds_mph(labels: Mapping[str, SessionLabels]) -> dict[str, list
 
 
 def nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) -> DatasetError:
-    """The error for sessions of which no frame can be used: what became of their frames."""
+    """The error for sessions without a usable frame: it says why their frames are not used."""
     chosen = " or not what --where chooses" if config.where is not None else ""
     shift = f" with --label-shift {config.label_shift_s:g}" if config.label_shift_s else ""
     reasons = {

@@ -21,7 +21,7 @@ class DriveClock:
         self._world_s: float | None = None
         self._standing = StandingClock()
         self.safety_s = 0.0
-        """Seconds of which each step is the longer one of both clocks: neither delays a brake, or its release."""
+        """Seconds. Each step is the longer one of both clocks, so that neither delays a brake or its release."""
         self.missed_s = 0.0
         """Seconds to be added at the last telemetry: a clock that proved to stand still had counted them as
         none."""

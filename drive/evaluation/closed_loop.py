@@ -42,7 +42,7 @@ class LogFolder:
 
     def refuse_existing(self, name: str, overwrite: bool) -> None:
         """Raise UserError, before anything is driven, for a log that is there already; StoreError."""
-        refuse_existing(self.here / name, overwrite, "give --logs FOLDER for another place")
+        refuse_existing(self.here / name, overwrite, "give --drives FOLDER for another place")
         if self.store is not None:
             refuse_taken_name(self.store / name, overwrite)
 

@@ -25,7 +25,8 @@ from common.errors import counted
 from common.location import Location, absolute
 from common.output import print_message, print_next, print_result
 from common.progress import track
-from common.tasks import tasks_of
+from common.ray_flag import tasks_of
+from drive.earlier_flags import understand_earlier
 from drive.evaluation.eval_flags import Eval, refuse_contradictions
 
 if TYPE_CHECKING:
@@ -140,7 +141,7 @@ def _print_learnt(found: Evaluation, measured_on: dict[str, str | None]) -> int:
 
 
 def _compare(config: Eval, runs: tuple[str, str]) -> int:
-    """Compare two runs; exit code 1 if the second one is worse, 3 if there is no verdict."""
+    """Compare two runs; exit code 3 if there is no verdict, and with --gate 1 if the second one is worse."""
     from model.runs.run_folder import run_name
 
     a, b = _found_runs(config, *runs)
@@ -149,7 +150,7 @@ def _compare(config: Eval, runs: tuple[str, str]) -> int:
         warn(f"{names[0]}: A and B are the same run, which is never worse than itself; give another one as B")
     compare = _compare_on_frames if config.simulator is None else _compare_by_driving
     verdict, code = compare(config, a, b, names)
-    if verdict == "worse":
+    if config.gate and verdict == "worse":
         return FAILED
     return DONE_BUT_SKIPPED if verdict == "unknown" else code
 
@@ -160,7 +161,7 @@ def _compare_on_frames(config: Eval, a: Path, b: Path, names: tuple[str, str]) -
     from model.runs.run_arguments import run_argument
 
     measured_on, (of_a, of_b) = _evaluations(config, [a, b])
-    found = Comparison(of_a, of_b, config.tolerance or 0.0)
+    found = Comparison(of_a.driving, of_b.driving, config.tolerance or 0.0)
     if config.json:
         print_result(json.dumps({**measured_on, **found.as_dict()}))
     else:
@@ -168,6 +169,8 @@ def _compare_on_frames(config: Eval, a: Path, b: Path, names: tuple[str, str]) -
 
         print_comparison(found, names)
         _print_measured_on(measured_on)
+        if of_a.without_crashes is not None:
+            print_result(f"compared without {counted(of_a.crashes, 'frame')} of crashes and the like")
     code = max(_print_notices(of_a, measured_on), DONE if a == b else _print_learnt(of_b, measured_on))
     if not config.json:
         runs = f"{run_argument(a)} {run_argument(b)}"
@@ -181,7 +184,7 @@ def _compare_by_driving(config: Eval, a: Path, b: Path, names: tuple[str, str]) 
     from drive.evaluation.drive_comparison import TOLERANCE, DriveComparison
 
     drives = _drives(config)
-    logs = LogFolder.of(config.logs or DRIVES)
+    logs = LogFolder.of(config.drives or DRIVES)
     results = dict(_driven(config, [(a, logs / "a"), (b, logs / "b")], drives))
     code = max(DONE, *(_warn_problem(result) for result in results.values()))
     of_a, of_b = ([results[first + n] for n in range(len(drives))] for first in (0, len(drives)))
@@ -205,7 +208,7 @@ def _drive(config: Eval) -> int:
     codes = [DONE]
     try:
         (run,) = _found_runs(config, config.run)
-        for number, result in _driven(config, [(run, LogFolder.of(config.logs or DRIVES))], drives):
+        for number, result in _driven(config, [(run, LogFolder.of(config.drives or DRIVES))], drives):
             results[number] = result
             codes += [keep(run, "simulator", result.as_dict()), _warn_problem(result)]
             if config.json:
@@ -227,7 +230,10 @@ def _print_verdict(config: Eval, run: Path, found: Evaluation | None = None) -> 
         if found is None:
             verdict = judge(run)
         else:
-            verdict = judge(run, found.measures, [*found.sessions] if found.trained_on == 0 else ())
+            sessions = [*found.driving.sessions] if found.trained_on == 0 else ()
+            verdict = judge(run, found.driving.measures, sessions)
+            if found.without_crashes is not None:
+                print_result(f"the verdict is without {counted(found.crashes, 'frame')} of crashes and the like")
         print_result(*verdict.lines)
     except UserError as error:  # what was measured is shown all the same
         warn(str(error))
@@ -338,4 +344,5 @@ def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
 
 
 def main() -> None:
+    understand_earlier("bc-eval", {"--logs": "--drives"})
     run_command("bc-eval", Eval, evaluate)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 import tyro
 
 from common.command import flags_given
 from common.errors import UsageError
 from common.location_flag import LocationFlag
-from common.tasks import RayAddress
+from common.ray_flag import RayAddress
 
 
 def _default(metavar: str, value: str) -> Any:
@@ -31,58 +31,61 @@ class Eval:
     bc-eval --compare first second
     """
 
+    RARE: ClassVar[str] = "network tolerance split departure car precision drives ray"
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
-    """The run, by name or folder; by default the newest."""
+    """Name or folder; by default the newest."""
     network: tuple[str, ...] = ()
-    """Code of your own network: FILE.py:CLASS or package.module:CLASS."""
+    """Your network's code: FILE.py:CLASS or MODULE:CLASS."""
     compare: Annotated[tuple[str, str] | None, _default("A B", "none")] = None
-    """Compare B with A on the same frames or tracks; exit code 1: worse."""
+    """Compare B with A on the same frames or tracks."""
+    gate: bool = False
+    """With --compare: exit code 1 if B is worse."""
     tolerance: Annotated[float | None, _default("SHARE", "0, and 0.02 with --simulator")] = None
-    """How much worse B may be, as a share of A's error."""
+    """How much worse B may be, as a share."""
     index: Annotated[LocationFlag | None, _default("PATH|URL", "the one that the run was trained on")] = None
-    """Folder or URL of the index to measure on."""
+    """The index to measure on."""
     split: Annotated[Literal["validation", "train"] | None, _default("{validation,train}", "validation")] = None
     """Frames held out, or those for training."""
     session: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
-    """Measure on these whole sessions, by name or path, without an index."""
+    """Measure on these whole sessions, without an index."""
     sessions: Annotated[LocationFlag | None, _default("PATH|URL", "sessions")] = None
-    """Folder or URL of the logs, for --session, --on and foreign indexes."""
+    """The logs, for --session, --on and foreign indexes."""
     bins: bool = False
     """Also show the errors in each steering bin."""
     worst: Annotated[int | None, _default("INT", "none; 10 with --json")] = None
     """Worst frames to list, at most one a second."""
     on: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
-    """Drive these recordings: their pictures are warped to where the network steers."""
+    """Drive these recordings, in warped pictures."""
     departure: Annotated[float | None, _default("METRES", "1")] = None
-    """Distance from the recorded line that counts as an intervention."""
+    """Distance from the recorded line that is an intervention."""
     car: Annotated[str | None, _default("udacity|built-in|FILE.toml", "the one in the log")] = None
     """The recording's car: cameras and turning."""
     simulator: Annotated[tuple[str, ...] | None, _default("TRACK [TRACK ...]", "none")] = None
-    """Drive these tracks: lake, mountain, random:SEED, hairpins:SEED."""
+    """Drive these: lake, mountain, random:SEED, hairpins:SEED."""
     laps: Annotated[float | None, _default("FLOAT", "1")] = None
     """Laps on each track."""
     speed: Annotated[tuple[float, ...] | None, _default("MPH [MPH ...]", "10")] = None
-    """Set speeds in mph, each on every track."""
+    """Set speeds, each on every track."""
     precision: Annotated[
         Literal["auto", "float32", "bfloat16"] | None, _default("{auto,float32,bfloat16}", "auto")
     ] = None
-    """Arithmetic of a driving network; auto: the fastest on this processor."""
-    logs: Annotated[LocationFlag | None, _default("PATH|URL", "drives")] = None
+    """Arithmetic; auto: the fastest."""
+    drives: Annotated[LocationFlag | None, _default("PATH|URL", "drives")] = None
     """Folder of the drives' logs; finished logs are copied to a URL."""
     force: bool = False
     """Replace existing logs."""
     ray: RayAddress = None
-    """Drive on a Ray cluster whose nodes share these folders."""
+    """Drive on a Ray cluster with shared folders."""
     runs: LocationFlag = Path("runs")
-    """Folder or URL of the runs."""
+    """The runs."""
     json: bool = False
-    """Print JSON: one object, or one a drive with --simulator."""
+    """Print JSON: one object, or one a drive."""
 
 
 RECORDED: Final = "recorded frames"
 WAYS: Final = {
     RECORDED: ("index", "split", "session", "sessions", "bins", "worst"),
-    "--simulator TRACK": ("laps", "speed", "precision", "logs", "force", "ray"),
+    "--simulator TRACK": ("laps", "speed", "precision", "drives", "force", "ray"),
     "--on SESSION": ("sessions", "departure", "car", "precision"),
 }
 """The flags that belong to each way of measuring."""
@@ -112,6 +115,8 @@ def refuse_contradictions(config: Eval) -> None:
     if config.compare is None:
         if config.tolerance is not None:
             raise UsageError("--tolerance is how much worse B may be, of --compare A B: give it too")
+        if config.gate:
+            raise UsageError("--gate fails if B is worse, of --compare A B: give it too")
     elif config.run is not None:
         raise UsageError(f"{config.run}: --compare names its two runs itself: leave it out")
     elif flags := flags_given(config, "bins", "worst"):

@@ -13,14 +13,13 @@ from common import UserError
 from common.closeable import Closeable
 from drive.log.log_thread import LogThread
 from recorder import LogWriter
-from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.bc_pb2 import PilotCommand
 from recorder.log.bad_telemetry import BadTelemetry
 from recorder.log.log_time import LogClock
 from recorder.log.meant_gaps import DISCONNECTED, HUMAN_DRIVES, PILOT_DRIVES_AGAIN
-from recorder.log.pose_message import pose_message
 from recorder.log.writer import EventLevel
-from recorder.rows.devices import device_value
 from recorder.server.telemetry import Telemetry
+from recorder.server.telemetry_row import write_telemetry
 
 if TYPE_CHECKING:
     from drive.control.driver import Decision  # loads PyTorch
@@ -142,24 +141,16 @@ class DriveLog(Closeable):
     def _write_row(
         self, time_ns: int, row: int, decision: Decision, telemetry: Telemetry, total_ms: float
     ) -> None:
-        if telemetry.picture:
-            self._writer.picture("center", time_ns, row, telemetry.picture, decision.picture_size)
-        for camera, picture in telemetry.side_pictures.items():
-            self._writer.picture(camera, time_ns, row, picture)
+        crop = None
         if decision.crop is not None:
             # as OpenCV writes it by default: half the time of its best compression in hand, a fifth larger
             ok, png = cv2.imencode(".png", decision.crop)
             if not ok:  # cannot happen with a crop of ours, but a lost crop must not go unnoticed
                 raise RuntimeError("OpenCV could not write a PNG of the crop")
-            self._writer.crop(time_ns, row, png.tobytes())
-        state = VehicleState(
-            steering=telemetry.steering,
-            throttle=telemetry.throttle,
-            brake=0.0,
-            speed_mph=telemetry.speed_mph,
-            device=device_value(decision.device),
+            crop = png.tobytes()
+        write_telemetry(
+            self._writer, time_ns, row, telemetry, decision.device, picture_size=decision.picture_size, crop=crop
         )
-        self._writer.vehicle(time_ns, row, state)
         command = PilotCommand(
             predicted_steering=decision.predicted_steering,
             steering=decision.steering,
@@ -179,9 +170,6 @@ class DriveLog(Closeable):
         if telemetry.world is not None and telemetry.world.expert_steering is not None:
             command.expert_steering = telemetry.world.expert_steering
         self._writer.command(time_ns, row, command)
-        pose = None if telemetry.world is None else telemetry.world.pose
-        if pose is not None:
-            self._writer.pose(time_ns, row, pose_message(pose, time_ns))
 
 
 def _ago_ns(ms: float) -> int:

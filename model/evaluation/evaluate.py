@@ -68,7 +68,7 @@ class Evaluation:
         int | None
     )  # number of the frames that the run was trained on; None where its config does not record it
     skipped: Skipped  # pictures that do not decode
-    notices: tuple[str, ...] = ()  # logs that were never finished, or of which no frame is measured; of all runs
+    notices: tuple[str, ...] = ()  # unfinished logs, and logs without a measured frame; of all runs
     remarks: tuple[str, ...] = ()  # logs in which damage is not noticed
     answers: AnswerScale = field(default_factory=AnswerScale)  # that is in the predictions
     targets: tuple[TargetName, ...] = STEERING_ONLY  # that the network answers, and the frames have
@@ -90,14 +90,23 @@ class Evaluation:
 
     @cached_property
     def crashes(self) -> int:
-        """The number of frames in crashes: the steering there is no answer to the road."""
+        """The number of frames in crashes and the like: the steering there is no answer to the road."""
         return int(pc.sum(self.frames["crash"]).as_py() or 0)
 
     @cached_property
+    def driving(self) -> Evaluation:
+        """The same of all other frames, by which a network is judged; itself where crashes have none, or all."""
+        others = self.frames.filter(pc.invert(self.frames["crash"]))
+        return replace(self, frames=others) if self._is_mixed else self
+
+    @property
+    def _is_mixed(self) -> bool:
+        return 0 < self.crashes < len(self.frames)
+
+    @property
     def without_crashes(self) -> Measures | None:
         """The measures of all other frames; None where that are all of them, or none."""
-        others = self.frames.filter(pc.invert(self.frames["crash"]))
-        return self._measure(others) if 0 < len(others) < len(self.frames) else None
+        return self.driving.measures if self._is_mixed else None
 
     @cached_property
     def as_learnt(self) -> Errors:
@@ -124,8 +133,7 @@ class Evaluation:
     def as_dict(self) -> dict[str, Any]:
         """For JSON, in the words of metrics.jsonl; a measure that does not exist (NaN) is None."""
         found = _as_dict(self.measures)
-        for name in ("zero", "mean"):
-            found[name]["balanced_rmse_deg"] = self.balanced_rmse_deg[name]
+        found["zero"]["balanced_rmse_deg"] = self.balanced_rmse_deg["zero"]
         return {
             "run": run_name(self.run),
             "learnt": self.trained_on,
@@ -313,7 +321,7 @@ def _as_dict(measures: Measures) -> dict[str, Any]:
         "frames": measures.frames,
         "network": without_nan(asdict(measures.network)),
         "zero": without_nan(asdict(measures.zero)),
-        "mean": without_nan(asdict(measures.mean)),
+        "mean": without_nan({**asdict(measures.mean), "balanced_rmse_deg": measures.mean_balanced_rmse_deg}),
         "balanced_rmse_deg": measures.balanced_rmse_deg,
         "bins": [asdict(part) for part in measures.bins],
     }

@@ -94,7 +94,7 @@ def drive_recording(
     `picture` is what it sees.
 
     Raises LogError for a damaged log or damaged tags, RecordingError where its car is unknown,
-    DatasetError for one of which nothing can be driven, RunError for a network that predicts what is no number.
+    DatasetError if nothing of it can be driven, RunError if the network predicts NaN.
     """
     with LogViews(log, car, picture) as views:
         return drive_views(predict, views, departure_m)

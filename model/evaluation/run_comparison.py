@@ -18,11 +18,11 @@ from common.steering_unit import assumed_deg
 from dataset import MAX_STEERING_DEG
 from dataset.frames.split import block_numbers
 from dataset.prediction_targets import TARGETS, TargetName
-from dataset.steering_bins import bin_of
+from dataset.steering_bins import BINS, bin_of
 from model.evaluation.block_bootstrap import Floats
 from model.evaluation.differences import CONFIDENCE, Difference, Measure, compare_sums, overall
 from model.evaluation.evaluate import Evaluation, target_columns
-from model.metrics import BINS, TURNING
+from model.metrics import TURNING
 from model.runs.run_folder import run_name
 
 BLOCK_S: Final = 5.0  # measured: what one second has to do with another is gone after 2 to 5 s
@@ -111,7 +111,7 @@ def blocks_of(session: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray
 
 
 def sums_of_blocks(frames: pa.Table, unit: NDArray[np.int64], max_deg: float | None = MAX_STEERING_DEG) -> Floats:
-    """The sums of each block, (blocks, K), of which `measures_of_sums` makes measures. `max_deg` is the wheels'
+    """The sums of each block, (blocks, K), for `measures_of_sums`. `max_deg` is the wheels'
     angle at steering 1."""
     predicted, recorded = (frames[name].to_numpy() for name in ("predicted", "recorded"))
     off_deg = assumed_deg(max_deg) * (predicted - recorded)
@@ -136,7 +136,7 @@ def sums_of_blocks(frames: pa.Table, unit: NDArray[np.int64], max_deg: float | N
 
 
 def _sums_of_targets(frames: pa.Table, unit: NDArray[np.int64], targets: Sequence[TargetName]) -> Iterator[Floats]:
-    """For each target the sums of each block, (blocks, 2): frames of which it is known, and its squared errors."""
+    """For each target the sums of each block, (blocks, 2): frames where it is known, and its squared errors."""
     for target in targets:
         predicted, recorded = (frames[column].to_numpy() for column in target_columns(target))
         off = predicted - recorded

@@ -40,7 +40,7 @@ class PictureNetwork(nn.Module):
         raise NotImplementedError
 
     def forward(self, pictures: Tensor) -> Tensor:
-        learnt = targets_of(self.answers(scaled(pictures).to(self.input_dtype)), len(pictures), self.outputs)
+        learnt = targets_of(self.answers(scaled(pictures).to(self.input_dtype)), pictures.shape[0], self.outputs)
         if self.natural is None:
             return learnt
         if self.outputs == 1:
@@ -66,8 +66,8 @@ def scaled(pictures: Tensor) -> Tensor:
 
 
 def targets_of(answers: Tensor, pictures: int, outputs: int = 1) -> Tensor:
-    """The steering (N,), or the targets (N, outputs), in what a network answers to so many pictures. Raises
-    RunError for what is none."""
+    """The steering (N,), or the targets (N, outputs), in a network's answers to so many pictures. Raises
+    RunError for answers of another shape or type."""
     if isinstance(answers, Tensor) and answers.is_floating_point():
         if answers.shape == (pictures, outputs):
             return answers.squeeze(1) if outputs == 1 else answers

@@ -21,7 +21,9 @@ FEW_EPOCHS: Final = 4
 STILL_IMPROVING: Final = 0.02
 """By so much of itself the driving error still fell in the last epoch."""
 FEW_TURNS: Final = 500
-"""Rows of turns to learn from: with 700 of them every network of the study drove, with 170 none."""
+HARDLY_ANY_TURNS: Final = 170
+"""Rows of turns to learn from: with 700 of them every network of the study drove, with 170 none, however long it
+learnt."""
 FEW_OF_A_SIDE: Final = 0.1
 WORSE_ANSWERS: Final = 1.05
 """The driving error of natural answers, over that of the answers as learnt."""
@@ -68,21 +70,30 @@ def is_unfinished(numbers: RunNumbers) -> Advice | None:
 
 
 def has_worse_answers(numbers: RunNumbers) -> Advice | None:
-    """Natural answers, where those as learnt would be better."""
+    """Natural answers, where those as learnt would be better, and not worse than always predicting the mean. Of a
+    few epochs, more of them help first."""
     kept = numbers.kept
-    if kept is None or kept.learnt is None or kept.answers == AnswerScale() or not kept.measures.frames:
+    if (
+        kept is None
+        or len(numbers.epochs) < FEW_EPOCHS
+        or kept.learnt is None
+        or kept.answers == AnswerScale()
+        or not kept.measures.frames
+    ):
         return None
     natural, learnt = kept.measures.driving_error, kept.learnt_driving_error
     command = f"bc-train --like {numbers.run} --answers as-learnt"
-    if natural > WORSE_ANSWERS * learnt:
+    of, without, mean = kept.measures.network, kept.learnt, kept.measures.mean
+    is_worse = of.rmse_deg > without.rmse_deg and of.turning_mae_deg > without.turning_mae_deg
+    if natural > WORSE_ANSWERS * learnt and not of.rmse_deg < mean.rmse_deg <= without.rmse_deg:
         return Advice(
             f"natural answers make it worse: driving error {natural:.2f}, as learnt {learnt:.2f}", command
         )
-    of, without = kept.measures.network, kept.learnt
-    if math.isnan(learnt) and of.rmse_deg > without.rmse_deg and of.turning_mae_deg > without.turning_mae_deg:
-        return Advice(
-            f"natural answers make it worse: RMSE {of.rmse_deg:.2f}, as learnt {without.rmse_deg:.2f}", command
-        )
+    is_cure = without.rmse_deg < mean.rmse_deg <= of.rmse_deg and learnt <= WORSE_ANSWERS * natural
+    if is_cure or (math.isnan(learnt) and is_worse):
+        shown = kept.measures.unit.of
+        found = f"RMSE {shown(of.rmse_deg):.2f}, as learnt {shown(without.rmse_deg):.2f}"
+        return Advice(f"natural answers make it worse: {found}", command)
     return None
 
 
@@ -96,7 +107,7 @@ def is_enough(numbers: RunNumbers) -> Advice | None:
         return None
     small = f"a driving error of {measured.driving_error:.2f} is small enough to try"
     if not numbers.is_built_in:
-        return Advice(small, f"bc-drive {numbers.run}")
+        return Advice(small, numbers.drive_command)
     tracks = "lake mountain" if not driven else "random:1 random:2"
     why = small if not driven else "it needs nobody on the roads it has driven"
     return Advice(why, f"bc-eval {numbers.run} --simulator {tracks}")
@@ -119,15 +130,23 @@ def has_left_the_road(numbers: RunNumbers) -> Advice | None:
 def is_still_improving(numbers: RunNumbers) -> Advice | None:
     epochs = [epoch for epoch in numbers.epochs if epoch.measures.frames]
     more = f"bc-train --resume {numbers.run} --epochs {max(10, 2 * len(numbers.epochs))}"
-    if not epochs or epochs[-1] is not numbers.kept:
+    if not epochs:
         return None
-    last = epochs[-1].measures.driving_error
-    before = epochs[-2].measures.driving_error if len(epochs) > 1 else math.inf
+    is_best = epochs[-1] is numbers.kept
     if len(epochs) < FEW_EPOCHS:
-        return Advice(f"{counted(len(epochs), 'epoch')}: the last one is still the best", more)
+        why = "the last one is still the best" if is_best else f"networks of fewer than {FEW_EPOCHS} seldom drive"
+        return Advice(f"{counted(len(epochs), 'epoch')}: {why}", more)
+    if not is_best:
+        return None
+    last, before = (each.measures.driving_error for each in (epochs[-1], epochs[-2]))
     if before - last > STILL_IMPROVING * before:
         return Advice(f"its driving error still fell in epoch {len(epochs):,} ({before:.2f} to {last:.2f})", more)
     return None
+
+
+def has_hardly_any_turns(numbers: RunNumbers) -> Advice | None:
+    turns = _turns_learnt(numbers)
+    return None if turns is None or turns > HARDLY_ANY_TURNS else has_few_turns(numbers)
 
 
 def has_few_turns(numbers: RunNumbers) -> Advice | None:
@@ -180,6 +199,7 @@ RULES: Final[tuple[Callable[[RunNumbers], Advice | None], ...]] = (
     has_worse_answers,
     is_enough,
     has_left_the_road,
+    has_hardly_any_turns,
     is_still_improving,
     has_few_turns,
     has_one_session,
@@ -215,12 +235,12 @@ def _turns_learnt(numbers: RunNumbers) -> int | None:
 
 
 def _record(numbers: RunNumbers) -> str:
-    """The command that records more of what these sessions are of."""
-    return (
-        f"bc-record more --track random:{len(numbers.data.logs)}"
-        if numbers.is_built_in
-        else "bc-record more --from ~/recording"
-    )
+    """The command that records more of what these sessions are of, by a name that none of them has."""
+    known = numbers.data.logs
+    name = "more" if "more" not in known else f"more-{len(known)}"
+    if numbers.is_built_in:
+        return f"bc-record {name} --track random:{len(known)}"
+    return f"bc-record {name} --from {'~/mycar/data' if numbers.is_donkeycar else '~/recording'}"
 
 
 def _index(numbers: RunNumbers, flags: str) -> str:

@@ -103,7 +103,7 @@ class HistoryReader:
 
 
 class _HistoryFile(Generic[Line]):
-    """A file of JSON lines, each of which comes after the one before."""
+    """A file of JSON lines in the order of time."""
 
     def __init__(
         self, path: Path, parse: Callable[[bytes], Line], order: Callable[[Line], int], skipped: Skipped

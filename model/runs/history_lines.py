@@ -76,7 +76,7 @@ def parse_worst_pictures(line: bytes) -> WorstPictures:
     for jpeg in jpegs:
         if not may_be_crop(jpeg):
             raise ValueError("no crop that a network sees")
-        decode(jpeg)  # a ValueError for what is none
+        decode(jpeg)  # raises ValueError if it is no picture
     return WorstPictures(epoch, frames, jpegs, _max_deg(values))
 
 

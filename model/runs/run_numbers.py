@@ -38,6 +38,7 @@ class StoredLag(msgspec.Struct):
 
 class StoredPlan(msgspec.Struct):
     smooth_s: float = 0.0
+    without_crashes: bool = False
     why: str = ""
 
 
@@ -58,6 +59,8 @@ class StoredCounts(msgspec.Struct):
     frames: int = 0
     training: int = 0
     validation: int = 0
+    crashed: int = 0
+    not_measured: int | None = None
 
 
 class StoredSettings(msgspec.Struct):
@@ -94,6 +97,7 @@ class RunNumbers:
     index: str = "index"  # path, from the current folder
     runs: Path = RUNS
     is_training: bool = False
+    has_crashes: bool = False  # among the measured rows, as an earlier version's index held them out
 
     @property
     def kept(self) -> Epoch | None:
@@ -104,6 +108,18 @@ class RunNumbers:
         """Whether all of its sessions are of the built-in simulator."""
         cars = [log.get("car") for log in self.data.logs.values()]
         return bool(cars) and all(isinstance(car, dict) and BUILT_IN_CAR.items() <= car.items() for car in cars)
+
+    @property
+    def is_donkeycar(self) -> bool:
+        """Whether all of its sessions are tubs: no simulator has their road."""
+        return bool(self.data.logs) and all(log.get("source") == "donkeycar" for log in self.data.logs.values())
+
+    @property
+    def drive_command(self) -> str:
+        """The command that lets it drive."""
+        if self.is_donkeycar:
+            return f"bc-train export {self.run} --donkeycar car"
+        return f"bc-drive {self.run}"
 
     def log_of(self, session: str) -> str:
         """The path of a session's log from the current folder, quoted."""
@@ -130,7 +146,7 @@ class RunNumbers:
         known = frozenset(hand for hand in hands if hand) if all(hands) else frozenset()
         counts = [self.data.counts.get(name, StoredCounts()) for name in sessions]
         is_unseen = bool(counts) and not any(count.training for count in counts)
-        return replace(self, measured=measured, hands=known, is_unseen=is_unseen)
+        return replace(self, measured=measured, hands=known, is_unseen=is_unseen, has_crashes=False)
 
 
 def run_numbers(
@@ -159,11 +175,21 @@ def run_numbers(
         runs=run.parent,
         is_training=is_training,
     )
-    measured = numbers.measured
-    if measured is None or math.isnan(measured.mean_balanced_rmse_deg):  # earlier versions did not store it
-        measured = _measured_since(results) or measured
+    measured, since = numbers.measured, None
+    has_crashes = _held_out_crashes(data)
+    # earlier versions did not store the balanced error of the mean
+    if measured is None or math.isnan(measured.mean_balanced_rmse_deg) or has_crashes:
+        since = _measured_since(results)
     held_out = [name for name, count in data.counts.items() if count.validation]
-    return numbers.of_rows(measured, held_out)
+    return replace(numbers.of_rows(since or measured, held_out), has_crashes=has_crashes and since is None)
+
+
+def _held_out_crashes(data: StoredIndex) -> bool:
+    """Whether the index was an earlier version's, which left crashes out of training alone."""
+    return any(
+        count.crashed and count.not_measured is None and data.labels.get(name, StoredLabels()).plan.without_crashes
+        for name, count in data.counts.items()
+    )
 
 
 _Part = TypeVar("_Part", StoredTraining, StoredIndex)
@@ -177,11 +203,12 @@ def _part(config: Mapping[str, Any], name: str, kind: type[_Part]) -> _Part:
 
 
 def _measured_since(results: Sequence[KeptResult]) -> Measures | None:
-    """The errors on the frames held out, as `bc-eval` has measured them."""
+    """The errors on the frames held out, without crashes, as `bc-eval` has measured them."""
     for kept in reversed(results):
         if kept.way == "frames" and kept.result.get("split") == "validation":
             try:
-                return parse_measures(kept.result, "network")
+                driving = kept.result.get("without_crashes") or {}
+                return parse_measures({**kept.result, **driving}, "network")
             except (ValueError, KeyError, TypeError, RecursionError):
                 continue
     return None

@@ -16,7 +16,7 @@ _NAMES: Final = {"driving-error": "driving error", "balanced-rmse": "balanced RM
 
 
 def error_to_keep_by(keep: Keep, measures: Measures) -> float:
-    """The error of which the epoch with the least is kept; in degrees, but for the driving error."""
+    """The error that decides which epoch is kept: the smallest. In degrees, except the driving error."""
     if keep == "driving-error":
         return measures.driving_error
     return measures.balanced_rmse_deg if keep == "balanced-rmse" else measures.network.rmse_deg

@@ -48,6 +48,7 @@ class Verdict:
     advice: Advice
     driven: str = ""  # how it has driven, where it has: that goes before what its errors foretell
     interventions: int | None = None  # in these drives
+    has_crashes: bool = False  # among these rows, perhaps
 
     @property
     def is_no_better(self) -> bool:
@@ -82,7 +83,8 @@ class Verdict:
         shown = better if worse else words or [rmse]
         if shown:
             parts.append(f"better than {'it' if worse else 'always predicting the mean'}: {_joined(shown)}")
-        return "; ".join([*parts, self.driven or self._to_drive()])
+        crashes = ["crashes were held out, too: `bc-eval` measures without them"] * self.has_crashes
+        return "; ".join([*parts, self.driven or self._to_drive(), *crashes])
 
     def _to_drive(self) -> str:
         if self.is_no_better:
@@ -108,7 +110,7 @@ def verdict_of(numbers: RunNumbers) -> Verdict:
     if interventions is not None:
         tracks = counted(len(numbers.drives), "track")
         driven = f"has driven {tracks} with {counted(interventions, 'intervention')}"
-    return Verdict(errors, judged, advice(numbers), driven, interventions)
+    return Verdict(errors, judged, advice(numbers), driven, interventions, numbers.has_crashes)
 
 
 def _beside_the_mean(measured: Measures) -> tuple[BesideTheMean, ...]:

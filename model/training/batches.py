@@ -19,6 +19,7 @@ from common import Skipped
 from dataset import Batch, Loader
 from dataset.loader.crops import count_crops, different_crops
 from model.evaluation.predict import as_input
+from model.training.altered_on_device import AlteredOnDevice
 
 Advance = Callable[[int], object]
 
@@ -61,6 +62,8 @@ def make_batches(
     """
     if device.type == "cpu":
         return HostBatches(loader)
+    if loader.alterations is not None and loader.seen.channels != "BGR":
+        return PinnedBatches(loader, device)  # alterations are of BGR
     budget = _free_bytes(device) // 2 if budget_bytes is None else budget_bytes
     if needed_bytes(loader) <= budget:
         return DeviceBatches(loader, device, advance)
@@ -147,18 +150,24 @@ class DeviceBatches(Batches):
 
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[tuple[Tensor, Tensor]]:
         parts = [part[self._is_decoded[self._crop[part]]] for part in self._loader.parts(epoch, start_batch)]
-        return self._epoch(parts)
+        return self._epoch(epoch, parts)
 
-    def _epoch(self, parts: list[NDArray[np.int64]]) -> Iterator[tuple[Tensor, Tensor]]:
+    def _epoch(self, epoch: int, parts: list[NDArray[np.int64]]) -> Iterator[tuple[Tensor, Tensor]]:
         # All that the epoch needs is sent at once: a copy in its middle would make the host wait for the GPU.
         samples = np.concatenate([*parts, np.zeros(0, np.int64)])
-        columns = (self._crop, self._flip, self._loader.rows.label)
-        crop, flip, labels = (torch.from_numpy(column[samples]).to(self._device) for column in columns)
+        columns = self._crop[samples], self._flip[samples], self._loader.labels(samples, epoch)
+        crop, flip, labels = (torch.from_numpy(column).to(self._device) for column in columns)
+        altered = None
+        if (alterations := self._loader.alterations) is not None:
+            height, width, _ = self._loader.seen.shape
+            altered = AlteredOnDevice(alterations.draw(epoch, samples, height, width), height, width, self._device)
         end = 0
         for part in parts:
             start, end = end, end + len(part)
             pictures = self._crops.index_select(0, crop[start:end])
             pictures = torch.where(flip[start:end, None, None, None], pictures.flip(2), pictures)
+            if altered is not None:
+                pictures = altered.pictures(pictures, start)
             yield pictures.permute(0, 3, 1, 2), labels[start:end]
 
 

@@ -88,6 +88,7 @@ class TrainingLoop:
             threads=config.threads,
             seen=picture,
             targets=config.targets,
+            alter_each_epoch=config.epoch_alterations,
         )
         if not len(loader):
             raise RunError(

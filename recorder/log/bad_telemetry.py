@@ -14,7 +14,7 @@ _MORE: Final = re.compile(r" \(([0-9][0-9,]{0,25}) more\)$")
 
 
 class BadTelemetry:
-    """Counts them by kind (`TelemetryError.kind`), of which there are few, whatever clients send."""
+    """Counts them by kind (`TelemetryError.kind`). There are few kinds, whatever clients send."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()

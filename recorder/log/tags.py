@@ -111,7 +111,12 @@ def add_tags(log: Location, fingerprint: str, tags: Sequence[Tag]) -> None:
 
 def remove_tag(log: Location, fingerprint: str, tag: Tag) -> None:
     """Raises what `add_tag` does; removing a tag that is not there changes nothing."""
-    _append(log, "remove", fingerprint, [tag])
+    remove_tags(log, fingerprint, [tag])
+
+
+def remove_tags(log: Location, fingerprint: str, tags: Sequence[Tag]) -> None:
+    """Remove all of them or, where anything is raised, none. Raises what `add_tag` does."""
+    _append(log, "remove", fingerprint, tags)
 
 
 def check_name(name: object) -> str:

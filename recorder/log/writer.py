@@ -32,6 +32,7 @@ from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.errors import LogError
 from recorder.log.known_lag import lag_note
 from recorder.log.meant_gaps import NotRecorded
+from recorder.log.road_places import CarPlaces
 from recorder.log.session_car import UDACITY, car_in
 from recorder.log.written_pictures import WrittenPictures
 from recorder.mcap.compressed_image import image_data, is_image_channel
@@ -46,6 +47,7 @@ from recorder.topics import (
     CAMERA_TOPICS,
     COMPRESSED_IMAGE,
     LOG_MESSAGE,
+    POSE_IN_FRAME,
     TOPICS,
     VEHICLE_STATE,
     camera_topic,
@@ -113,6 +115,7 @@ class LogWriter:
         self._center_channels = set[int]()
         self._has_commands = False
         self._states = StatesWritten()
+        self._places = CarPlaces(metadata)
         self._not_recorded = NotRecorded()
         self._sizes = PictureSizes()
         self._size_reader = SizeReader()
@@ -175,6 +178,7 @@ class LogWriter:
 
     def pose(self, time_ns: int, sequence: int, pose: PoseInFrame) -> None:
         self._write(topics.POSE, pose, time_ns, sequence)
+        self._places.add(sequence, pose.pose)
 
     def event(self, time_ns: int, text: str, level: EventLevel = "INFO", name: str = "") -> None:
         """Write an event: `name` is where it happened (`recorder`, `drive`), `text` what."""
@@ -197,6 +201,9 @@ class LogWriter:
                 self._states.add(sequence, message.log_time, VehicleState.FromString(message.data))
             except DecodeError:
                 raise UserError(f"{self.path}: a message on {topics.VEHICLE} is not a vehicle state") from None
+        elif channel.topic == topics.POSE and schema is not None and schema.name == POSE_IN_FRAME.name:
+            with contextlib.suppress(DecodeError):
+                self._places.add(sequence, PoseInFrame.FromString(message.data).pose)
         elif channel.topic == topics.EVENTS and schema is not None and schema.name == LOG_MESSAGE.name:
             with contextlib.suppress(DecodeError):
                 self._not_recorded.add(message.log_time, LogMessage.FromString(message.data).message)
@@ -265,7 +272,7 @@ class LogWriter:
                 "first_picture_px": json.dumps(self._sizes.first()),
                 **({"picture_sizes": json.dumps(mixed)} if mixed else {}),
             }
-            states = self._states.states()
+            states = self._places.placed(self._states.states())
             habits = steering_habits(states, self._max_steering_deg, self._states.device)
             steering = json.dumps(asdict(habits), allow_nan=False)
             lag = self._measured_lag(states, habits)

@@ -1,7 +1,7 @@
-"""Finding what is whole in a damaged file, wherever it lies, for a recovery.
+"""Finding what is whole in a damaged file, for a recovery.
 
-Readers take a chunk only where the summary, or the record before it, has one, and with a sound header.
-Here chunks are found too that lie elsewhere, or whose header is damaged, if only the CRC of their records holds.
+Readers take a chunk only with a sound header, and where the summary, or the record before it, has one. Here chunks
+are found too whose header is damaged, or which are elsewhere, if the CRC of their records holds.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from mcap.opcode import Opcode
 
 from recorder.errors import LogError
 from recorder.mcap.compression import NOT_UNPACKED, unpack
-from recorder.mcap.mcap_file import CHUNK_HEADER, MAGIC, MAX_CHUNK_BYTES, RECORD, Chunk, McapFile
-from recorder.mcap.scan import Structure, add_definitions, add_record, next_chunk, search_budget
+from recorder.mcap.mcap_file import CHUNK_HEADER, MAX_CHUNK_BYTES, RECORD, Chunk, McapFile
+from recorder.mcap.scan import Structure, add_definitions, add_record, next_chunk, search_budget, walk
 
 _COMPRESSIONS: Final = (b"", b"zstd", b"lz4")
 _BESIDE_CHUNKS: Final = (
@@ -31,55 +31,44 @@ _SIZE: Final = struct.Struct("<Q")  # of what is stored
 _LONGEST_HEADER: Final = CHUNK_HEADER.size + _LENGTH.size + max(map(len, _COMPRESSIONS)) + _SIZE.size
 
 
-def salvage(file: McapFile, found: Structure) -> None:
-    """Put every whole chunk of the file into `found`, and into its `lost` the stretches without one."""
-    if found.problem:  # it was walked through: its chunks are whole
-        stretches, indexed_ends = found.lost, dict[int, int]()
-    else:
-        stretches, indexed_ends = _beside_the_whole(file, found)
-    found.lost = []
-    indexed = found.metadata_at, found.attachments_at
-    if indexed_ends:
-        found.metadata_at, found.attachments_at = [], []  # they may have moved as well
-    search = _Search(file, found, indexed_ends)
+def salvage(file: McapFile, structure: Structure) -> None:
+    """Leave in the structure the chunks whose CRC holds, in the file's order, also those with a damaged header.
+    Put into its `lost` the stretches without one."""
+    stretches = structure.lost if structure.problem else _drop_damaged(file, structure)
+    structure.lost = []
+    search = _Search(file, structure)
     for start, end in stretches:
         search.through(start, end)
-    found.chunks.sort(key=lambda chunk: chunk.start)
-    found.metadata_at = _all_of(found.metadata_at, indexed[0])
-    found.attachments_at = _all_of(found.attachments_at, indexed[1])
+    if structure.lost and not structure.problem:  # chunks may have moved
+        walked = walk(file)
+        starts = {chunk.start for chunk in structure.chunks}
+        if moved := [chunk for chunk in walked.chunks if chunk.start not in starts]:
+            structure.chunks += moved
+            structure.lost = walked.lost
+            structure.metadata_at, structure.attachments_at = walked.metadata_at, walked.attachments_at
+    structure.chunks.sort(key=lambda chunk: chunk.start)
 
 
-def _all_of(found: list[int], indexed: list[int]) -> list[int]:
-    """Offsets of records: those found, and where these are fewer than the indexed ones, those too."""
-    return sorted({*found} if len({*found}) >= len(indexed) else {*found, *indexed})
-
-
-def _beside_the_whole(file: McapFile, found: Structure) -> tuple[list[tuple[int, int]], dict[int, int]]:
-    """Leave in `found` the chunks that are where the summary has them. If not all are, they may lie anywhere else:
-    the stretches between the others, and where each that is not there would begin and end."""
-    whole, indexed_ends = list[Chunk](), dict[int, int]()
-    for chunk in found.chunks:
+def _drop_damaged(file: McapFile, structure: Structure) -> list[tuple[int, int]]:
+    """Drop the chunks that are not whole where the summary has them; where they should be."""
+    whole, damaged = list[Chunk](), list[tuple[int, int]]()
+    for chunk in structure.chunks:
         try:
             file.parts(file.records(chunk))
         except LogError:
-            indexed_ends[chunk.start] = chunk.end
+            damaged.append((chunk.start, chunk.end))
         else:
             whole.append(chunk)
-    if not indexed_ends:
-        return [], {}
-    found.chunks = whole
-    starts = [len(MAGIC), *(chunk.end for chunk in whole)]
-    ends = [*(chunk.start for chunk in whole), found.data_end]
-    return list(zip(starts, ends, strict=True)), indexed_ends
+    structure.chunks = whole
+    return damaged
 
 
 class _Search:
     """Adds to `found` what is whole in stretches of the file, and what is lost in them."""
 
-    def __init__(self, file: McapFile, found: Structure, indexed_ends: dict[int, int]) -> None:
+    def __init__(self, file: McapFile, structure: Structure) -> None:
         self._file = file
-        self._found = found
-        self._indexed_ends = indexed_ends  # by start, of chunks that are not whole there
+        self._structure = structure
         self._budget = search_budget(file)
 
     def through(self, start: int, end: int) -> None:
@@ -87,27 +76,20 @@ class _Search:
         while start < end:
             chunk = self._chunk_at(start, end)
             if chunk is not None:
-                self._found.chunks.append(chunk)
+                self._structure.chunks.append(chunk)
                 start = self._behind_records(chunk.end, end)
                 continue
             following = min(next_chunk(self._file, start + 1), end) if self._budget > 0 else end
-            self._lose(start, following)
+            if self._structure.lost and self._structure.lost[-1][1] == start:
+                start = self._structure.lost.pop()[0]
+            self._structure.lost.append((start, following))
             start = following
-
-    def _lose(self, start: int, end: int) -> None:
-        """Note that nothing is whole from `start` to `end`, but what lies behind a chunk's indexed end."""
-        if self._found.lost and self._found.lost[-1][1] == start:
-            start = self._found.lost.pop()[0]
-        indexed_end = self._indexed_ends.get(start, end)
-        if start < indexed_end < end and self._behind_records(indexed_end, end) == end:
-            end = indexed_end
-        self._found.lost.append((start, end))
 
     def _chunk_at(self, start: int, end: int) -> Chunk | None:
         """A whole chunk that begins at `start` and ends within `end`."""
         for chunk in self._guesses(start, end):
             try:
-                add_definitions(self._file, self._file.records(chunk), self._found)
+                add_definitions(self._file, self._file.records(chunk), self._structure)
             except LogError:
                 if self._budget <= 0:
                     break
@@ -124,8 +106,7 @@ class _Search:
                 break
             _, stated_length, _, _, stated_size, crc = CHUNK_HEADER.unpack_from(head)
             (stored_size,) = _SIZE.unpack_from(head, stored_at - _SIZE.size)
-            indexed_end = min(self._indexed_ends.get(start, end), end)
-            lengths = [RECORD.size + stated_length, stored_at + stored_size, indexed_end - start]
+            lengths = [RECORD.size + stated_length, stored_at + stored_size, end - start]
             if not name:
                 lengths.append(stored_at + stated_size)
             for length in dict.fromkeys(lengths):
@@ -148,11 +129,11 @@ class _Search:
             yield stated
         stored = self._file.read(start + stored_at, length - stored_at)
         try:
-            found = len(unpack(stored, name, MAX_CHUNK_BYTES))
+            size = len(unpack(stored, name, MAX_CHUNK_BYTES))
         except NOT_UNPACKED:
             return
-        if found != stated:
-            yield found
+        if size != stated:
+            yield size
 
     def _behind_records(self, start: int, end: int) -> int:
         """The end of the sound records that lie before the next chunk: indexes, metadata, the file's header."""
@@ -162,7 +143,7 @@ class _Search:
             if opcode not in _BESIDE_CHUNKS or following > end:
                 break
             try:
-                add_record(self._file, opcode, start, following, self._found)
+                add_record(self._file, opcode, start, following, self._structure)
             except LogError:
                 break
             start = following

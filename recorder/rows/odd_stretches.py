@@ -20,6 +20,7 @@ from common.stretches import stretches_within
 from common.untrusted_json import json_as
 from recorder.rows.crashes import impact_rows
 from recorder.rows.driving_backwards import SURELY_MPH, driven_backwards
+from recorder.rows.road_edge import off_road_rows
 from recorder.rows.row_quality import (
     NOT_LEARNT,
     States,
@@ -34,6 +35,7 @@ ODD_KINDS: Final[Mapping[str, str]] = {
     "crash": "crash",
     "backwards": "driving backwards",
     "parked": "parked",
+    "off_road": "off the road",
     "out_of_range": "values out of range",
     "stuck_steering": "steering that never changes",
     "steering_against_pictures": "steering against the pictures",
@@ -69,7 +71,7 @@ class OddStretch:
     @property
     def is_learnt(self) -> bool:
         """False for what `bc-index` leaves out of training by itself."""
-        return not self.is_sure or self.is_shown or self.kind not in NOT_LEARNT
+        return not self.is_sure or self.is_shown or self.kind not in (*NOT_LEARNT, "out_of_range")
 
     @property
     def rows(self) -> int:
@@ -150,6 +152,14 @@ def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask
             f"stands for {time_s[rows][-1] - time_s[rows][0]:.0f} s",
         ),
     )
+    if states.beyond_m is not None:
+        beyond_m = states.beyond_m
+        yield (
+            "off_road",
+            off_road_rows(beyond_m, time_s, drive),
+            True,
+            lambda rows: ("off_road", f"its middle is up to {np.nanmax(beyond_m[rows]):.1f} m beyond the edge"),
+        )
     yield "out_of_range", flags["out_of_range"], True, "steering, a pedal or a speed that no car has"
     perhaps = driven_backwards(speed_mph, states.throttle, states.brake, time_s, drive).perhaps
     yield (
@@ -201,28 +211,28 @@ def odd_in(quality: Mapping[str, str]) -> list[OddStretch] | None:
     return json_as(quality.get(ODD, ""), list[OddStretch])
 
 
-def odd_lines(found: Sequence[OddStretch]) -> list[str]:
+def odd_lines(odd: Sequence[OddStretch]) -> list[str]:
     """What is odd in a log, in words."""
-    lines = [str(each) for each in found[:MAX_NAMED]]
-    if len(found) > MAX_NAMED:
-        lines.append(f"and {counted(len(found) - MAX_NAMED, 'more stretch', 'more stretches')}")
+    lines = [str(each) for each in odd[:MAX_NAMED]]
+    if len(odd) > MAX_NAMED:
+        lines.append(f"and {counted(len(odd) - MAX_NAMED, 'more stretch', 'more stretches')}")
     return lines
 
 
-def exclude_command(found: Sequence[OddStretch], log: Location) -> str:
+def exclude_command(odd: Sequence[OddStretch], log: Location) -> str:
     """The command that excludes all that is sure."""
-    look = " --look" * any(each.is_sure and each.is_shown for each in found)
+    look = " --look" * any(each.is_sure and each.is_shown for each in odd)
     return f"bc-log tag {shlex.quote(str(log))} exclude --odd{look}"
 
 
-def odd_advice(found: Sequence[OddStretch], log: Location) -> list[str]:
+def odd_advice(odd: Sequence[OddStretch], log: Location) -> list[str]:
     """What becomes of what is odd in a log, and what to do about it; nothing where nothing is."""
     lines, place = [], shlex.quote(str(log))
-    if any(not each.is_learnt for each in found):
+    if any(not each.is_learnt and each.kind in NOT_LEARNT for each in odd):
         lines.append("crashes, driving backwards and parked cars are not learnt by default, if a person drove")
-    if any(each.is_sure for each in found):
-        lines.append(f"`{exclude_command(found, log)}` excludes all that is sure")
-    if unsure := next((each for each in found if not each.is_sure), None):
+    if any(each.is_sure for each in odd):
+        lines.append(f"`{exclude_command(odd, log)}` excludes all that is sure")
+    if unsure := next((each for each in odd if not each.is_sure), None):
         look = f"`bc-play {place}`, or let `bc-log check {place}` look at its pictures"
         lines.append(f"look at what is perhaps odd, {look}; `{unsure.command(log)}` excludes it")
     return lines

@@ -58,6 +58,7 @@ class States:
     throttle: Values
     brake: Values
     speed_mph: Values  # NaN where it is not known
+    beyond_m: Values | None = None  # of the road's edge (`recorder.log.road_places`); None: no known road
 
     @classmethod
     def of(cls, vehicle: pa.Table) -> States:
@@ -66,7 +67,8 @@ class States:
 
     def part(self, chosen: NDArray[Any] | Sequence[int]) -> States:
         """Some of the rows, by a mask or by their positions."""
-        return States(*(column[chosen] for column in vars(self).values()))
+        columns: Any = [None if column is None else column[chosen] for column in vars(self).values()]
+        return States(*columns)
 
 
 class StatesWritten:

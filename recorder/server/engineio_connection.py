@@ -6,9 +6,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 from engineio import packet
 from engineio.socket import Socket
@@ -16,6 +16,9 @@ from engineio.socket import Socket
 from recorder.server.in_flight import InFlight
 from recorder.server.websocket import BROKEN_FRAME, TOO_LARGE, HandshakeError, WebSocket
 
+CONNECT, EVENT = "0", "2"
+"""Socket.IO packet types, the first character of an Engine.IO message."""
+BROKEN_PACKET: Final = "broken packet"
 STREAM: Final = "telemetry.stream"
 """The key of a request's socket in its WSGI environment."""
 WEBSOCKET_OVER: Final = "telemetry.has_hung_up"
@@ -25,6 +28,10 @@ MAX_UNREAD_PACKETS: Final = 64
 """The most packets that wait for a client to read them; answers to a websocket's telemetry never wait."""
 MAX_ECHOED_CHARACTERS: Final = 100  # of a heartbeat's content
 
+NOTICE_BROKEN: Final = (
+    "hung up on a client that broke the Socket.IO protocol: a simulator in autonomous mode does not, other clients"
+    " need python-socketio 5 or its like"
+)
 NOTICE_NOT_READING: Final = (
     "hung up on a client that does not read what it is sent: simulators do, it is something else"
 )
@@ -44,59 +51,35 @@ class Received(NamedTuple):
     received_s: float
 
 
-class ServerHost(Protocol):
-    """The web server that runs the connections, in green threads or in those of the system."""
-
-    port: int
-
-    def make_lock(self) -> Lock: ...
-
-    def let_others_run(self) -> None:
-        """Let other connections and the tick run; does nothing where the system switches threads by itself."""
-        ...
-
-    def start(self, application: Callable[..., Iterable[bytes]]) -> None: ...
-
-    def wait(self, seconds: float) -> None:
-        """Serve connections for so long."""
-        ...
-
-    def after_websocket(self) -> Iterable[bytes]:
-        """The answer to a request that became a websocket, which is closed now."""
-        ...
-
-    def end(self) -> None:
-        """Wait until the connections that were closed have ended, and cut the others."""
-        ...
-
-
 class Connection(Socket):  # type: ignore[misc]
-    """Sends an answer in the thread that has read the message, and is pinged by the server's tick.
+    """Sends an answer in the thread that has read the message, and is pinged by the server's tick. Clients of
+    Socket.IO 2, such as the real simulator, are served as modern ones are.
 
     Every further thread that an answer passes may delay it, and one that sleeps until the next ping would outlive
     the run.
     """
 
     has_sent_message: bool
+    is_announced: bool  # it has sent its first message
     awaits_first_command: bool  # no telemetry has come, and no command was sent
     first_command_sent: bool  # before any telemetry
     in_flight: InFlight[Received]
     last_ping: Any
     _lock: Lock
-    _host: ServerHost
     _notify: Callable[[str], None]
     _websocket: WebSocket | None
     _since_s: float  # time.monotonic()
     _next_ping_s: float
 
     @classmethod
-    def adopt(cls, connection: Any, lock: Lock, host: ServerHost, notify: Callable[[str], None]) -> None:
+    def adopt(cls, connection: Any, lock: Lock, notify: Callable[[str], None]) -> None:
         """Turn a new connection of python-engineio into one of this class. `lock` is held while one is closed;
         `notify` gets the reason where a client is disconnected."""
         connection.__class__ = cls
         connection.has_sent_message, connection.awaits_first_command = False, True
+        connection.is_announced = False
         connection.first_command_sent, connection.in_flight = False, InFlight()
-        connection._lock, connection._host, connection._notify = lock, host, notify
+        connection._lock, connection._notify = lock, notify
         connection._websocket = None
         connection._since_s = connection._next_ping_s = time.monotonic()
 
@@ -117,7 +100,7 @@ class Connection(Socket):  # type: ignore[misc]
     @property
     def has_unread(self) -> bool:
         """True if the client has sent something that is not handled yet."""
-        return self._websocket is not None and (bool(self._websocket.waiting) or self._websocket.has_unread)
+        return self._websocket is not None and (not self._websocket.is_idle or self._websocket.has_unread)
 
     @property
     def waiting(self) -> list[str | bytes]:
@@ -171,6 +154,27 @@ class Connection(Socket):  # type: ignore[misc]
         else:
             super().receive(pkt)
 
+    def hand_over(self, message: str | bytes, received: Callable[[str, str | bytes], object]) -> None:
+        """Give a message to python-socketio's `received`, and hang up if it breaks the protocol.
+
+        A client of Socket.IO 2 sends no CONNECT packet, without which python-socketio 5 silently drops all of its
+        events: the packet is supplied.
+        """
+        try:
+            if not self.is_announced:
+                self.is_announced = True
+                if isinstance(message, str) and message.startswith(EVENT):
+                    received(self.sid, CONNECT)
+            received(self.sid, message)
+        except Exception:  # its parser raises nearly anything; a handler's own errors never come here
+            self.hang_up()
+
+    def hang_up(self) -> None:
+        """Close the connection of a client that broke the protocol."""
+        if not self.closed:
+            self._notify(NOTICE_BROKEN)
+            self.close(wait=False, reason=BROKEN_PACKET)
+
     def send(self, pkt: packet.Packet) -> None:
         """Queue a packet, to be sent later or fetched by a client that polls."""
         if self.queue.qsize() < MAX_UNREAD_PACKETS:
@@ -198,8 +202,6 @@ class Connection(Socket):  # type: ignore[misc]
                 stream,
                 headers,
                 max_bytes=self.server.max_http_buffer_size,
-                make_lock=self._host.make_lock,
-                let_others_run=self._host.let_others_run,
             )
         except HandshakeError as error:
             self.close(wait=False, abort=True)

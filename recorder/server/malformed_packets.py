@@ -1,4 +1,4 @@
-"""Malformed Socket.IO packets: their sender is disconnected, and python-socketio's tracebacks become one line.
+"""Socket.IO packets that are decoded strictly, and python-socketio's tracebacks as one line.
 
 Anybody who reaches the port can send anything, and a broken client must not fill the screen of a drive.
 """
@@ -7,24 +7,17 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable, Iterable
 from typing import Any, Final
 
-import socketio
 from socketio import packet
 
 from common.car import CAMERAS
-from recorder.server.connection_guard import Notify, landing_page
+from recorder.server.connection_guard import Notify
 from recorder.server.telemetry import NOT_JSON
 
-BROKEN_PACKET: Final = "broken packet"
 MAX_ATTACHMENTS: Final = len(CAMERAS)  # of a packet, which is kept until they have come: a picture of each camera
 MAX_NAMESPACE_CHARACTERS: Final = 100
 
-NOTICE_BROKEN: Final = (
-    "hung up on a client that broke the Socket.IO protocol: a simulator in autonomous mode does not, other clients"
-    " need python-socketio 5 or its like"
-)
 NOTICE_MALFORMED: Final = (
     "a client was refused ({}): it needs python-socketio 5, or Socket.IO 3 or newer, at this address"
 )
@@ -32,8 +25,6 @@ NOTICE_MALFORMED: Final = (
 # python-socketio raises them itself; a client may not
 _RESERVED_EVENTS = ("connect", "disconnect")
 _TELEMETRY = re.compile(r'(?:2|5(?:(\d{1,9})-)?)\d*\[\s*"telemetry"')  # and its attachments
-
-Application = Callable[[dict[str, Any], Callable[..., Any]], Iterable[bytes]]
 
 
 def is_telemetry(message: str | bytes) -> bool:
@@ -78,47 +69,7 @@ class CheckedPacket(packet.Packet):  # type: ignore[misc]
             return True
 
 
-def close_on_broken_packets(server: socketio.Server, notify: Notify) -> Application:
-    """The web application of `server`, which closes connections that break the protocol.
-
-    Call it last, before the server runs.
-    """
-    engine = server.eio
-    connected, received = engine.handlers["connect"], engine.handlers["message"]
-    application = socketio.WSGIApp(server, landing_page(notify))
-
-    def hang_up(sid: str | None) -> None:
-        connection = engine.sockets.get(sid)
-        if connection is not None and not connection.closed:
-            notify(NOTICE_BROKEN)
-            connection.close(wait=False, reason=BROKEN_PACKET)
-
-    def on_connect(sid: str, environ: dict[str, Any]) -> Any:
-        environ["telemetry.sid"] = sid
-        return connected(sid, environ)
-
-    def on_message(sid: str, data: Any) -> None:
-        try:
-            received(sid, data)
-        except Exception:  # its parser raises nearly anything; a handler's own errors never come here
-            hang_up(sid)
-
-    def serve(environ: dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
-        try:
-            _check_body(environ)
-            answer: Iterable[bytes] = application(environ, start_response)
-        except Exception:  # what is not even Engine.IO
-            hang_up(environ.get("telemetry.sid"))
-            start_response("400 Bad Request", [("Content-Length", "0")])
-            return []
-        return answer
-
-    engine.on("connect", on_connect)
-    engine.on("message", on_message)
-    return serve
-
-
-def _check_body(environ: dict[str, Any]) -> None:
+def check_body(environ: dict[str, Any]) -> None:
     """Raises ValueError for a body whose size is not known before it is read: it may have no end."""
     length = environ.get("CONTENT_LENGTH") or "0"
     if environ.get("HTTP_TRANSFER_ENCODING") or not (length.isascii() and length.isdecimal()):

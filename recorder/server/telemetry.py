@@ -1,6 +1,6 @@
 """The simulator's messages: telemetry is parsed and checked, commands are formatted.
 
-Telemetry comes from outside and may be anything; what is none raises TelemetryError and nothing else.
+Accepts any object. Raises TelemetryError, and nothing else, if it is not a telemetry message.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Telemetry:
     decimal_separator: str = POINT  # of the simulator's machine, for what it writes and reads
     observed_separator: str | None = None  # the same, if this telemetry shows it without doubt
     world: World | None = None  # None unless the simulator sends more than the real one does
-    world_problems: tuple[str, ...] = ()  # what of it could not be used, and why
+    world_problems: tuple[str, ...] = ()  # its unusable members, and why
     side_pictures: Mapping[Camera, bytes] = field(default_factory=dict)  # whole ones
     side_problems: tuple[str, ...] = ()  # why others could not be used, without values
 

@@ -155,7 +155,7 @@ class CsvColumns:
 
 
 def _lines(text: io.TextIOWrapper) -> Iterator[str]:
-    """Raises csv.Error for a line of which a table has none: it might be a gigabyte."""
+    """Raises csv.Error for a line too long for a table: it might be a gigabyte."""
     while line := text.readline(MAX_LINE_CHARACTERS):
         if len(line) == MAX_LINE_CHARACTERS:
             raise csv.Error(f"a line of over {MAX_LINE_CHARACTERS:,} characters")
@@ -163,7 +163,7 @@ def _lines(text: io.TextIOWrapper) -> Iterator[str]:
 
 
 def _number(text: str) -> float:
-    """NaN for what is none; what Python takes beside digits (1_000, nan) is none here."""
+    """NaN if it is no number. Python's own forms (1_000, nan) are no numbers here."""
     if not text or not all(character in "0123456789.+-eE" for character in text):
         return math.nan
     try:

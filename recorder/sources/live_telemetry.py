@@ -14,17 +14,16 @@ from common.files import refuse_existing
 from common.interrupts import stop_signals
 from common.output import print_message
 from common.progress import StatusLine
-from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.bad_telemetry import BadTelemetry
 from recorder.log.log_time import LogClock
 from recorder.log.meant_gaps import DISCONNECTED, HUMAN_DRIVES, HUMAN_HAS_STOPPED, not_recorded
-from recorder.log.pose_message import pose_message
 from recorder.log.session_car import UDACITY, Car, metadata_of
 from recorder.log.writer import EventLevel, LogWriter
-from recorder.rows.devices import Device, device_value
+from recorder.rows.devices import Device
 from recorder.server.locale_numbers import POINT
 from recorder.server.telemetry import Telemetry, TelemetryError, check_whole_picture, parse_telemetry
+from recorder.server.telemetry_row import write_telemetry
 from recorder.server.telemetry_server import NO_TELEMETRY_S, Answer, Steer, TelemetryServer
 from recorder.server.world import WorldNotices
 from recorder.sources.import_result import Imported
@@ -259,29 +258,16 @@ class _Session:
             self.warn(text)
         if not is_taken:
             return
-        self._writer.picture("center", time_ns, self.rows, telemetry.picture)
-        for camera, picture in telemetry.side_pictures.items():
-            self._writer.picture(camera, time_ns, self.rows, picture)
+        write_telemetry(self._writer, time_ns, self.rows, telemetry, device, brake=brake)
         self.pictures += 1 + len(telemetry.side_pictures)
         for problem in telemetry.side_problems:
             self._note_unusable("pictures", received_ns, problem, problem)
-        state = VehicleState(
-            steering=telemetry.steering,
-            throttle=telemetry.throttle,
-            brake=brake,
-            speed_mph=telemetry.speed_mph,
-            device=device_value(device),
-        )
-        self._writer.vehicle(time_ns, self.rows, state)
         if self._person is not None:
             gap_s = (time_ns - self._last_row_ns) / 1e9 - MAX_ROW_S
             if self.rows and (why := self._person.recording.gap_why) and gap_s > 0:
                 self._writer.event(time_ns, not_recorded(gap_s, why), name="recorder")
             self._person.has_row(time_ns)
             self._last_row_ns = time_ns
-        pose = None if telemetry.world is None else telemetry.world.pose
-        if pose is not None:
-            self._writer.pose(time_ns, self.rows, pose_message(pose, time_ns))
         if sid in self._human:
             self._human.remove(sid)
             if not self._human:

@@ -112,7 +112,7 @@ def record_person(
 
 
 class _Drive:
-    """A person's drive: the simulated clock, the car, and what of it is recorded."""
+    """A person's drive: the simulated clock, the car, and the recording."""
 
     def __init__(
         self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import tyro
 
@@ -12,23 +12,24 @@ from simulator.driving.drive_limits import DriverName
 
 @dataclass(frozen=True)
 class SimulatedDrive:
-    """A drive of the built-in simulator: its driver, track and settings."""
+    """A drive of the built-in simulator."""
 
+    RARE: ClassVar[str] = "start recovery noise"
     track: str = "lake"
-    """Track of the built-in simulator: lake, mountain, random:SEED, or hairpins:SEED."""
+    """lake, mountain, random:SEED, or hairpins:SEED."""
     driver: DriverName | Literal["me"] = "expert"
-    """Who drives: the expert, a simulated person at keyboard or mouse, or you (me)."""
+    """The expert, a simulated person at keyboard or mouse, or you (me)."""
     laps: float | None = None
-    """Laps at each speed, 1 by default; 0.5: half the track."""
+    """Laps at each speed; by default 1."""
     start: Annotated[float, tyro.conf.arg(metavar="METRES")] = 0.0
-    """With --driver me: start, along the track."""
+    """With --driver me: where to start."""
     speed: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MPH [MPH ...]")] = (10.0,)
-    """Set speeds in mph, one drive each; the driver slows for bends."""
+    """Set speeds, one drive each; the driver slows for bends."""
     rate: Annotated[float, tyro.conf.Suppress] = 10.0  # bc-record has a --rate of its own
     """Recorded rows a second; it must divide 50."""
     recovery: float = 0.35
-    """Share of the rows in which the car returns after an unrecorded push."""
+    """Share of rows in which the car returns to the line."""
     noise: float = 0.03
-    """Unsteadiness of the steering; 0: a machine's, 0.03: a calm person's."""
+    """Unsteadiness of the steering; 0.03: a calm person."""
     seed: int = 0
-    """Same seed, same log; also the seed of --gym's first episode."""
+    """Same seed, same log; also of --gym's first episode."""

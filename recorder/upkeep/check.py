@@ -11,14 +11,15 @@ from pathlib import Path
 from common.location import Location
 from common.progress import track
 from recorder.errors import LogError
-from recorder.log.fine_rows import fine_rows
 from recorder.log.reader import Log
+from recorder.log.road_places import states_of
+from recorder.log.tagged_rows import fine_rows
 from recorder.mcap.mcap_file import McapFile
 from recorder.mcap.scan import read_structure
-from recorder.rows.odd_stretches import OddStretch
+from recorder.rows.odd_stretches import OddStretch, odd_stretches
 from recorder.rows.row_quality import States
 from recorder.rows.steering_habits import LagFinding
-from recorder.topics import VEHICLE, camera_topic
+from recorder.topics import POSE, VEHICLE, camera_topic
 from recorder.upkeep.check_contents import GAPS, Contents, Finding, odd_findings
 from recorder.upkeep.check_structure import sound_chunks
 from recorder.upkeep.log_info import find_lag, lacks_lag
@@ -78,6 +79,9 @@ def check(path: Location, *, look: bool = True) -> Checked:
         has_crcs = file.have_crcs(structure.chunks)
     has_rows = contents.counts[VEHICLE] and contents.counts[camera_topic("center")]
     odd = contents.odd
+    if contents.counts[POSE]:
+        with contextlib.suppress(LogError), Log(path) as log:
+            odd = odd_stretches(states_of(log))
     lag, is_lag_kept = None, False
     if look and has_rows:
         with contextlib.suppress(LogError), Log(path) as log:
@@ -112,6 +116,6 @@ def check(path: Location, *, look: bool = True) -> Checked:
 
 def _is_paused_by_people(path: Location) -> bool:
     """Whether a log was imported from a recorder that people switch off and on: a gap is then no loss."""
-    with contextlib.suppress(LogError), Log(path, brief=True) as log:
+    with contextlib.suppress(LogError), Log(path) as log:
         return log.metadata.get("source") in ("udacity", "donkeycar", "csv")
     return False

@@ -14,8 +14,8 @@ from common.stretches import consecutive
 from recorder import topics
 from recorder.bc_pb2 import VehicleState
 from recorder.log.bad_telemetry import read_event
-from recorder.log.fine_rows import FineRows
 from recorder.log.meant_gaps import NotRecorded
+from recorder.log.tagged_rows import TaggedRows
 from recorder.mcap.compressed_image import image_data
 from recorder.mcap.mcap_file import StoredMessage
 from recorder.mcap.message_index import LAST_TIME_NS
@@ -56,7 +56,7 @@ class Contents:
         pool: Executor | None,
         *,
         is_ours: bool,
-        fine: FineRows,
+        fine: TaggedRows,
     ) -> None:
         self._is_ours = is_ours
         self._fine = fine

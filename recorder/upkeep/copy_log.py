@@ -1,11 +1,9 @@
 """Copying logs between this machine and a store: whole or not at all, compared by fingerprint, over nothing.
 
-To S3 and Azure: the parts become an object of that name when all are there (`common.resumable_upload`,
-`common.resumable_blob`); an upload that was
-stopped stays, and is gone on with. To other stores, and of a log of one part: they make an object
-NAME.mcap.XXXXXX.part, which gets its name in the store itself. Either only if nobody has taken the name
-meanwhile. From a store: NAME.mcap.XXXXXX.part grows on the disk, named after the object's
-ETag, so that a copy which was stopped goes on where it was; every CRC in it is compared before it gets its name.
+To a store: the log becomes an object NAME.mcap.XXXXXX.part, which gets its name in the store itself if nobody has
+taken the name meanwhile. An upload that was stopped begins anew. From a store: NAME.mcap.XXXXXX.part grows on the
+disk, named after the object's ETag, so that a stopped copy continues where it was; every CRC in it is compared
+before it gets its name.
 """
 
 from __future__ import annotations
@@ -14,9 +12,9 @@ import contextlib
 import hashlib
 import secrets
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
 
 from common import UserError
 from common.errors import ObjectChangedError, ObjectExistsError, StoreError
@@ -24,9 +22,10 @@ from common.files import PART_SUFFIX, atomic_file, make_folder, publish, refuse_
 from common.interrupts import uninterrupted
 from common.location import Location, Url
 from common.locks import try_lock
-from common.object_file import ObjectFile
+from common.object_file import LARGEST_READ, ObjectFile
 from common.object_store import (
     MAX_IN_ONE_REQUEST,
+    OnBytes,
     find_object,
     name_new,
     put_new,
@@ -35,18 +34,10 @@ from common.object_store import (
     read_object,
     remove,
 )
-from common.parted_file import OnBytes
 from recorder.errors import LogError
 from recorder.log.reader import Log
 from recorder.log.tags import MAX_BYTES, tags_path
 from recorder.upkeep.check import is_whole
-
-if TYPE_CHECKING:
-    from common.resumable_blob import ResumableBlob
-    from common.resumable_upload import ResumableUpload
-
-PART_BYTES: Final = 1 << 23
-"""Bytes of a part that is sent, or requested, at once."""
 
 
 @dataclass(frozen=True)
@@ -65,17 +56,14 @@ def copy_log(
     *,
     overwrite: bool = False,
     on_bytes: OnBytes = lambda more: None,
-    on_left: OnBytes = lambda size: None,
 ) -> Copied:
     """Copy a finished log, and its tags, between this machine and a store; one that is there is left alone.
-
-    Before anything is raised, `on_left` is called with the bytes of an upload that the next one resumes.
 
     Raises LogError for a log that is unfinished or damaged, UserError where something else has the name (unless
     `overwrite`), or one of the places is of the wrong kind; StoreError.
     """
     if isinstance(log, Path) and isinstance(to, Url):
-        return _upload(log, to, overwrite, on_bytes, on_left)
+        return _upload(log, to, overwrite, on_bytes)
     if isinstance(log, Url) and isinstance(to, Path):
         return _download(log, to, overwrite, on_bytes)
     if isinstance(log, Url):
@@ -83,60 +71,19 @@ def copy_log(
     raise UserError(f"{log} and {to}: both on this machine; `cp` copies logs there")
 
 
-def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes, on_left: OnBytes) -> Copied:
+def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
     with Log(log) as opened:  # raises LogError for a file that is no log
         size, fingerprint = opened.size, opened.file_fingerprint
-    if (there := find_object(url)) is not None:
-        if there.size == size and _fingerprint(url) == fingerprint:
+    if (stored := find_object(url)) is not None:
+        if stored.size == size and _fingerprint(url) == fingerprint:
             on_bytes(size)
             return Copied(url, size, False, _upload_tags(log, url, overwrite))
         if not overwrite:
             raise ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
     if not is_whole(log):
         raise LogError(f"{log}: not finished, or damaged; `bc-log recover {log}` makes a whole one of it")
-    if size > PART_BYTES and (upload := _resumable(log, url)) is not None:
-        _put_resumably(upload, log, fingerprint, overwrite, on_bytes, on_left)
-    else:
-        _put_and_name(log, url, size, fingerprint, overwrite, on_bytes)
+    _put_and_name(log, url, size, fingerprint, overwrite, on_bytes)
     return Copied(url, size, True, _upload_tags(log, url, overwrite))
-
-
-def _resumable(log: Path, url: Url) -> ResumableUpload | ResumableBlob | None:
-    """An upload that goes on where one was that was stopped; None where that store, or these credentials, know
-    no such thing."""
-    if url.scheme == "s3":
-        from common.resumable_upload import ResumableUpload  # botocore
-
-        return ResumableUpload(url, log, PART_BYTES)
-    if url.scheme == "az":
-        from common.resumable_blob import ResumableBlob  # urllib3
-
-        upload = ResumableBlob(url, log, PART_BYTES)
-        return upload if upload.can_send() else None
-    return None
-
-
-def _put_resumably(
-    upload: ResumableUpload | ResumableBlob,
-    log: Path,
-    fingerprint: str,
-    overwrite: bool,
-    on_bytes: OnBytes,
-    on_left: OnBytes,
-) -> None:
-    url = upload.url
-    try:
-        upload.send(overwrite=overwrite, on_bytes=on_bytes)
-    except BaseException as error:
-        is_done = False
-        if isinstance(error, StoreError):  # its answer was lost, or another process was faster with this very log
-            with contextlib.suppress(StoreError):
-                is_done = _is_there(url, log.stat().st_size, fingerprint)
-        if not is_done:
-            if upload.left:
-                on_left(upload.left)
-            raise
-    _refuse_other(url, log, fingerprint)
 
 
 def _put_and_name(log: Path, url: Url, size: int, fingerprint: str, overwrite: bool, on_bytes: OnBytes) -> None:
@@ -171,17 +118,21 @@ def _refuse_other(made: Url, log: Path, fingerprint: str) -> None:
 
 def _is_there(url: Url, size: int, fingerprint: str) -> bool:
     """True if this log is there, whole."""
-    found = find_object(url)
-    return found is not None and found.size == size and _fingerprint(url) == fingerprint
+    stored = find_object(url)
+    return stored is not None and stored.size == size and _fingerprint(url) == fingerprint
 
 
 def _parts(log: Path, on_bytes: OnBytes, free: Url | None) -> Iterator[bytes]:
     """The bytes of a file. `free`: an object that must not be there when all have been given."""
     with log.open("rb") as stream:
-        while data := stream.read(PART_BYTES):
+        while data := stream.read(LARGEST_READ):
             yield data
             on_bytes(len(data))
-    if free is not None and find_object(free) is not None:
+    if free is None:
+        return
+    with ThreadPoolExecutor(1) as other_thread:  # in this one, obstore waits for the parts
+        is_taken = other_thread.submit(find_object, free).result() is not None
+    if is_taken:
         raise ObjectExistsError(f"{free} was written by someone else meanwhile; nothing was changed")
 
 
@@ -205,7 +156,7 @@ def _download(url: Url, path: Path, overwrite: bool, on_bytes: OnBytes) -> Copie
             stream.truncate(begun)
             on_bytes(begun)
             try:
-                for data in source.read_from(begun, PART_BYTES):
+                for data in source.read_from(begun):
                     stream.write(data)
                     on_bytes(len(data))
             except ObjectChangedError:  # there is nothing any more that could go on with it
@@ -224,7 +175,7 @@ def bring_log(url: Url, path: Path, on_bytes: OnBytes = lambda more: None) -> No
     """Write a log of a store to the new file `path` as it is, finished or not, and its tags beside it. Raises
     StoreError."""
     with ObjectFile(url) as source, path.open("xb") as stream:
-        for data in source.read_from(part_bytes=PART_BYTES):
+        for data in source.read_from():
             stream.write(data)
             on_bytes(len(data))
     if (tags := read_object(tags_path(url), MAX_BYTES)) is not None:
@@ -238,31 +189,31 @@ def _fingerprint(place: Location) -> str:
 
 def _upload_tags(log: Path, url: Url, overwrite: bool) -> str:
     """Copy the tags beside a log; returns why not, where others are there."""
-    ours, there = tags_path(log), tags_path(url)
-    if not ours.is_file():
+    file, stored = tags_path(log), tags_path(url)
+    if not file.is_file():
         return ""
-    tags = ours.read_bytes()
+    tags = file.read_bytes()
     if overwrite:
-        put_over(there, tags)
+        put_over(stored, tags)
         return ""
     try:
-        put_new(there, tags)
+        put_new(stored, tags)
     except ObjectExistsError:
-        return "" if read_object(there, MAX_BYTES) == tags else _other_tags(ours, there)
+        return "" if read_object(stored, MAX_BYTES) == tags else _other_tags(file, stored)
     return ""
 
 
 def _download_tags(url: Url, path: Path, overwrite: bool) -> str:
-    there, ours = tags_path(url), tags_path(path)
-    tags = read_object(there, MAX_BYTES)
-    if tags is None or (ours.is_file() and ours.read_bytes() == tags):
+    stored, file = tags_path(url), tags_path(path)
+    tags = read_object(stored, MAX_BYTES)
+    if tags is None or (file.is_file() and file.read_bytes() == tags):
         return ""
-    if ours.exists() and not overwrite:
-        return _other_tags(there, ours)
-    with atomic_file(ours, overwrite=overwrite) as part:
+    if file.exists() and not overwrite:
+        return _other_tags(stored, file)
+    with atomic_file(file, overwrite=overwrite) as part:
         part.write_bytes(tags)
     return ""
 
 
-def _other_tags(tags: Location, there: Location) -> str:
-    return f"{tags}: not copied, {there} has other tags; --force replaces them"
+def _other_tags(tags: Location, target: Location) -> str:
+    return f"{tags}: not copied, {target} has other tags; --force replaces them"

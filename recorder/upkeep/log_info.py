@@ -14,12 +14,13 @@ from typing import Any
 from common.location import Location
 from common.untrusted_json import json_as
 from recorder import topics
-from recorder.log.fine_rows import FineRows
 from recorder.log.known_lag import keep_lag, kept_lag, known_lag, noted_lag
 from recorder.log.meant_gaps import NotRecorded, meant_rows
 from recorder.log.reader import Log
+from recorder.log.road_places import states_of
 from recorder.log.row_devices import device_numbers
 from recorder.log.session_car import max_steering_deg_of
+from recorder.log.tagged_rows import TaggedRows
 from recorder.log.tags import Tag, tags_by_content
 from recorder.rows.devices import most_used_of
 from recorder.rows.label_plan import goes_by_lag, machine_of, plan_labels
@@ -111,7 +112,7 @@ def describe(
     """Describe a log by its place, or one that is open; `look` measures the steering's lag in some pictures if
     nobody has yet. `with_tags`, `with_kept_lag`: with what is kept beside the log. Raises LogError if the log
     cannot be read or, `with_tags`, its tags; StoreError."""
-    with contextlib.nullcontext(place) if isinstance(place, Log) else Log(place, brief=True) as log:
+    with contextlib.nullcontext(place) if isinstance(place, Log) else Log(place) as log:
         first_ns, last_ns = log.time_range_ns
         duration_s = (last_ns - first_ns) / 1e9
         counts, schemas = log.counts, log.schemas
@@ -140,7 +141,7 @@ def describe(
             drives=_count(quality.get("drives")) if quality else None,
             flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS} if quality else None,
             stretches=_stretches(quality.get("stretches", "")),
-            odd=FineRows(tags).left(odd) if odd is not None else None,
+            odd=TaggedRows(tags).left(odd) if odd is not None else None,
             steering=steering,
             lag=found.lag if found else None,
             lacks_lag=found is None and goes_by,
@@ -246,8 +247,8 @@ def _steering(log: Log, quality: dict[str, str]) -> SteeringHabits | None:
 
 
 def _states(log: Log) -> States | None:
-    vehicle = log.vehicle()
-    return States.of(vehicle) if len(vehicle) else None
+    states = states_of(log)
+    return states if len(states.row) else None
 
 
 def _count(text: str | None) -> int:

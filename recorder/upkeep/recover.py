@@ -29,7 +29,7 @@ from recorder.upkeep.derived_log import (
     refuse_taken,
     tags_of_rows,
 )
-from recorder.upkeep.order_of_rows import in_order_of_rows
+from recorder.upkeep.lost_rows import lost_rows
 
 
 @overload
@@ -52,29 +52,28 @@ def recovered_name(path: Location) -> Location:
 def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     """Write all that is whole in the log at `path`, finished or not, to the new log `to`.
 
-    A chunk is taken if its CRC holds, wherever it lies. In a log of ours, chunks come in the order of their rows,
-    and what belongs to a row that was never finished, or of which the rest is lost, is left out, and so is a
-    chunk that is there again; a row of which only pictures are lost stays. All that is left out or missing is in
-    `skipped`, what may be wrong in `notices`.
+    A chunk is taken if its CRC holds; chunks stay in the file's order. In a log of ours, a row that was never
+    finished, or whose vehicle state is lost, is left out; one that lost only pictures stays. What is left out or
+    missing is in `skipped`, what may be wrong in `notices`.
 
     Raises LogError if nothing is whole, or if `to` is the name that the recording will take, which still goes on.
     """
-    skipped = Skipped()
+    skipped, out_of_order = Skipped(), Skipped()
     refuse_taken(to, [path], overwrite)  # before a long log is read
     goes_on = is_being_written(path)
     if goes_on and real_path(to) == final_path(real_path(path)):
         raise LogError(f"{to}: the name that the recording will take, which still goes on; give another by --to")
     with Log(path, salvages=True) as log:
-        order = in_order_of_rows(log, skipped)
+        lost = lost_rows(log, skipped, out_of_order)
         records = _sound_metadata(log, skipped)
         session = dict(records).get(topics.SESSION_METADATA, {})
         tags = _sound_tags(log, skipped)
         count, left_out, rows = 0, 0, list[int]()
         with new_log(log, to, session, {"recovered_from": path.name}, overwrite) as writer:
-            for chunk in track(order.chunks, f"recovering {path.name}", len(order.chunks)):
+            for chunk in track(log.chunks, f"recovering {path.name}", len(log.chunks)):
                 try:
                     for schema, channel, message in log.messages_of(chunk, skipped):
-                        if channel.topic in ROW_TOPICS and (why := order.why_not(message.sequence)):
+                        if channel.topic in ROW_TOPICS and (why := lost.why_not(message.sequence)):
                             left_out += 1
                             skipped.add(why, f"{channel.topic} row {message.sequence}")
                             continue
@@ -94,10 +93,10 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
             skipped.add("stretches of bytes without anything whole", f"{start:,} to {end:,}")
         else:
             skipped.add("damaged chunks", f"bytes {start:,} to {end:,}")
-    notices = []
-    lost = (log.message_count or 0) - count - left_out
-    if lost > 0:
-        notices.append(f"{path}: lost in all: {lost:,} of {counted(log.message_count or 0, 'message')}")
+    notices = [f"{path}: {line}" for line in out_of_order.lines()]
+    lost_count = (log.message_count or 0) - count - left_out
+    if lost_count > 0:
+        notices.append(f"{path}: lost in all: {lost_count:,} of {counted(log.message_count or 0, 'message')}")
     if log.is_ours and not rows and len(skipped):
         notices.append(f"{path}: no row is whole in it: what is kept has no rows")
     if not len(skipped) and is_damaged_beside_chunks(path):

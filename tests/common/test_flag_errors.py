@@ -40,14 +40,14 @@ def test_what_a_flag_takes_is_said_in_words(
 @pytest.mark.parametrize(
     ("command", "flags", "expected"),
     [
-        (bc_log, ["inof"], "bc-log: inof: no such command; did you mean info?; `bc-log --help` has all flags"),
+        (bc_log, ["inof"], "bc-log: inof: no such command; did you mean info?; `bc-log --help-all` has all flags"),
         (bc_log, ["drive"], "bc-log: drive: no such command; there are ls, info, check"),
         (bc_log, [], "bc-log: which command? One of ls, info, check"),
         (bc_record, ["a", "-from", "b"], "bc-record: -from: no such flag; did you mean --from?"),
         (bc_record, ["a", "--form=b"], "bc-record: --form: no such flag; did you mean --from?"),
         (bc_record, ["my", "drive"], "bc-record: drive: one word too many"),
         (bc_record, ["--laps", "1"], "bc-record: NAME is missing"),
-        (bc_log, TRIM[:2], "bc-log: --to is missing; `bc-log trim --help` has all flags"),
+        (bc_log, TRIM[:2], "bc-log: --to is missing; `bc-log trim --help-all` has all flags"),
     ],
 )
 def test_what_is_mistyped_or_missing_is_named(

@@ -45,7 +45,7 @@ def test_a_signal_waits_for_the_end_of_what_must_not_be_interrupted() -> None:
     assert done == ["all of it"]
 
 
-def test_within_one_another_the_inner_block_puts_a_signal_off_for_the_outer_one() -> None:
+def test_an_inner_block_defers_a_signal_for_the_outer_one() -> None:
     with stop_signals() as stopped:
         with uninterrupted():
             signal.raise_signal(signal.SIGTERM)

@@ -137,7 +137,7 @@ def on_terminal(line: list[str], cwd: Path, stdout: int | None = None) -> str:
     return said.decode()
 
 
-def test_a_message_stands_above_a_status_line_and_the_way_out_is_said_once(tmp_path: Path) -> None:
+def test_a_message_stands_above_the_status_and_the_way_out_is_shown_once(tmp_path: Path) -> None:
     """Whoever prints it: the status line is erased before, and drawn anew below."""
     code = (
         "import threading; from common.interrupts import GracefulStop, force_quit_announced\n"
@@ -158,7 +158,7 @@ def test_a_message_stands_above_a_status_line_and_the_way_out_is_said_once(tmp_p
     assert "said again: False" in shown
 
 
-def test_a_command_is_spelled_with_its_path_where_the_shell_does_not_find_it(
+def test_a_command_has_its_path_where_the_shell_does_not_find_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scripts = tmp_path / "a place" / "bin"
@@ -244,7 +244,7 @@ def test_what_is_said_and_logged_beside_a_bar_is_a_line_above_it(tmp_path: Path)
     assert not CONTROL.search(drawing.sub("", shown).replace("\r", "").replace("\n", ""))
 
 
-def test_what_training_logs_is_a_message_in_every_command_that_loads_a_run(
+def test_trainings_log_lines_are_messages_in_commands_that_load_a_run(
     tmp_path: Path, without_figures: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A run of an earlier version, whose name nobody would give."""

@@ -31,7 +31,7 @@ def trained(folder: Path, *flags: object) -> dict[str, Any]:
 
 @pytest.mark.usefixtures("without_figures")
 @pytest.mark.parametrize("recipe", ["people", "original"])
-def test_the_recipe_is_that_of_the_training_and_of_the_index_that_it_builds(tmp_path: Path, recipe: Any) -> None:
+def test_the_recipe_is_that_of_the_training_and_of_its_index(tmp_path: Path, recipe: Any) -> None:
     toy_index(tmp_path)
     config = trained(tmp_path, *(["--recipe", recipe] if recipe == "original" else []))
     assert settings_from(TrainConfig, config["training"]) == replace(

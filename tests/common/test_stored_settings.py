@@ -70,7 +70,7 @@ def test_what_is_no_setting_is_refused(kind: type[TrainConfig | IndexConfig], st
 
 
 @pytest.mark.usefixtures("without_figures")
-def test_a_run_that_was_fine_tuned_is_repeated_with_the_weights_it_began_with(tmp_path: Path) -> None:
+def test_a_fine_tuned_run_is_repeated_from_its_initial_weights(tmp_path: Path) -> None:
     index = toy_index(tmp_path)
     one = replace(SMALL, epochs=1, batch=8)
     train(index, tmp_path / "base", one, figures=False)

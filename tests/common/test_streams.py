@@ -247,7 +247,7 @@ def test_results_wait_for_a_slow_reader_and_none_is_lost() -> None:
         printing.join(PATIENCE_S)
 
 
-def test_messages_do_not_wait_and_who_reads_again_is_told_how_many_are_lost() -> None:
+def test_messages_do_not_wait_and_lost_ones_are_counted() -> None:
     read, write = os.pipe()
     with open(read, "rb") as reader, open(write, "wb", buffering=0) as raw:  # noqa: PTH123
         outlet = BackgroundWriter(raw)

@@ -26,7 +26,7 @@ def stop(number: int, frame: FrameType | None) -> None:
 
 
 @pytest.mark.parametrize("number", STOP_SIGNALS)
-def test_a_signal_that_another_thread_gets_ends_what_the_main_one_waits_for(number: signal.Signals) -> None:
+def test_a_signal_of_another_thread_ends_what_the_main_one_waits_for(number: signal.Signals) -> None:
     before = signal.signal(number, signal.default_int_handler)  # the tests may run under nohup
     urgent = signal.getsignal(signal.SIGURG)
     forever = subprocess.Popen([sys.executable, "-c", f"import time; time.sleep({PATIENCE_S})"])

@@ -83,7 +83,7 @@ def brightness_factor(seed: int) -> float:
     return float(drawn(brightness, grey(150, 1, 1), seed)[0, 0, 0]) / 150
 
 
-def test_brightness_draws_factors_from_all_of_0_4_to_1_6_darker_as_often_as_brighter() -> None:
+def test_brightness_draws_factors_evenly_from_0_4_to_1_6() -> None:
     factors = np.array([brightness_factor(seed) for seed in SEEDS])
     assert factors.min() >= 0.4 - ROUNDING / 150
     assert factors.max() <= 1.6 + ROUNDING / 150
@@ -100,7 +100,7 @@ def test_brightness_multiplies_every_grey_level_and_ends_at_white() -> None:
         np.testing.assert_allclose(drawn(brightness, ramp(), seed), expected, atol=2 * ROUNDING + 255 / 300)
 
 
-def test_brightness_keeps_hue_and_saturation_also_where_a_channel_would_overflow() -> None:
+def test_brightness_keeps_hue_and_saturation_where_a_channel_overflows() -> None:
     """HSV's value is the largest channel: with it, the two others are scaled by the same factor."""
     for colour in ((200, 120, 60), (10, 90, 160), (30, 160, 30), (240, 240, 20), (255, 128, 0)):
         picture = np.full((4, 4, 3), colour, np.uint8)

@@ -72,9 +72,7 @@ def seen_in(batches: Sequence[Batch]) -> list[tuple[int, float]]:
 
 
 @pytest.mark.parametrize("budget_bytes", [0, 1 << 30])
-def test_a_picture_that_does_not_decode_is_left_out_of_its_batches_and_named_once(
-    index: Path, budget_bytes: int
-) -> None:
+def test_an_undecodable_picture_leaves_its_batches_and_is_named_once(index: Path, budget_bytes: int) -> None:
     with load(index, batch=16, budget_bytes=budget_bytes) as loader:
         assert len(loader.skipped) == 0
         for epoch in (1, 2):
@@ -156,7 +154,7 @@ def test_pictures_of_a_damaged_chunk_are_left_out_and_named_and_no_others(
     dataset.close()
 
 
-def test_a_data_set_of_pytorch_has_as_many_items_as_it_says_so_a_bad_one_is_an_error(index: Path) -> None:
+def test_a_dataset_with_a_bad_item_raises_an_error(index: Path) -> None:
     rows = pq.read_table(index / "samples.parquet").to_pylist()
     at = next(number for number, row in enumerate(rows) if (row["camera"], row["row"]) == ("left", 2))
     place = (index.parent / "lake.mcap").read_bytes().index(b"this is no picture")

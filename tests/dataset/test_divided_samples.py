@@ -20,7 +20,7 @@ from divided import in_one_file
 from logs import write_log
 from recorder import Log
 from recorder.log.tags import Tag, add_tag, tags_path
-from web.data.index_view import session_bins_sketch, view_index
+from web.index.index_view import session_bins_sketch, view_index
 
 CONFIG = IndexConfig(labels="as-recorded", block_s=3.0, gap_s=0.5, validation_share=0.3)
 
@@ -48,7 +48,7 @@ def parts(index: Path) -> str:
     return folder.relative_to(index).as_posix()
 
 
-def test_divided_samples_are_balanced_as_those_of_one_file_and_every_session_has_its_share(tmp_path: Path) -> None:
+def test_divided_samples_are_balanced_and_every_session_has_its_share(tmp_path: Path) -> None:
     logs = write_logs(tmp_path)
     one = build_index(logs, tmp_path / "one", CONFIG)
     divided = build_index(logs, tmp_path / "divided", CONFIG, divide_from_frames=1)
@@ -119,7 +119,7 @@ def test_what_sessions_share_is_all_of_it_and_none_gives_more_than_it_has(
     assert (np.abs(originals - exact) <= 1).all()
 
 
-def test_it_is_the_same_again_whatever_was_there_before_and_is_not_built_again_for_nothing(tmp_path: Path) -> None:
+def test_it_is_the_same_again_and_not_built_for_nothing(tmp_path: Path) -> None:
     logs = write_logs(tmp_path)
     build_index(logs, tmp_path / "a", CONFIG, divide_from_frames=1)
     build_index(logs[:2], tmp_path / "b", CONFIG)
@@ -193,7 +193,7 @@ def test_a_folder_of_that_name_that_is_somebody_elses_stays(tmp_path: Path) -> N
         build_index(logs, tmp_path / "index", CONFIG, divide_from_frames=1)
 
 
-def test_samples_of_other_frames_are_others_also_where_their_number_is_the_same(tmp_path: Path) -> None:
+def test_samples_of_other_frames_differ_where_their_number_is_equal(tmp_path: Path) -> None:
     log = write_log(tmp_path / "a.mcap", [0.1, 0.2] * 100)
     folders = set[str]()
     with Log(log) as opened:

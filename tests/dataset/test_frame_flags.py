@@ -160,7 +160,7 @@ def test_neighbouring_rows_with_a_flag_are_one_stretch(tmp_path: Path, encoded: 
     ]
 
 
-def test_frames_of_several_cameras_are_one_row_and_late_ones_change_nothing(tmp_path: Path) -> None:
+def test_cameras_of_a_moment_are_one_row_and_late_ones_change_nothing(tmp_path: Path) -> None:
     rows = [7, 7, 7, 8, 8, 10, 10, 10, 8]  # the last picture came late
     flags = [["frozen_picture"], [], [], ["frozen_picture"], [], ["frozen_picture"], [], [], ["frozen_picture"]]
     write_frames(tmp_path, "a", flags, row=rows)
@@ -226,7 +226,7 @@ def test_an_index_that_is_missing_or_damaged_is_one_line(tmp_path: Path) -> None
 LONG_NAME = "a[b]" * 20
 
 
-def test_the_printed_report_has_a_whole_line_a_stretch_and_the_sums_in_rows(
+def test_the_report_has_a_line_a_stretch_and_the_sums_in_rows(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
@@ -246,7 +246,7 @@ def test_the_printed_report_has_a_whole_line_a_stretch_and_the_sums_in_rows(
     assert lines[-1] == "102 rows gap"
 
 
-def test_the_printed_report_has_a_crash_and_what_belongs_to_it_in_one_line(
+def test_the_report_has_a_crash_with_its_surroundings_in_one_line(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "120")

@@ -210,9 +210,7 @@ def test_whole_sessions_are_held_out_if_they_are_named(tmp_path: Path) -> None:
 
 
 @given(st.lists(st.integers(-3_000, 3_000), min_size=1, max_size=200), st.integers(1, 20))
-def test_a_drive_ends_at_a_gap_and_where_time_goes_back_and_a_block_with_it(
-    steps_ms: list[int], block_s: int
-) -> None:
+def test_a_drive_and_its_block_end_at_a_gap_and_where_time_goes_back(steps_ms: list[int], block_s: int) -> None:
     time_ns = np.cumsum(np.array(steps_ms, np.int64)) * 1_000_000
     drive = drive_numbers(time_ns)
     block = block_numbers(time_ns, drive, block_s)

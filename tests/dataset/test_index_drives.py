@@ -258,7 +258,7 @@ def test_a_command_that_is_no_steering_is_no_label(tmp_path: Path, commanded: fl
     assert indexed.counts["drive"].unusable == 1
 
 
-def test_without_a_takeover_one_line_says_so_and_that_a_person_leaves_no_pictures(
+def test_without_a_takeover_a_person_leaves_no_pictures_and_it_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_drive(tmp_path / "drive.mcap", driven((P, 100)))

@@ -228,7 +228,7 @@ def test_a_turn_is_a_typical_one(tmp_path: Path) -> None:
         samples.close()
 
 
-def test_a_kind_that_was_never_driven_is_left_out_and_side_cameras_are_not_shown(tmp_path: Path) -> None:
+def test_a_kind_that_was_never_driven_and_side_cameras_are_not_shown(tmp_path: Path) -> None:
     def picture(camera: Camera, row: int) -> bytes:
         return grey("center", row) if camera == "center" else jpeg(250)
 
@@ -304,7 +304,7 @@ def test_blue_is_blue_in_the_file() -> None:
     assert not (shown == (10, 60, 200)).all(axis=2).any()
 
 
-def test_augmentation_shows_the_picture_and_its_mirror_image_with_their_labels(samples: Samples) -> None:
+def test_augmentation_shows_a_picture_and_its_mirror_image_with_labels(samples: Samples) -> None:
     moment = find_moments(samples, 0)[2]
     moment.picture[:, :160] = 10  # the left half dark, so that the sides can be told apart
     crop = preprocess(moment.picture)
@@ -347,7 +347,7 @@ def test_of_an_alteration_the_two_draws_that_differ_most_are_shown() -> None:
 # How sessions were steered
 
 
-def test_steering_is_drawn_as_recorded_and_as_learnt_and_crashes_are_shaded(tmp_path: Path) -> None:
+def test_steering_is_drawn_as_recorded_and_learnt_and_crashes_are_shaded(tmp_path: Path) -> None:
     """Keys, and four seconds at a wall."""
 
     def wheel(at_s: np.ndarray) -> np.ndarray:
@@ -390,7 +390,7 @@ def test_a_session_without_frames_is_not_drawn_and_a_name_is_no_formula(tmp_path
         assert [session.name for session in steered_sessions(samples)] == ["$_$"]
 
 
-def test_an_index_that_does_not_say_how_it_was_steered_is_to_be_built_again(samples: Samples) -> None:
+def test_an_index_without_its_steering_settings_is_to_be_built_again(samples: Samples) -> None:
     del samples.metadata["labels"]
     with pytest.raises(DatasetError, match="build it again with `bc-index`"):
         steered_sessions(samples)

@@ -129,7 +129,7 @@ def let_another_machine_index(bucket: Bucket, monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("is_first", [pytest.param(True, marks=pytest.mark.long), False])
-def test_of_two_machines_that_index_at_once_one_wins_and_the_other_is_told(
+def test_of_two_machines_that_index_at_once_one_wins(
     bucket: Bucket, is_first: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if not is_first:
@@ -199,7 +199,7 @@ def samples_in(place: Path | str) -> pa.Table:
         return samples.table
 
 
-def test_divided_samples_are_in_a_bucket_as_on_a_disk_whichever_sessions_come_change_and_go(
+def test_divided_samples_in_a_bucket_follow_sessions_as_on_a_disk(
     divided: Bucket, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     changes: list[Callable[[], None]] = [
@@ -255,7 +255,7 @@ def test_wherever_an_upload_is_cut_samples_that_are_named_are_there(
     assert all(table.equals(after if new else before) for table, new in zip(found, is_new, strict=True))
 
 
-def test_what_a_cut_upload_has_left_of_divided_samples_goes_with_the_next_index(
+def test_leftovers_of_divided_samples_go_with_the_next_index(
     divided: Bucket, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     divided.answer = lambda handler: (

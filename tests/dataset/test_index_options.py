@@ -296,7 +296,7 @@ def test_the_logs_of_an_index_of_the_version_before_are_not_read_again(tmp_path:
         pass
 
 
-def test_a_rewritten_log_that_the_version_before_took_for_another_gets_its_tags(
+def test_a_rewritten_log_that_was_taken_for_another_gets_its_tags(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     old = log_of(tmp_path / "a.mcap")

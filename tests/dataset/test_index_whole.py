@@ -212,9 +212,7 @@ def test_what_breaks_a_log_that_nobody_named_breaks_no_other(
 
 
 @pytest.mark.parametrize("layout", [two_kinds, mixed])
-def test_a_log_whose_damage_its_time_does_not_tell_is_left_out_where_it_is_met(
-    tmp_path: Path, layout: Layout
-) -> None:
+def test_a_log_with_hidden_damage_is_left_out_where_it_is_met(tmp_path: Path, layout: Layout) -> None:
     """Both are read because a session may share a picture with another one."""
     logs = [layout(log_of(tmp_path / "a.mcap")), tmp_path / "b.mcap"]
     shutil.copy(logs[0], logs[1])
@@ -342,9 +340,7 @@ def test_a_build_that_is_stopped_leaves_the_old_index_or_the_new_one(tmp_path: P
     assert len(found) > 20
 
 
-def test_samples_that_are_divided_are_there_whenever_a_build_is_killed_or_stopped(
-    tmp_path: Path, moments: Moments
-) -> None:
+def test_divided_samples_survive_a_killed_or_stopped_build(tmp_path: Path, moments: Moments) -> None:
     sessions = tmp_path / "sessions"
     index = build_index(
         [log_of(sessions / f"{name}.mcap") for name in "ab"], tmp_path / "i", divide_from_frames=1
@@ -489,7 +485,7 @@ def test_nothing_stays_of_an_index_that_was_refused(
     assert call(main, "a", "--index", "mine", "--validation-share", 0) == 0
 
 
-def test_builds_that_fail_beside_each_other_leave_nothing_and_disturb_none_that_does_not(tmp_path: Path) -> None:
+def test_builds_that_fail_at_once_leave_nothing_and_disturb_nobody(tmp_path: Path) -> None:
     """Who waits for a lock that is removed must not hold what nobody else does."""
     log = log_of(tmp_path / "a.mcap")
     (tmp_path / "bad.mcap").write_bytes(b"no log")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -17,6 +19,7 @@ from common.stored_settings import settings_from
 from dataset import IndexConfig, Indexed, Samples, build_index
 from dataset.cli import main
 from dataset.index.build_state import stat_of
+from dataset.index.not_learnt import not_learnt_in
 from logs import write_log
 from mcap_patch import without_lag
 from panorama import hand, of_size, pressed, views, write_drive
@@ -105,15 +108,20 @@ def test_an_index_that_went_by_a_lag_of_unknown_margin_is_built_anew(tmp_path: P
     samples, stored = index.samples, metadata(index)
     del stored["labels"]["a"]["lag"]["margin_s"]
     stored["labels"]["a"]["plan"]["shift_s"] = 0.4
+    replace_samples(index, samples, stored)
+    assert metadata(indexed(tmp_path, log))["labels"]["a"]["plan"]["shift_s"] == 0
+
+
+def replace_samples(index: Indexed, samples: pa.Table, stored: dict[str, Any]) -> None:
+    """As the version that wrote them would have left the index."""
     file = index.path / "samples.parquet"
     pq.write_table(samples.replace_schema_metadata({b"bc.index": json.dumps(stored).encode()}), file)
     state = json.loads((index.path / "state.json").read_text())
     state["samples"] = list(stat_of(file) or ())
     (index.path / "state.json").write_text(json.dumps(state))
-    assert metadata(indexed(tmp_path, log))["labels"]["a"]["plan"]["shift_s"] == 0
 
 
-def test_the_built_in_expert_is_learnt_as_recorded_whatever_it_did_and_no_picture_is_looked_at(
+def test_the_built_in_expert_is_learnt_as_recorded_without_pictures(
     tmp_path: Path,
 ) -> None:
     """Its pictures would say that it is late; and no rows are left out."""
@@ -214,7 +222,7 @@ def crashing(at_s: np.ndarray) -> np.ndarray:
     return np.asarray(np.where((at_s % 20 >= 10) & (at_s % 20 < 14) & (at_s > 29), 0.2, 25.0))
 
 
-def test_crashes_are_not_learnt_but_measured_and_no_label_depends_on_them(tmp_path: Path) -> None:
+def test_crashes_are_neither_learnt_nor_held_out(tmp_path: Path) -> None:
     at_the_wall = lambda at_s: np.where(crashing(at_s) < 1, 1.0, keys(at_s))  # noqa: E731
     log = write_drive(tmp_path / "a.mcap", NO_PICTURES, at_the_wall, crashing)
     crash = {*range(300, 340), *range(500, 540)}
@@ -229,10 +237,11 @@ def test_crashes_are_not_learnt_but_measured_and_no_label_depends_on_them(tmp_pa
     }  # a second before it, and a turned wheel
     assert {*range(291, 300), *range(491, 500)} <= about <= {*range(290, 370), *range(490, 570)} - crash
     samples = {row["row"]: row for row in learnt.samples.to_pylist()}
-    assert not {row for row in crash | about if split[row] == "train"} & samples.keys()
-    assert {row for row in crash if split[row] == "validation" and row + 2 in crash} <= samples.keys()
-    assert max(abs(row["label"]) for row in samples.values() if row["row"] not in crash) <= 0.6 + 1e-9
-    assert learnt.counts["a"].not_driven == sum(split[row] == "train" for row in crash | about)
+    assert not (crash | about) & samples.keys()
+    assert max(abs(row["label"]) for row in samples.values()) <= 0.6 + 1e-9
+    sides = Counter(split[row] for row in crash | about)
+    assert learnt.counts["a"].not_driven == sides["train"] + sides["validation"]
+    assert learnt.counts["a"].not_measured == sides["validation"] > 0
     everything = indexed(tmp_path, log, validation_share=0.5, seed=1, labels="as-recorded")
     assert {row["row"] for row in everything.samples.to_pylist()} == set(range(ROWS))
     assert everything.counts["a"].not_driven == 0
@@ -255,6 +264,23 @@ def test_an_index_of_an_earlier_version_is_read_as_recorded_and_rebuilt(tmp_path
     assert build_index([log], tmp_path / "again", config).samples.equals(before)
     assert not indexed(tmp_path, log).samples.equals(before)
     assert metadata(index)["settings"]["labels"] == "auto"
+
+
+def test_an_index_that_held_out_crashes_is_read_and_made_anew(tmp_path: Path) -> None:
+    log = write_drive(tmp_path / "a.mcap", NO_PICTURES, keys, crashing)
+    index = indexed(tmp_path, log)
+    stored, now = metadata(index), index.samples
+    assert not_learnt_in(index.path)[0].startswith("neither learnt nor held out: a (")
+    del stored["counts"]["a"]["not_measured"]
+    replace_samples(index, now.slice(1), stored)
+    with Samples(index.path) as samples:
+        assert len(samples.table) == len(now) - 1
+    (line,) = not_learnt_in(index.path)
+    assert line.endswith("`bc-index` leaves these out")
+    assert indexed(tmp_path, log).samples.equals(now)
+    stored["labels"]["a"]["plan"]["without_crashes"] = False  # an expert's: nothing was to be left out
+    replace_samples(index, now, stored)
+    assert not_learnt_in(index.path)[0].startswith("neither learnt nor held out: a (")
 
 
 # What is said of it

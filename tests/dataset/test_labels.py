@@ -267,7 +267,7 @@ def test_no_label_is_from_the_other_side_of_the_split(tmp_path: Path) -> None:
         assert {row: after[row] == before[row] for row in before} == {row: split[row] == other for row in before}
 
 
-def test_validation_has_treated_labels_and_is_measured_against_the_recorded_ones(tmp_path: Path) -> None:
+def test_validation_compares_treated_labels_with_the_recorded_ones(tmp_path: Path) -> None:
     index = indexed(tmp_path, validation_share=0.3, block_s=1.0, label_shift_s=0.2)
     with Samples(index.path) as samples:
         table, seen = samples.of_split("validation"), samples.driving_view("validation")
@@ -299,7 +299,7 @@ def test_steering_out_of_range_and_a_gap_in_time_are_edges(tmp_path: Path) -> No
     assert (index.counts["a"].unlabelled, index.counts["a"].unusable) == (3, 1)
 
 
-def test_an_index_is_made_again_for_other_labels_and_its_fingerprint_changes(tmp_path: Path) -> None:
+def test_an_index_of_other_labels_is_built_again_with_another_fingerprint(tmp_path: Path) -> None:
     def fingerprint() -> str:
         with Samples(tmp_path / "index") as samples:
             return samples.fingerprint

@@ -13,7 +13,7 @@ from dataset import build_index
 from dataset.index.leaks import find_leaks
 from dataset.parquet_file import read_metadata, write_table
 from logs import not_a_picture, write_log
-from web.data.index_view import session_bins_sketch
+from web.index.index_view import session_bins_sketch
 
 
 @pytest.mark.long

@@ -414,7 +414,7 @@ def test_a_worker_refuses_a_log_that_has_changed(own: Path) -> None:
         pickle.loads(sent)[0]
 
 
-def test_bytes_that_changed_behind_a_log_that_looks_the_same_are_never_trained_on(own: Path, place: Place) -> None:
+def test_changed_bytes_behind_an_unchanged_log_are_never_trained_on(own: Path, place: Place) -> None:
     """Same size, same chunk headers, so the same fingerprint; the chunk's CRC tells."""
     log = own.parent / "lake.mcap"
     with log.open("rb+") as stream:

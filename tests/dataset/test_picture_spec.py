@@ -28,7 +28,7 @@ def test_a_picture_is_cropped_resized_and_brought_into_its_colours() -> None:
     assert (preprocess(picture, PictureSpec(channels="RGB")) == preprocess(picture)[:, :, ::-1]).all()
 
 
-def test_the_loader_gives_what_a_network_sees_altered_before_the_colours_are(tmp_path: Path) -> None:
+def test_the_loader_alters_a_networks_view_before_its_colours(tmp_path: Path) -> None:
     log = write_log(tmp_path / "log.mcap", [0.1, -0.2, 0.5] * 4, lambda _, row: road_jpeg(row), cameras=["center"])
     index = build_index([log], tmp_path / "index", IndexConfig(validation_share=0, max_uses=3)).path
     with Samples(index) as samples:

@@ -56,7 +56,7 @@ def test_pictures_of_another_size_show_the_same_part_of_the_world(width_px: int,
     assert np.abs(view.picture.astype(float) - there)[view.is_known].mean() < 1.5
 
 
-def test_where_the_car_is_where_it_was_the_picture_is_the_one_that_was_taken() -> None:
+def test_at_the_cars_own_place_the_picture_is_the_recorded_one() -> None:
     pictures = moment(UDACITY)
     view = Viewpoint(UDACITY, 320, 160).view(pictures, 0.0, 0.0)
     assert (view.picture == pictures["center"]).all()
@@ -113,7 +113,7 @@ def test_the_bonnet_is_as_wide_as_high_in_pictures_of_another_shape(width_px: in
     assert (view.picture == pictures["center"]).all()
 
 
-def test_in_the_built_in_simulator_it_is_nearer_to_what_its_cameras_render_there() -> None:
+def test_in_the_built_in_simulator_it_is_nearer_to_its_rendering() -> None:
     """Its lake begins on a level stretch; 20 rows below the horizon, as far as the bonnet."""
     simulation = Simulation("lake")
     pose = simulation.course.pose

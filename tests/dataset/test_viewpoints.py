@@ -84,7 +84,7 @@ def place(seed: int) -> tuple[float, float]:
     return 0.8 * (2 * across / 65535 - 1), math.radians(6) * (2 * turned / 65535 - 1)
 
 
-def test_each_training_picture_of_the_centre_camera_gives_views_and_no_other(tmp_path: Path, log: Path) -> None:
+def test_each_training_picture_of_the_centre_gives_views_and_no_other(tmp_path: Path, log: Path) -> None:
     config = IndexConfig(balance=False, viewpoints=2, block_s=1.0, gap_s=0.0)
     samples = build_index([log], tmp_path / "index", config).samples
     views = samples.filter(pc.starts_with(samples["alteration"], "viewpoint"))
@@ -130,7 +130,7 @@ def test_a_view_shows_what_a_camera_there_would_see(tmp_path: Path, car: Car, wi
 
 
 @pytest.mark.parametrize("car", [UDACITY, OTHER_CAR])
-def test_labels_begin_the_way_back_to_the_line_and_its_direction_in_two_seconds(tmp_path: Path, car: Car) -> None:
+def test_labels_begin_the_way_back_in_two_seconds(tmp_path: Path, car: Car) -> None:
     """The way that bends least is a cubic (a spline): the label's bend, less the line's own, is how it begins."""
     log = record(tmp_path / "road.mcap", car=None if car == UDACITY else car)
     samples = build_index([log], tmp_path / "index", IndexConfig(viewpoints=1, flip=False)).samples
@@ -149,7 +149,7 @@ def test_labels_begin_the_way_back_to_the_line_and_its_direction_in_two_seconds(
         assert bend(label) - bend(recorded) == pytest.approx(-2 * a, abs=1e-9)  # to the right
 
 
-def test_where_the_speed_is_not_known_or_the_camera_no_label_comes_out_of_nothing(tmp_path: Path) -> None:
+def test_without_speed_or_camera_no_label_comes_out(tmp_path: Path) -> None:
     for name, speed_mph in (("unknown", math.nan), ("slow", 2.0)):
         log = record(tmp_path / f"{name}.mcap", speed_mph=speed_mph)
         samples = build_index([log], tmp_path / name, IndexConfig(viewpoints=1)).samples
@@ -246,7 +246,7 @@ def test_what_cannot_be_warped_is_refused_before_anything_is_built(tmp_path: Pat
         IndexConfig(viewpoints=1, cameras=("left", "right"))
 
 
-def test_other_alterations_come_on_top_and_the_same_seed_gives_the_same_picture(log: Path) -> None:
+def test_other_alterations_come_on_top_and_a_seed_repeats_them(log: Path) -> None:
     crop = preprocess(render(UDACITY))
     seed = (123 << 32) | 0xC000_2000
     assert (alter(crop, "viewpoint+blur", seed) == alter(crop, "viewpoint+blur", seed)).all()

@@ -155,7 +155,7 @@ def test_the_expert_took_over_and_steered(aggregated: Aggregated) -> None:
     assert int(aggregated.table[1].split()[2]) >= starts > 0
 
 
-def test_the_new_run_has_learnt_from_the_session_and_from_the_takeovers_alone(aggregated: Aggregated) -> None:
+def test_the_new_run_learns_from_the_session_and_the_takeovers_alone(aggregated: Aggregated) -> None:
     folder = aggregated.folder
     config = json.loads((folder / "runs" / "first-random-3-1" / "config.json").read_text())
     assert set(config["data"]["logs"]) == {"lake", "first-random-3-0"}

@@ -123,7 +123,7 @@ def test_one_that_is_stopped_at_once_leaves_no_folder(tmp_path: Path) -> None:
     assert not folder.exists()
 
 
-def test_where_there_is_no_terminal_a_line_now_and_then_tells_how_far_it_is(
+def test_without_a_terminal_a_line_now_and_then_shows_progress(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     import time

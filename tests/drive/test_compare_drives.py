@@ -77,9 +77,7 @@ def test_a_second_speed_is_no_other_road(good: DriveResult, tmp_path: Path) -> N
     assert once.as_dict()["measures"]["mean_offset"] == twice.as_dict()["measures"]["mean_offset"]
 
 
-def test_one_intervention_may_be_chance_and_ten_in_different_places_are_not(
-    good: DriveResult, tmp_path: Path
-) -> None:
+def test_one_intervention_may_be_chance_and_ten_elsewhere_are_not(good: DriveResult, tmp_path: Path) -> None:
     once = drive(tmp_path / "once.mcap", lambda arc_m: 0.1, (200.0,))
     verdict, measures = compared(good, once)
     assert (verdict, measures["interventions"]["b"]) == ("not told apart", 1)
@@ -115,7 +113,7 @@ def test_a_run_drives_no_worse_than_itself_and_as_its_own_report_says(
     for name, measure in found["measures"].items():
         assert measure["a"] == pytest.approx(pair["a"][name], rel=0.05, abs=0.02), name
     assert call(main, "--compare", "untrained", "untrained", *flags) == 1  # the logs are there already
-    assert "exists already: give --logs FOLDER for another place, or give --force" in capsys.readouterr().err
+    assert "exists already: give --drives FOLDER for another place, or give --force" in capsys.readouterr().err
     assert call(main, "--compare", "untrained", "untrained", *flags, "--force") == 0
     logs = "drives/a/untrained-lake-10mph.mcap drives/b/untrained-lake-10mph.mcap"
     assert f"bc-play {logs} --by place`" in capsys.readouterr().err.splitlines()[-1]

@@ -7,6 +7,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet as pq
 import pytest
 
 from bytes_read import count_bytes, note_reads
@@ -93,11 +94,14 @@ def test_odd_rows_are_named_with_their_longest_stretch() -> None:
 
 
 @pytest.mark.usefixtures("project")
-def test_rows_that_nobody_should_learn_from_are_excluded_by_the_command_that_it_names() -> None:
+def test_what_is_perhaps_odd_is_to_be_looked_at() -> None:
+    write_log(Path("sessions") / "sunday.mcap", [0.1] * 60, overwrite=True)
+    assert "bc-log check sessions/sunday.mcap" in commands()
+    assert call(log_command, "tag", "sessions/sunday.mcap", "exclude", "--start", 0) == 0
+    assert "bc-log check sessions/sunday.mcap" not in commands()
     write_log(Path("sessions") / "sunday.mcap", [3.0] * 30 + STEERING[:30], overwrite=True)
-    assert "bc-log tag sessions/sunday.mcap exclude --odd" in commands()
-    assert call(log_command, "tag", "sessions/sunday.mcap", "exclude", "--odd") == 0
-    assert not any("--odd" in command for command in commands())
+    assert any("values out of range: 30" in line for line in examine().odd)
+    assert not any("sunday" in command for command in commands())
 
 
 @pytest.mark.usefixtures("project")
@@ -151,3 +155,19 @@ def test_it_needs_no_pytorch() -> None:
 def test_a_folder_that_is_not_there_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, tmp_path / "nowhere") == 1
     assert "nowhere: no such folder" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("project")
+def test_an_earlier_versions_index_is_said() -> None:
+    build_index([Path("sessions") / "monday.mcap"], Path("index"), IndexConfig(block_s=0.5, gap_s=0))
+    assert not any("earlier version" in line for line in examine().odd)
+    file = Path("index/samples.parquet")
+    table = pq.read_table(file)
+    stored = json.loads(table.schema.metadata[b"bc.index"])
+    del stored["counts"]["monday"]["not_measured"]
+    pq.write_table(table.replace_schema_metadata({b"bc.index": json.dumps(stored).encode()}), file)
+    found = examine()
+    assert (
+        "index: an earlier version made it, which held out crashes and did not know all that is odd" in found.odd
+    )
+    assert found.advice[0].command == "bc-index"

@@ -244,7 +244,7 @@ def test_every_picture_is_answered_and_none_is_lost(drive: Drive) -> None:
     assert len({command.steering for command in drive.commands}) > REPLAYED // 2  # the network really looked
 
 
-def test_the_log_holds_a_frame_a_crop_a_command_and_a_state_for_each_telemetry(drive: Drive) -> None:
+def test_the_log_holds_frame_crop_command_and_state_of_each_telemetry(drive: Drive) -> None:
     stamps = [[(sequence, time_ns) for sequence, time_ns, _ in messages(drive.log, topic)] for topic in TOPICS]
     assert stamps[0] == stamps[1] == stamps[2] == stamps[3]
     assert [sequence for sequence, _ in stamps[0]] == list(range(drive.frames))
@@ -256,7 +256,7 @@ def test_the_logged_pictures_are_those_that_were_told_byte_for_byte(drive: Drive
     assert images(drive.log, "/camera/center")[:REPLAYED] == drive.pictures
 
 
-def test_the_logged_prediction_is_that_of_the_logged_frame_and_of_the_logged_crop(drive: Drive) -> None:
+def test_the_logged_prediction_fits_the_logged_frame_and_crop(drive: Drive) -> None:
     torch.set_num_threads(1)  # as in the server
     pilot = load_pilot(drive.run)
     logged = [PilotCommand.FromString(data) for _, _, data in messages(drive.log, "/pilot/command")]
@@ -342,9 +342,7 @@ def test_who_connects_and_tells_nothing_takes_nobody_the_log(pilot_run: Path, tm
     assert len(images(log, "/camera/center")) == 1
 
 
-def test_who_comes_back_or_takes_anothers_place_goes_on_in_its_log_and_that_is_said(
-    pilot_run: Path, tmp_path: Path
-) -> None:
+def test_a_returning_simulator_goes_on_in_its_log_with_a_notice(pilot_run: Path, tmp_path: Path) -> None:
     log, said = tmp_path / "run.mcap", list[str]()
     with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, notify=said.append) as server:
         for name in ("a", "b"):
@@ -395,7 +393,7 @@ def test_who_goes_when_he_is_sent_something_unasked_ends_nobodys_drive(
 
 
 @pytest.mark.parametrize("name", MALFORMED_NAMES)
-def test_a_malformed_telemetry_is_answered_by_the_last_steering_and_no_throttle(drive: Drive, name: str) -> None:
+def test_a_malformed_telemetry_gets_the_last_steering_without_throttle(drive: Drive, name: str) -> None:
     event, answer = drive.malformed[name]
     assert event == "steer"
     driven = drive.between[MALFORMED_NAMES.index(name)][1]
@@ -615,7 +613,7 @@ def test_a_drive_on_nothing_but_bad_telemetry_says_so_and_fails(pilot_run: Path,
     assert "image is a PNG that is cut off or damaged (20)" in checked.stdout
 
 
-def test_a_car_that_cannot_be_braked_is_told_and_a_second_ctrl_c_ends_at_once(
+def test_a_car_that_cannot_be_braked_is_named_and_a_second_ctrl_c_ends(
     pilot_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It tells 9 mph, and then nothing any more."""
@@ -632,7 +630,7 @@ def test_a_car_that_cannot_be_braked_is_told_and_a_second_ctrl_c_ends_at_once(
 
 
 @pytest.mark.parametrize("answers_braked", [0, 2])
-def test_a_silent_simulator_is_sent_the_brake_and_its_release_without_being_asked(
+def test_a_silent_simulator_is_sent_the_brake_and_its_release(
     pilot_run: Path, tmp_path: Path, answers_braked: int
 ) -> None:
     """One that is silent for long when Ctrl-C is pressed, and one that falls silent while it is braked: both keep
@@ -663,7 +661,7 @@ def test_a_silent_simulator_is_sent_the_brake_and_its_release_without_being_aske
     assert events.count("the drive ends: the car is braked to a stand") == 1
 
 
-def test_a_brake_is_released_after_the_stopping_time_and_said_only_once_it_was_sent(
+def test_a_brake_is_released_after_the_stopping_time_and_logged_once(
     pilot_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a clock of the test's own: at 9 mph the car needs about 0.6 s."""
@@ -751,9 +749,7 @@ def test_the_live_line_says_when_the_simulator_has_gone(pilot_run: Path, tmp_pat
     assert shown[1:] == ["the simulator has gone: waiting, with 1 frame so far"]
 
 
-def test_a_simulator_that_falls_silent_is_steered_once_without_being_asked(
-    pilot_run: Path, tmp_path: Path
-) -> None:
+def test_a_simulator_that_falls_silent_is_steered_once_unasked(pilot_run: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     with DriveProcess(pilot_run, log, minds_silence=True) as process:
         client = ModernClient(process.wait_until_it_listens())
@@ -785,18 +781,6 @@ def test_a_drive_without_a_simulator_leaves_no_log(pilot_run: Path, tmp_path: Pa
         assert process.end() == 1
     assert "no simulator connected" in process.stderr[-1]
     assert list(tmp_path.iterdir()) == []
-
-
-def test_threads_serve_as_eventlet_does(drive: Drive, tmp_path: Path) -> None:
-    log = tmp_path / "run.mcap"
-    with DriveProcess(drive.run, log, "--server", "threading") as process:
-        port = process.wait_until_it_listens()
-        assert replay(SimulatorClient(port=port, wait_s=PATIENCE_S), drive.pictures) == drive.commands
-        modern = ModernClient(port)
-        assert [modern.tell(fields(i))[1] for i in range(MODERN)] == drive.modern
-        modern.close()
-        assert process.end() == 0
-    assert images(log, "/camera/center")[:REPLAYED] == drive.pictures
 
 
 def test_a_drive_is_shown_in_a_file_while_it_goes_on(pilot_run: Path, tmp_path: Path) -> None:
@@ -835,9 +819,7 @@ def test_what_the_disk_could_not_take_is_counted_and_said(
     assert not messages(tmp_path / "run.mcap", "/camera/center")
 
 
-def test_a_full_disk_brakes_the_car_and_ends_in_one_line_that_names_the_file(
-    pilot_run: Path, tmp_path: Path
-) -> None:
+def test_a_full_disk_brakes_the_car_and_names_the_file(pilot_run: Path, tmp_path: Path) -> None:
     throttles: list[float] = []
 
     def braked_at_once(answer: ServerCommand) -> SimulatorTelemetry:
@@ -884,9 +866,7 @@ def websocket_of(port: int) -> str:
     return f"ws://127.0.0.1:{port}/socket.io/?EIO=4&transport=websocket"
 
 
-def test_who_does_not_belong_here_is_a_line_each_time_and_simulators_are_driven_on(
-    pilot_run: Path, tmp_path: Path
-) -> None:
+def test_each_stranger_is_a_line_and_simulators_are_driven_on(pilot_run: Path, tmp_path: Path) -> None:
     """A page in the user's browser can reach this machine's ports; its requests carry where it comes from."""
     log = tmp_path / "run.mcap"
 

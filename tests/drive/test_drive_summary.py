@@ -307,7 +307,7 @@ def test_the_time_in_which_nothing_could_be_used_is_no_driving() -> None:
     assert summary_lines(summary)[-1] == "200 telemetries could not be used: not an object (200)"
 
 
-def test_a_brake_between_two_stretches_of_the_expert_makes_no_second_takeover() -> None:
+def test_a_brake_between_stretches_of_the_expert_is_no_second_takeover() -> None:
     summary = DriveSummary()
     for driver in ("pilot", "expert", "brake", "expert", "pilot"):
         summary.decision(decided(driver=driver), 2.0)

@@ -128,7 +128,7 @@ def test_the_throttle_that_the_network_wants_is_sent_below_the_set_speed(
     assert decision.predicted_throttle == pytest.approx(wanted)
 
 
-def test_a_network_that_was_long_content_with_little_throttle_is_kept_to_the_set_speed_all_the_same() -> None:
+def test_a_network_of_little_throttle_is_kept_to_the_set_speed() -> None:
     """What the car lacked meanwhile it lacked because of the network, not because of a hill."""
     network = say(SteeringNetwork(outputs=2), 0.0)
     network.outputs = 2
@@ -214,7 +214,7 @@ def test_a_picture_that_is_too_large_or_none_is_not_driven_on(half_right: Pilot,
     assert decision.speed_mph == 9.0  # what can be read is used
 
 
-def test_a_picture_that_exif_turns_is_driven_on_turned_and_keeps_the_size_of_its_header(half_right: Pilot) -> None:
+def test_a_picture_turned_by_exif_is_driven_turned_with_its_header_size(half_right: Pilot) -> None:
     tags = (
         b"MM\0*\0\0\0\x08" + b"\0\x01" + b"\x01\x12\0\x03\0\0\0\x01\0\x06\0\0" + bytes(4)
     )  # orientation: a quarter turn
@@ -243,7 +243,7 @@ def test_commas_are_answered_in_kind_also_after_nonsense(half_right: Pilot) -> N
     ] == [".", ".", ",", ",", ",", ".", "."]
 
 
-def test_a_separator_once_told_is_kept_and_a_whole_throttle_changes_nothing(half_right: Pilot) -> None:
+def test_a_known_separator_is_kept_and_whole_numbers_change_nothing(half_right: Pilot) -> None:
     driver = Driver(half_right, DriveConfig())
     answers = [
         drive(driver, message(steering_angle="-1,5", throttle="01"[k % 2] if k % 3 else "0,5", speed=speed))
@@ -293,7 +293,7 @@ def test_a_clock_that_does_not_advance_is_not_used_and_that_is_said_once(half_ri
     assert decisions[-1].steering - decisions[-21].steering == pytest.approx(0.1)
 
 
-def test_a_pause_and_telemetries_of_the_same_moment_are_no_clock_that_stands(half_right: Pilot) -> None:
+def test_a_pause_and_equal_telemetries_are_no_standing_clock(half_right: Pilot) -> None:
     driver = Driver(half_right, DriveConfig())
     times_s, now_s = (
         [0.0, 0.0, 0.1, 0.1, 0.1, 0.2, 0.2, 0.0, 0.1],
@@ -345,7 +345,7 @@ def test_after_a_second_of_nonsense_the_car_stops_and_is_not_reversed(
 @pytest.mark.parametrize("slope", [0.0, -0.1])
 @pytest.mark.parametrize("speed_mph", [0.0, 5.0, 20.0, 30.0])
 @pytest.mark.parametrize("image", ["%%%", "AAAA", ...])
-def test_a_car_of_which_nothing_but_the_speed_can_be_read_is_braked_to_a_stand(
+def test_a_car_of_which_only_the_speed_is_readable_is_braked(
     half_right: Pilot, speed_mph: float, image: object, slope: float
 ) -> None:
     """From the first telemetry on, also downhill, and as the real simulator tells it: without a sign."""
@@ -367,9 +367,7 @@ def test_a_car_of_which_nothing_but_the_speed_can_be_read_is_braked_to_a_stand(
 
 
 @pytest.mark.parametrize("speed_mph", [0.0, 5.0, 20.0, 30.0])
-def test_a_car_whose_speed_is_never_told_is_braked_once_and_not_reversed_for_ever(
-    half_right: Pilot, speed_mph: float
-) -> None:
+def test_a_car_without_a_speed_is_braked_once_and_never_reversed(half_right: Pilot, speed_mph: float) -> None:
     driver = Driver(half_right, DriveConfig())
     car = CarState(0.0, 0.0, 0.0, speed_mps=speed_mph * 0.44704)
     throttles, events = [], list[str]()
@@ -408,7 +406,7 @@ def test_at_the_end_the_car_is_braked_and_the_throttle_is_not_the_pilots(half_ri
     assert drive(driver, data, 10.0).throttle == 0.0
 
 
-def test_a_braked_car_is_driven_again_as_soon_as_there_is_something_to_drive_on(half_right: Pilot) -> None:
+def test_a_braked_car_drives_again_as_soon_as_a_telemetry_is_usable(half_right: Pilot) -> None:
     driver = Driver(half_right, DriveConfig())
     drive(driver, message(), 0.0)
     for k in range(30):
@@ -418,7 +416,7 @@ def test_a_braked_car_is_driven_again_as_soon_as_there_is_something_to_drive_on(
     assert decision.throttle > 0
 
 
-def test_a_network_that_gives_no_number_brakes_at_once_and_that_is_said_once(no_number: Pilot) -> None:
+def test_a_network_without_a_number_brakes_at_once_and_is_named_once(no_number: Pilot) -> None:
     driver = Driver(no_number, DriveConfig())
     answers = [drive(driver, message(speed_mph=max(0.0, 10 - k)), k / 10) for k in range(15)]
     assert {(answer.steering, answer.problem) for answer in answers} == {(0.0, "the network gave no number")}
@@ -543,7 +541,7 @@ def test_the_simulators_own_clock_counts_where_it_tells_it(half_right: Pilot) ->
 
 
 @pytest.mark.parametrize("steering", [0.05, 0.2, -0.4, 0.7, -1.0])
-def test_in_curves_the_car_is_thrown_outwards_no_more_than_the_expert_allows(steering: float) -> None:
+def test_in_curves_the_car_drifts_outwards_as_the_expert_allows(steering: float) -> None:
     """By the simulator's own car, held at the speed and the steering until it has settled."""
     speed_mph = min(max_curve_speed_mph(steering), 100.0)
     car = CarState(0.0, 0.0, 0.0)
@@ -593,7 +591,7 @@ def test_settings_that_make_no_sense_are_one_line_that_names_the_flag(flag: str,
 # Who drives
 
 
-def test_while_the_expert_drives_its_commands_are_sent_and_the_networks_steering_is_still_told(
+def test_the_experts_commands_are_sent_and_the_networks_are_logged(
     half_right: Pilot,
 ) -> None:
     driver = Driver(half_right, DriveConfig(takeover=True, max_steering_per_s=1.0))
@@ -621,7 +619,7 @@ def test_the_pilot_goes_on_from_where_the_expert_has_steered() -> None:
     assert decisions[at].steering == pytest.approx(-0.29)
 
 
-def test_without_takeover_the_expert_never_drives_and_the_course_is_told_all_the_same(half_right: Pilot) -> None:
+def test_without_takeover_the_expert_never_drives_but_is_logged(half_right: Pilot) -> None:
     driver = Driver(half_right, DriveConfig())
     worlds = [
         replace(MIDDLE, offset=0.99, laps=0.9),

@@ -80,7 +80,7 @@ def test_a_sweep_of_a_store_does_nothing_again_on_another_machine(
 ) -> None:
     toy_index(tmp_path)
     (tmp_path / "s.toml").write_text(SWEEP)
-    line = tmp_path / "s.toml", "--index", tmp_path / "index", "--runs", RUNS, "--logs", DRIVES, "--json"
+    line = tmp_path / "s.toml", "--index", tmp_path / "index", "--runs", RUNS, "--drives", DRIVES, "--json"
     capsys.readouterr()
     assert call(bc_sweep, *line) == 0
     done = json.loads(capsys.readouterr().out)

@@ -31,7 +31,7 @@ def experts_lap(track: Track, mph: float) -> tuple[Floats, Floats, Floats]:
     return times, progress, speeds
 
 
-def test_the_experts_speed_at_30_mph_is_followed_through_the_mountains_hairpins() -> None:
+def test_the_experts_30_mph_are_followed_through_the_mountains_hairpins() -> None:
     """The target is what the expert drives half a second after this place; commands act one telemetry late."""
     track = load_track("mountain")
     times, progress, speeds = experts_lap(track, 30)

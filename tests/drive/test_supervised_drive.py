@@ -63,7 +63,7 @@ def test_the_drive_begins_when_the_page_is_open_and_its_result_is_kept(run: Path
     assert (str(result["interventions"]), f"{result['laps']:.3f}") == (counted["interventions"], counted["laps"])
 
 
-def test_the_page_sees_large_pictures_or_the_recorded_ones_and_has_the_car_put_back(run: Path) -> None:
+def test_the_page_shows_large_or_recorded_pictures_and_puts_the_car_back(run: Path) -> None:
     with supervised(run) as process:
         process.wait_for(WAITS)
         with WheelPage(wait_until(lambda: open_wheels(Path.cwd()))[0]) as page:

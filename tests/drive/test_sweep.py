@@ -33,7 +33,7 @@ def printed(capsys: pytest.CaptureFixture[str]) -> list[dict[str, Any]]:
     return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
 
 
-def test_each_setting_is_trained_with_each_seed_and_driven_and_failures_stand_apart(
+def test_each_setting_runs_with_each_seed_and_failures_stand_apart(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], without_figures: None
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -28,7 +28,7 @@ def driven(takeover: Takeover, offsets: list[float], steering: float = 0.1) -> l
     return seen
 
 
-def test_a_network_that_cannot_steer_stays_on_the_road_at_the_experts_hands() -> None:
+def test_a_network_that_cannot_steer_stays_on_the_road_with_the_expert() -> None:
     """Straight on for ever, on the simulator's own road; without the expert it is off after some seconds."""
     track = load_track("lake")
 
@@ -63,7 +63,7 @@ def test_a_network_that_cannot_steer_stays_on_the_road_at_the_experts_hands() ->
     assert drive(None)[0] > 0
 
 
-def test_the_expert_takes_over_before_the_car_is_off_the_road_and_the_sooner_the_faster_it_goes_there() -> None:
+def test_the_expert_takes_over_sooner_the_faster_the_car_leaves_the_road() -> None:
     def offset_at_takeover(sideways_per_s: float) -> float:
         offsets = [k * STEP_S * sideways_per_s for k in range(1000)]
         seen = driven(Takeover(), offsets)
@@ -84,7 +84,7 @@ def test_a_car_that_comes_back_by_itself_is_left_alone() -> None:
     ("offset", "steering", "hands_back"),
     [(0.1, 0.15, True), (-0.2, 0.0, True), (0.5, 0.1, False), (0.1, 0.6, False), (-0.1, -0.4, False)],
 )
-def test_it_hands_back_where_the_car_is_in_the_lane_and_the_network_would_steer_as_it_does(
+def test_it_hands_back_in_the_lane_where_the_network_agrees(
     offset: float, steering: float, hands_back: bool
 ) -> None:
     takeover = Takeover()
@@ -142,7 +142,7 @@ def test_a_first_telemetry_without_an_expert_is_not_judged_by() -> None:
     assert [text.partition(":")[0] for text in said] == ["the expert takes over"]
 
 
-def test_a_simulator_without_poses_laps_or_a_clock_of_its_own_has_an_expert_all_the_same() -> None:
+def test_a_simulator_without_poses_laps_or_clock_has_an_expert() -> None:
     takeover = Takeover()
     world = World(offset=0.0, expert_steering=0.3, expert_throttle=0.5)
     # half of the half width a second to the left: at 0.7 s from 0.9

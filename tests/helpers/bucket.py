@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
 import localbucket
 import pytest
 
-from common import store_connection
+from common import object_store, store_connection
 from common.location import Url
 from faulty_proxy import Answer as Answer
 from faulty_proxy import FaultyProxy, serving
@@ -33,12 +31,10 @@ class Bucket(FaultyProxy):
 
 
 def in_parts_of(patch: pytest.MonkeyPatch, size: int) -> None:
-    """Logs are sent in parts of so many bytes, which no store would take, and asked for again without a wait."""
-    import botocore.endpoint  # an extra's, and half a second
-
-    patch.setattr(copy_log, "PART_BYTES", size)
+    """Logs are sent in parts of so many bytes, which no store would take."""
+    for module in (copy_log, object_store):
+        patch.setattr(module, "LARGEST_READ", size)
     patch.setattr(localbucket, "MIN_PART_SIZE", 0)
-    patch.setattr(botocore.endpoint, "time", SimpleNamespace(time=time.time, sleep=lambda duration_s: None))
 
 
 def unfinished_parts(bucket: Bucket) -> list[Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ EXPERT: dict[int, dict[str, Any]] = {row: {"expert_steering": 0.1 - 0.2 * (row -
 """From the sixth row on, an expert is there, who would steer 0, 5, 10, 15 and 20 degrees more to the left."""
 
 
-def a_drive(path: Path, run: str) -> None:
+def a_drive(path: Path, run: str, picture: Callable[[int], bytes] | None = None) -> None:
     """Ten rows eastwards; after the fifth one the car was put back."""
     with LogWriter(path, {"source": "drive", "run": run}) as writer:
         for row in range(10):
@@ -23,6 +24,8 @@ def a_drive(path: Path, run: str) -> None:
             pose = PoseInFrame()
             pose.pose.position.x = 10.0 * row
             writer.pose(now_ns, row, pose)
+            if picture:
+                writer.picture("center", now_ns, row, picture(row))
             if row == 5:
                 writer.event(now_ns, "off the road, or stuck: the simulator put the car back", name="drive")
             writer.vehicle(now_ns, row, VehicleState(steering=0.1, throttle=0.5, brake=0.0, speed_mph=9.0))

@@ -13,7 +13,7 @@ from typing import Any
 from common.location import Location
 from driving import PATIENCE_S
 from web.app import workbench_app
-from web.data.project_folders import ProjectFolders
+from web.folders.project_folders import ProjectFolders
 from web.server.workbench_server import WorkbenchServer
 
 

@@ -46,7 +46,7 @@ def test_weights_and_moments_are_those_of_pytorchs_own_bit_for_bit(device: str) 
             assert tensor.device == expected[name].device
 
 
-def test_neither_a_step_nor_the_trial_of_a_network_loads_pytorchs_compiler() -> None:
+def test_neither_a_step_nor_a_trial_loads_pytorchs_compiler() -> None:
     """Nor the algebra that it needs: each is a second of imports."""
     code = (
         "import sys, torch; from model import TrainConfig; from model.adam import Adam\n"

@@ -211,7 +211,7 @@ def test_a_scale_that_no_training_gives_is_refused(natural: Path, tmp_path: Path
             load_answer_scale(run)
 
 
-def test_the_frames_of_divided_samples_are_those_of_the_same_samples_in_one_file(tmp_path: Path) -> None:
+def test_divided_samples_have_the_frames_of_the_same_samples_in_one_file(tmp_path: Path) -> None:
     logs = [
         write_log(
             tmp_path / f"{n}.mcap",

@@ -83,7 +83,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return untrained_run(tmp_path_factory.mktemp("runs") / "some run", network="original")
 
 
-def test_the_steering_is_what_the_network_says_and_each_picture_has_a_map_of_its_own(run: Path) -> None:
+def test_the_steering_is_the_networks_and_each_picture_has_its_map(run: Path) -> None:
     network = load_network(run)
     pictures = as_input(crops([1, 5, 9]))
     steering, maps = visual_backprop(network, pictures)
@@ -113,7 +113,7 @@ def test_it_looks_where_there_is_something_to_see() -> None:
 
 
 @pytest.mark.parametrize("bias", [-1e3, 1e38])
-def test_where_nothing_stands_out_the_map_is_zero_and_no_number_is_missing(bias: float) -> None:
+def test_where_nothing_stands_out_the_map_is_zero_and_complete(bias: float) -> None:
     network = SteeringNetwork().eval()
     with torch.no_grad():
         for layer in network.features:
@@ -123,7 +123,7 @@ def test_where_nothing_stands_out_the_map_is_zero_and_no_number_is_missing(bias:
     assert maps.abs().max() == 0
 
 
-def test_the_overlay_is_the_crop_where_it_does_not_look_and_a_colour_where_it_does() -> None:
+def test_the_overlay_is_the_crop_with_a_colour_where_it_looks() -> None:
     crop = np.full((1, 128, 128, 3), 100, np.uint8)
     maps = np.zeros((1, 128, 128), np.float32)
     maps[0, 40] = 1.0

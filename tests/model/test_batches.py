@@ -22,6 +22,8 @@ from torch import Tensor
 from common.car import CAMERAS, Camera
 from dataset import IndexConfig, Loader, build_index, decode, load, preprocess
 from dataset.augment import ALTERATIONS, alter
+from dataset.epoch_alterations import EPOCH_ALTERATIONS, EpochAlteration
+from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
 from logs import write_log
 from model.training.batches import Batches, DeviceBatches, HostBatches, PinnedBatches, make_batches, needed_bytes
@@ -212,3 +214,30 @@ def test_alterations_come_in_the_order_of_the_index_whatever_it_is(index: Path, 
         crop = preprocess(decode(scene(row["camera"], row["row"])))
         mirrored = np.ascontiguousarray(crop[:, ::-1]) if row["flip"] else crop
         assert (picture == alter(mirrored, row["alteration"], row["seed"])).all()
+
+
+# Altered in every epoch
+
+
+@pytest.mark.parametrize("names", [EPOCH_ALTERATIONS, *((name,) for name in EPOCH_ALTERATIONS)], ids="+".join)
+def test_a_device_alters_as_the_loader_does(index: Path, names: tuple[EpochAlteration, ...]) -> None:
+    """But for rounding, and for pixels at the edge of a shadow."""
+    with load(index, batch=BATCH, alter_each_epoch=names) as loader:
+        device = DeviceBatches(loader, CPU)
+        for start in (0, 2):
+            pairs = zip(loader.epoch(2, start), device.epoch(2, start), strict=True)
+            for batch, (pictures, steering) in pairs:
+                assert pictures.dtype == torch.uint8
+                assert pictures.is_contiguous(memory_format=torch.channels_last)
+                assert steering.tolist() == batch.steering.tolist()
+                off = np.abs(pixels(pictures).astype(int) - batch.pictures)
+                assert (off <= 2).mean() > 0.99
+                assert off.mean() < 0.5
+
+
+def test_colours_in_another_order_are_altered_by_the_loader(index: Path) -> None:
+    elsewhere = torch.device("meta")
+    with load(index, alter_each_epoch=("noise",), seen=PictureSpec(channels="YUV")) as loader:
+        assert type(make_batches(loader, elsewhere, budget_bytes=1 << 40)) is PinnedBatches
+    with load(index, alter_each_epoch=("noise",)) as loader:
+        assert type(make_batches(loader, elsewhere, budget_bytes=1 << 40)) is DeviceBatches

@@ -50,7 +50,7 @@ def test_it_is_as_wide_as_the_formula_for_a_mean() -> None:
     assert (high - low) / 2 == pytest.approx(1.966 * standard_error, rel=0.05)  # Student's t, 399 degrees
 
 
-def test_the_same_sums_give_the_same_interval_and_what_no_draw_has_is_not_there() -> None:
+def test_the_same_sums_give_the_same_interval_and_missing_ones_none() -> None:
     sums = np.column_stack([np.arange(8.0), np.ones(8)])
     assert np.array_equal(intervals(sums, mean, 0.95), intervals(sums, mean, 0.95))
     assert np.isnan(intervals(sums, lambda of: np.full_like(mean(of), np.nan), 0.95)).all()

@@ -130,13 +130,13 @@ def test_a_planted_regression_fails_and_the_way_back_is_better(
     here: Path, capsys: pytest.CaptureFixture[str], plant: Callable[[Path], str]
 ) -> None:
     name = plant(here)
-    code, found, _ = compared(capsys, "good", name, "--session", "new")
+    code, found, _ = compared(capsys, "good", name, "--session", "new", "--gate")
     assert (code, found["verdict"]) == (1, "worse")
     error = found["measures"]["rmse_deg"]
     assert error["verdict"] == "worse"
     assert error["a"] < 3 < 25 * np.std(STEERING) / 3  # a third of that of always the mean: something to lose
     assert abs(error["difference"]) < found["answers_apart_deg"]  # as far as any answers can be from the recorded
-    code, found, _ = compared(capsys, name, "good", "--session", "new")
+    code, found, _ = compared(capsys, name, "good", "--session", "new", "--gate")
     assert (code, found["verdict"]) == (0, "better")
 
 
@@ -189,7 +189,7 @@ def test_the_frames_are_those_that_the_index_of_a_holds_out(
 
 def test_the_table_tells_what_the_json_does(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _, found, _ = compared(capsys, "good", "shifted", "--session", "new")
-    assert call(main, "--compare", "good", "shifted", "--session", "new") == 1
+    assert call(main, "--compare", "good", "shifted", "--session", "new") == 0  # compared; only a gate fails
     shown = capsys.readouterr()
     assert "bc-eval --compare good shifted --simulator lake`" in shown.err.splitlines()[-1]
     lines = shown.out.splitlines()
@@ -215,6 +215,7 @@ def test_the_table_tells_what_the_json_does(here: Path, capsys: pytest.CaptureFi
         (["--compare", "good", "shifted", "--tolerance", -0.1], "--tolerance -0.1"),
         (["--compare", "good", "shifted", "--laps", 1], "--laps: only with --simulator"),
         (["good", "--tolerance", 0.1], "--compare"),
+        (["good", "--gate"], "--compare"),
         (["--compare", "good", "shiftde"], "did you mean shifted"),
     ],
 )

@@ -40,7 +40,7 @@ def test_arithmetic_that_is_asked_for_has_a_way_on_every_processor() -> None:
     assert processor_way({"avx2": True}, "bfloat16").arithmetic == "bfloat16"
 
 
-def test_the_arithmetic_is_what_the_processor_has_unless_somebody_says_otherwise() -> None:
+def test_the_arithmetic_is_the_processors_unless_it_is_chosen() -> None:
     assert training_dtype("auto", CPU) == (torch.bfloat16 if HAS_BFLOAT16 else torch.float32)
     assert training_dtype("float32", CPU) == torch.float32
     assert training_dtype("bfloat16", CPU) == torch.bfloat16

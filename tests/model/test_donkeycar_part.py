@@ -74,7 +74,7 @@ def answers(run: Path, picture: Any) -> list[float]:
     return [max(-1.0, min(each, 1.0)) for each in (found.steering, found.throttle)]
 
 
-def test_it_drives_as_the_pilot_does_where_only_numpy_and_onnx_runtime_are(
+def test_it_drives_as_the_pilot_with_only_numpy_and_onnx_runtime(
     trained: Path, car: Path, road: Any, tmp_path: Path
 ) -> None:
     np.save(tmp_path / "road.npy", road)
@@ -108,16 +108,16 @@ def test_a_file_of_another_export_is_refused(trained: Path, tmp_path: Path, pilo
 
 
 @pytest.mark.parametrize("network", ["original", "pilotnet", "small", "resnet18"])
-@pytest.mark.parametrize("size", [(160, 320), (120, 160), (480, 640), (7, 9)])
-def test_the_crop_in_the_graph_is_that_of_training(network: str, size: tuple[int, int], tmp_path: Path) -> None:
+def test_the_crop_in_the_graph_is_that_of_training(network: str, tmp_path: Path) -> None:
     spec: PictureSpec = built_in(network, {}).picture
     export_onnx(untrained_run(tmp_path / "run", network=network), tmp_path / "run.onnx", of_camera=True)
-    picture = np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8)
     session = onnxruntime.InferenceSession(tmp_path / "run.onnx", providers=["CPUExecutionProvider"])
-    (crop,) = session.run(["crop"], {"picture": picture})
-    expected = preprocess(np.ascontiguousarray(picture[..., ::-1]), spec)
-    assert (crop.dtype, crop.shape) == (np.uint8, spec.shape)
-    assert np.abs(crop.astype(int) - expected).max() <= (2 if spec.channels == "YUV" else 1)
+    for size in [(160, 320), (120, 160), (480, 640), (7, 9), (1, 1)]:
+        picture = np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8)
+        (crop,) = session.run(["crop"], {"picture": picture})
+        expected = preprocess(np.ascontiguousarray(picture[..., ::-1]), spec)
+        assert (crop.dtype, crop.shape) == (np.uint8, spec.shape)
+        assert np.array_equal(crop, expected), size
 
 
 def test_grey_pictures_count_as_such_and_none_stands_still(car: Path, pilot_class: Any, road: Any) -> None:

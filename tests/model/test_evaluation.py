@@ -310,7 +310,7 @@ def test_a_run_is_measured_on_the_index_that_it_was_trained_on(
     assert "my index: the index that my runs/toy was trained on is not there any more; give --index" in line
 
 
-def test_a_run_that_does_not_know_its_index_is_measured_on_that_of_the_folder(
+def test_a_run_without_a_known_index_uses_that_of_the_folder(
     here: Path, run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As those of earlier versions, and those of somebody else who writes nonsense there."""
@@ -389,14 +389,19 @@ def test_frames_of_crashes_are_told_apart(here: Path, tmp_path: Path, capsys: py
     assert (found["crashes"], found["without_crashes"]["frames"]) == (len(crash), rows - len(crash))
     assert found["network"]["rmse_deg"] == pytest.approx(rmse["all"])
     assert found["without_crashes"]["network"]["rmse_deg"] == pytest.approx(rmse["others"])
+    assert found["without_crashes"]["mean"]["balanced_rmse_deg"] > 0
     assert call(main, "toy", "--session", log) == 0
-    assert f"RMSE without crashes ({len(crash)}) {rmse['others']:.2f}" in " ".join(capsys.readouterr().out.split())
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"RMSE without crashes ({len(crash)}) {rmse['others']:.2f}" in said
+    assert f"the verdict is without {len(crash)} frames of crashes and the like" in said
+    assert f"({rmse['others']:.2f} against" in said
+    assert f"({rmse['all']:.2f} against" not in said
     assert call(main, "toy", "--session", "new", "--json") == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["crashes"], found["without_crashes"]) == (0, None)
 
 
-def test_whole_sessions_that_the_run_never_saw_are_measured_frame_by_frame(
+def test_whole_sessions_that_the_run_never_had_are_measured_by_frame(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call(main, "toy", "--session", "new", "--json") == 0
@@ -438,7 +443,7 @@ def test_a_session_that_the_run_has_learnt_from_is_known_by_its_bytes(
     assert line.startswith(f"toy has learnt from {count} of these {len(STEERING)} frames")
 
 
-def test_a_session_that_the_run_has_learnt_from_is_known_after_it_was_rewritten(
+def test_a_trained_session_is_recognised_after_it_was_rewritten(
     here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rewrite(here / "sessions" / "a.mcap", tmp_path / "rewritten.mcap")
@@ -464,7 +469,7 @@ def test_an_index_that_splits_otherwise_is_seen_through(
     assert f"toy has learnt from {count} of these" in capsys.readouterr().err
 
 
-def test_a_log_that_was_renamed_is_split_otherwise_and_that_is_seen_through(
+def test_a_renamed_log_is_split_otherwise_and_recognised(
     here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """With the same settings: which blocks are held out depends on a session's name."""
@@ -478,7 +483,7 @@ def test_a_log_that_was_renamed_is_split_otherwise_and_that_is_seen_through(
     assert f"toy has learnt from {count} of these {len(held_out)} frames" in capsys.readouterr().err
 
 
-def test_a_session_that_the_run_held_out_as_a_whole_is_measured_without_a_word(
+def test_a_session_that_was_held_out_whole_is_measured_without_a_notice(
     run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = data_of(run)
@@ -506,7 +511,7 @@ def edited(data: Row, part: str, **values: Any) -> Row:
     ("name", "value"),
     [("drives", "of a later version"), ("seed", SPLIT.seed + 0.5), ("block_s", str(SPLIT.block_s))],
 )
-def test_settings_that_were_written_otherwise_do_not_hide_what_the_run_has_learnt_from(
+def test_settings_written_otherwise_do_not_hide_the_trained_sessions(
     here: Path, run: Path, capsys: pytest.CaptureFixture[str], name: str, value: object
 ) -> None:
     change(run, data=edited(data_of(run), "settings", **{name: value}))
@@ -514,7 +519,7 @@ def test_settings_that_were_written_otherwise_do_not_hide_what_the_run_has_learn
     assert f"has learnt from {len(for_training(here, 'b'))} of these {len(LEFT)} frames" in capsys.readouterr().err
 
 
-def test_sessions_held_out_that_have_no_names_do_not_hide_what_the_run_has_learnt_from(
+def test_unnamed_held_out_sessions_do_not_hide_the_trained_ones(
     run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     change(run, data=edited(data_of(run), "settings", validation=[1]))
@@ -551,7 +556,7 @@ def test_a_run_that_does_not_say_what_it_has_learnt_from_is_not_trusted(
 # What cannot be measured
 
 
-def test_pictures_that_do_not_decode_are_named_and_the_others_keep_their_places(
+def test_undecodable_pictures_are_named_and_the_others_keep_their_places(
     here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def picture(camera: Camera, row: int) -> bytes:
@@ -591,7 +596,7 @@ def test_a_session_of_which_nothing_is_measured_is_named(
     assert line.startswith(f"{log}: not measured")
 
 
-def test_an_unfinished_log_is_measured_as_far_as_it_is_whole_and_that_is_said(
+def test_an_unfinished_log_is_measured_as_far_as_it_is_whole(
     here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = tmp_path / "killed.mcap"
@@ -656,7 +661,7 @@ def test_an_index_of_somebody_else_is_damaged_in_one_line(here: Path, tmp_path: 
     [
         (["--laps", 1], "--laps: only with --simulator"),
         (["--speed", 20, "--force"], "--speed, --force: only with --simulator"),
-        (["--logs", "drives"], "--logs: only with --simulator"),
+        (["--drives", "drives"], "--drives: only with --simulator"),
         (["--simulator", "lake", "--index", "index"], "--index: of recorded frames"),
         (["--simulator", "lake", "--session", "a", "--worst", 3], "--session, --worst: of recorded frames"),
         (["--simulator"], "--simulator at least one"),

@@ -117,7 +117,7 @@ def test_natural_answers_are_in_its_last_layer(run: Path, index: Path) -> None:
     assert rmse_deg == pytest.approx(best["learnt"]["rmse_deg"], rel=1e-3)
 
 
-def test_the_pilot_sees_what_training_saw_and_says_the_same_in_both_arithmetics(run: Path, index: Path) -> None:
+def test_the_pilot_has_trainings_pixels_and_answers_in_both_arithmetics(run: Path, index: Path) -> None:
     exact, rounded = load_pilot(run, "float32"), load_pilot(run, "bfloat16")
     network = load_network(run)
     with Samples(index) as samples:
@@ -162,7 +162,7 @@ def test_it_is_exported(run: Path, tmp_path: Path) -> None:
     assert said == pytest.approx([pilot.predict(pilot.crop(picture))], abs=1e-4)
 
 
-def test_networks_that_see_different_pictures_are_measured_on_the_same_frames(index: Path, tmp_path: Path) -> None:
+def test_networks_of_different_pictures_are_measured_on_the_same_frames(index: Path, tmp_path: Path) -> None:
     original = untrained_run(tmp_path / "original", network="original")
     small = train(index, tmp_path / "small", replace(settings("small"), epochs=1), figures=False).run
     together = evaluate_runs([original, small], index)

@@ -109,13 +109,13 @@ def test_the_example_in_its_metadata_runs_as_it_is(trained: Path, exported: Path
     assert as_others_steer(metadata(exported)["example"], exported, larger) == pytest.approx(expected, abs=1e-5)
 
 
-def test_pictures_go_in_as_opencv_has_them_and_one_steering_each_comes_out(exported: Path) -> None:
+def test_pictures_go_in_as_opencv_has_them_and_one_steering_comes_out(exported: Path) -> None:
     (taken,) = session(exported).get_inputs()
     (given,) = session(exported).get_outputs()
     assert (taken.name, taken.type, taken.shape) == ("pictures", "tensor(uint8)", ["N", 128, 128, 3])
     assert (given.name, given.type, given.shape) == ("steering", "tensor(float)", ["N"])
     (operators,) = onnx.load(exported).opset_import
-    assert (operators.domain, operators.version) == ("", 13)
+    assert (operators.domain, operators.version) == ("", 18)
 
 
 def test_steering_is_not_clamped(trained: Path, tmp_path: Path) -> None:
@@ -148,7 +148,7 @@ def test_the_same_run_gives_the_same_bytes_wherever_it_lies(trained: Path, expor
 # The command
 
 
-def test_without_a_name_the_file_lies_in_the_run_and_the_printed_python_runs_it(
+def test_without_a_name_the_file_lies_in_the_run_and_the_python_runs_it(
     trained: Path, exported: Path, tmp_path: Path
 ) -> None:
     copy = shutil.copytree(trained, tmp_path / "runs" / "first")
@@ -265,7 +265,7 @@ def test_damaged_runs_are_named(trained: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "broken.onnx").exists()
 
 
-@pytest.mark.parametrize("package", ["onnx", "onnxruntime"])
+@pytest.mark.parametrize("package", ["onnx", "onnxruntime", "onnxscript"])
 def test_without_its_packages_the_error_says_how_to_get_them(
     trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
 ) -> None:

@@ -64,7 +64,7 @@ def test_an_index_that_is_gone_is_nobodys(project: Path) -> None:
     assert allowed_index_of(run_that_names(project, "../../../gone/index")) is None
 
 
-def test_first_weights_outside_of_the_project_are_looked_for_by_name_in_runs(project: Path) -> None:
+def test_initial_weights_outside_the_project_are_found_by_name_in_runs(project: Path) -> None:
     private = untrained_run(project.parent / "private" / "first")
     ours = shutil.copytree(private, project / "runs" / "first")
     init = {"run": "first", "place": "../../../private/first", "weights_sha256": weights_checksum(private)}

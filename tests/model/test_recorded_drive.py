@@ -91,7 +91,7 @@ def test_also_where_somebody_pressed_keys_and_rows_are_far_apart(tmp_path: Path,
     assert drive.max_offset_m < 1e-6
 
 
-def test_the_line_is_that_of_the_wheels_also_where_an_expert_commanded_otherwise(tmp_path: Path) -> None:
+def test_the_line_is_that_of_the_wheels_not_of_the_experts_command(tmp_path: Path) -> None:
     log = record(tmp_path / "expert.mcap", [0.3] * 60, commands=[-0.2] * 60, source="drive")
     assert drive_recording(always(0.3), log).max_offset_m < 1e-6
     assert drive_recording(always(-0.2), log).interventions > 0
@@ -124,7 +124,7 @@ def test_who_steers_otherwise_leaves_it_on_a_circle(tmp_path: Path, steering: fl
         assert moment.left_m == pytest.approx(-radius_m * (1 - math.cos(angle)), abs=0.02)
 
 
-def test_farther_than_the_departure_the_car_is_put_back_and_that_costs_six_seconds(tmp_path: Path) -> None:
+def test_beyond_the_departure_the_car_is_put_back_for_six_seconds(tmp_path: Path) -> None:
     log = record(tmp_path / "straight.mcap", [0.0] * 101, speed_mph=20)
     drive = drive_recording(always(0.1), log, departure_m=0.5)
     # s² / (2 radius) = 0.5 m is reached after this many rows of 0.1 s; then it begins anew
@@ -160,7 +160,7 @@ def test_a_network_that_sees_where_it_is_comes_back(tmp_path: Path) -> None:
     assert blind.interventions > 2
 
 
-def test_gaps_standing_manoeuvres_and_hits_are_borders_at_which_nothing_is_counted(tmp_path: Path) -> None:
+def test_gaps_standing_manoeuvres_and_hits_are_borders_of_counting(tmp_path: Path) -> None:
     speed = [5.5] * 60 + [4.5] * 10 + [5.5] * 40 + [30.0] * 40 + [12.0] * 40
     steps = [0.1] * len(speed)
     steps[29] = 60.0
@@ -204,7 +204,7 @@ def test_a_merged_log_is_of_the_car_that_all_its_logs_are_of(tmp_path: Path) -> 
         drive_recording(always(0.0), tmp_path / "mixed.mcap")
 
 
-def test_pictures_that_do_not_decode_are_named_and_the_car_is_put_back_behind_them(tmp_path: Path) -> None:
+def test_undecodable_pictures_are_named_and_the_car_is_put_back_behind(tmp_path: Path) -> None:
     log = record(tmp_path / "broken.mcap", [0.0] * 30, picture=lambda camera: b"\xff\xd8 no more")
     with pytest.raises(UserError, match="nothing in it can be driven"):
         drive_recording(always(0.0), log)

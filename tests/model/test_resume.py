@@ -201,9 +201,7 @@ def stopped(whole: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(whole, tmp_path / "stopped"))
 
 
-def test_a_fine_tuned_run_that_is_killed_goes_on_from_the_weights_it_was_given(
-    index: Path, whole: Path, tmp_path: Path
-) -> None:
+def test_a_killed_fine_tuning_resumes_from_its_initial_weights(index: Path, whole: Path, tmp_path: Path) -> None:
     config = replace(CONFIG, epochs=1)
     train(index, tmp_path / "straight", config, init=whole, figures=False)
     train_killed(index, tmp_path / "killed", init=whole, at=(1, 3))
@@ -212,7 +210,7 @@ def test_a_fine_tuned_run_that_is_killed_goes_on_from_the_weights_it_was_given(
 
 
 @pytest.mark.usefixtures("without_figures")
-def test_a_training_killed_before_its_first_checkpoint_begins_again_from_its_seed(
+def test_a_training_killed_before_its_first_checkpoint_begins_again(
     index: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = tmp_path / "run"
@@ -223,9 +221,7 @@ def test_a_training_killed_before_its_first_checkpoint_begins_again_from_its_see
     assert_same(run, whole)
 
 
-def test_one_that_started_from_a_runs_last_weights_begins_again_from_these(
-    index: Path, whole: Path, tmp_path: Path
-) -> None:
+def test_a_run_from_last_weights_begins_again_from_these(index: Path, whole: Path, tmp_path: Path) -> None:
     """Wherever that run is kept."""
     base = Path(shutil.copytree(whole, tmp_path / "elsewhere" / "base"))
     config = replace(CONFIG, epochs=1)

@@ -61,7 +61,7 @@ def test_both_pictures_are_there_7_inches_wide_at_200_dpi(tmp_path: Path) -> Non
         assert np.unique(decode(data)).size > 10
 
 
-def test_they_are_replaced_and_the_same_run_gives_the_same_bytes_whatever_the_users_own_style(
+def test_figures_are_replaced_and_equal_whatever_the_users_style(
     tmp_path: Path,
 ) -> None:
     run = write_run(tmp_path / "first", 2)
@@ -157,9 +157,7 @@ def test_without_held_out_frames_the_pictures_say_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("value", [None, 0.0, 1e90])
-def test_numbers_that_are_missing_or_have_gone_astray_still_give_a_picture(
-    tmp_path: Path, value: float | None
-) -> None:
+def test_numbers_that_are_missing_or_astray_still_give_a_picture(tmp_path: Path, value: float | None) -> None:
     wrong = dict.fromkeys(("mae_deg", "rmse_deg", "turning_mae_deg", "correlation"), value)
     losses = {"training_loss": value, "validation_loss": value}
     run = write_run(tmp_path / "first", 2, **losses, validation=wrong, mean=wrong, zero=wrong)

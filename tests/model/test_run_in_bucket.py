@@ -99,7 +99,7 @@ def test_a_name_that_is_taken_there_is_refused_before_anything_is_learnt(
     assert "no run there" in capsys.readouterr().err
 
 
-def test_a_run_that_cannot_be_copied_is_kept_and_the_command_for_the_rest_is_said(
+def test_a_run_that_cannot_be_copied_is_kept_and_the_command_is_named(
     bucket: Bucket, index: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bucket.answer = lambda handler: handler.command == "PUT" and bool(handler.fail(403, "AccessDenied"))

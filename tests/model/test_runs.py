@@ -112,7 +112,7 @@ def test_a_run_is_found_by_name_by_path_and_as_the_newest(trained: Path, tmp_pat
         find_run("other", run.parent)
 
 
-def test_a_pilot_says_the_same_of_the_same_picture_and_which_weights_it_has(
+def test_a_pilot_is_deterministic_and_names_its_weights(
     trained: Path,
 ) -> None:
     run = trained

@@ -64,7 +64,7 @@ def test_bfloat16_is_close_and_keeps_weights_in_float32() -> None:
     assert functional.cosine_similarity(rounded, gradient, dim=0) > 0.95
 
 
-def test_bfloat16_learns_what_pytorchs_own_layers_and_optimizer_do_to_the_last_bit() -> None:
+def test_bfloat16_learns_what_pytorchs_own_layers_do_bit_for_bit() -> None:
     """Also where oneDNN pools, and the weights are cast once for all parts. In flat pictures maxima are ties."""
     torch.manual_seed(3)
     network = SteeringNetwork().to(memory_format=torch.channels_last)  # type: ignore[call-overload]

@@ -94,7 +94,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # Labels
 
 
-def test_the_speed_to_be_learnt_is_that_of_a_second_later_in_the_same_stretch(folder: Path) -> None:
+def test_the_speed_to_learn_is_a_seconds_later_in_the_same_stretch(folder: Path) -> None:
     rows = pq.read_table(folder / "index" / "samples.parquet").to_pylist()
     frames = pq.read_table(folder / "index" / "frames" / "drive.parquet").to_pylist()
     split = [frame["split"] for frame in frames]
@@ -128,7 +128,7 @@ def test_labels_come_in_the_order_of_the_targets_and_in_their_units(folder: Path
 
 
 @pytest.mark.parametrize(("others_mph", "is_known"), [("10 20", False), ("10", True)])
-def test_who_keeps_to_a_slow_set_speed_tells_nothing_of_what_the_road_allows(
+def test_a_drive_at_a_slow_set_speed_does_not_show_the_roads_speed(
     tmp_path: Path, others_mph: str, is_known: bool
 ) -> None:
     """Half of the rows keep to 10 mph, the others are slowed down by a bend."""
@@ -152,7 +152,7 @@ def test_who_keeps_to_a_slow_set_speed_tells_nothing_of_what_the_road_allows(
 # Learning
 
 
-def test_a_label_that_nobody_knows_changes_nothing_and_each_target_has_its_weight() -> None:
+def test_an_unknown_label_changes_nothing_and_each_target_has_its_weight() -> None:
     torch.manual_seed(0)
     network = nn.Sequential(nn.Flatten(), nn.Linear(12, 2))
     pictures, labels = (

@@ -209,7 +209,7 @@ def test_driving_sees_the_same_pixels_as_training(trained: tuple[Path, list[Epoc
 
 
 @pytest.mark.usefixtures("without_figures")
-def test_an_index_that_bc_train_builds_leaves_out_what_cannot_be_read_and_says_so(
+def test_an_index_of_bc_train_leaves_out_unreadable_logs_and_names_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Exactly as `bc-index` does."""

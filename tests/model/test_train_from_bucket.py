@@ -63,7 +63,7 @@ def gets(bucket: Bucket) -> int:
     return bucket.count("GET")
 
 
-def test_weights_are_those_of_a_training_from_the_disk_also_after_it_was_stopped_and_over_a_bad_connection(
+def test_weights_from_a_store_are_those_from_a_disk_also_when_resumed(
     bucket: Bucket, indexes: tuple[Path, Path], tmp_path: Path
 ) -> None:
     disk, store = indexes
@@ -93,7 +93,7 @@ def test_an_index_may_lie_in_the_store_beside_its_logs(
         load("s3://logs/none")
 
 
-def test_divided_samples_in_the_store_give_the_weights_and_the_errors_of_those_on_the_disk(
+def test_divided_samples_in_a_store_train_as_those_on_a_disk(
     bucket: Bucket, indexes: tuple[Path, Path], tmp_path: Path
 ) -> None:
     logs = sorted(bucket.folder.glob("*.mcap"))

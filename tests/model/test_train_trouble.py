@@ -41,7 +41,7 @@ def trained(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run
 
 
-def test_a_loss_that_is_not_finite_ends_the_training_and_names_the_way_out(index: Path, tmp_path: Path) -> None:
+def test_an_infinite_loss_ends_the_training_and_names_the_way_out(index: Path, tmp_path: Path) -> None:
     with pytest.raises(
         RunError, match=r"no longer finite in epoch 1; train anew with a --rate smaller than 1e\+30"
     ):

@@ -40,7 +40,7 @@ def record(name: str, source: str, car: Car | None = None) -> Path:
 
 
 @pytest.mark.parametrize("source", ["donkeycar", "csv", "mcap", "ros2 bag", "lerobot", "gymnasium"])
-def test_recordings_of_others_do_not_say_their_angle_unless_their_car_is_given(
+def test_recordings_of_others_have_no_angle_unless_their_car_is_given(
     source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

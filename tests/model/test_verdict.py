@@ -182,6 +182,22 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
             "bc-train --like first --answers as-learnt",
         ),
         (
+            numbers(  # RMSE alone is then worse than the mean's
+                sound(logs={"more": {"log": "../sessions/more.mcap"}, "b": {"log": "../sessions/b.mcap"}}),
+                epochs=[
+                    replace(
+                        each,
+                        answers=AnswerScale(0.5),
+                        learnt=replace(each.measures.network, rmse_deg=90.0),
+                        learnt_driving_error=0.4,
+                    )
+                    for each in [epoch(number, 0.2) for number in range(1, 11)]
+                ],
+            ),
+            "more of other roads",
+            "bc-record more-2 --from ~/recording",
+        ),
+        (
             numbers(drives=({"track": "lake", "set_speed_mph": 15.0, "interventions": 3},)),
             "3 interventions on lake at 15 mph",
             "bc-drive first --simulator lake --speed 15 --aggregate 2",
@@ -190,6 +206,11 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
             numbers(epochs=[*WEAK[:9], epoch(10, 0.3)]),
             "still fell in epoch 10",
             "bc-train --resume first --epochs 20",
+        ),
+        (
+            numbers(sound() | {"training": {"epochs": 2}}, [WEAK[0], replace(epoch(2, 0.4), is_best=False)]),
+            "networks of fewer than 4 seldom drive",
+            "bc-train --resume first --epochs 10",
         ),
         (
             numbers(sound(counts={name: {"frames": 6000, "training": 600} for name in ("a", "b")})),
@@ -220,14 +241,26 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
         (numbers(), "nothing in its numbers stands out", "bc-record more --track random:2"),
     ],
     ids=[
-        "being trained", "contradicting", "constant", "unfinished", "natural answers", "interventions",
-        "still improving", "few turns", "one session", "one side", "one side mirrored", "side cameras", "nothing",
+        "being trained", "contradicting", "constant", "unfinished", "natural answers", "natural and better",
+        "interventions", "still improving", "few epochs", "few turns", "one session", "one side",
+        "one side mirrored", "side cameras", "nothing",
     ],
 )  # fmt: skip
 def test_each_rule_names_its_numbers_and_a_command(of: RunNumbers, why: str, command: str) -> None:
     found = advice(of)
     assert why in found.why
     assert found.command == command
+
+
+def test_more_epochs_are_not_advised_where_there_is_hardly_a_turn_to_learn() -> None:
+    improving = [*WEAK[:2], epoch(3, 0.3)]
+    few, hardly_any = (
+        sound(counts={name: {"frames": 6000, "training": frames} for name in ("a", "b")})
+        | {"training": {"epochs": 3}}
+        for frames in (600, 200)
+    )
+    assert advice(numbers(few, improving)).command == "bc-train --resume first --epochs 10"
+    assert advice(numbers(hardly_any, improving)).command == "bc-record more --track random:2"
 
 
 def test_the_rules_have_an_end() -> None:
@@ -273,6 +306,31 @@ def test_a_run_of_the_version_before_is_judged_by_what_it_has(tmp_path: Path) ->
     again["mean"] |= {"balanced_rmse_deg": 30.0}
     keep_result(run, "frames", again)
     assert "driving error (" in judge(run).summary
+
+
+def test_crashes_held_out_by_an_earlier_version_are_said(
+    tmp_path: Path,
+) -> None:
+    config = sound()
+    config["data"]["labels"]["a"]["plan"]["without_crashes"] = True
+    config["data"]["counts"]["a"] |= {"crashed": 30}
+    assert verdict_of(numbers(config)).summary.endswith(
+        "; crashes were held out, too: `bc-eval` measures without them"
+    )
+    config["data"]["counts"]["a"] |= {"not_measured": 10}
+    assert "crashes" not in verdict_of(numbers(config)).summary
+    del config["data"]["counts"]["a"]["not_measured"]
+    run = a_run(tmp_path / "runs" / "first", lambda line: line)
+    (run / "config.json").write_text(json.dumps(json.loads((run / "config.json").read_text()) | config))
+    assert "crashes were held out" in judge(run).summary
+    line = epoch_line(2)
+    of_all = {**line, "network": line["validation"], "split": "validation", "index": "index"}
+    driving = {name: of_all[name] for name in ("zero", "mean", "bins")}
+    driving |= {"network": of_all["network"] | {"turning_mae_deg": 1.25}}
+    driving["mean"] |= {"balanced_rmse_deg": 30.0}
+    keep_result(run, "frames", {**of_all, "without_crashes": driving})
+    assert "crashes" not in judge(run).summary
+    assert "on turns (1.25 against" in judge(run).summary
 
 
 def a_run(folder: Path, change: Callable[[dict[str, Any]], dict[str, Any]]) -> Path:

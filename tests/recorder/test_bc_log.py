@@ -517,9 +517,7 @@ def test_merged_drives_have_the_rate_at_which_they_were_driven(
     assert "2.0 to 0.0 s (time goes back)" in capsys.readouterr().out
 
 
-def test_what_another_program_wrote_moves_no_cursor_and_is_not_judged_unseen(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_another_program_wrote_moves_no_cursor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / ":car:.mcap"
     with path.open("wb") as stream:
         writer = McapWriter(stream)

@@ -204,7 +204,7 @@ def test_the_same_holds_for_compressed_logs(tmp_path: Path, compression: Compres
 
 
 @pytest.mark.parametrize("every", [5, pytest.param(1, marks=pytest.mark.long)])
-def test_a_killed_recording_of_which_any_byte_is_broken_loses_one_chunk_at_most(whole: Path, every: int) -> None:
+def test_a_killed_recording_with_any_broken_byte_loses_one_chunk(whole: Path, every: int) -> None:
     """Without an end that tells where the chunks are, those behind the damage are searched for.
 
     A topic is described in the chunk of its first message, and nobody knows what follows on it without that.
@@ -356,61 +356,36 @@ def of_lengths(path: Path, lengths: list[int]) -> Path:
 
 
 @pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
-def test_chunks_that_have_changed_places_are_put_in_order(tmp_path: Path, layout: Layout, is_killed: bool) -> None:
-    """Whatever lies between them has then moved too, where they are not of one length."""
+def test_chunks_that_have_changed_places_are_all_kept_and_named(
+    tmp_path: Path, layout: Layout, is_killed: bool
+) -> None:
+    """Where they are not of one length, what is between them has moved, too."""
     whole = layout(of_lengths(tmp_path / "whole.mcap", [50, 90, 40, 20, 70, 70, 30, 60]))
     original, data = contents(whole), whole.read_bytes()
     chunks = original.chunks
-    assert len(chunks) > 4
     damaged, to = whole.with_name("damaged.mcap"), whole.with_name("recovered.mcap")
     for i, j in itertools.combinations(range(len(chunks)), 2):
         one, two = chunks[i], chunks[j]
         parts = [(0, one.start), (two.start, two.end), (one.end, two.start), (one.start, one.end), (two.end, None)]
         swapped = b"".join(data[start:end] for start, end in parts)
         damaged.write_bytes(swapped[: chunks[-1].end] if is_killed else swapped)
-        recover(damaged, to, overwrite=True)
-        assert contents(to).by_topic == original.by_topic, (i, j)
-        assert check(to, look=False).findings == []
-
-
-def with_indexes(data: bytes, start: int, end: int) -> tuple[int, int]:
-    """Where a chunk begins, and where the indexes of its messages end, which lie behind it."""
-    while data[end] == MESSAGE_INDEX:
-        end += 9 + int.from_bytes(data[end + 1 : end + 9], "little")
-    return start, end
-
-
-def test_a_chunk_that_moved_with_its_indexes_is_found_though_the_summary_says_otherwise(
-    tmp_path: Path, layout: Layout
-) -> None:
-    """It may end behind all the places that the summary tells of its neighbours."""
-    whole = layout(of_lengths(tmp_path / "whole.mcap", [500, 90, 40, 900, 70, 70, 30, 60]))
-    original, data = contents(whole), whole.read_bytes()
-    blocks = [with_indexes(data, chunk.start, chunk.end) for chunk in original.chunks]
-    damaged, to = whole.with_name("damaged.mcap"), whole.with_name("recovered.mcap")
-    complaints = []
-    for i, (a, b) in enumerate(blocks):
-        for j, (c, d) in enumerate(blocks[i + 1 :], start=i + 1):
-            damaged.write_bytes(data[:a] + data[c:d] + data[b:c] + data[a:b] + data[d:])
-            written = recover(damaged, to, overwrite=True)
-            if contents(to).by_topic != original.by_topic or len(written.skipped):
-                complaints.append((i, j, list(written.skipped)))
-    assert complaints == []
+        written = recover(damaged, to, overwrite=True)
+        assert set(contents(to).messages) == set(original.messages), (i, j)
+        topics = [{message.topic for message in chunk.messages} for chunk in (one, two)]
+        if topics[0] & topics[1]:
+            assert "chunks out of order" in written.notices[0], (i, j)
 
 
 @pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
-def test_a_chunk_that_is_there_twice_is_taken_once(whole: Path, is_killed: bool) -> None:
+def test_a_chunk_that_is_there_twice_is_named(whole: Path, is_killed: bool) -> None:
     original, data = contents(whole), whole.read_bytes()
     damaged, to = whole.with_name("damaged.mcap"), whole.with_name("recovered.mcap")
     for chunk in original.chunks:
-        start, end = with_indexes(data, chunk.start, chunk.end)
-        rest = data[end : original.chunks[-1].end] if is_killed else data[end:]
-        damaged.write_bytes(data[:end] + data[start:end] + rest)
+        rest = data[chunk.end : original.chunks[-1].end] if is_killed else data[chunk.end :]
+        damaged.write_bytes(data[: chunk.end] + data[chunk.start : chunk.end] + rest)
         written = recover(damaged, to, overwrite=True)
-        assert contents(to).by_topic == original.by_topic
-        where = f"bytes {end:,} to {end + chunk.end - chunk.start:,}, as at {start:,}"
-        named = [(reason, place) for reason, place in written.skipped if not reason.startswith("stretches")]
-        assert named == [("repetitions of a chunk", where)]
+        assert set(contents(to).messages) == set(original.messages)
+        assert f"at byte {chunk.end:,}" in written.notices[0]
 
 
 def test_the_same_events_may_be_there_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -422,18 +397,6 @@ def test_the_same_events_may_be_there_twice(tmp_path: Path, monkeypatch: pytest.
             writer.event(5, "braked")
         writer.vehicle(6, 0, VehicleState(steering=0.1))
     assert len(contents(path).chunks) == 4
-    recover(path, tmp_path / "b.mcap")
-    assert contents(tmp_path / "b.mcap").messages == contents(path).messages
-
-
-def test_where_rows_are_numbered_twice_chunks_stay_where_they_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 400)
-    path = tmp_path / "a.mcap"
-    with LogWriter(path, {}) as writer:
-        for number in range(20):
-            writer.vehicle(number, number % 10, VehicleState(steering=number / 20))
     recover(path, tmp_path / "b.mcap")
     assert contents(tmp_path / "b.mcap").messages == contents(path).messages
 
@@ -497,7 +460,7 @@ def test_a_record_that_lies_about_its_length_takes_no_memory(
 ) -> None:
     """The file is as long as the record says, but sparse."""
     for module in ("mcap_file", "scan"):
-        monkeypatch.setattr(f"recorder.log.{module}.MAX_RECORD_BYTES", 1 << 20)
+        monkeypatch.setattr(f"recorder.mcap.{module}.MAX_RECORD_BYTES", 1 << 20)
     complete = contents(whole).chunks[-1]
     path = whole.with_name("damaged.mcap")
     path.write_bytes(whole.read_bytes()[: complete.end] + struct.pack("<BQ", opcode, 1 << 24))
@@ -511,7 +474,7 @@ def test_a_record_that_lies_about_its_length_takes_no_memory(
 def test_a_footer_that_points_far_back_takes_no_memory(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A summary of the size of the file is none."""
     for module in ("mcap_file", "scan"):
-        monkeypatch.setattr(f"recorder.log.{module}.MAX_RECORD_BYTES", 1 << 20)
+        monkeypatch.setattr(f"recorder.mcap.{module}.MAX_RECORD_BYTES", 1 << 20)
     path = whole.with_name("damaged.mcap")
     footer = struct.pack("<BQQQI", 2, 20, MAGIC_BYTES, 0, 1) + b"\x89MCAP0\r\n"
     path.write_bytes(whole.read_bytes()[: contents(whole).chunks[-1].end])

@@ -308,7 +308,7 @@ def test_rows_that_a_log_does_not_have_are_refused(tmp_path: Path) -> None:
 # Merge
 
 
-def test_a_merged_log_holds_all_messages_in_order_and_every_row_has_its_own_number(tmp_path: Path) -> None:
+def test_a_merged_log_holds_all_in_order_with_row_numbers_of_its_own(tmp_path: Path) -> None:
     logs = [drive(tmp_path / f"{name}.mcap", rows, name=name) for name, rows in NAMED_ROWS.items()]
     done = merge(logs, tmp_path / "all.mcap")
     one, two, three = (contents(log).messages for log in logs)
@@ -442,7 +442,7 @@ def test_a_damaged_log_keeps_its_tags_when_it_is_recovered(tmp_path: Path) -> No
         assert tags_of(to) == [(min(rows), max(rows), "exclude")], chunk.start
 
 
-def test_tags_of_rows_that_are_not_there_and_of_another_content_do_not_come_along(tmp_path: Path) -> None:
+def test_tags_of_missing_rows_and_other_content_do_not_come_along(tmp_path: Path) -> None:
     whole = tag(drive(tmp_path / "a.mcap", range(20)), (0, 5, "bend"))
     trim(whole, tmp_path / "b.mcap", (6, 10))
     drive(tmp_path / "c.mcap", range(20), name="recorded anew")

@@ -157,7 +157,7 @@ def steerings(log: Path) -> list[float]:
     return [state.steering for _, state in read_messages(log)["/vehicle"]]
 
 
-def test_catalogues_that_the_manifest_does_not_name_are_taken_if_asked_for(
+def test_catalogues_that_the_manifest_omits_are_taken_if_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -93,7 +93,7 @@ def test_every_message_path_leads_to_a_number_or_a_word_of_our_messages(layout: 
         assert message is None, path  # a message has fields, a number has none
 
 
-def test_it_shows_every_topic_of_a_log_and_every_number_of_our_own_messages(layout: dict[str, Any]) -> None:
+def test_it_shows_every_topic_and_every_number_of_our_messages(layout: dict[str, Any]) -> None:
     shown = named(layout)
     assert {path.split(".")[0] for path in shown} == SCHEMAS.keys()
     for topic in (topics.VEHICLE, topics.PILOT_COMMAND):

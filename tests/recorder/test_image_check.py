@@ -70,7 +70,7 @@ def fingerprint(path: Path) -> str:
 # The pictures themselves
 
 
-def test_every_picture_that_does_not_decode_is_named_in_order_and_every_one_is_counted() -> None:
+def test_every_undecodable_picture_is_named_in_order_and_counted() -> None:
     told: list[int] = []
     with ThreadPoolExecutor(2) as pool:
         image_check = ImageCheck(pool, told.append)
@@ -199,7 +199,7 @@ def test_a_car_whose_speed_is_unknown_counts_as_moving(tmp_path: Path, speed_mph
     assert frozen == ({} if speed_mph[0] == 0 else dict.fromkeys(CAMERAS, ((0, 19),)))
 
 
-def test_compressed_logs_with_some_plain_chunks_are_looked_at_in_their_order(tmp_path: Path) -> None:
+def test_compressed_logs_with_some_plain_chunks_are_read_in_order(tmp_path: Path) -> None:
     """Writers store a chunk as it is where compression gains nothing."""
     source = write_drive(tmp_path / "a.mcap")
     mixed = tmp_path / "mixed.mcap"

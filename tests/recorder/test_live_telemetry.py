@@ -488,9 +488,7 @@ def test_an_existing_log_is_refused_before_anybody_can_connect(tmp_path: Path) -
     assert (log.read_bytes(), list(tmp_path.iterdir())) == (b"precious", [log])
 
 
-def test_a_log_that_nothing_came_for_leaves_the_one_that_it_would_have_replaced(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_empty_log_does_not_replace_another(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "live.mcap"
     log.write_bytes(b"precious")
     with pytest.raises(RecordingError):

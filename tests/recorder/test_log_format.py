@@ -257,7 +257,7 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
         "lake",
         "--laps",
         0.002,
-        "--logs",
+        "--drives",
         folder,
     )
     assert evaluated.returncode == 0, evaluated.stderr
@@ -321,9 +321,8 @@ def test_every_event_stands_on_the_page(every_kind: dict[str, Written]) -> None:
     assert [event for event in events if not any(pattern.fullmatch(event) for pattern in patterns)] == []
 
 
-def test_bc_proto_stands_on_the_page_in_full() -> None:
-    (shown,) = blocks("bc.proto", "proto")
-    assert shown == (ROOT / "recorder" / "bc.proto").read_text(encoding="utf-8")
+def test_the_page_links_bc_proto() -> None:
+    assert "\n[recorder/bc.proto](../recorder/bc.proto)\n" in PAGE
     assert "PROTO" not in PAGE
 
 

@@ -4,7 +4,6 @@ pictures with them; a chunk of pictures costs no row. All of it is told by its n
 
 from __future__ import annotations
 
-import itertools
 import random
 from collections.abc import Iterator
 from pathlib import Path
@@ -175,30 +174,3 @@ def test_without_any_row_the_pictures_are_kept_and_the_rows_are_named(whole: Pat
 def test_without_any_chunk_nothing_is_recovered(whole: Path) -> None:
     with pytest.raises(LogError, match="not one whole message"):
         recover(without(whole, contents(whole).chunks), whole.with_name("recovered.mcap"))
-
-
-@pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
-def test_chunks_that_have_moved_and_others_that_are_lost(whole: Path, is_killed: bool) -> None:
-    """Nobody knows then where the lost ones were: what is whole is kept, in the order of its rows."""
-    original, data = contents(whole), whole.read_bytes()
-    chunks = original.chunks
-    chance = random.Random(3)
-    complaints = []
-    for turn in range(12):
-        movable = behind_descriptions(chunks)
-        order = chunks[: -len(movable)] + chance.sample(movable, len(movable))
-        lost = chance.sample(movable, 2)
-        parts = [data[one.end : other.start] for one, other in itertools.pairwise(chunks)]  # indexes stay
-        bodies = [bytes(c.end - c.start) if c in lost else data[c.start : c.end] for c in order]
-        mixed_up = b"".join(itertools.chain.from_iterable(zip(bodies, [*parts, b""], strict=True)))
-        path = whole.with_name("damaged.mcap")
-        path.write_bytes(data[: chunks[0].start] + mixed_up + (b"" if is_killed else data[chunks[-1].end :]))
-        to = whole.with_name("recovered.mcap")
-        written = recover(path, to, overwrite=True)
-        left, gone = expected(original, lost)
-        if contents(to).by_topic != by_topic(left):
-            complaints.append(f"turn {turn}: not what was whole")
-        named = numbers(written, MISSING)
-        if not gone >= named >= {row for row in gone if row < max(driven(left))}:
-            complaints.append(f"turn {turn}: named {named}, gone {gone}")
-    assert complaints == []

@@ -38,7 +38,7 @@ def found_in(*parts: Part) -> list[tuple[str, float, float, bool]]:
     return [(each.kind, each.begin_s, each.end_s, each.is_sure) for each in odd_stretches(driven(*parts))]
 
 
-def test_who_reverses_for_a_while_drives_backwards_until_the_car_stands_again() -> None:
+def test_reversing_is_driving_backwards_until_the_car_stands_again() -> None:
     back = [STOP, (3.0, 0.1, -1.0, 0.0, 12.0), (1.0, 0.1, 0.5, 12.0, 0.0)]
     ((kind, begin_s, end_s, is_sure),) = found_in(CRUISE, *back, START, CRUISE)
     assert (kind, is_sure) == ("backwards", True)
@@ -100,7 +100,7 @@ def test_what_is_ordinary_is_not_odd(parts: list[Part]) -> None:
     assert found_in(*parts) == []
 
 
-def test_a_log_keeps_what_is_odd_in_it_and_of_an_earlier_version_it_is_found(
+def test_a_log_keeps_what_is_odd_and_an_earlier_one_is_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     states = driven(CRUISE, STOP, (3.0, 0.1, -1.0, 0.0, 12.0), (1.0, 0.1, 0.5, 12.0, 0.0), START, CRUISE)

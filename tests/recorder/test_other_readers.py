@@ -167,7 +167,7 @@ def ours(path: Path) -> Read:
         return gathered(found for chunk in opened.chunks for found in opened.messages_of(chunk))
 
 
-def test_the_logs_have_all_that_is_written_and_the_layouts_that_they_are_named_after(
+def test_logs_are_complete_and_their_layouts_have_their_names(
     written: dict[tuple[str, str], Path],
 ) -> None:
     pictures = ROWS // ROWS_A_PICTURE

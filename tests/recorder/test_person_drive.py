@@ -394,7 +394,7 @@ def test_flags_that_are_others_than_a_persons_are_refused(
     assert not (tmp_path / "sessions").exists()
 
 
-def test_pictures_for_the_eye_shrink_where_the_computer_is_slow_and_grow_again() -> None:
+def test_eye_pictures_shrink_on_a_slow_computer_and_grow_again() -> None:
     scale = PictureScale()
     assert scale.scale == 2.0
     for _ in range(20):
@@ -434,7 +434,7 @@ def test_the_first_step_that_steers_another_way_is_shown_at_once() -> None:
     assert shown == [0, 2, 4, 5, 7, 9, 11, 12, 14, 16]
 
 
-def test_a_step_that_is_wanted_sooner_comes_at_most_its_length_before_its_time() -> None:
+def test_a_step_that_is_wanted_sooner_comes_at_most_its_length_earlier() -> None:
     real_time, wanted = RealTime(0.05), threading.Event()
     begin_s = time.monotonic()
     wanted.set()

@@ -97,7 +97,7 @@ def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(telemetry_server, "FIRST_COMMAND_S", PATIENCE_S)
 
 
-def test_telemetry_is_answered_by_the_person_and_recorded_as_it_was_steered(tmp_path: Path) -> None:
+def test_a_person_answers_telemetry_and_it_is_recorded_as_steered(tmp_path: Path) -> None:
     with Drive(tmp_path / "mine.mcap").running() as drive:
         assert drive.page.text("hello")["kind"] == "listen"
         assert drive.drive(8.0, -0.5, 0.25) == {"steering_angle": -0.5, "throttle": 0.25}

@@ -47,7 +47,7 @@ def test_padding_is_allowed_and_more_is_not() -> None:
     assert whole_png_size(PNG + bytes(PADDING_BYTES + 1)) is None
 
 
-def test_sizes_that_no_picture_should_have_and_chunks_that_are_missing_are_refused() -> None:
+def test_impossible_picture_sizes_and_missing_chunks_are_refused() -> None:
     data = chunk(b"IDAT", zlib.compress(bytes(7)))
     assert whole_png_size(png_of(2, 1, data)) == (2, 1)
     for width, height in ((0, 5), (1 << 14, 1 << 13), (2**32 - 1, 2**32 - 1)):

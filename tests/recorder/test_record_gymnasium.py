@@ -72,7 +72,7 @@ def test_what_the_environment_does_not_tell_stays_empty() -> None:
     assert set(vehicle["throttle"]) == set(vehicle["brake"]) == {0.0}
 
 
-def test_the_same_seed_gives_the_same_rows_and_the_next_episode_has_the_next_seed() -> None:
+def test_a_seed_repeats_its_rows_and_the_next_episode_has_the_next_seed() -> None:
     for name, seed, episodes in (("two", 4, 2), ("first", 4, 1), ("second", 5, 1)):
         assert call(bc_record, name, *BAR, *CENTRE, "--seed", seed, "--episodes", episodes) == 0
     two, first, second = (states(name)["steering"] for name in ("two", "first", "second"))
@@ -88,7 +88,7 @@ def test_rows_may_be_fewer_than_steps() -> None:
     np.testing.assert_allclose(np.diff(times) / 1e9, [0.1] * (STEPS // 2 - 1), rtol=1e-4)
 
 
-def test_a_wandering_hand_leads_elsewhere_but_what_is_recorded_is_what_the_expert_wanted() -> None:
+def test_the_hand_wanders_and_the_experts_steering_is_recorded() -> None:
     assert call(bc_record, "calm", *BAR, *CENTRE) == 0
     assert call(bc_record, "wanders", *BAR, *CENTRE, "--wander", 0.8) == 0
     seen = places("wanders")

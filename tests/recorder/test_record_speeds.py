@@ -116,7 +116,7 @@ def test_speeds_that_nobody_drives_are_refused(
 
 
 @pytest.mark.parametrize("name", ["a/b", "a:b", ".a", "", "a\tb", "a\x1b[2Jb", "a\udc80"])
-def test_a_name_that_no_index_can_hold_is_refused_before_anything_is_driven(
+def test_a_name_that_no_index_can_hold_is_refused_before_driving(
     tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call(record_main, name, "--sessions", tmp_path) == 2

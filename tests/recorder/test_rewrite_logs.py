@@ -56,7 +56,7 @@ def test_messages_rows_times_metadata_and_tags_are_the_same(old: Path, tmp_path:
     assert check(done.path).findings == []
 
 
-def test_it_has_the_fingerprint_of_the_original_and_so_have_its_own_rewrites(old: Path, tmp_path: Path) -> None:
+def test_it_and_its_rewrites_have_the_fingerprint_of_the_original(old: Path, tmp_path: Path) -> None:
     first = rewrite(old, tmp_path / "1.mcap").path
     second = rewrite(first, tmp_path / "2.mcap").path
     assert fingerprints(first)[0] == fingerprints(second)[0] == fingerprints(old)[0]
@@ -81,7 +81,7 @@ def test_what_is_cut_out_of_it_is_another_log(old: Path, tmp_path: Path) -> None
     assert "bc.rewritten" not in dict(contents(part).metadata)
 
 
-def test_a_record_that_another_program_copied_with_other_chunks_counts_for_nothing(
+def test_a_record_that_others_copied_with_other_chunks_does_not_count(
     old: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     new = rewrite(old, tmp_path / "new.mcap").path

@@ -94,7 +94,7 @@ def test_standing_still_is_below_half_a_mile_an_hour_and_known() -> None:
     assert flagged(rows, "standing_still") == [0, 1, 6]
 
 
-def test_steering_is_stuck_after_three_seconds_and_straight_on_after_thirty() -> None:
+def test_steering_is_stuck_after_three_seconds_and_straight_after_thirty() -> None:
     assert flagged(states(every_tenth(30), steering=0.25), "stuck_steering") == []
     assert flagged(states(every_tenth(31), steering=0.25), "stuck_steering") == list(range(31))
     assert flagged(states(every_tenth(300), steering=0.0), "stuck_steering") == []
@@ -127,7 +127,7 @@ def driven(*parts: tuple[float, float, float]) -> States:
 CRUISE = (20.0, 24.0, 0.0)
 
 
-def test_a_car_that_hits_a_wall_and_manoeuvres_is_in_a_crash_until_it_drives_again() -> None:
+def test_a_hit_and_the_manoeuvring_after_it_are_one_crash() -> None:
     at_the_wall = [(1.0, 0.2, 0.0), (2.0, 3.0, 1.0), (1.0, 6.0, -0.4)]
     rows = driven(CRUISE, *at_the_wall, (1.0, 12.0, -1.0), CRUISE)
     assert flagged(rows, "crash") == list(range(200, 240))

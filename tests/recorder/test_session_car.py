@@ -117,7 +117,7 @@ def test_a_file_with_other_settings_is_refused_in_one_line(
     assert not Path("sessions").exists()
 
 
-def test_a_file_that_is_not_there_and_a_car_of_the_simulators_own_are_refused(
+def test_a_missing_file_and_the_simulators_own_car_are_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert call(bc_record, "own", "--from", recording(), "--car", "own.tml") == 1

@@ -84,7 +84,7 @@ def test_pictures_that_are_flat_leave_it_open(tmp_path: Path, monkeypatch: pytes
     assert shown == odd
 
 
-def test_steering_that_never_changes_while_the_pictures_turn_is_surely_wrong(tmp_path: Path) -> None:
+def test_steering_that_never_changes_while_pictures_turn_is_wrong(tmp_path: Path) -> None:
     def wheel(at_s: np.ndarray) -> np.ndarray:
         return np.asarray(np.where((at_s >= 20) & (at_s < 28), 0.2, hand(at_s)))
 

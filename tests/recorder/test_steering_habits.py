@@ -101,7 +101,7 @@ def test_presses_are_shifted_by_a_lag_that_is_sure_and_can_be(
     assert why in plan.why
 
 
-def test_the_ceiling_is_the_correlation_with_the_neighbours_of_the_same_drive() -> None:
+def test_the_ceiling_is_the_correlation_with_neighbours_of_a_drive() -> None:
     """Beside one that is computed row by row; one row is alone."""
     steering = np.random.default_rng(0).uniform(-1, 1, 200).cumsum() % 1
     time_s = np.sort(np.random.default_rng(1).uniform(0, 25, 200))

@@ -68,7 +68,7 @@ def test_the_file_is_lines_of_json_beside_the_log(log: Path) -> None:
     ]
 
 
-def test_wherever_a_crash_cuts_the_last_line_the_others_stay_and_tagging_goes_on(log: Path) -> None:
+def test_wherever_a_crash_cuts_the_last_line_the_others_stay(log: Path) -> None:
     first, second, third = Tag(1, 2, "one"), Tag(3, 4, "two Größe"), Tag(5, 6, "three")
     add_tag(log, CONTENT, first)
     begin = tags_path(log).stat().st_size
@@ -225,7 +225,7 @@ def test_processes_that_tag_at_once_lose_nothing(log: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="locks have another name there")
-def test_a_line_that_somebody_is_writing_is_not_taken_for_one_that_was_cut_off(log: Path) -> None:
+def test_a_line_that_is_being_written_is_not_taken_for_cut_off(log: Path) -> None:
     import fcntl
 
     add_tag(log, CONTENT, Tag(1, 2, "first"))

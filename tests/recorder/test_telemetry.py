@@ -89,7 +89,7 @@ def test_the_throttle_tells_how_the_machine_separates_decimals(throttle: object,
         (None, "0", "1.234.567", "0", 1234567.0, 0.0, ","),
     ],
 )
-def test_whole_numbers_do_not_tell_the_separator_and_what_is_known_of_it_is_kept(
+def test_whole_numbers_do_not_change_a_known_decimal_separator(
     known: str | None,
     throttle: object,
     speed: str,
@@ -213,7 +213,7 @@ def test_a_picture_that_is_no_whole_jpeg_or_png_is_named(picture: bytes, kind: s
     ],
     ids=lambda value: repr(value)[:12],
 )
-def test_a_side_picture_that_cannot_be_used_is_named_and_the_others_are_kept(left: object, problem: str) -> None:
+def test_an_unusable_side_picture_is_named_and_the_others_are_kept(left: object, problem: str) -> None:
     fields = {"image_left": base64.b64encode(left).decode() if isinstance(left, bytes) else left}
     parsed = parse_telemetry(telemetry(image_right=base64.b64encode(road_jpeg(2)).decode(), **fields))
     assert (parsed.picture, parsed.side_pictures, parsed.side_problems) == (

@@ -107,7 +107,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_used(name: str, value: obj
     assert parsed == World(**world(**{name: None}))
 
 
-def test_half_a_pose_and_half_an_expert_are_none_and_what_is_missing_is_named() -> None:
+def test_half_a_pose_and_half_an_expert_are_none_and_named() -> None:
     parsed, problems = parse_world(world(pitch_rad=..., roll_rad=..., expert_throttle=...))
     assert parsed == World(time_s=12.5, offset=-1.25, laps=0.75, interventions=2)
     assert problems == (
@@ -200,7 +200,7 @@ def test_the_telemetry_is_good_whatever_its_world_is() -> None:
         assert (parsed.picture, parsed.speed_mph, parsed.world) == (without.picture, without.speed_mph, None)
 
 
-def test_what_is_wrong_with_a_world_is_said_once_and_not_at_every_telemetry(pilot: Pilot) -> None:
+def test_what_is_wrong_with_a_world_is_named_once(pilot: Pilot) -> None:
     driver = Driver(pilot, DriveConfig())
     worlds = [{"time_s": k / 10, "laps": "half", **({"offset": True} if k > 2 else {})} for k in range(6)]
     said = [driver.decide(telemetry(world=each), 0.0, now_s=0.0).events for each in worlds]

@@ -110,7 +110,7 @@ def test_what_waits_to_be_written_is_not_lost_by_ctrl_c_while_it_is(tmp_path: Pa
     assert [message.sequence for message in contents(tmp_path / "a.mcap").of("/vehicle")] == given
 
 
-def test_the_places_of_pictures_are_those_that_reading_the_whole_file_gives(tmp_path: Path) -> None:
+def test_the_places_of_pictures_are_those_of_a_whole_reading(tmp_path: Path) -> None:
     path = drive(tmp_path / "a.mcap")
     data = path.read_bytes()
     found = contents(path).by_topic

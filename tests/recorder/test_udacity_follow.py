@@ -149,7 +149,7 @@ def test_every_way_to_end_a_line(tmp_path: Path, end: str) -> None:
     assert contents(one.path) == contents(two.path)
 
 
-def test_rows_are_logged_when_they_are_complete_and_pictures_when_they_are_whole(tmp_path: Path) -> None:
+def test_rows_and_pictures_are_logged_when_they_are_complete(tmp_path: Path) -> None:
     drive = Drive(tmp_path / "drive")
 
     def steps() -> None:

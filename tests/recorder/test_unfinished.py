@@ -157,7 +157,7 @@ def test_a_broken_length_costs_no_other_chunk(killed: tuple[Path, Contents], whe
         assert log.lost
 
 
-def test_a_first_byte_that_turns_a_chunk_into_something_else_is_no_silent_loss(
+def test_a_changed_first_byte_of_a_chunk_is_no_silent_loss(
     killed: tuple[Path, Contents],
 ) -> None:
     """Its length is still right: whoever believes the byte steps over the chunk and misses nothing."""
@@ -286,7 +286,7 @@ def test_what_is_no_file_is_not_being_written(tmp_path: Path) -> None:
         ("lake.part", "", "lake.part.recovered.mcap"),
     ],
 )
-def test_what_was_being_written_is_recovered_under_the_name_it_would_have_had(
+def test_a_log_that_was_being_written_is_recovered_under_its_name(
     tmp_path: Path, name: str, beside: str, becomes: str
 ) -> None:
     if beside:
@@ -398,9 +398,7 @@ def recorders_killed_at(moments_s: list[float], folder: Path, pictures: list[byt
 
 
 @pytest.mark.parametrize("turns", [1, pytest.param(10, marks=pytest.mark.long)])
-def test_recordings_killed_at_any_moment_lose_no_row_of_more_than_a_second_before(
-    tmp_path: Path, turns: int
-) -> None:
+def test_recordings_killed_at_any_moment_lose_at_most_a_second(tmp_path: Path, turns: int) -> None:
     pictures = [road_jpeg(row) for row in range(MAX_ROWS)]
     chance = random.Random(7)
     complaints = []
@@ -499,7 +497,7 @@ def drives_killed_at(moments_s: list[float], folder: Path) -> list[Path]:
 
 
 @pytest.mark.parametrize("count", [3, pytest.param(30, marks=pytest.mark.long)])
-def test_drives_killed_at_any_moment_lose_less_than_a_second_and_are_sound(tmp_path: Path, count: int) -> None:
+def test_drives_killed_at_any_moment_lose_less_than_a_second(tmp_path: Path, count: int) -> None:
     """Chunks of pictures, of everything else, and between them what tells the places of pictures until then."""
     chance = random.Random(count)
     complaints = []

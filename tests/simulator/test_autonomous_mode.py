@@ -111,7 +111,7 @@ def test_the_world_is_that_of_the_moment_whose_picture_is_told() -> None:
     assert len({moment.world for moment in told}) == len(told) - 1  # the first two tell the same moment
 
 
-def test_every_value_is_a_json_number_and_the_rest_is_as_the_real_simulator_tells_it() -> None:
+def test_every_value_is_a_json_number_and_the_rest_is_as_the_real_one() -> None:
     heard, _ = driven(weaving, laps=0.005)
     for fields in heard:
         world = fields.pop("world")
@@ -134,7 +134,7 @@ def test_telling_changes_no_drive() -> None:
     assert heard == [{name: value for name, value in fields.items() if name != "world"} for fields in told]
 
 
-def test_an_expert_who_takes_over_off_the_road_brings_the_car_back_himself() -> None:
+def test_an_expert_who_takes_over_off_the_road_brings_the_car_back() -> None:
     heard, book = driven(to_the_left_until(0.9), laps=0.04, rate_hz=5.0, leave_off_road=True)
     worlds = [world_of(parse_telemetry(fields)) for fields in heard]
     assert max(world.offset for world in worlds) > 1.1  # what was on its way when he took over
@@ -196,7 +196,7 @@ def test_a_car_that_never_gets_on_is_given_up_and_the_drive_ends() -> None:
     assert (book.whole_laps, book.measures.interventions) == (0, 12)  # put back every 5 s
 
 
-def test_an_expert_of_25_telemetries_a_second_who_is_one_step_late_keeps_the_road() -> None:
+def test_an_expert_of_25_hz_one_step_late_keeps_the_road() -> None:
     """What a takeover relies on, at the rates and speeds in use; without pictures, which he does not look at."""
     for mph in (10.0, 30.0):
         course = Course(load_track("mountain"))

@@ -50,7 +50,7 @@ def telling(
     return next_telemetry
 
 
-def test_it_announces_no_connection_and_tells_two_telemetries_before_any_answer() -> None:
+def test_it_announces_no_connection_and_sends_two_telemetries_first() -> None:
     def serve(wire: Wire) -> None:
         wire.say(OPEN)
         wire.hear_telemetry()
@@ -73,7 +73,7 @@ def test_it_announces_no_connection_and_tells_two_telemetries_before_any_answer(
     assert answers == [None, None, SteerCommand(0.1, 0.2), SteerCommand(-0.5, -1.0)]
 
 
-def test_a_telemetry_is_strings_with_four_decimals_in_frames_of_at_most_1016_bytes() -> None:
+def test_a_telemetry_has_four_decimals_in_frames_of_1016_bytes() -> None:
     jpeg = road_jpeg(0)
     with BareServer(serve_for_ever) as server:
         SimulatorClient(port=server.port).run(telling([SimulatorTelemetry(-0.5, 0.25, 1234.56789, jpeg)] * 3, []))

@@ -56,7 +56,7 @@ def test_gymnasiums_checker_finds_nothing(name: str, settings: dict[str, Any]) -
     env.close()
 
 
-def test_the_reward_is_the_road_that_was_driven_and_the_end_of_the_laps_a_success() -> None:
+def test_the_reward_is_the_road_driven_and_the_end_a_success() -> None:
     total, _, info = drive(gymnasium.make(LAKE, laps=0.02))
     length_m = load_track("lake").line.length_m
     assert 0.02 * length_m <= total < 0.02 * length_m + 1.0
@@ -106,7 +106,7 @@ def test_the_seed_of_a_drawn_road_names_the_road(name: str, kind: str) -> None:
     np.testing.assert_array_equal(seven, simulation.picture("center")[..., ::-1])  # RGB
 
 
-def test_it_shows_the_cameras_that_were_asked_for_and_renders_the_centre_one() -> None:
+def test_it_shows_the_cameras_that_were_asked_for() -> None:
     env = gymnasium.make(LAKE, cameras=("left", "right"), render_mode="rgb_array")
     observation, _ = env.reset(options={"start_m": 50.0})
     simulation = Simulation("lake")

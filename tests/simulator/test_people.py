@@ -98,7 +98,7 @@ def test_it_steers_as_often_and_as_long_as_people_do(name: DriverName, track: st
     assert len(np.unique(steering)) > 150
 
 
-def test_a_row_of_the_keyboard_is_told_by_its_neighbours_no_better_than_a_persons() -> None:
+def test_keyboard_rows_are_predicted_no_better_than_a_persons() -> None:
     steering = degrees(drive("keyboard", "lake", laps=1.0))
     neighbours = (steering[:-4] + steering[1:-3] + steering[3:-1] + steering[4:]) / 4  # 0.2 s around
     assert 0.75 < np.corrcoef(steering[2:-2], neighbours)[0, 1] < 0.92
@@ -106,7 +106,7 @@ def test_a_row_of_the_keyboard_is_told_by_its_neighbours_no_better_than_a_person
     assert np.corrcoef(calm[2:-2], (calm[:-4] + calm[1:-3] + calm[3:-1] + calm[4:]) / 4)[0, 1] > 0.97
 
 
-def test_keys_ramp_at_three_full_locks_a_second_and_pass_through_the_middle() -> None:
+def test_keys_ramp_at_three_full_locks_a_second_through_the_middle() -> None:
     steering = degrees(drive("keyboard", "mountain", laps=0.12, rate=50)) / 25.0
     moved = np.abs(np.diff(steering))
     assert moved.max() <= 3.0 * STEP_S + 1e-9

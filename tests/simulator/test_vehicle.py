@@ -122,7 +122,7 @@ def test_it_accelerates_as_in_recordings() -> None:
     assert seconds == pytest.approx(1.9, abs=0.15)
 
 
-def test_it_brakes_within_the_formula_of_brake_drag_and_rolling_resistance() -> None:
+def test_it_brakes_by_the_formula_of_brake_drag_and_rolling() -> None:
     speed = 12.0
     car = moving(speed)
     while car.speed_mps > 0:

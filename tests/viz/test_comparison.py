@@ -188,7 +188,7 @@ def test_a_road_that_comes_near_itself_is_not_jumped_across() -> None:
     assert placed[150] == pytest.approx(150, abs=1)
 
 
-def test_another_road_from_the_same_start_is_refused_however_soon_the_way_ends() -> None:
+def test_another_road_from_the_same_start_is_refused() -> None:
     """It leaves to the side, comes back to where the way ends, and goes on from there for long."""
     way = np.stack([np.arange(0.0, 300.0), np.zeros(300)], axis=1)
     angle = np.linspace(np.pi, 0, 300)

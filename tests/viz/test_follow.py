@@ -449,7 +449,7 @@ time.sleep(1000)
 """
 
 
-def test_a_recording_that_is_killed_is_shown_as_far_as_it_is_whole_and_not_waited_for(tmp_path: Path) -> None:
+def test_a_killed_recording_is_shown_as_far_as_it_is_whole(tmp_path: Path) -> None:
     rrd = tmp_path / "live.rrd"
     with Process([sys.executable, "-c", RECORDER, str(tmp_path / "live.mcap")]) as recording:
         part = Path(recording.wait_for("^part (.*)$")[1])
@@ -492,7 +492,7 @@ def received(port: int, rrd: Path) -> subprocess.Popen[bytes]:
     return subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment())
 
 
-def test_the_viewer_is_served_to_this_machine_only_and_has_all_when_the_log_is_finished(tmp_path: Path) -> None:
+def test_the_viewer_is_served_to_this_machine_only_and_is_complete(tmp_path: Path) -> None:
     writer = LogWriter(tmp_path / "live.mcap", {}, live=True)
     with Following(writer.part) as play:
         viewer = play.wait_for_viewer()
@@ -517,7 +517,7 @@ def test_the_viewer_is_served_to_this_machine_only_and_has_all_when_the_log_is_f
     assert len(found["/steering/sent"]["Scalars:scalars"]) == ROWS
 
 
-def test_a_viewer_that_dies_or_freezes_does_not_harm_who_records_and_leaves_no_process(tmp_path: Path) -> None:
+def test_a_viewer_that_dies_or_freezes_harms_nobody_and_leaves_no_process(tmp_path: Path) -> None:
     for name, number in (("dies", signal.SIGKILL), ("freezes", signal.SIGSTOP)):
         with LogWriter(tmp_path / f"{name}.mcap", {}, live=True) as writer, Following(writer.part) as play:
             viewer = play.wait_for_viewer()

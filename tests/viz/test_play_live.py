@@ -115,7 +115,7 @@ def test_what_a_viewer_that_runs_does_not_get_of_a_damaged_log_is_told(
     assert said.err.splitlines()[-2].startswith("bc-play: skipped pictures in damaged chunks of ")
 
 
-def test_of_a_viewer_that_is_closed_too_early_it_is_not_said_that_it_has_all(
+def test_a_viewer_that_is_closed_too_early_is_not_called_complete(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     def send(recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
@@ -256,7 +256,7 @@ def line_from(capfd: pytest.CaptureFixture[str]) -> str:
     return "".join(said)
 
 
-def test_a_viewer_that_cannot_start_says_why_and_what_goes_on_is_not_disturbed(
+def test_a_viewer_that_cannot_start_says_why_and_disturbs_nothing(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (nobody,) = free_ports(1)
@@ -274,7 +274,7 @@ def test_a_viewer_that_cannot_start_says_why_and_what_goes_on_is_not_disturbed(
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a window can always open there")
-def test_a_window_that_cannot_open_names_a_command_and_no_flag_that_others_do_not_have(
+def test_a_window_that_cannot_open_names_a_command_and_only_its_own_flags(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Rerun's own viewer, on a display that is none: as bc-drive, bc-record and bc-train open it."""
@@ -416,7 +416,7 @@ def pictures(count: int, topic: str = "/camera/center") -> list[LiveMessage]:
     return [LiveMessage(topic, time_ns, time_ns, None) for time_ns in range(count)]
 
 
-def test_of_a_drive_faster_than_the_clock_thirty_pictures_a_second_are_shown_evenly() -> None:
+def test_a_drive_faster_than_the_clock_shows_thirty_pictures_a_second() -> None:
     rate = PictureRate(0.0)
     shown = []
     for second in range(1, 11):
@@ -430,7 +430,7 @@ def test_of_a_drive_faster_than_the_clock_thirty_pictures_a_second_are_shown_eve
     assert shown == [30] * 10
 
 
-def test_what_is_no_picture_is_always_shown_and_each_camera_has_its_own_rate() -> None:
+def test_other_topics_are_always_shown_and_each_camera_has_its_rate() -> None:
     rate = PictureRate(0.0)
     rate.tick(1.0)
     messages = pictures(100) + pictures(1000, "/vehicle") + pictures(20, "/camera/left")

@@ -109,7 +109,7 @@ def test_a_drive_has_the_crop_and_what_was_predicted_and_sent(drive: Path) -> No
     assert "/camera/left" not in found
 
 
-def test_the_layout_has_a_view_for_what_the_log_holds_and_for_nothing_else(session: Path, drive: Path) -> None:
+def test_the_layout_has_a_view_for_what_the_log_holds_only(session: Path, drive: Path) -> None:
     assert view_names(session) == STATE_PLOTS | {"centre camera", "left camera", "right camera"}
     of_drive = {"centre camera", "what the network sees", "who drives", "latency, ms", "events"}
     assert view_names(drive) == STATE_PLOTS | of_drive
@@ -228,7 +228,7 @@ def test_there_is_a_display_where_a_window_can_open(
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no Ctrl-C for one process alone")
-def test_the_web_viewer_listens_on_this_machine_only_and_ends_with_the_command(drive: Path) -> None:
+def test_the_web_viewer_is_local_only_and_ends_with_the_command(drive: Path) -> None:
     web_port, port = free_ports(2)
     flags = ("--web", "--web-port", web_port, "--port", port)
     with Process(command("bc-play", drive.with_suffix(".mcap"), *flags)) as play:
@@ -308,7 +308,7 @@ def test_a_full_disk_is_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_log_without_chunks_of_pictures_that_is_damaged_is_one_line_and_an_end(tmp_path: Path) -> None:
+def test_a_damaged_log_without_picture_chunks_is_one_line(tmp_path: Path) -> None:
     """Rerun is not started for it: it would not end."""
     log = write_as_before(write_log(tmp_path / "new.mcap", is_drive=False), tmp_path / "session.mcap")
     with log.open("rb+") as stream:

@@ -105,7 +105,7 @@ def test_the_worst_moments_are_events_apart_in_time(shown: Path, said: dict[str,
         assert f"{25 * STEERING[row]:.1f} recorded (row {row})" in text[0]
 
 
-def test_the_layout_has_a_view_for_the_errors_and_one_for_where_it_looks_if_that_is_asked_for(shown: Path) -> None:
+def test_the_layout_shows_errors_and_attention_if_asked_for(shown: Path) -> None:
     plots = {"steering, -1 left .. 1 right", "error in degrees: predicted - recorded", "events"}
     assert plots <= view_names(shown)
     assert not [name for name in view_names(shown) if "looks" in name]
@@ -304,7 +304,7 @@ def test_an_unfinished_log_is_looked_at_as_far_as_it_goes(
     assert {path.name for path in tmp_path.iterdir()} == {log.name, "x.rrd"}
 
 
-def test_a_picture_with_which_nothing_was_recorded_has_a_prediction_and_no_error(
+def test_a_picture_without_a_row_has_a_prediction_and_no_error(
     here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with LogWriter(tmp_path / "a.mcap", {}) as log:

@@ -42,9 +42,7 @@ def test_a_run_that_was_taken_for_a_log_is_named_with_its_folder(
     assert suggested(capsys.readouterr().err)[-1] == "runs/the first"
 
 
-def test_a_log_whose_recording_was_killed_is_recovered_by_the_command_that_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_named_command_recovers_a_killed_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = write_log(tmp_path / "a.mcap", STEERING, road, cameras=["center"]).read_bytes()
     killed = tmp_path / "sunday morning.mcap"
     killed.write_bytes(whole[: len(whole) // 2])

@@ -215,7 +215,7 @@ def angle_deg(panel: Image, color: tuple[int, int, int], low: float, high: float
 
 
 @pytest.mark.parametrize(("steering", "predicted"), [(-0.6, -0.3), (0.0, 0.5), (0.35, 0.9), (1.0, -1.0)])
-def test_the_wheel_is_turned_as_was_steered_and_the_pointer_as_was_predicted(
+def test_the_wheel_turns_as_steered_and_the_pointer_as_predicted(
     tmp_path: Path, steering: float, predicted: float
 ) -> None:
     state = VehicleState(steering=steering, throttle=0.5, speed_mph=9.0)
@@ -251,7 +251,7 @@ def test_the_bars_are_as_long_as_the_pedals_are_down(tmp_path: Path, share: floa
         assert np.ptp(bright) == pytest.approx(168 * share + 8, abs=4)  # 8: its round ends
 
 
-def test_without_a_network_there_is_no_pointer_and_without_states_an_empty_wheel(tmp_path: Path) -> None:
+def test_without_network_or_states_no_pointer_and_a_straight_wheel(tmp_path: Path) -> None:
     write_video(write_log(tmp_path / "x.mcap", [grey(90)] * 2), tmp_path / "x.mp4", overlay=True)
     with pytest.raises(AssertionError):
         angle_deg(decoded(tmp_path / "x.mp4").frames[0][2 * HEIGHT :], PREDICTED, 0, 200)
@@ -264,7 +264,7 @@ def test_without_a_network_there_is_no_pointer_and_without_states_an_empty_wheel
     assert found.duration_s == pytest.approx(1.0)
 
 
-def test_numbers_that_cannot_be_are_shown_as_nothing_or_as_the_end_of_the_scale(tmp_path: Path) -> None:
+def test_impossible_numbers_are_shown_as_nothing_or_the_end_of_the_scale(tmp_path: Path) -> None:
     for i, wrong in enumerate((math.nan, math.inf, -math.inf, 1e308, -1e308)):
         state = VehicleState(steering=wrong, throttle=wrong, brake=wrong, speed_mph=wrong)
         command = PilotCommand(predicted_steering=wrong, set_speed_mph=wrong)

@@ -11,7 +11,7 @@ import pytest
 
 from driving import road_jpeg
 from logs import write_log
-from web.data.project_folders import key_of
+from web.folders.project_folders import key_of
 from workbench import Served, served
 
 NOT_TEXT = os.fsdecode(b"b\xffd.mcap")

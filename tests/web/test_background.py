@@ -10,13 +10,13 @@ import pytest
 
 from common.errors import StoreError
 from waiting import wait_until
-from web.data import background
-from web.data.background import Background
+from web.folders import background
+from web.folders.background import Background
 
 LOG = Path("a.mcap"), "of now"
 
 
-def test_what_a_store_took_long_not_to_answer_is_told_before_it_is_asked_again(
+def test_a_stores_slow_answer_is_named_before_it_is_asked_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Longer than until it would be asked again: that begins with the answer."""

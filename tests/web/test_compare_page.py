@@ -13,8 +13,8 @@ import numpy as np
 from driving import road_jpeg, untrained_run
 from logs import write_log
 from waiting import wait_until
-from web.data.job_runner import ABOUT, EXIT, OUTPUT
-from web.data.jobs import Jobs
+from web.jobs.job_runner import ABOUT, EXIT, OUTPUT
+from web.jobs.jobs import Jobs
 from workbench import Served, served
 
 FORM = {"Content_Type": "application/x-www-form-urlencoded"}
@@ -112,3 +112,6 @@ def test_the_button_is_the_command(tmp_path: Path) -> None:
         assert "300 frames, in 6 blocks" in shown  # 30 s
         assert f"bc-eval --compare a b --json --session s --runs={tmp_path / 'runs'}" in shown
         assert bench.get("/runs.compare?a=a&b=b&session=none").status == 404
+        jobs = bench.get("/jobs.rows").text.count("<li id=")
+        bench.ask("POST", "/runs.compare", asked.encode(), **FORM)  # it is known
+        assert bench.get("/jobs.rows").text.count("<li id=") == jobs == 1

@@ -77,7 +77,7 @@ def test_it_shows_who_drove_and_all_steering(browser: Browser, bench: Served) ->
         assert len(set(colors)) == 3  # network, expert, person
         page.evaluate("location.hash = 'row=150'")
         wait_until(lambda: now(page) == 150)
-        assert "sent -0.25 · the expert's 0.75 · the network's 0.50" in page.inner_text("#now")
+        assert "sent -6.3° · the expert's 18.8° · the network's 12.5°" in page.inner_text("#now")
         page.evaluate("location.hash = 'row=50'")
         wait_until(lambda: "the expert's -" in page.inner_text("#now"))  # no expert was there yet
 

@@ -12,7 +12,7 @@ import pytest
 from common.car import Camera
 from logs import write_log
 from recorder import Log
-from web.data.film_strip import film_strip
+from web.logs.film_strip import film_strip
 
 
 @pytest.mark.parametrize("shape", [(1, 60_000), (60_000, 1), (1, 1), (240, 320), (640, 480), (161, 401)])

@@ -19,7 +19,7 @@ from driving import Process, command
 from ports import free_ports
 from recorder import Log
 from waiting import wait_until
-from web.data.jobs import Jobs
+from web.jobs.jobs import Jobs
 from workbench import Answer, Served, served
 
 FORM = {"Content_Type": "application/x-www-form-urlencoded"}

@@ -10,11 +10,11 @@ import pytest
 from logs import write_log
 from toy import STEERING, road
 from waiting import wait_until
-from web.data.cache_folder import CacheFolder
-from web.data.picture_checks import PictureChecks
-from web.data.predictions import Predictions
-from web.data.rerun_viewers import RerunViewers
 from web.errors import WebError
+from web.folders.cache_folder import CacheFolder
+from web.logs.picture_checks import PictureChecks
+from web.processes.predictions import Predictions
+from web.processes.rerun_viewers import RerunViewers
 
 
 @pytest.fixture
@@ -27,17 +27,17 @@ def no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_prediction_without_room_for_temporary_files(tmp_path: Path) -> None:
     predictions = Predictions(tmp_path / "cache")
     predictions.start("key", tmp_path / "a.mcap", "", tmp_path / "run", 1)
-    asked = predictions.predicting("key")
+    asked = predictions.work.requested("key")
     assert asked is not None
     wait_until(lambda: asked.is_done)
-    predictions.close()
+    predictions.work.close()
     assert asked.problem == "it cannot be started: No such file or directory"
 
 
 @pytest.mark.usefixtures("no_room")
 def test_a_log_in_rerun_without_room_for_temporary_files(tmp_path: Path) -> None:
     with pytest.raises(WebError, match="Rerun cannot be started: No such file"):
-        RerunViewers().open(tmp_path / "a.mcap", is_growing=False)
+        RerunViewers(CacheFolder(tmp_path / "cache")).open(tmp_path / "a.mcap", is_growing=False)
 
 
 def test_a_bug_in_the_check_of_pictures_is_said(
@@ -46,7 +46,7 @@ def test_a_bug_in_the_check_of_pictures_is_said(
     def fails(*_: object) -> None:
         raise IndexError("nobody has thought of this")
 
-    monkeypatch.setattr("web.data.picture_checks.check_images", fails)
+    monkeypatch.setattr("web.logs.picture_checks.check_images", fails)
     log = write_log(tmp_path / "a.mcap", STEERING, road, cameras=["center"])
     checks = PictureChecks(tmp_path / "index", CacheFolder(tmp_path / "cache"))
     checks.start(log, "fingerprint")

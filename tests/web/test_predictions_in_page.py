@@ -102,7 +102,7 @@ def test_the_page_shows_the_prediction_and_its_worst_moments_first(
         assert f"row {worst}," in first
         page.keyboard.press("w")
         wait_until(lambda: page.get_attribute("#curves", "aria-valuenow") == str(worst))
-        assert "predicted 0.26" in page.inner_text("#now")
+        assert "predicted 6.5°" in page.inner_text("#now")
         assert page.locator("#curves .key .predicted").count() == 1
         page.keyboard.press("a")  # where it looks at the picture of this row
         page.wait_for_selector(f"figure[data-attention*='/constant/{worst}?'] .attention")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import http.client
+import itertools
 import json
 import socket
+import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,13 +16,14 @@ from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
-import psutil  # type: ignore[import-untyped]
 import pytest
 
 from common.car import Camera
 from driving import PATIENCE_S
-from logs import write_log
+from logs import START_NS, STEP_NS, write_log
 from pages import heard, window_of
+from recorder import LogWriter
+from rrd import contents
 from waiting import wait_until
 from workbench import Served, served
 
@@ -54,13 +57,15 @@ def opened(bench: Served, name: str) -> Iterator[Iterator[dict[str, Any]]]:
             yield (json.loads(line) for line in answer)
 
 
-def serving() -> set[str]:
-    """The logs that processes of this one have open."""
-    found = set()
-    for process in psutil.Process().children():
-        with contextlib.suppress(psutil.Error):  # it ends at this moment
-            found |= {Path(word).stem for word in process.cmdline() if word.endswith(".mcap")}
-    return found
+def kept() -> int:
+    """How many recording files lie in this test's folder for temporary files."""
+    return len(list(Path(tempfile.gettempdir()).glob("bc-web-*/recording/*.rrd")))
+
+
+@pytest.fixture(autouse=True)
+def _own_temporary_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
 
 
 def test_what_serves_a_log_ends_with_its_page_and_two_are_open_at_most(tmp_path: Path) -> None:
@@ -72,28 +77,56 @@ def test_what_serves_a_log_ends_with_its_page_and_two_are_open_at_most(tmp_path:
         said = next(first) | next(first)  # in either order
         frame = said["frame"]
         assert "connect-src 'self';" in bench.get(frame).headers["content-security-policy"]
+        assert bench.get(f"{frame}/log.rrd").body[:3] == b"RRF"
         assert "WebHandle" in bench.get("/rerun/files/re_viewer.js").text
         assert "skipped pictures" in said["note"]
         still_open.enter_context(opened(bench, "b"))
         with opened(bench, "c"):
             assert "2 logs were opened in Rerun since" in next(first)["problem"]
         # one made room for others, the page of another was closed
-        wait_until(lambda: serving() == {"b"})
-        assert bench.get(frame).status == bench.ask("POST", f"{frame}/messages", b"").status == 404
+        wait_until(lambda: kept() == 1)
+        assert bench.get(frame).status == bench.get(f"{frame}/log.rrd").status == 404
         logs[1].unlink()
         assert bench.ask("POST", "/sessions/b/rerun").status == 404
         others = still_open.pop_all()  # still open when bc-web ends
-    assert serving() == set()
+    assert kept() == 0
     others.close()
 
 
 def test_only_files_of_the_viewer_are_given_out(tmp_path: Path) -> None:
     with served(tmp_path) as bench:
         assert bench.get("/rerun/files/index.html").status == 404
-        assert bench.get("/rerun/files/re_viewer.js").status == 503  # nothing is open
         assert bench.get("/rerun/0123456789abcdef").status == 404
-        for path in ("/sessions/x/rerun", "/rerun/0123456789abcdef/messages"):
-            assert bench.ask("POST", path, b"", Sec_Fetch_Site="cross-site").status == 403
+        assert bench.get("/rerun/0123456789abcdef/log.rrd").status == 404
+        assert bench.ask("POST", "/sessions/x/rerun", b"", Sec_Fetch_Site="cross-site").status == 403
+        assert bench.get("/rerun/0123456789abcdef/log.rrd", Sec_Fetch_Site="cross-site").status == 403
+
+
+def test_a_log_that_is_being_recorded_is_given_out_while_it_grows(tmp_path: Path) -> None:
+    (tmp_path / "sessions").mkdir()
+    log = LogWriter(tmp_path / "sessions" / "growing.mcap", {"source": "test"})
+    rows = iter(range(8))
+
+    def write_rows() -> None:
+        for row in itertools.islice(rows, 4):
+            log.picture("center", START_NS + row * STEP_NS, row, np.random.default_rng(row).bytes(1 << 17))
+
+    write_rows()
+    with served(tmp_path) as bench:
+        (name,) = (path.name for path in (tmp_path / "sessions").iterdir())
+        with opened(bench, name.removesuffix(".mcap.part")) as lines:
+            said = next(lines)
+            assert said["is_growing"]
+            connection = http.client.HTTPConnection("127.0.0.1", bench.port, timeout=PATIENCE_S)
+            with contextlib.closing(connection):
+                connection.request("GET", f"{said['frame']}/log.rrd")
+                answer = connection.getresponse()
+                data = answer.read(4 << 17)
+                write_rows()
+                log.close()
+                data += answer.read()
+    (tmp_path / "log.rrd").write_bytes(data)
+    assert len(contents(tmp_path / "log.rrd")["/camera/center"]["EncodedImage:blob"]) == 8
 
 
 @contextlib.contextmanager
@@ -172,5 +205,5 @@ def test_rerun_shows_the_moment_of_the_curves_inside_the_page(browser: Browser, 
         assert axe_finds(page.frames[-1]) == []
         page.keyboard.press("o")
         frame.wait_for(state="detached")
-        wait_until(lambda: serving() == set())  # also of a page that stays
+        wait_until(lambda: kept() == 0)  # also of a page that stays
         assert (asked, wrong) == ({f"127.0.0.1:{port}"}, [])

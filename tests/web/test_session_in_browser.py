@@ -9,13 +9,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 import pytest
 
 import recorder.log_cli
-from common.car import Camera
 from driving import command, environment
+from faulty_session import CRASH, FROZEN, GAP_AT, ROWS, STUCK, write_faulty
 from logs import START_NS
 from pages import drag, open_session, opened_page, press
 from recorder import Log, LogWriter
@@ -29,48 +28,12 @@ from workbench import Served, served
 if TYPE_CHECKING:
     from playwright.sync_api import APIResponse, Browser, Page, Route
 
-ROWS = 600
-STUCK = (100, 149)  # the very same steering for five seconds of driving
-STANDING = (300, 339)
-CRASH = (290, 339)  # with its approach: the car stands at once
-GAP_AT = 450  # five seconds pass before this row
-FROZEN = (520, 539)  # the very same picture
-
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Served]:
     write_faulty(tmp_path / "sessions" / "faulty.mcap")
     with served(tmp_path) as found:
         yield found
-
-
-def gray(row: int) -> bytes:
-    """A picture as bright as its row says; no two are the same."""
-    picture = np.full((16, 32), row * 255 // ROWS, np.uint8)
-    picture[0, :2] = row // 256, row % 256
-    ok, encoded = cv2.imencode(".png", picture)
-    assert ok
-    return encoded.tobytes()
-
-
-def write_faulty(path: Path) -> None:
-    time_ns = START_NS
-    with LogWriter(path, {"source": "test"}) as writer:
-        for row in range(ROWS):
-            time_ns += 5_000_000_000 if row == GAP_AT else 100_000_000
-            is_stuck = STUCK[0] <= row <= STUCK[1]
-            steering = 0.25 if is_stuck else 0.3 * np.sin(row / 7)
-            speed_mph = 0.0 if STANDING[0] <= row <= STANDING[1] else 20.0
-            for camera in cameras():
-                is_frozen = FROZEN[0] <= row <= FROZEN[1]
-                writer.picture(camera, time_ns, row, gray(FROZEN[0] if is_frozen else row))
-            writer.vehicle(
-                time_ns, row, VehicleState(steering=steering, throttle=0.5, brake=0.0, speed_mph=speed_mph)
-            )
-
-
-def cameras() -> tuple[Camera, ...]:
-    return "center", "left"
 
 
 @contextlib.contextmanager
@@ -164,25 +127,25 @@ def test_the_commands_that_are_shown_do_the_same(browser: Browser, bench: Served
         assert tags(bench) == after
 
 
-def test_all_that_is_sure_and_what_a_condition_says_are_excluded_by_a_button_each(
-    browser: Browser, bench: Served
-) -> None:
+def test_all_that_is_sure_and_what_a_condition_says_are_excluded_at_once(browser: Browser, bench: Served) -> None:
     with opened(browser, bench) as page:
         page.click("#exclude-odd")
         wait_until(lambda: tags(bench) == [("exclude", *CRASH)])  # the others a person has to look at
         wait_until(lambda: page.is_disabled("#exclude-odd"))
         page.fill("#where", "row < 3 or row >= 598")
         page.keyboard.press("Enter")
-        wait_until(lambda: "5 rows in 2 stretches" in page.inner_text("#status"))
-        assert len(tags(bench)) == 1  # it is listed first
-        assert page.locator("#where-found li").count() == 2
-        page.click("#exclude-where")
+        wait_until(lambda: "5 rows in 2 stretches selected" in page.inner_text("#status"))
+        assert len(tags(bench)) == 1  # they are selected first
+        assert page.locator("#odd li").count() == 2
+        page.keyboard.press("x")  # the keys are the page's again
         wait_until(lambda: tags(bench) == [("exclude", 0, 2), ("exclude", *CRASH), ("exclude", 598, 599)])
         page.click("#undo")
-        wait_until(lambda: tags(bench) == [("exclude", 0, 2), ("exclude", *CRASH)])
+        wait_until(lambda: tags(bench) == [("exclude", *CRASH)])  # both at once
         page.fill("#where", "speed")
-        page.click("text=Find")
+        page.keyboard.press("Enter")
         wait_until(lambda: "was expected before 'speed'" in page.inner_text("#status"))
+        page.click("#where-clear")
+        wait_until(lambda: page.locator("#odd li").count() == 3)
 
 
 def test_j_passes_over_what_was_seen_and_is_fine(browser: Browser, bench: Served) -> None:

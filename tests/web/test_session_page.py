@@ -52,7 +52,7 @@ def log(bench: Served) -> Iterator[Path]:
 def change(bench: Served, at: str = "/sessions/a", **changed: Any) -> Answer:
     """Ask for rows 3 to 9 to be excluded, or for something else."""
     fingerprint = bench.get(f"{at}/state").json.get("fingerprint")
-    asked = {"action": "add", "name": "exclude", "rows": [3, 9], "log": fingerprint, **changed}
+    asked = {"action": "add", "name": "exclude", "rows": [[3, 9]], "log": fingerprint, **changed}
     return bench.ask("POST", f"{at}/tags", json.dumps(asked).encode(), Content_Type="application/json")
 
 
@@ -64,11 +64,11 @@ def lines(log: Path) -> list[Any]:
 def test_tags_are_written_as_the_command_writes_them(bench: Served, log: Path) -> None:
     before = log.read_bytes()
     answer = change(bench)
-    assert answer.json == {"changed": True, "command": f"bc-log tag {log} exclude --rows 3 9", "notice": ""}
-    assert change(bench).json["changed"] is False
+    assert answer.json == {"changed": [[3, 9]], "commands": [f"bc-log tag {log} exclude --rows 3 9"], "notice": ""}
+    assert change(bench).json["changed"] == []
     by_page = lines(log)
-    assert change(bench, action="remove").json["command"] == f"bc-log tag {log} exclude --rows 3 9 --remove"
-    assert change(bench, action="remove").json["changed"] is False
+    assert change(bench, action="remove").json["commands"] == [f"bc-log tag {log} exclude --rows 3 9 --remove"]
+    assert change(bench, action="remove").json["changed"] == []
     by_page = lines(log)
     log.with_name("a.tags.jsonl").unlink()
     for flags in ([], ["--remove"]):
@@ -80,11 +80,12 @@ def test_tags_are_written_as_the_command_writes_them(bench: Served, log: Path) -
 @pytest.mark.parametrize(
     ("changed", "status", "why"),
     [
-        ({"rows": [9, 3]}, 422, "the first row, then the last"),
-        ({"rows": [0, 120]}, 422, "its rows are 0 to 119"),
-        ({"rows": [-1, 3]}, 422, "the first row"),
-        ({"rows": [1.5, 3]}, 422, "int"),
-        ({"rows": [1]}, 422, "length"),
+        ({"rows": [[3, 9], [9, 3]]}, 422, "the first row, then the last"),
+        ({"rows": [[3, 9], [0, 120]]}, 422, "its rows are 0 to 119"),
+        ({"rows": [[-1, 3]]}, 422, "the first row"),
+        ({"rows": [[1.5, 3]]}, 422, "int"),
+        ({"rows": [[1]]}, 422, "length"),
+        ({"rows": []}, 422, "length"),
         ({"name": ""}, 422, "not a name"),
         ({"name": "a\nb"}, 422, "not a name"),
         ({"name": "x" * 65}, 422, "not a name"),
@@ -104,7 +105,7 @@ def test_what_cannot_be_is_refused_with_the_reason(
 
 def test_only_json_changes_anything(bench: Served, log: Path) -> None:
     """A form of another page can send text, but not this type."""
-    body = json.dumps({"action": "add", "name": "exclude", "rows": [3, 9], "log": "x"}).encode()
+    body = json.dumps({"action": "add", "name": "exclude", "rows": [[3, 9]], "log": "x"}).encode()
     assert bench.ask("POST", "/sessions/a/tags", body, Content_Type="text/plain").status == 415
     assert bench.ask("POST", "/sessions/a/tags", b"{", Content_Type="application/json").status == 422
     assert bench.ask("PUT", "/sessions/a/tags", b"{}", Content_Type="application/json").status == 405
@@ -113,7 +114,7 @@ def test_only_json_changes_anything(bench: Served, log: Path) -> None:
 
 def test_a_new_name_that_is_nearly_an_old_one_is_noticed(bench: Served, log: Path) -> None:
     assert change(bench, name="exlude").json["notice"] == "new tag 'exlude'. did you mean exclude?"
-    assert change(bench, name="exlude", rows=[50, 60]).json["notice"] == ""
+    assert change(bench, name="exlude", rows=[[50, 60]]).json["notice"] == ""
     assert bench.get("/sessions/a/names").json == ["exclude", "exlude", "fine"]
 
 
@@ -185,7 +186,7 @@ def test_a_log_that_is_not_finished_is_shown_but_not_tagged(bench: Served) -> No
     at = "/sessions/k.mcap.0a1b2c.part"
     assert "bc-log recover" in bench.get(f"{at}/state").json["problem"]
     assert bench.get(at).status == 200
-    answer = change(bench, at, rows=[0, 1])
+    answer = change(bench, at, rows=[[0, 1]])
     assert (answer.status, "bc-log recover" in answer.json["error"]) == (409, True)
     assert not list(part.parent.glob("k*.tags.jsonl"))
 
@@ -197,7 +198,7 @@ def test_a_session_of_any_name_can_be_opened_and_tagged(bench: Served) -> None:
     assert bench.get(at).status == 200
     assert "<b>a" not in bench.get(at).text
     assert bench.get(f"{at}/pictures/left/2").body == road_jpeg(2)
-    assert change(bench, at, rows=[1, 2], name="<img src=x onerror=alert(1)>").json["changed"] is True
+    assert change(bench, at, rows=[[1, 2]], name="<img src=x onerror=alert(1)>").json["changed"]
     with Log(log) as found:
         assert read_tags(log, found.fingerprint) == [Tag(1, 2, "<img src=x onerror=alert(1)>")]
     log.unlink()
@@ -213,7 +214,7 @@ def test_ten_thousand_tags_are_read_and_one_more_is_added(bench: Served, log: Pa
     add_tags(log, fingerprint, many)
     found_tags = bench.get("/sessions/a/tags").json
     assert len(found_tags["tags"]) == len(set(many))
-    assert change(bench, name="one more").json["changed"] is True
+    assert change(bench, name="one more").json["changed"]
     assert lines(log)[len(many) :] == [{"add": "one more", "rows": [3, 9], "log": fingerprint}]
 
 
@@ -229,10 +230,10 @@ def test_a_full_disk_is_told_and_leaves_the_tags_as_they_were(bench: Served, log
     assert change(bench).status == 200
     before = lines(log)
     with files_of_at_most(log.with_name("a.tags.jsonl").stat().st_size + 10):
-        answer = change(bench, rows=[20, 30])
+        answer = change(bench, rows=[[20, 30]])
     assert (answer.status, "cannot be written" in answer.json["error"]) == (422, True)
     assert lines(log) == before
-    assert change(bench, rows=[20, 30]).json["changed"] is True
+    assert change(bench, rows=[[20, 30]]).json["changed"]
 
 
 def test_a_log_that_is_being_recorded_is_shown_as_far_as_it_is_written(tmp_path: Path) -> None:
@@ -250,6 +251,6 @@ def test_a_log_that_is_being_recorded_is_shown_as_far_as_it_is_written(tmp_path:
             wait_until(lambda: rows_shown_after(next(numbers)) > 0)  # it is brought to the disk every second
             assert bench.get(f"{at}/version").json["growing"] is True
             assert "recording" in bench.get("/sessions").text
-            assert change(bench, at, rows=[0, 0]).status == 409
+            assert change(bench, at, rows=[[0, 0]]).status == 409
         assert bench.get(f"{at}/state").status == 404
         assert bench.get("/sessions/new/state").json["rows"] == next(numbers)

@@ -16,6 +16,8 @@ import pytest
 import dataset.cli
 import recorder.log_cli
 from common.car import Camera
+from dataset.config import IndexConfig
+from dataset.index.build import build_index
 from driving import road_jpeg
 from logs import START_NS, write_log
 from recorder import LogWriter
@@ -144,10 +146,18 @@ def test_a_log_that_is_a_link_to_itself_is_shown_as_damaged(tmp_path: Path) -> N
         wait_until(lambda: "damaged" in rows(bench)["loop"])
 
 
-def test_the_sketch_is_a_picture(bench: Served) -> None:
-    answer = bench.get("/sessions/plain/steering.svg")
+@pytest.mark.parametrize("bins", [None, 101])
+def test_the_sketch_has_the_bins_of_the_index(tmp_path: Path, bins: int | None) -> None:
+    log = write_log(tmp_path / "sessions" / "a.mcap", np.linspace(-1, 1, 500).tolist(), cameras=["center"])
+    if bins is not None:
+        build_index([log], tmp_path / "index", IndexConfig(bins=bins))
+    with served(tmp_path) as bench:
+        wait_until(lambda: "steering.svg" in bench.get("/sessions.rows").text)
+        (address,) = re.findall(r'src="(/sessions/a/steering.svg[^"]*)"', bench.get("/sessions.rows").text)
+        answer = bench.get(html.unescape(address))
     assert answer.headers["content-type"] == "image/svg+xml"
     assert answer.body.startswith(b"<svg ")
+    assert len(re.findall(r"v-[\d.]+h", answer.text)) == (bins or 25)
 
 
 def test_what_is_kept_in_the_cache_may_be_deleted_or_damaged(bench: Served) -> None:

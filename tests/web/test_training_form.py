@@ -20,9 +20,9 @@ from model.config import TrainConfig
 from model.train_flags import Train
 from pages import opened_page
 from udacity import call
-from web.data.index_view import view_index
-from web.data.job_forms import form_of
-from web.data.training_cost import EarlierTraining, time_words, training_cost
+from web.index.index_view import view_index
+from web.jobs.job_forms import form_of
+from web.runs.training_cost import EarlierTraining, time_words, training_cost
 from workbench import Served, served
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from urllib.parse import urlencode
 import pytest
 
 import recorder.cli
-import web.data.uploads
+import web.folders.uploads
 from logs import write_log
 from recorder import Log
 from udacity import call, make_recording, paths
@@ -166,10 +166,10 @@ def test_zips_that_nobody_would_want_are_refused(bench: Served, monkeypatch: pyt
     for why, data in bad.items():
         assert upload(bench, {"a.zip": data}).status in (413, 422), why
         assert left_by(bench) == [], why
-    monkeypatch.setattr(web.data.uploads, "MAX_UPLOAD_BYTES", 1500)  # packed, it is smaller
+    monkeypatch.setattr(web.folders.uploads, "MAX_UPLOAD_BYTES", 1500)  # packed, it is smaller
     assert upload(bench, {"a.zip": whole}).status == 413
     monkeypatch.undo()
-    monkeypatch.setattr(web.data.uploads, "MAX_FILES", 1)
+    monkeypatch.setattr(web.folders.uploads, "MAX_FILES", 1)
     assert upload(bench, {"a.zip": whole}).status == 413
     assert upload(bench, {"a": b"", "b": b""}).status == 422
     assert left_by(bench) == []
@@ -195,7 +195,7 @@ def test_bodies_that_are_not_what_they_say_are_refused(bench: Served) -> None:
 
 
 def test_a_full_disk_refuses_before_anything_is_written(bench: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(web.data.uploads, "_SPARE_BYTES", 1 << 60)
+    monkeypatch.setattr(web.folders.uploads, "_SPARE_BYTES", 1 << 60)
     answer = upload(bench, {"a": b"x"})
     assert (answer.status, "has room for 0" in answer.json["error"]) == (507, True)
     assert left_by(bench) == []

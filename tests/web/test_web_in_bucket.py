@@ -25,7 +25,7 @@ from recorder.log.tags import read_tags
 from runs import a_run
 from udacity import call
 from waiting import wait_until
-from web.data import background, refreshed
+from web.folders import background, refreshed
 from workbench import Served, served
 
 TURNING = [0.05 * (row % 9 - 4) for row in range(120)]
@@ -272,22 +272,22 @@ def test_logs_are_tagged_and_made_there(bucket: Bucket, serve: Callable[[], Serv
     tags = bucket.folder / "sessions" / "third.tags.jsonl"
 
     def change(action: str) -> dict[str, Any]:
-        asked = json.dumps({"action": action, "name": "slow", "rows": [3, 12], "log": log}).encode()
+        asked = json.dumps({"action": action, "name": "slow", "rows": [[3, 12]], "log": log}).encode()
         answer = bench.ask("POST", f"{at}/tags", asked, Content_Type="application/json")
         assert answer.status == 200, answer.text
         return dict(answer.json)
 
     command = "bc-log tag s3://logs/sessions/third.mcap slow --rows 3 12"
     asked_for(bucket)
-    assert change("add")["command"] == command
+    assert change("add")["commands"] == [command]
     assert "sessions" not in asked_for(bucket)  # no listing
     shown = bench.get(f"{at}/tags").json
     assert [shown["names"][number] for _, _, number in shown["tags"]] == ["slow"]
     assert bench.get(f"{at}/version").json["tags"] == shown["version"]
     assert [tag.name for tag in read_tags(tags.with_name("third.mcap"), log)] == ["slow"]
     assert "slow 10" in read(bench, "/sessions.rows")
-    assert change("add") == {"changed": False, "command": "", "notice": ""}
-    assert change("remove")["command"] == f"{command} --remove"
+    assert change("add") == {"changed": [], "commands": [], "notice": ""}
+    assert change("remove")["commands"] == [f"{command} --remove"]
     assert bench.get(f"{at}/tags").json["tags"] == []
     tags.unlink()
     make = f"{at}/make"

@@ -75,7 +75,7 @@ def test_the_page_of_a_recording_knows_where_its_session_is() -> None:
         wait_until(lambda: not is_served(process))
 
 
-def test_the_page_of_a_supervised_drive_knows_where_its_log_and_its_run_are(tmp_path: Path) -> None:
+def test_the_page_of_a_supervised_drive_knows_its_log_and_its_run(tmp_path: Path) -> None:
     untrained_run(tmp_path / "my" / "runs" / "first")
     flags = ("--runs", "my/runs", "--drives", "my/drives", "--sessions", "my/logs", "--viewer", "off")
     with Process(command("bc-drive", "first", "--simulator", "lake", "--takeover", "me", *flags)) as process:

@@ -77,7 +77,7 @@ def test_keys_steer_by_unitys_rule(browser: Browser, bench: Served) -> None:
     assert steering == pytest.approx([*there, *both, *right, *snapped])
 
 
-def test_keys_drive_the_car_and_are_let_go_when_the_window_loses_the_focus(
+def test_keys_drive_the_car_and_are_let_go_when_the_window_loses_focus(
     browser: Browser, bench: Served, host: Host
 ) -> None:
     with at_wheel(browser, bench, host) as page:
@@ -144,7 +144,7 @@ def test_a_finger_steers_and_drives(browser: Browser, bench: Served, host: Host)
         phone.detach()
 
 
-def test_the_gamepad_that_was_moved_last_steers_and_is_let_go_when_unplugged(
+def test_the_gamepad_that_moved_last_steers_and_is_let_go_when_unplugged(
     browser: Browser, bench: Served, host: Host
 ) -> None:
     pads: list[dict[str, Any]] = [
@@ -308,7 +308,7 @@ def test_what_was_chosen_is_remembered(browser: Browser, bench: Served, host: Ho
         wait_until(lambda: host.control.hold_mph == 20)
 
 
-def test_a_reloaded_page_gets_the_wheel_though_its_old_connection_still_holds_it(
+def test_a_reloaded_page_takes_the_wheel_from_its_old_connection(
     browser: Browser, bench: Served, host: Host
 ) -> None:
     with at_wheel(browser, bench, host) as page:

@@ -19,9 +19,9 @@ from recorder.teleop.wheel import Wheel
 from simulator.pose import Pose
 from simulator.roads.track import load_track
 from waiting import wait_until
-from web.data.project_folders import ProjectFolders
-from web.data.wheels import new_drive, quick_epochs, training
 from web.errors import WebError
+from web.folders.project_folders import ProjectFolders
+from web.jobs.wheels import new_drive, quick_epochs, training
 from workbench import Answer, Served, served
 
 FORM = {"Content_Type": "application/x-www-form-urlencoded"}
@@ -181,7 +181,7 @@ def test_driving_on_begins_where_the_drive_ended_as_it_was_driven(bench: Served)
     assert new_drive(asked, folders).key == "mine-3"
 
 
-def test_a_supervised_drive_goes_on_at_its_speed_and_another_begins_at_the_start(
+def test_a_supervised_drive_resumes_at_its_speed_another_at_the_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

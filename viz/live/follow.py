@@ -44,10 +44,15 @@ class FollowResult:
 
 
 def save_growing(
-    path: Path, rrd: Path, *, overwrite: bool = False, stop: threading.Event | None = None
+    path: Path,
+    rrd: Path,
+    *,
+    overwrite: bool = False,
+    stop: threading.Event | None = None,
+    keeps_up: bool = False,
 ) -> FollowResult:
     """Write the log at `path` to the file `rrd` as it grows, until it is finished, its recording was killed, or
-    `stop` is set.
+    `stop` is set. `keeps_up` is for a file that is watched while it grows: see `_send`.
 
     Raises LogError if the log cannot be read or is deleted before its end, UserError if `rrd` exists and may
     not be overwritten, or where the disk is full.
@@ -55,7 +60,8 @@ def save_growing(
     _refuse_windows()
     with rrd_file(rrd, overwrite=overwrite) as file, GrowingLog(path) as log:
         file.recording.send_recording_name(final_path(path).name)
-        _send(log, file.recording, stop or threading.Event(), file.has_failed)
+        flush = file.recording.flush if keeps_up else None
+        _send(log, file.recording, stop or threading.Event(), file.has_failed, flush)
     return FollowResult(log.notice, log.skipped)
 
 

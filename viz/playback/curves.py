@@ -13,7 +13,7 @@ import rerun as rr
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from numpy.typing import NDArray
 
-from dataset.steering_bins import bin_of
+from dataset.steering_bins import BINS, bin_of
 from recorder.pictures.picture_size import can_be_decoded, width_and_height
 from recorder.topics import EVENTS, PILOT_COMMAND, POSE, TOPICS, VEHICLE
 from viz.playback.blueprint import (
@@ -30,8 +30,6 @@ from viz.playback.blueprint import (
     Curve,
 )
 from viz.timelines import Clock, Times
-
-BINS: Final = 25  # as the index has by default
 
 Values = NDArray[np.float64]
 Numbers = Mapping[str, Values]

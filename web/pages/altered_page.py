@@ -10,10 +10,10 @@ from starlette.routing import Route
 
 from common.whole_number import whole_number
 from dataset.samples.samples_format import SAMPLES_NAME
-from web.data.altered_samples import AlteredSamples, altered_samples
-from web.data.file_versions import version_of
-from web.data.project_folders import key_of
 from web.errors import WebError
+from web.folders.file_versions import version_of
+from web.folders.project_folders import key_of
+from web.index.altered_samples import AlteredSamples, altered_samples
 from web.pages.address_number import number_in
 from web.pages.workbench import Workbench
 from web.server.templates import render

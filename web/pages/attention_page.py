@@ -7,11 +7,11 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from recorder import LogError
-from web.data.project_folders import Place
-from web.data.run_networks import NETWORK_FILES
 from web.errors import WebError
+from web.folders.project_folders import Place
 from web.pages.address_number import number_in
 from web.pages.workbench import Workbench
+from web.runs.run_networks import NETWORK_FILES
 
 
 def attention_routes(bench: Workbench, place: Place) -> list[Route]:

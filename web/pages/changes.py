@@ -7,7 +7,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from dataset.index.build_state import STATE_NAME
-from web.data.file_versions import version_of
+from web.folders.file_versions import version_of
 from web.pages.workbench import Workbench
 
 

@@ -14,10 +14,10 @@ from starlette.routing import Route
 
 from common.errors import printable
 from dataset.frames.frames_file import session_name
-from web.data.run_comparisons import compare_command, comparison_of, is_outdated, newest_job
 from web.errors import WebError
 from web.pages.form_values import form_values
 from web.pages.workbench import Workbench
+from web.runs.run_comparisons import compare_command, comparison_of, is_outdated, newest_job
 from web.server.templates import render
 
 
@@ -33,8 +33,16 @@ def compare_routes(bench: Workbench) -> list[Route]:
         values = await form_values(request)
         asked = {name: values.get(name, "") for name in ("a", "b", "session")}
         address = f"/runs.compare?{urlencode(asked)}"
-        await run_in_threadpool(bench.jobs.start, _command(**asked), address)
+        await run_in_threadpool(_start, asked, address)
         return RedirectResponse(address, status_code=303)
+
+    def _start(asked: dict[str, str], address: str) -> None:
+        """Begin a comparison that is not under way, and not known."""
+        command, runs = _command(**asked), _runs(asked["a"], asked["b"])
+        job = newest_job(bench.jobs.all(), command)
+        is_known = job is not None and comparison_of(job) is not None and not is_outdated(job, runs)
+        if not (is_known or (job is not None and job.is_running)):
+            bench.jobs.start(command, address)
 
     def _command(a: str, b: str, session: str) -> list[str]:
         logs = bench.folders.logs("sessions")

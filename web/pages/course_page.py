@@ -7,9 +7,9 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from web.data.drive_course import course_columns, road_of
-from web.data.drive_view import drive_events
-from web.data.project_folders import Place
+from web.folders.project_folders import Place
+from web.logs.drive_course import course_columns, road_of
+from web.logs.drive_view import drive_events
 from web.pages.workbench import Workbench
 
 

@@ -12,12 +12,12 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import printable
-from web.data.drive_map import MAX_ERROR_DEG, WAYS, drive_map
-from web.data.drive_view import DriveView
-from web.data.project_folders import key_of
-from web.data.run_colours import COLOURS, run_colours
+from web.folders.project_folders import key_of
+from web.logs.drive_map import MAX_ERROR_DEG, WAYS, drive_map
+from web.logs.drive_view import DriveView
 from web.pages.changes import drives_version
 from web.pages.workbench import Workbench
+from web.runs.run_colours import COLOURS, run_colours
 from web.server.templates import render
 
 _PATIENCE_S: Final = 0.5

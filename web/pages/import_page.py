@@ -20,10 +20,10 @@ from recorder.log.tags import tags_path
 from recorder.sources.find_recording import folders_in, recordings_in
 from recorder.sources.import_mcap import is_own_log
 from recorder.sources.recording_summary import summarize_recording
-from web.data.job_forms import form_of
-from web.data.project_folders import key_of
-from web.data.uploads import MAX_FILES, MAX_UPLOAD_BYTES, Upload, plain_name, remove_upload, uploads_in
 from web.errors import WebError
+from web.folders.project_folders import key_of
+from web.folders.uploads import MAX_FILES, MAX_UPLOAD_BYTES, Upload, plain_name, remove_upload, uploads_in
+from web.jobs.job_forms import form_of
 from web.pages.form_values import form_values
 from web.pages.workbench import Workbench
 from web.server.request_guard import UPLOAD

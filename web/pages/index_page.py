@@ -10,7 +10,7 @@ from urllib.parse import urlencode
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from common import UserError
@@ -19,15 +19,23 @@ from dataset.index.build_state import STATE_NAME
 from dataset.index.leaks import find_leaks
 from dataset.index.sessions import logs_not_indexed
 from dataset.samples.samples_format import COUNT_HEADINGS, SAMPLES_NAME
-from web.data.file_versions import version_of
-from web.data.index_view import IndexView, bins_sketch, session_bins_sketch, split_sketch, view_index
-from web.data.job_forms import INDEX_FIELDS, form_of
-from web.data.project_folders import key_of
-from web.data.run_origins import index_checksum, origin_of
-from web.data.run_settings import differing
 from web.errors import WebError
+from web.folders.file_versions import version_of
+from web.folders.project_folders import key_of
+from web.index.index_view import (
+    IndexView,
+    bins_sketch,
+    held_out_rows,
+    session_bins_sketch,
+    split_sketch,
+    view_index,
+)
+from web.jobs.job_forms import INDEX_FIELDS, form_of
+from web.logs.session_cards import IndexState
 from web.pages.form_values import form_values
 from web.pages.workbench import Workbench
+from web.runs.run_origins import index_checksum, origin_of
+from web.runs.run_settings import differing
 from web.server.templates import render
 
 _INDEX_FORM = "index"
@@ -65,7 +73,7 @@ def index_routes(bench: Workbench) -> list[Route]:
     def _stale() -> list[str]:
         """The sessions that are newer than the index, and those whose log or tags have changed since."""
         cards = bench.cards.cards("sessions", _PATIENCE_S)
-        names = {card.name for card in cards if card.index.words.startswith("changed since")}
+        names = {card.name for card in cards if card.index.state is IndexState.CHANGED}
         with contextlib.suppress(UserError):
             logs = [log for log in bench.folders.logs("sessions").values() if log.suffix == ".mcap"]
             found = logs_not_indexed(bench.folders.index_here, logs, bench.folders.stat)
@@ -88,6 +96,11 @@ def index_routes(bench: Workbench) -> list[Route]:
     def split(request: Request) -> Response:
         folder = folder_of(request)
         return _picture(split_sketch(folder, _session(folder, request.path_params["session"])))
+
+    def held_out(request: Request) -> Response:
+        """The rows of a session that validation has, as [first, last] of their stretches."""
+        folder = folder_of(request)
+        return JSONResponse(held_out_rows(folder, _session(folder, request.path_params["session"])))
 
     def leaks(request: Request) -> Response:
         found = find_leaks(folder_of(request))
@@ -114,6 +127,7 @@ def index_routes(bench: Workbench) -> list[Route]:
         Route("/index.try", try_settings, methods=["POST"]),
         Route("/index/{session}/bins", session_bins),
         Route("/index/{session}/split", split),
+        Route("/index/{session}/held-out", held_out),
     ]
 
 

@@ -14,13 +14,13 @@ from common import UserError
 from common.errors import counted, printable
 from common.whole_number import whole_number
 from model.config import TrainConfig
-from web.data.index_view import view_index
-from web.data.job_forms import FORMS, form_of
-from web.data.run_cards import earlier_trainings
-from web.data.training_cost import training_cost
 from web.errors import WebError
+from web.index.index_view import view_index
+from web.jobs.job_forms import FORMS, form_of
 from web.pages.form_values import form_values
 from web.pages.workbench import Workbench
+from web.runs.run_cards import earlier_trainings
+from web.runs.training_cost import training_cost
 from web.server.templates import render
 
 _PATIENCE_S = 5.0

@@ -12,10 +12,11 @@ from common.car import CAMERAS, Camera
 from common.location import absolute
 from recorder import LogError
 from recorder.pictures.picture_size import PNG_START
-from web.data.film_strip import film_strip
-from web.data.project_folders import Place
-from web.data.steering_sketch import steering_sketch
 from web.errors import WebError
+from web.folders.project_folders import Place
+from web.index.index_view import bins_of_index
+from web.logs.film_strip import film_strip
+from web.logs.steering_sketch import steering_sketch
 from web.pages.address_number import number_in
 from web.pages.workbench import Workbench
 from web.server.static_files import KEPT
@@ -38,12 +39,13 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
     def sketch(request: Request) -> Response:
         path = bench.folders.log(place, request.path_params["log"])
         version = bench.folders.version_of_log(path)
+        bins = bins_of_index(bench.folders.index_here)
 
         def make() -> bytes:
             with bench.logs.open(path) as opened:
-                return steering_sketch(opened.states.steering)
+                return steering_sketch(opened.states.steering, bins)
 
-        data = bench.cache.get(f"sketch 2 {absolute(path)} {version}", make)
+        data = bench.cache.get(f"sketch 3 {bins} {absolute(path)} {version}", make)
         return Response(data, media_type="image/svg+xml", headers=_kept(request, version))
 
     def picture(request: Request) -> Response:

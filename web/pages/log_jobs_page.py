@@ -14,8 +14,8 @@ from starlette.routing import Route
 from common import UserError
 from common.errors import printable
 from common.location import Location
-from web.data.log_jobs import LOG_JOBS, NewLogForm, command_line, log_job
-from web.data.project_folders import Place, key_of
+from web.folders.project_folders import Place, key_of
+from web.jobs.log_jobs import LOG_JOBS, NewLogForm, command_line, log_job
 from web.pages.form_values import form_pairs
 from web.pages.workbench import Workbench
 

@@ -8,9 +8,9 @@ from starlette.routing import Route
 
 from common.errors import printable
 from dataset.frames.frames_file import session_name
-from web.data.project_folders import Place, key_of
-from web.data.run_origins import origin_of
+from web.folders.project_folders import Place, key_of
 from web.pages.workbench import Workbench
+from web.runs.run_origins import origin_of
 from web.server.templates import render
 
 

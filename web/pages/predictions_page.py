@@ -16,11 +16,11 @@ from common.files import PART_SUFFIX
 from common.location import Location
 from common.locks import is_being_written
 from recorder.topics import camera_topic
-from web.data.open_logs import OpenLog
-from web.data.project_folders import Place
-from web.data.run_networks import NETWORK_FILES, check_network
 from web.errors import WebError
+from web.folders.project_folders import Place
+from web.logs.open_logs import OpenLog
 from web.pages.workbench import Workbench
+from web.runs.run_networks import NETWORK_FILES, check_network
 
 _KEY: Final = re.compile(r"[0-9a-f]{64}")
 
@@ -40,7 +40,7 @@ def prediction_routes(bench: Workbench, place: Place) -> list[Route]:
         """End the prediction of a run for the page's log, for all pages that wait for it."""
         bench.folders.log(place, request.path_params["log"])
         run = bench.folders.run(request.path_params["run"])
-        bench.predictions.stop(bench.predictions.key(request.query_params.get("log", ""), run))
+        bench.predictions.work.stop(bench.predictions.key(request.query_params.get("log", ""), run))
         return Response(status_code=204)
 
     def column(request: Request) -> Response:
@@ -71,7 +71,7 @@ def _state(
     bench.folders.bring_run(run, NETWORK_FILES)
     key = bench.predictions.key(fingerprint, run)
     state: dict[str, object] = {"key": key, "name": printable(run.name), "about": None, "problem": ""}
-    before = bench.predictions.predicting(key)
+    before = bench.predictions.work.requested(key)
     was_done = before is not None and before.is_done  # then what it has made is there
     if (found := bench.predictions.find(key)) is not None:
         return {**state, "about": msgspec.to_builtins(found.about)}
@@ -81,17 +81,10 @@ def _state(
     if is_start:
         check_network(run, path, bench.folders.run_place(run))
         bench.predictions.start(key, path, fingerprint, run, pictures)
-    predicting = bench.predictions.predicting(key)
+    predicting = bench.predictions.work.requested(key)
     if predicting is None:
         return state
     problem = predicting.problem
     if was_done and predicting is before and not problem:
         problem = "the prediction could not be kept: the cache folder may be full"
-    return {
-        **state,
-        "problem": problem,
-        "is_begun": predicting.is_begun,
-        "pictures": predicting.pictures,
-        "total": predicting.total,
-        "left_s": predicting.left_s,
-    }
+    return {**state, "problem": problem, **predicting.progress}

@@ -16,11 +16,10 @@ from common import UserError
 from common.errors import printable
 from common.files import PART_SUFFIX
 from common.locks import is_being_written
-from web.data.project_folders import Place
-from web.data.rerun_messages import METHOD, ask_for_messages
-from web.data.rerun_viewers import FILES, viewer_version
 from web.errors import WebError
+from web.folders.project_folders import Place
 from web.pages.workbench import Workbench
+from web.processes.rerun_viewers import FILES, viewer_version
 from web.server.static_files import KEPT
 from web.server.templates import render
 
@@ -43,14 +42,13 @@ def rerun_routes(bench: Workbench) -> list[Route]:
 
     def frame(request: Request) -> Response:
         viewer = bench.viewers.get(request.path_params["key"])
-        page = render("rerun.html", at=f"/rerun/{viewer.key}", method=METHOD, rerun_version=viewer_version())
+        page = render("rerun.html", recording=f"/rerun/{viewer.key}/log.rrd", rerun_version=viewer_version())
         return HTMLResponse(page, headers={"Content-Security-Policy": _POLICY})
 
-    async def messages(request: Request) -> Response:
-        """The data of the log, as Rerun's viewer asks for it."""
+    def recording(request: Request) -> Response:
+        """The log as a recording file. It grows while the log is read or recorded."""
         viewer = bench.viewers.get(request.path_params["key"])
-        found = await ask_for_messages(viewer.data_port, request.headers, await request.body())
-        return StreamingResponse(found.body, found.status, media_type=found.media_type)
+        return StreamingResponse(viewer.recording(), media_type="application/octet-stream")
 
     def file(request: Request) -> Response:
         name = request.path_params["name"]
@@ -62,7 +60,7 @@ def rerun_routes(bench: Workbench) -> list[Route]:
 
     return [
         Route("/rerun/{key}", frame),
-        Route("/rerun/{key}/messages", messages, methods=["POST"]),
+        Route("/rerun/{key}/log.rrd", recording),
         Route("/rerun/files/{name}", file),
     ]
 
@@ -81,14 +79,14 @@ def rerun_log_routes(bench: Workbench, place: Place) -> list[Route]:
             try:
                 viewer = await run_in_threadpool(bench.viewers.open, path, is_growing=is_growing)
                 is_announced, notes = False, 0
-                while not viewer.is_ended and not request.scope["is_ending"]():
-                    if not is_announced and (is_announced := viewer.is_listening()):
+                while not viewer.problem and not request.scope["is_ending"]():
+                    if not is_announced and (is_announced := viewer.has_begun):
                         yield _line(frame=f"/rerun/{viewer.key}", late_s=late_s, is_growing=is_growing)
                     for note in viewer.notes[notes:]:
                         notes += 1
                         yield _line(note=note)
                     await anyio.sleep(_POLL_S)
-                yield _line(problem=viewer.why_ended() if viewer.is_ended else "bc-web has ended")
+                yield _line(problem=viewer.problem or "bc-web has ended")
             except UserError as error:
                 yield _line(problem=printable(str(error)))
             finally:  # also when the page is closed

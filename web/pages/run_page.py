@@ -19,16 +19,16 @@ from common.steering_unit import DEGREES, SteeringUnit, assumed_deg, steering_un
 from common.whole_number import whole_number
 from model.network.names import BUILT_IN
 from model.runs.run_files import STEERING
-from web.data.project_folders import PLACES, ProjectFolders, key_of
-from web.data.run_bins import bin_bars
-from web.data.run_cards import RunCard
-from web.data.run_origins import index_checksum, origin_of
-from web.data.run_settings import run_settings
 from web.errors import WebError
+from web.folders.project_folders import PLACES, ProjectFolders, key_of
 from web.pages.address_number import number_in
 from web.pages.changes import runs_version
 from web.pages.runs_page import PATIENCE_S
 from web.pages.workbench import Workbench
+from web.runs.run_bins import bin_bars
+from web.runs.run_cards import RunCard
+from web.runs.run_origins import index_checksum, origin_of
+from web.runs.run_settings import run_settings
 from web.server.templates import render
 
 _MAX_NUMBERS: Final = 14  # of a result
@@ -83,6 +83,7 @@ def run_routes(bench: Workbench) -> list[Route]:
             "results": _results(pages, card),
             "drives": _drives(bench, path.name),
             "has_scatter": (path / STEERING).is_file(),
+            "scattered": _scattered(bench, pages, card),
             **_worst(bench, pages, path, card, request.query_params.get("epoch", "")),
         }
 
@@ -120,6 +121,19 @@ def _settings(path: Path) -> dict[str, str]:
 def _sessions(pages: Mapping[str, str], card: RunCard) -> list[tuple[str, str]]:
     """The sessions that it learnt from, and the addresses of their pages; "" for those that are not here."""
     return [(printable(name), _page_of(pages, name)) for name in (card.summary.sessions if card.summary else ())]
+
+
+def _scattered(bench: Workbench, pages: Mapping[str, str], card: RunCard) -> list[tuple[str, str, str]]:
+    """The finished logs that it may predict, those that it learnt from first: name, address, and the address of
+    the rows that were held out, "" where that is not known."""
+    is_of_index = _is_of_index(card.path, bench.folders.index_here)
+    learnt = {address: name for name, address in _sessions(pages, card) if address}
+    found = [(name, at, f"/index/{at.split('/')[-1]}/held-out" * is_of_index) for at, name in learnt.items()]
+    for place in PLACES:
+        for key, path in bench.folders.logs(place).items():
+            if path.suffix == ".mcap" and (at := f"/{place}/{key}") not in learnt:
+                found.append((printable(path.name.removesuffix(".mcap")), at, ""))
+    return found
 
 
 def _end_of_line(steering_deg: float, max_deg: float | None) -> str:

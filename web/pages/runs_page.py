@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
-from urllib.parse import urlencode
 
 from starlette.datastructures import QueryParams
 from starlette.requests import Request
@@ -15,12 +14,12 @@ from starlette.routing import Route
 from common import UserError
 from common.errors import printable
 from model.runs_cli import SORTED_BY, different_frames, driven_words, in_order, marks_of_splits
-from web.data.run_cards import RunCard
-from web.data.run_colours import COLOURS, run_colours
-from web.data.run_curves import run_curves
-from web.data.run_settings import differing, run_settings
 from web.pages.changes import runs_version
 from web.pages.workbench import Workbench
+from web.runs.run_cards import RunCard
+from web.runs.run_colours import COLOURS, run_colours
+from web.runs.run_curves import run_curves
+from web.runs.run_settings import differing, run_settings
 from web.server.templates import render
 
 PATIENCE_S: Final = 1.0
@@ -84,6 +83,7 @@ def run_list_routes(bench: Workbench) -> list[Route]:
             "marks": marks_of_splits(summaries),
             "different_frames": different_frames(summaries),
             "total": len(cards),
+            "newest": dict(zip("ab", _newest_two(cards), strict=False)),
             "chosen": {key: number for number, (key, _) in enumerate(_chosen(query), 1)},
             "driven": driven_words,
             "folder": printable(str(folder)),
@@ -103,7 +103,7 @@ def run_list_routes(bench: Workbench) -> list[Route]:
                 problems.append(printable(str(error)))
             else:
                 names.append(printable(path.name))
-        both = urlencode(dict(zip("ab", (key for key, _ in _chosen(query)), strict=False)))
+        both = dict(zip("ab", (key for key, _ in _chosen(query)), strict=False))
         return {"names": names, "rows": differing(settings), "problems": problems, "compare": both}
 
     return [
@@ -112,6 +112,12 @@ def run_list_routes(bench: Workbench) -> list[Route]:
         Route("/runs.differences", differences),
         Route("/runs.curves", curves),
     ]
+
+
+def _newest_two(cards: Sequence[RunCard]) -> list[str]:
+    """The keys of the newest two runs that have learnt, the older one first."""
+    found = {card.key: card.summary.written_at for card in cards if card.summary and card.summary.kept_epoch}
+    return sorted(found, key=lambda key: found[key])[-2:]
 
 
 def _sorted(cards: Sequence[RunCard], by: str) -> list[RunCard]:

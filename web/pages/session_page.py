@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import asdict
 
 import numpy as np
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
@@ -15,17 +17,19 @@ from common.files import PART_SUFFIX
 from common.location import Location
 from common.locks import is_being_written
 from common.stretches import stretches
+from recorder import Log, LogError
+from recorder.log.session_car import known_max_steering_deg
 from recorder.log.tags import EXCLUDE, tags_path
 from recorder.rows.row_condition import rows_where
 from recorder.topics import camera_topic
-from web.data.drive_course import is_driven
-from web.data.open_logs import OpenLog
-from web.data.project_folders import Place
-from web.data.rerun_viewers import command_of
-from web.data.session_stretches import not_learnt_stretches, shown_stretches
+from web.folders.project_folders import Place
+from web.logs.drive_course import is_driven
+from web.logs.open_logs import OpenLog
+from web.logs.session_stretches import flag_stretches, not_learnt_stretches, shown_stretches
 from web.pages.log_jobs_page import shown_log_jobs
-from web.pages.tagging import change_tags, names_known
+from web.pages.tagging import TagChange, change_tags, json_of, names_known
 from web.pages.workbench import Workbench
+from web.processes.rerun_viewers import command_of
 from web.server.templates import render
 
 
@@ -110,7 +114,8 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         return JSONResponse(sorted(names_known(bench, place, path_of(request))))
 
     async def change(request: Request) -> Response:
-        return await change_tags(bench, place, path_of(request), request)
+        asked = await json_of(request, TagChange)
+        return JSONResponse(await run_in_threadpool(change_tags, bench, place, path_of(request), asked))
 
     at = f"/{place}/{{log}}"
     return [
@@ -147,6 +152,15 @@ def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
         "pictures": sum(log.counts.get(camera_topic(camera), 0) for camera in CAMERAS),
         "problem": printable(log.notice),  # tags of what is not finished would be lost with its recovery
         "odd": shown_stretches(log, states, findings) if len(states.row) else [],
+        "flags": flag_stretches(states),
         "not_learnt": not_learnt_stretches(states),
+        "max_steering_deg": _max_steering_deg(log),
         "pictures_checked": findings is not None and findings.against is not None,
     }
+
+
+def _max_steering_deg(log: Log) -> float | None:
+    """The wheels' angle at steering 1; None: unknown, or not one for all rows."""
+    with contextlib.suppress(LogError):
+        return known_max_steering_deg(log)
+    return None

@@ -15,8 +15,12 @@ from common import UserError
 from common.errors import printable
 from common.location import Location
 from recorder.log_list_cli import SORTED_BY
-from web.data.job_forms import form_of
-from web.data.session_cards import SessionCard
+from recorder.rows.odd_stretches import ODD_KINDS
+from web.index.index_view import bins_of_index
+from web.jobs.job_forms import form_of
+from web.logs.found_stretches import SURE
+from web.logs.session_cards import IndexState, SessionCard
+from web.logs.session_stretches import PLAIN_FLAGS
 from web.pages.changes import sessions_version
 from web.pages.workbench import Workbench
 from web.server.templates import render
@@ -29,12 +33,18 @@ SORTS: Final[dict[str, Callable[[SessionCard], Any]]] = {
     "name": lambda card: card.name,
     "most odd rows": lambda card: -card.odd_rows,
 }
+KINDS: Final = {
+    "with surely odd rows": SURE,
+    **{f"with {kind.replace('_', ' ')}": kind for kind in (*ODD_KINDS, "gap", *PLAIN_FLAGS)},
+}
+"""Choices of the list by which kind of odd rows a session has."""
 ONLY: Final[dict[str, Callable[[SessionCard], bool]]] = {
     "all": lambda card: True,
     "with odd rows": lambda card: bool(card.flags),
     "with tags": lambda card: bool(card.tags),
-    "not in the index, or changed since": lambda card: not card.index.words.startswith("in the index"),
+    "not in the index, or changed since": lambda card: card.index.state is not IndexState.INDEXED,
     "unfinished or damaged": lambda card: card.state in ("unfinished", "damaged", "recording"),
+    **{name: (lambda card, kind=kind: _has_kind(card, kind)) for name, kind in KINDS.items()},  # type: ignore[misc]
 }
 
 
@@ -69,6 +79,7 @@ class Listed:
     rows: dict[str, int]  # by key: rows that the condition holds for
     searched: int | None  # logs that the condition was evaluated on; None where there is none
     where_problem: str
+    is_bulk: bool  # whether its query finds stretches of rows
 
 
 def session_list_routes(bench: Workbench) -> list[Route]:
@@ -79,7 +90,11 @@ def session_list_routes(bench: Workbench) -> list[Route]:
         query = SessionQuery.of(request.query_params)
         version = sessions_version(bench)  # before anything is read, so that later changes are noticed
         shown = _list(query)
-        choices = {"sorts": list(SORTS), "only": list(ONLY)}
+        choices = {
+            "sorts": list(SORTS),
+            "only": [name for name in ONLY if name not in KINDS],
+            "kinds": list(KINDS),
+        }
         return HTMLResponse(render("sessions.html", query=query, live=version, **choices, **shown))
 
     def rows(request: Request) -> Response:
@@ -93,6 +108,7 @@ def session_list_routes(bench: Workbench) -> list[Route]:
             "found": found,
             "folder": printable(str(folder)),
             "demo": demo,
+            "bins": bins_of_index(bench.folders.index_here),
             "problem": bench.folders.problem("sessions"),
         }
 
@@ -103,9 +119,14 @@ def session_list_routes(bench: Workbench) -> list[Route]:
     ]
 
 
-def list_sessions(bench: Workbench, query: SessionQuery) -> Listed:
-    """The sessions that match the query, in its order."""
-    cards = bench.cards.cards("sessions", _PATIENCE_S)
+def kind_of(query: SessionQuery) -> str:
+    """The kind of odd rows that the list is limited to; "" for none."""
+    return KINDS.get(query.only, "")
+
+
+def list_sessions(bench: Workbench, query: SessionQuery, patience_s: float | None = _PATIENCE_S) -> Listed:
+    """The sessions that match the query, in its order; without `patience_s`, all of them."""
+    cards = bench.cards.cards("sessions", patience_s)
     chosen = [card for card in cards if ONLY[query.only](card) and _has(card, query.text.casefold())]
     rows: dict[str, int] = {}
     searched: int | None = None
@@ -113,7 +134,7 @@ def list_sessions(bench: Workbench, query: SessionQuery) -> Listed:
     if query.where:
         readable: dict[Location, SessionCard] = {card.path: card for card in chosen if not card.problem}
         try:
-            counts = bench.searches.rows(query.where, list(readable), _PATIENCE_S)
+            counts = bench.searches.rows(query.where, list(readable), patience_s)
         except UserError as error:
             problem = str(error)
         else:
@@ -122,14 +143,23 @@ def list_sessions(bench: Workbench, query: SessionQuery) -> Listed:
             chosen = [card for card in chosen if card.key in rows]
     chosen.sort(key=lambda card: (card.info is None, SORTS[query.sort](card) if card.info else 0, card.name))
     reading = sum(card.info is None and not card.problem for card in cards)
-    return Listed(chosen, len(cards), reading, rows, searched, problem)
+    is_bulk = bool(chosen) and bool(kind_of(query) or query.where)
+    return Listed(chosen, len(cards), reading, rows, searched, problem, is_bulk)
+
+
+def _has_kind(card: SessionCard, kind: str) -> bool:
+    if kind in PLAIN_FLAGS:
+        return bool(card.info and (card.info.flags or {}).get(kind))
+    if kind == SURE:
+        return card.info is not None and any(each.is_sure for each in card.info.odd or ())
+    return kind in card.flags
 
 
 def _has(card: SessionCard, text: str) -> bool:
     """Whether all words of the text are in the session's name, tags, flags, states or metadata."""
     if not text:
         return True
-    words: Sequence[str] = (card.name, *card.tags, *card.flags, card.index.words, card.state)
+    words: Sequence[str] = (card.name, *card.tags, *card.flags, card.index.state, card.state)
     if card.info:
         words = (*words, card.info.start, *card.info.session.values())
     lower = " ".join(words).casefold()

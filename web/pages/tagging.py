@@ -4,67 +4,88 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Final, Literal, TypeVar
 
 import msgspec
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
 
 from common.errors import did_you_mean, printable
 from common.location import Location
-from recorder.log.tags import EXCLUDE, FINE, Tag, add_tag, check_name, names_used, remove_tag, tags_path
+from recorder.log.tags import (
+    EXCLUDE,
+    FINE,
+    Tag,
+    add_tags,
+    check_name,
+    names_used,
+    remove_tags,
+    tags_path,
+)
 from recorder.upkeep.edit import check_rows
-from web.data.project_folders import Place
 from web.errors import WebError
+from web.folders.project_folders import Place
 from web.pages.workbench import Workbench
+
+MAX_STRETCHES: Final = 10_000  # in one change of a log
+Rows = tuple[int, int]
+Stretches = Annotated[list[Rows], msgspec.Meta(min_length=1, max_length=MAX_STRETCHES)]
+Action = Literal["add", "remove"]
+Asked = TypeVar("Asked", bound=msgspec.Struct)
 
 
 class TagChange(msgspec.Struct, forbid_unknown_fields=True):
     """A request of a page: to add a name to rows of the log with that fingerprint, or to remove it."""
 
-    action: Literal["add", "remove"]
+    action: Action
     name: str
-    rows: tuple[int, int]
+    rows: Stretches
     log: str
 
 
-async def change_tags(bench: Workbench, place: Place, path: Location, request: Request) -> Response:
+async def json_of(request: Request, kind: type[Asked]) -> Asked:
+    """The body of a request for a change. Raises WebError for anything else."""
     # no form of another page can send this type unasked
     if request.headers.get("content-type", "").partition(";")[0] != "application/json":
         raise WebError("a change of tags is sent as application/json", 415)
     try:
-        change = msgspec.json.decode(await request.body(), type=TagChange)
+        return msgspec.json.decode(await request.body(), type=kind)
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
         raise WebError(f"not a change of tags: {error}", 422) from None
-    return JSONResponse(await run_in_threadpool(_changed, bench, place, path, change))
 
 
-def _changed(bench: Workbench, place: Place, path: Location, change: TagChange) -> dict[str, object]:
-    """Make the change; what was done, as the command that does the same."""
+def change_tags(bench: Workbench, place: Place, path: Location, change: TagChange) -> dict[str, object]:
+    """Make all of a change, or nothing of it: the stretches that it has changed, and the commands that do the
+    same. Raises WebError, LogError, StoreError."""
     try:
         check_name(change.name)
     except ValueError as error:
         raise WebError(str(error), 422) from None
     if change.name.startswith("-"):
         raise WebError(f"{change.name}: a command would take it for a flag; choose another name", 422)
-    if not 0 <= change.rows[0] <= change.rows[1]:
-        raise WebError(f"rows {change.rows[0]} to {change.rows[1]}: the first row, then the last one", 422)
+    for first, last in change.rows:
+        if not 0 <= first <= last:
+            raise WebError(f"rows {first} to {last}: the first row, then the last one", 422)
     with bench.logs.open(path) as opened:
         if opened.log.problem:
             raise WebError(f"{opened.log.notice}; tag that one", 409)
         if opened.log.fingerprint != change.log:
             raise WebError("the log has been replaced since this page was opened: reload it", 409)
-        check_rows(opened.log, change.rows)
-    tag = Tag(*change.rows, change.name)
-    is_add = change.action == "add"
+        check_rows(opened.log, (min(first for first, _ in change.rows), max(last for _, last in change.rows)))
     there = set(bench.cards.tags(path, change.log).tags)
-    if (tag in there) == is_add:
-        return {"changed": False, "command": "", "notice": ""}
+    is_add = change.action == "add"
+    tags = [
+        tag for tag in dict.fromkeys(Tag(*rows, change.name) for rows in change.rows) if (tag in there) != is_add
+    ]
+    if not tags:
+        return {"changed": [], "commands": [], "notice": ""}
     notice = _notice(change.name, there, names_known(bench, place, path)) if is_add else ""
-    (add_tag if is_add else remove_tag)(path, change.log, tag)
+    (add_tags if is_add else remove_tags)(path, change.log, tags)
     bench.folders.refresh_object(tags_path(path))
-    return {"changed": True, "command": command_of(path, change), "notice": notice}
+    return {
+        "changed": [tag[:2] for tag in tags],
+        "commands": [_command(path, tag, change.action) for tag in tags],
+        "notice": notice,
+    }
 
 
 def names_known(bench: Workbench, place: Place, path: Location) -> set[str]:
@@ -82,6 +103,6 @@ def _notice(name: str, there: set[Tag], used: set[str]) -> str:
     return "" if name in used else f"new tag {name!r}. {did_you_mean(name, used)}".strip()
 
 
-def command_of(path: Location, change: TagChange) -> str:
-    words = ["bc-log", "tag", str(path), change.name, "--rows", *map(str, change.rows)]
-    return printable(shlex.join([*words, "--remove"] if change.action == "remove" else words))
+def _command(path: Location, tag: Tag, action: Action) -> str:
+    words = ["bc-log", "tag", str(path), tag.name, "--rows", str(tag.first_row), str(tag.last_row)]
+    return printable(shlex.join([*words, "--remove"] if action == "remove" else words))

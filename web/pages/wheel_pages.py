@@ -13,9 +13,9 @@ from starlette.routing import Route
 from common.errors import printable
 from dataset.frames.frames_file import session_name
 from recorder.teleop.open_wheels import open_wheels
-from web.data.project_folders import PLACES, Place, ProjectFolders, key_of
-from web.data.run_origins import origin_of
-from web.data.wheels import (
+from web.errors import WebError
+from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of
+from web.jobs.wheels import (
     DEFAULTS,
     RATES_HZ,
     TRACKS,
@@ -29,9 +29,9 @@ from web.data.wheels import (
     takeovers,
     training,
 )
-from web.errors import WebError
 from web.pages.form_values import form_values
 from web.pages.workbench import Workbench
+from web.runs.run_origins import origin_of
 from web.server.templates import render
 
 

@@ -13,8 +13,8 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.frames import CloseCode
 
-from web.data.wheels import running
 from web.errors import WebError
+from web.jobs.wheels import running
 
 _MAX_FRAME_BYTES: Final = 8 << 20
 _PATIENCE_S: Final = 5.0

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from web.data.attention import Attention
-from web.data.cache_folder import CacheFolder
-from web.data.drive_view import DriveViews
-from web.data.index_trials import IndexTrials
-from web.data.jobs import Jobs
-from web.data.open_logs import OpenLogs
-from web.data.picture_checks import PictureChecks
-from web.data.predictions import Predictions
-from web.data.project_folders import ProjectFolders
-from web.data.rerun_viewers import RerunViewers
-from web.data.run_cards import RunCards
-from web.data.session_cards import SessionCards
-from web.data.where_search import WhereSearches
+from web.folders.cache_folder import CacheFolder
+from web.folders.project_folders import ProjectFolders
+from web.index.index_trials import IndexTrials
+from web.jobs.jobs import Jobs
+from web.logs.drive_view import DriveViews
+from web.logs.open_logs import OpenLogs
+from web.logs.picture_checks import PictureChecks
+from web.logs.session_cards import SessionCards
+from web.logs.where_search import WhereSearches
+from web.processes.picture_maps import PictureMaps
+from web.processes.predictions import Predictions
+from web.processes.rerun_viewers import RerunViewers
+from web.runs.attention import Attention
+from web.runs.run_cards import RunCards
 
 
 @dataclass(frozen=True)
@@ -36,3 +37,4 @@ class Workbench:
     viewers: RerunViewers
     predictions: Predictions
     attention: Attention
+    maps: PictureMaps

@@ -21,8 +21,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from common.whole_number import whole_number
 from recorder.server.allowed_hosts import AllowedHosts, is_loopback
-from web.data.uploads import MAX_UPLOAD_BYTES
 from web.errors import WebError
+from web.folders.uploads import MAX_UPLOAD_BYTES
 from web.server.error_pages import error_answer
 
 TOKEN: Final = "token"

@@ -1,17 +1,21 @@
 // Rerun's viewer in this frame. The page around it sends the moment to show, as a message {at_s}; this frame answers
 // {shown_s} when that is shown, and {problem} when something goes wrong.
 
-import { fetchHere } from "./fetch_here.js";
 import { moment } from "./time_cursor.js";
 
 const TIMELINE = "since start"; // as bc-play names it
 const AGAIN_MS = 200; // the moment's data is still on its way
 const POLL_MS = 1000;
-const SOURCE = "rerun+http://localhost:80/proxy"; // any: its requests go to the page's own server
-const { at, method, program } = document.body.dataset;
+const { recording, program } = document.body.dataset;
 const status = document.getElementById("status");
 console.debug = () => {}; // it prints tens of thousands of lines about its shaders
-globalThis.fetch = fetchHere({ [method]: `${at}/messages` });
+const fetchAnything = globalThis.fetch.bind(globalThis);
+// not its fonts, its news and its telemetry: the Content-Security-Policy refuses them, with an error in the console
+globalThis.fetch = async (resource, options) => {
+  const request = new Request(resource, options);
+  if (new URL(request.url).origin !== location.origin) return new Response(null, { status: 204 });
+  return fetchAnything(request, { credentials: "same-origin" }); // with the cookie that has the token
+};
 let wanted = null;
 let isBusy = false;
 
@@ -45,7 +49,7 @@ function fail(why) {
 async function start() {
   await wasm_bindgen({ module_or_path: fetch(program) });
   const viewer = new wasm_bindgen.WebHandle({
-    url: [SOURCE],
+    url: [new URL(recording, location.origin).href],
     hide_welcome_screen: true,
     enable_history: false,
     notebook: false,

@@ -1,5 +1,6 @@
 // The curves of runs over each other, drawn again when another run is chosen or a training has gone on.
 
+import { colourReader } from "../colours.js";
 import { showStatus } from "../live.js";
 import uPlot from "../../vendor/uPlot.esm.js";
 
@@ -40,7 +41,7 @@ async function load() {
 function draw(runs) {
   for (const plot of plots) plot.destroy();
   plots = [];
-  const color = colorReader();
+  const color = colourReader(section);
   section.replaceChildren();
   for (const [title, isOf] of PLOTS) {
     const tables = [];
@@ -54,7 +55,7 @@ function draw(runs) {
         series.push({
           label: [runs.length > 1 && run.name, names.length > 1 && name].filter(Boolean).join(": ") || name,
           // of one run a colour each, which also tells single points apart; of several, each run has its own
-          stroke: color(`--run-${runs.length > 1 ? run.colour : at % COLORS}`),
+          stroke: color(`--series-${runs.length > 1 ? run.colour : at % COLORS}`),
           dash: runs.length > 1 ? DASHES[at % DASHES.length] : [],
           width: 1.5,
           spanGaps: true,
@@ -84,17 +85,6 @@ function draw(runs) {
     );
   }
   section.dataset.shown = runs.map((run) => run.key).join(" "); // for scripts that wait for it
-}
-
-/** The colours of the style sheet as a canvas understands them: a property may hold `light-dark(...)`. */
-function colorReader() {
-  const style = getComputedStyle(section);
-  return (name) => {
-    section.style.color = `var(${name})`;
-    const found = style.color;
-    section.style.color = "";
-    return found;
-  };
 }
 
 new ResizeObserver(() => {

@@ -1,34 +1,49 @@
 // The coloured bands behind the curves: excluded rows over the full height, other tags at the top, odd stretches at
-// the bottom, the selection over all; where drives begin; and hatched, what training leaves out by default. Only what is visible is drawn, and of many in one column of pixels, one.
+// the bottom, the selection over all; where drives begin; and hatched, what training leaves out by default. Only what
+// is visible is drawn, and of many in one column of pixels, one.
 
 const LANE = 8;
 const HATCH = 6; // pixels between its lines
 
 export function drawBands(plot, data, odd, selection, colors) {
   const { ctx, bbox } = plot;
-  const scale = devicePixelRatio;
+  const { min, max } = plot.scales.x;
+  const lane = LANE * devicePixelRatio;
+  const box = { top: bbox.top, height: bbox.height, min, max, across: (at) => plot.valToPos(at, "x", true) };
   ctx.save();
   ctx.beginPath();
   ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
   ctx.clip();
-  const lane = LANE * scale;
-  const bottom = bbox.top + bbox.height;
-  const whole = [bbox.top, bbox.height];
-  drawAll(plot, odd, () => [[colors.oddBack, ...whole], [colors.odd, bottom - lane, lane]]);
-  drawAll(
-    plot,
-    data.tags.filter((tag) => tag.name !== "exclude"),
-    () => [[colors.tag, bbox.top, lane]],
-  );
-  drawAll(
-    plot,
-    data.tags.filter((tag) => tag.name === "exclude"),
-    () => [[colors.excludeBack, ...whole], [colors.exclude, bbox.top, lane]],
-  );
+  drawTracks(ctx, data, odd, colors, box, lane);
   drawHatched(plot, data.state.not_learnt, colors.notLearnt);
-  drawBreaks(plot, data.breaks, colors.break, whole);
-  if (selection) drawAll(plot, [selection], () => [[colors.selection, ...whole]]);
+  drawBreaks(plot, data.breaks, colors.break, [bbox.top, bbox.height]);
+  drawAll(ctx, selection, box, [[colors.selection, bbox.top, bbox.height]]);
   ctx.restore();
+}
+
+/** Odd and tagged stretches, in a box of pixels whose positions `min` to `max` lie `across` it. */
+export function drawTracks(ctx, data, odd, colors, box, lane) {
+  const whole = [box.top, box.height];
+  const excluded = data.tags.filter((tag) => tag.name === "exclude");
+  const named = data.tags.filter((tag) => tag.name !== "exclude");
+  drawAll(ctx, odd, box, [[colors.oddBack, ...whole], [colors.odd, box.top + box.height - lane, lane]]);
+  drawAll(ctx, named, box, [[colors.tag, box.top, lane]]);
+  drawAll(ctx, excluded, box, [[colors.excludeBack, ...whole], [colors.exclude, box.top, lane]]);
+}
+
+export function drawAll(ctx, stretches, { min, max, across }, rectangles) {
+  let reached = -Infinity;
+  for (const { first, last } of stretches) {
+    if (last < min - 1 || first > max + 1) continue;
+    const left = across(first - 0.5);
+    const right = Math.max(across(last + 0.5), left + 1);
+    if (right <= reached + 0.5) continue;
+    for (const [color, top, height] of rectangles) {
+      ctx.fillStyle = color;
+      ctx.fillRect(Math.max(left, reached), top, right - Math.max(left, reached), height);
+    }
+    reached = right;
+  }
 }
 
 function drawHatched(plot, stretches, color) {
@@ -51,23 +66,6 @@ function drawHatched(plot, stretches, color) {
     }
     ctx.stroke();
     ctx.restore();
-  }
-}
-
-function drawAll(plot, stretches, rectangles) {
-  const { ctx } = plot;
-  const { min, max } = plot.scales.x;
-  let reached = -Infinity;
-  for (const { first, last } of stretches) {
-    if (last < min - 1 || first > max + 1) continue;
-    const left = plot.valToPos(first - 0.5, "x", true);
-    const right = Math.max(plot.valToPos(last + 0.5, "x", true), left + 1);
-    if (right <= reached + 0.5) continue;
-    for (const [color, top, height] of rectangles()) {
-      ctx.fillStyle = color;
-      ctx.fillRect(Math.max(left, reached), top, right - Math.max(left, reached), height);
-    }
-    reached = right;
   }
 }
 

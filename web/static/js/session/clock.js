@@ -1,3 +1,5 @@
+// How times and steering are written: one way on the whole page.
+
 /** Seconds as 1:02.3, or 1:00:02.3 from an hour on. */
 export function clock(seconds) {
   const tenths = Math.round(seconds * 10);
@@ -6,4 +8,9 @@ export function clock(seconds) {
   return minutes < 60
     ? `${minutes}:${rest}`
     : `${Math.floor(minutes / 60)}:${String(minutes % 60).padStart(2, "0")}:${rest}`;
+}
+
+/** Steering (-1 to 1) in degrees or, of a car whose angle at 1 is unknown (null), in shares of full lock. */
+export function angle(steering, maxDeg, digits = 1) {
+  return maxDeg === null ? `${(steering * 100).toFixed(digits)} %` : `${(steering * maxDeg).toFixed(digits)}°`;
 }

@@ -3,13 +3,15 @@
 
 import uPlot from "../../vendor/uPlot.esm.js";
 import { drawBands } from "./bands.js";
-import { clock } from "./clock.js";
+import { angle, clock } from "./clock.js";
 
 const MIN_WINDOW = 800; // pixels
 const MIN_ROWS = 10; // across, zoomed in as far as it goes
 const AXIS_WIDTH = 46;
 const MIN_TICK = 90; // pixels between two times
 const STEPS_S = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200];
+const ANGLES_DEG = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
+const BLANK = { values: () => [], ticks: { show: false } }; // as wide as the axis of the other plot
 const PLOTS = [
   { share: 0.24, scales: { y: [-1.05, 1.05] }, lines: [
     ["steering", "y", "--steering"], ["sent", "y", "--sent"], ["expert", "y", "--expert"], ["network", "y", "--network"],
@@ -27,20 +29,30 @@ const NAMES = {
 };
 
 export class Curves {
-  /** `onMove(position)`: the mouse points there; `onSelect({first, last})`: a stretch was dragged over. */
-  constructor(element, data, { onMove, onSelect }) {
-    Object.assign(this, { element, data, onMove, onSelect });
+  /** `onMove(position)`: the mouse points there; `onSelect({first, last}, event)`: a stretch was dragged over;
+   * `onClick(position, event)`. */
+  constructor(element, data, { onMove, onSelect, onClick }) {
+    Object.assign(this, { element, data, onMove, onSelect, onClick });
     this.plots = [];
     this.odd = [];
-    this.selection = null;
+    this.selection = [];
     this.view = null;
     this.position = 0;
     this.names = { ...NAMES };
-    this.onView = () => {}; // other rows are shown, or in another width
+    this.watchers = [];
     new ResizeObserver(() => this.resize()).observe(element);
     addEventListener("resize", () => this.resize());
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.build());
     element.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
+  }
+
+  /** Call it whenever other rows are shown, in another width, or with other bands. */
+  watch(call) {
+    this.watchers.push(call);
+  }
+
+  changed() {
+    for (const call of this.watchers) call();
   }
 
   /** Draw the data that there is now; the visible part stays. */
@@ -52,6 +64,7 @@ export class Curves {
     this.colors = {
       notLearnt: color("--dim"), odd: color("--odd-band"), oddBack: color("--odd-band-back"), tag: color("--tag-band"),
       break: color("--dim"), exclude: color("--exclude-band"), excludeBack: color("--exclude-band-back"), selection: color("--selection"),
+      outside: color("--outside"), steering: color("--steering"),
     };
     const x = Float64Array.from({ length: this.data.length }, (_, at) => at);
     this.plots = PLOTS.map((plot) => this.makePlot(plot, x, color));
@@ -106,8 +119,8 @@ export class Curves {
             splits: (drawn, _, min, max) => this.roundTimes(min, max, drawn.bbox.width / devicePixelRatio / MIN_TICK),
             values: (_, splits) => splits.map((at) => this.roundTime(at)),
           }),
-          axis({ scale: names[0] }),
-          axis({ scale: names[1] ?? names[0], side: 1, grid: { show: false }, show: true }),
+          axis(names[0] === "y" ? { scale: "y", ...this.roundAngles() } : { scale: names[0] }),
+          axis({ scale: names[1] ?? names[0], side: 1, grid: { show: false }, ...(names[1] ? {} : BLANK) }),
         ],
         series: [{}, ...lines.map(([name, scale, variable]) => ({
           label: this.names[name], scale, stroke: color(variable), width: 1.5, points: { show: false }, spanGaps: false,
@@ -130,7 +143,20 @@ export class Curves {
       key.append(item);
     }
     plot.over.append(key);
+    // not after a drag: uPlot keeps that one back
+    plot.over.addEventListener("click", (event) => this.onClick(this.clamped(Math.round(plot.posToVal(event.offsetX, "x"))), event));
     return plot;
+  }
+
+  /** Lines at round angles: degrees, or shares of full lock where those are not known. */
+  roundAngles() {
+    const maxDeg = this.data.state.max_steering_deg;
+    const step = maxDeg === null ? 0.5 : ANGLES_DEG.find((each) => maxDeg / each < 3) / maxDeg;
+    const most = Math.floor(1 / step + 1e-6);
+    return {
+      splits: () => Array.from({ length: 2 * most + 1 }, (_, at) => (at - most) * step),
+      values: (_, splits) => splits.map((at) => angle(at, maxDeg, 0)),
+    };
   }
 
   /** Positions at round times of driving, at most `most` of them. */
@@ -212,7 +238,13 @@ export class Curves {
     const visible = { min: from, max: from + size };
     for (const plot of this.plots) plot.batch(() => plot.setScale("x", visible)); // at once: the markers go by it
     this.placeMarkers();
-    this.onView();
+    this.changed();
+  }
+
+  /** Bring a position into view, as closely as before. */
+  follow(position) {
+    const { min, max } = this.view ?? { min: 0, max: Infinity };
+    if (position < min || position > max) this.pan(position - (min + max) / 2);
   }
 
   /** Bring a stretch into view, with as much again on either side. */
@@ -243,6 +275,7 @@ export class Curves {
     this.odd = odd;
     this.selection = selection;
     for (const plot of this.plots) plot.redraw(false);
+    this.changed();
   }
 
   /** A plot's height in pixels: more in a higher window, unless Rerun needs the room. */
@@ -254,7 +287,7 @@ export class Curves {
   resize() {
     this.plots.forEach((plot, at) => plot.setSize({ width: this.element.clientWidth, height: this.heightOf(PLOTS[at].share) }));
     this.placeMarkers();
-    this.onView();
+    this.changed();
   }
 }
 

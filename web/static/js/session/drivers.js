@@ -5,7 +5,7 @@ import { DRIVERS } from "./course.js";
 export class DriverBand {
   constructor(figure, course, curves) {
     Object.assign(this, { figure, course, curves, canvas: figure.querySelector("canvas") });
-    curves.onView = () => this.draw();
+    curves.watch(() => this.draw());
   }
 
   /** The course is there: the names and shares, and the band. */

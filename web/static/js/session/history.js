@@ -13,7 +13,7 @@ export class History {
 
   /** Take up the changes made in this tab before it was reloaded; the data's log is known by now. */
   restore() {
-    this.key = `changes of ${this.data.address} ${this.data.state.fingerprint}`;
+    this.key = `changes 2 of ${this.data.address} ${this.data.state.fingerprint}`;
     const kept = JSON.parse(sessionStorage.getItem(this.key) ?? "{}");
     for (const name of ["done", "undone", "commands"]) this[name] = kept[name] ?? [];
   }
@@ -23,13 +23,13 @@ export class History {
     sessionStorage.setItem(this.key, JSON.stringify({ done, undone, commands }));
   }
 
-  /** Make a change; the server's answer. */
+  /** Make a change of all of these rows at once; the server's answer. */
   async make(action, name, rows) {
     const answer = await this.data.change(action, name, rows);
-    if (answer.changed) {
-      this.done.push({ action, name, rows });
+    if (answer.changed.length) {
+      this.done.push({ action, name, rows: answer.changed });
       this.undone = [];
-      this.commands.push(answer.command);
+      this.commands.push(...answer.commands);
       this.keep();
     }
     return answer;
@@ -47,9 +47,11 @@ export class History {
     const change = from.at(-1);
     if (!change) return null;
     const answer = await this.data.change(turned(change.action), change.name, change.rows);
+    if (!answer.changed.length && answer.notice) throw new Error(answer.notice);
+    this.notice = answer.notice; // what of it could not be changed
     from.pop(); // not before it is done: an error leaves all as it was
     to.push(change);
-    if (answer.changed) this.commands.push(answer.command);
+    this.commands.push(...answer.commands);
     this.keep();
     return change;
   }

@@ -7,14 +7,9 @@ const MOST = 200; // of each list; all of them are in the curves
 
 export function listOdd(element, groups, data, { isLeft, onPick }) {
   fill(element, groups, (group) => [
-    button(`${words(group)}`, () => onPick(group), isLeft(group) ? "" : "done"),
+    button(words(group) || "show", () => onPick(group), isLeft(group) ? "" : "done"),
     rowsText(data, group, group.causes.join("; ")),
   ]);
-}
-
-/** Stretches that are all of one kind. */
-export function listStretches(element, stretches, data, onPick) {
-  fill(element, stretches, (stretch) => [button("show", () => onPick(stretch), "small"), rowsText(data, stretch)]);
 }
 
 export function listTags(element, data, { canChange, onPick, onRemove }) {

@@ -146,6 +146,7 @@ export class LogData extends EventTarget {
     else this.report("this log has been replaced by another one: reload the page to see it");
   }
 
+  /** Add a name to stretches of rows, or remove it; what the server has done. */
   async change(action, name, rows) {
     const answer = await ask(`${this.address}/tags`, {
       method: "POST",

@@ -2,22 +2,26 @@
 
 import { showStatus } from "../live.js";
 import { Attention } from "./attention.js";
-import { clock } from "./clock.js";
+import { angle, clock } from "./clock.js";
 import { Course } from "./course.js";
 import { CourseMap } from "./course_map.js";
 import { Curves } from "./curves.js";
 import { DriverBand } from "./drivers.js";
-import { History } from "./history.js";
 import { listen } from "./keys.js";
 import { listEvents, listOdd, listTags, listWorst } from "./lists.js";
 import { ask, LogData } from "./log_data.js";
-import { Predictions } from "./predictions.js";
-import { grouped, left, Round, words } from "./odd.js";
+import { Edges } from "./edges.js";
+import { Filter } from "./filter.js";
+import { Looking } from "./looking.js";
 import { Makers } from "./make.js";
-import { Many } from "./many.js";
+import { left, Round, words } from "./odd.js";
+import { Overview } from "./overview.js";
 import { Pictures } from "./pictures.js";
 import { Player } from "./player.js";
+import { Predictions } from "./predictions.js";
 import { RerunFrame } from "./rerun.js";
+import * as selecting from "./selection.js";
+import { Tagging } from "./tagging.js";
 
 const EXCLUDE = "exclude";
 const FINE = "fine";
@@ -25,10 +29,13 @@ const by = (id) => document.getElementById(id);
 const page = by("session");
 const data = new LogData(page.dataset.log);
 const pictures = new Pictures(document.querySelectorAll("figure[data-camera]"), data);
-const curves = new Curves(by("curves"), data, { onMove: point, onSelect: select });
+const curves = new Curves(by("curves"), data, { onMove: point, onSelect: (stretch) => select([stretch]), onClick: click });
+new Edges(curves, { onChange: (stretches) => select(stretches) });
+new Overview(by("overview"), data, curves);
+const looking = new Looking(by("looking"), data, { onPick: goToPosition, onChange: (stretches) => select(stretches, true) });
 const player = new Player(data, { onMove: move, onChange: showPlaying });
-const done = new History(data);
-const many = new Many(data, done, { change, onPick: goTo, showStatus });
+const tagging = new Tagging(data, { selected: () => selection, showStatus });
+const filter = new Filter(data, { onChange: showFiltered, showStatus });
 const makers = new Makers(by("make"), data);
 const rerun = new RerunFrame(by("rerun"), data, { onChange: showRerun, onProblem: showStatus });
 const predictions = new Predictions(data, { onChange: showPredicted });
@@ -39,10 +46,7 @@ const map = course && new CourseMap(by("course-map"), course, {
   picture: document.querySelector("figure[data-camera=center] img"), onPoint: point, onPick: goTo,
 });
 const round = new Round();
-let groups = [];
-let toDo = [];
-let selection = null;
-let queue = Promise.resolve();
+let selection = []; // stretches
 
 /** The mouse points at a moment. While it plays, it does not: the mouse lies where it was left. */
 function point(position) {
@@ -60,86 +64,70 @@ function move(position) {
   const { row, driven_s, steering, throttle, brake, speed_mph } = data.columns;
   const more = [["sent", "sent"], ["expert", "the expert's"], ["network", "the network's"], ["predicted", "predicted"]];
   const fixed = (value) => (Number.isFinite(value) ? value.toFixed(2) : "-");
+  const turned = (value) => (Number.isFinite(value) ? angle(value, data.state.max_steering_deg) : "-");
   const text =
-    `row ${row[at]} · ${clock(driven_s[at])} · steering ${fixed(steering[at])} · throttle ${fixed(throttle[at])}` +
+    `row ${row[at]} · ${clock(driven_s[at])} · steering ${turned(steering[at])} · throttle ${fixed(throttle[at])}` +
     ` · brake ${fixed(brake[at])} · ${fixed(speed_mph[at])} mph` +
-    more.filter(([name]) => data.columns[name]).map(([name, words]) => ` · ${words} ${fixed(data.columns[name][at])}`).join("");
+    more.filter(([name]) => data.columns[name]).map(([name, words]) => ` · ${words} ${turned(data.columns[name][at])}`).join("");
   by("now").textContent = text;
   by("curves").setAttribute("aria-valuenow", at);
   by("curves").setAttribute("aria-valuetext", text);
 }
 
-function select(stretch) {
-  selection = stretch;
+/** Select stretches; the grid of pictures shows them, too, unless it is where they were chosen. */
+function select(stretches, isByGrid = false) {
+  selection = selecting.merged(stretches);
   curves.mark({ selection });
-  const canTag = Boolean(selection) && !data.state.problem;
+  const canTag = Boolean(selection.length) && !data.state.problem;
   by("exclude").disabled = by("fine").disabled = by("tag").disabled = !canTag;
-  const rows = selection && data.rowsOf(selection);
-  makers.select(rows);
-  by("selected").textContent = rows ? `rows ${rows[0]} to ${rows[1]} selected` : "";
+  by("look-at").disabled = !selection.length || !data.state.cameras.length;
+  makers.select(selection.length ? data.rowsOf({ first: selection[0].first, last: selection.at(-1).last }) : null);
+  by("selected").textContent = selecting.words(selection, data);
+  if (looking.isOpen && !isByGrid) showPictures(selection.length > 0);
 }
 
-/** One change after the other, so that they are written in the order of the user's actions. */
-function change(make) {
-  queue = queue.then(async () => {
-    try {
-      await make();
-    } catch (error) {
-      showStatus(error.message);
-    }
-    showHistory();
-  });
+/** A click selects the stretch that is there as a whole; with shift, or control, next to what is selected. */
+function click(position, { shiftKey, ctrlKey, metaKey }) {
+  const found = selecting.at([...filter.groups, ...data.tags], position);
+  if (!shiftKey && !ctrlKey && !metaKey) select(found ? [found] : []);
+  else if (selecting.at(selection, position)) select(selection.filter((each) => each !== selecting.at(selection, position)));
+  else if (found) select([...selection, found]);
 }
 
-function showHistory() {
-  by("commands").textContent = done.commands.join("\n");
-  by("copy").hidden = !done.commands.length;
-  by("undo").disabled = !done.done.length;
-  by("redo").disabled = !done.undone.length;
+function grow(seconds) {
+  if (selection.length) select(selecting.grown(selection, data, seconds));
+  else showStatus("select a stretch first: drag over the curves, or press j");
 }
 
-function tag(name) {
-  if (!selection) {
-    showStatus("select a stretch first: drag over the curves, or press j");
-    return;
-  }
-  if (data.state.problem) {
-    showStatus(data.state.problem);
-    return;
-  }
-  const rows = data.rowsOf(selection);
-  change(async () => {
-    const answer = await done.make("add", name, rows);
-    const what = `${name}: rows ${rows[0]} to ${rows[1]}`;
-    showStatus(answer.notice || (answer.changed ? what : `${what}, as before`));
-  });
+/** The selected stretches as pictures, instead of the cameras at one moment. */
+function showPictures(isShown) {
+  if (isShown) looking.open(selection, filter.groups);
+  else looking.close();
+  page.classList.toggle("in-grid", looking.isOpen);
+  by("look-at").setAttribute("aria-pressed", looking.isOpen);
 }
 
-function undo() {
-  change(async () => {
-    const undone = await done.undo();
-    showStatus(undone ? `undone: ${undone.action} ${undone.name}, rows ${undone.rows.join(" to ")}` : "nothing to undo");
-  });
+function togglePictures() {
+  if (looking.isOpen || selection.length) showPictures(!looking.isOpen);
+  else showStatus("select stretches first: drag over the curves, press j, or choose a kind");
 }
 
-function redo() {
-  change(async () => {
-    const redone = await done.redo();
-    showStatus(redone ? `again: ${redone.action} ${redone.name}, rows ${redone.rows.join(" to ")}` : "nothing to do again");
-  });
+function excludeSure() {
+  tagging.inOrder(() => tagging.make(EXCLUDE, filter.sure)); // those that are left when its turn comes
 }
 
 function goTo(stretch) {
   player.pause();
   curves.reveal(stretch);
-  select({ first: stretch.first, last: stretch.last });
+  select([stretch]);
   move(stretch.first);
 }
 
 /** After earlier changes are written: pressing x and j at once does both. */
 function goToOdd(step) {
-  queue = queue.then(() => {
-    const from = selection ?? { first: curves.position - 1, last: curves.position };
+  tagging.inOrder(() => {
+    const from = selection.length === 1 ? selection[0] : { first: curves.position - 1, last: curves.position };
+    const { toDo, groups } = filter;
     const interventions = left(course?.interventions ?? [], data.tags);
     const found = round.next([interventions, toDo], step > 0 ? from.first : from.last, step);
     if (!found) {
@@ -149,15 +137,15 @@ function goToOdd(step) {
     goTo(found);
     const number = interventions.indexOf(found) + 1;
     if (number) showStatus(`${words(found)}; ${number} of ${interventions.length} interventions`);
-    else showStatus(`${words(found)}; ${toDo.length} of ${groups.length} odd stretches are left`);
+    else showStatus(`${words(found) || "found"}; ${toDo.length} of ${groups.length} ${filter.kind || filter.found ? "" : "odd "}stretches are left`);
   });
 }
 
 function begin(edge) {
   if (!data.length) return;
   const at = curves.position;
-  if (edge === "first") select({ first: at, last: Math.max(at, selection?.last ?? at) });
-  else select({ first: Math.min(at, selection?.first ?? at), last: at });
+  if (edge === "first") select([{ first: at, last: Math.max(at, selection.at(-1)?.last ?? at) }]);
+  else select([{ first: Math.min(at, selection[0]?.first ?? at), last: at }]);
 }
 
 function showPlaying() {
@@ -222,9 +210,13 @@ function toggleAttention() {
 }
 
 function goToMoment(moment) {
+  goToPosition(moment.position);
+}
+
+function goToPosition(position) {
   player.pause();
-  curves.reveal({ first: moment.position, last: moment.position });
-  move(moment.position);
+  curves.reveal({ first: position, last: position });
+  move(position);
 }
 
 function goToWorst(step) {
@@ -249,37 +241,49 @@ function showRerun() {
   curves.resize();
 }
 
+/** The kinds of odd stretches, and those of the chosen kind. */
+function showOdd() {
+  filter.show();
+  const undone = new Set(filter.toDo);
+  listOdd(by("odd"), filter.groups, data, { isLeft: (group) => undone.has(group), onPick: goTo });
+  by("exclude-odd").disabled = Boolean(data.state.problem) || !filter.sure.length;
+}
+
+/** Other stretches are listed: they are selected at once, and the curves show all of them. */
+function showFiltered(isSelected) {
+  curves.odd = filter.groups;
+  showOdd();
+  select(isSelected ? filter.toDo : []);
+  if (!isSelected) return;
+  curves.show(0, data.length - 1);
+  showStatus(filter.toDo.length ? selecting.words(filter.toDo, data) : "nothing of it is left");
+}
+
 function showTags() {
   const leftOut = data.state.not_learnt.reduce((sum, [first, last]) => sum + last - first + 1, 0);
   by("not-learnt").hidden = !leftOut;
   by("not-learnt").textContent = `hatched: ${leftOut.toLocaleString("en")} rows that training leaves out by default`;
-  toDo = left(groups, data.tags);
-  const undone = new Set(toDo);
-  listOdd(by("odd"), groups, data, { isLeft: (group) => undone.has(group), onPick: goTo });
+  showOdd();
   listTags(by("tags"), data, {
     canChange: !data.state.problem,
     onPick: goTo,
-    onRemove: (taken) => change(() => done.make("remove", taken.name, taken.rows)),
+    onRemove: (taken) => tagging.remove(taken.name, taken.rows),
   });
-  many.show();
   curves.mark({});
   by("look").hidden = data.state.pictures_checked || !data.state.cameras.length;
   page.dataset.tags = data.tags.length; // what is shown now, for scripts that wait for it
 }
 
 data.addEventListener("rows", () => {
-  if (!done.key) {
-    done.restore();
-    showHistory();
-  }
-  groups = grouped(data.state.odd);
+  tagging.restore();
+  filter.refresh();
   pictures.useCameras();
-  curves.odd = groups;
+  curves.odd = filter.groups;
   predictions.forgetKept(); // they were of the log as it was
   if (predictions.run) predictions.choose(predictions.run); // it was of the log as it was
   else curves.build();
   course?.load().catch((error) => showStatus(error.message));
-  makers.select(selection && data.rowsOf(selection));
+  select(selection);
   by("curves").setAttribute("aria-valuemax", Math.max(data.length - 1, 0));
   move(curves.position);
 });
@@ -300,9 +304,10 @@ async function checkPictures() {
     if (found.problem) {
       showStatus(found.problem);
     } else {
-      const before = groups.length;
+      filter.use("");
+      const before = filter.groups.length;
       await data.load();
-      const more = groups.length - before;
+      const more = filter.groups.length - before;
       const result = more > 0 ? `${more} more odd ${more === 1 ? "stretch" : "stretches"}` : "nothing more is odd";
       showStatus(`looked at ${total.toLocaleString("en")} pictures: ${result}`);
     }
@@ -323,9 +328,10 @@ by("play").addEventListener("click", () => player.toggle(curves.position));
 by("speed").addEventListener("change", () => setSpeed(Number(by("speed").value)));
 by("next").addEventListener("click", () => goToOdd(1));
 by("before").addEventListener("click", () => goToOdd(-1));
-by("exclude").addEventListener("click", () => tag(EXCLUDE));
-by("fine").addEventListener("click", () => tag(FINE));
-by("undo").addEventListener("click", undo);
+by("exclude").addEventListener("click", () => tagging.tag(EXCLUDE));
+by("fine").addEventListener("click", () => tagging.tag(FINE));
+by("exclude-odd").addEventListener("click", excludeSure);
+by("look-at").addEventListener("click", togglePictures);
 by("look").addEventListener("click", checkPictures);
 by("run").addEventListener("change", () => {
   predictions.choose(by("run").value);
@@ -344,28 +350,6 @@ by("attention").addEventListener("click", toggleAttention);
 by("worst-next").addEventListener("click", () => goToWorst(1));
 by("rerun-button").addEventListener("click", toggleRerun);
 by("rerun-close").addEventListener("click", toggleRerun);
-by("redo").addEventListener("click", redo);
-by("name-form").addEventListener("submit", (event) => {
-  event.preventDefault();
-  const name = by("name").value.trim();
-  if (name) tag(name);
-  by("name").blur();
-});
-by("name").addEventListener("focus", async () => {
-  const answer = await fetch(`${data.address}/names`);
-  if (!answer.ok) return;
-  const names = await answer.json();
-  by("names").replaceChildren(...names.map((name) => Object.assign(document.createElement("option"), { value: name })));
-});
-by("copy").addEventListener("click", async () => {
-  try {
-    await navigator.clipboard.writeText(`${done.commands.join("\n")}\n`);
-    showStatus("copied");
-  } catch {
-    getSelection().selectAllChildren(by("commands")); // no clipboard where the connection is not encrypted
-    showStatus("selected: copy it with ctrl c");
-  }
-});
 function toggleHelp() {
   const isHidden = (by("help").hidden = !by("help").hidden);
   by("help-button").setAttribute("aria-expanded", !isHidden);
@@ -376,6 +360,7 @@ const steps = (event) => (event.shiftKey ? 10 : 1);
 const stepBy = (rows) => {
   player.pause();
   move(curves.position + rows);
+  curves.follow(curves.position);
 };
 listen({
   ArrowLeft: (event) => stepBy(-steps(event)),
@@ -389,16 +374,22 @@ listen({
   4: () => setSpeed(8),
   j: () => goToOdd(1),
   k: () => goToOdd(-1),
-  x: () => tag(EXCLUDE),
-  f: () => tag(FINE),
+  x: () => tagging.tag(EXCLUDE),
+  f: () => tagging.tag(FINE),
   t: () => by("name").focus(),
-  u: undo,
-  r: redo,
-  undo,
-  redo,
+  u: () => tagging.undo(),
+  r: () => tagging.redo(),
+  undo: () => tagging.undo(),
+  redo: () => tagging.redo(),
   "[": () => begin("first"),
   "]": () => begin("last"),
-  Escape: () => select(null),
+  Escape: () => (looking.isOpen ? showPictures(false) : select([])),
+  ",": () => grow({ earlierS: 1 }),
+  ".": () => grow({ laterS: 1 }),
+  "<": () => grow({ earlierS: -1 }),
+  ">": () => grow({ laterS: -1 }),
+  g: togglePictures,
+  X: excludeSure,
   "+": () => curves.zoom(0.5),
   "-": () => curves.zoom(2),
   0: () => curves.show(0, data.length - 1),
@@ -409,7 +400,7 @@ listen({
   "?": toggleHelp,
 });
 
-/** The address names a row, and runs: when the page is opened, and when a link leads to another row of the same page. */
+/** The address names a row, a kind of odd stretches, and runs: when the page is opened, and when a link leads to another row of the same page. */
 async function followAddress() {
   const named = new URLSearchParams(location.hash.slice(1));
   const row = named.get("row");
@@ -419,6 +410,7 @@ async function followAddress() {
     curves.reveal({ first: at, last: at }); // before the move: the mouse, if it is over the curves, points as well
     move(at);
   }
+  if (named.get("kind")) filter.use(named.get("kind"));
   const runs = named.getAll("run");
   for (const run of runs) {
     by("run").value = run;

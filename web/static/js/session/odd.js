@@ -15,11 +15,6 @@ export function grouped(stretches) {
   return groups;
 }
 
-/** The stretches that nobody should learn from; the others a person has to look at. */
-export function sure(stretches) {
-  return stretches.filter((stretch) => stretch[4]).map(([, first, last]) => ({ first, last }));
-}
-
 /** Those with a row that has no tag of these names. */
 export function left(groups, tags, names = ["exclude", "fine"]) {
   const done = tags.filter((tag) => names.includes(tag.name));

@@ -1,0 +1,165 @@
+"""The memory that the workbench keeps: bc-web over a project, used like a person would, round after round.
+
+python benchmarks/web_memory.py PROJECT [--rounds 4] [--pictures 2000]
+
+PROJECT has sessions/, index/ and runs/. A round looks at every kind of page once, or several times. After each
+kind, the memory is printed that is the process's own (USS); it must not grow from round to round.
+"""
+
+from __future__ import annotations
+
+import argparse
+import http.client
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Final
+
+import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
+
+PORT: Final = 8124
+CAMERAS: Final = "center", "left", "right"
+AT_ONCE: Final = 6  # connections of a browser
+DONE: Final = re.compile(rb'"about": ?\{|"is_done": ?true|"problem": ?"[^"]')
+
+
+def ask(path: str, method: str = "GET") -> bytes:
+    connection = http.client.HTTPConnection("127.0.0.1", PORT, timeout=600)
+    try:
+        connection.request(method, path, headers={"Accept-Encoding": "gzip"})
+        answer = connection.getresponse()
+        body = answer.read()
+        if answer.status >= 400:
+            print(f"  {path}: {answer.status} {body[:200]!r}")
+        return body
+    finally:
+        connection.close()
+
+
+def plain(path: str, method: str = "GET") -> bytes:
+    connection = http.client.HTTPConnection("127.0.0.1", PORT, timeout=600)
+    try:
+        connection.request(method, path)
+        return connection.getresponse().read()
+    finally:
+        connection.close()
+
+
+def keys(page: str, kind: str) -> list[str]:
+    return sorted(set(re.findall(rf'href="/{kind}/([^"/?#]+)"', plain(page).decode())))
+
+
+def wait_for(path: str) -> None:
+    while not DONE.search(plain(path)):
+        time.sleep(0.2)
+
+
+def uses(pictures: int) -> dict[str, Callable[[], object]]:
+    """What a person does, by name. Each is done once a round."""
+    while b"being read" in plain("/sessions.rows"):
+        time.sleep(0.2)
+    pages = ["/sessions", "/sessions.rows", "/index", "/runs", "/drives", "/jobs"]
+    logs, runs = keys("/sessions", "sessions"), keys("/runs", "runs")
+    log, run = logs[0], runs[0] if runs else ""
+
+    def at_once(paths: Iterator[str] | list[str]) -> None:
+        with ThreadPoolExecutor(AT_ONCE) as pool:
+            list(pool.map(ask, paths))
+
+    def fingerprint(log: str) -> str:
+        return str(json.loads(plain(f"/sessions/{log}/state"))["fingerprint"])
+
+    def predict() -> None:
+        for each in logs[:2]:
+            at = f"/sessions/{each}/predictions/{run}?log={fingerprint(each)}"
+            plain(at, "POST")
+            wait_for(at)
+
+    def look() -> None:
+        for each in logs[:2]:
+            plain(f"/sessions/{each}/look", "POST")
+            wait_for(f"/sessions/{each}/look")
+
+    def rerun() -> None:
+        """Read the viewer's files, 40 MB, as its frame does, while its log is held open."""
+        holding = http.client.HTTPConnection("127.0.0.1", PORT, timeout=600)
+        holding.request("POST", f"/sessions/{log}/rerun")
+        for line in (answer := holding.getresponse()):
+            if b'"frame"' in line:
+                break
+        for name in ("re_viewer.js", "re_viewer_bg.wasm"):
+            ask(f"/rerun/files/{name}")
+        answer.close()
+        holding.close()
+
+    found: dict[str, Callable[[], object]] = {
+        "lists": lambda: [ask(path) for path in pages * 5],
+        "strips, sketches": lambda: at_once(
+            [f"/sessions/{each}/{name}" for each in logs for name in ("strip.jpg", "steering.svg")]
+        ),
+        "session pages": lambda: at_once(
+            [f"/sessions/{each}{part}" for each in logs for part in ("", "/state", "/rows", "/tags", "/links")]
+        ),
+        "pictures": lambda: at_once(
+            [
+                f"/sessions/{logs[at % len(logs)]}/pictures/{CAMERAS[at % 3]}/{at * 7919 % 1000}"
+                for at in range(pictures)
+            ]
+        ),
+        "conditions": lambda: [
+            ask(f"/sessions/{each}/where?condition=speed_mph%20%3C%20{number}")
+            for each in logs
+            for number in (1, 2)
+        ],
+        "search": lambda: [ask(f"/sessions.rows?where=speed_mph%20%3E%20{number}") for number in range(12)],
+        "looking at pictures": look,
+        "augmentations": lambda: [ask(f"/index.altered?others={number}") for number in range(4)],
+        "rerun": rerun,
+    }
+    if runs:
+        found["runs"] = lambda: at_once(
+            [f"/runs/{run}{part}" for run in runs for part in ("", "/top", "/body", "/steering.png")] * 3
+        )
+        found["predictions"] = predict
+        found["attention"] = lambda: at_once(
+            [f"/sessions/{log}/attention/{run}/{row}" for row in range(0, 300, 3)]
+        )
+    return found
+
+
+def own_mb(process: psutil.Process) -> float:
+    return float(process.memory_full_info().uss / 1e6)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("project", type=Path)
+    parser.add_argument("--rounds", type=int, default=4)
+    parser.add_argument("--pictures", type=int, default=2000)
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as cache:
+        line = [sys.executable, "-c", "from web.cli import main; main()", "--port", str(PORT)]
+        with subprocess.Popen(line, cwd=asked.project, env={**os.environ, "BC_CACHE": cache}) as server:
+            try:
+                process = psutil.Process(server.pid)
+                while not any(each.laddr.port == PORT for each in process.net_connections()):
+                    time.sleep(0.1)
+                print(f"started: {own_mb(process):.0f} MB")
+                did = uses(asked.pictures)
+                for turn in range(asked.rounds):
+                    for name, use in did.items():
+                        use()
+                        print(f"round {turn + 1}, after {name}: {own_mb(process):.0f} MB", flush=True)
+            finally:
+                server.terminate()
+
+
+if __name__ == "__main__":
+    main()

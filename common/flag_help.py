@@ -1,0 +1,85 @@
+"""What `--help` shows: the flags that most people need, on one screen. `--help-all` shows the others too.
+
+A configuration lists its rare flags in `RARE: ClassVar[str]`. Parsing treats them as any other flag.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from types import UnionType
+from typing import Annotated, Any, Final, NoReturn, Union, get_args, get_origin, get_type_hints
+
+import tyro
+
+_HELP_ALL: Final = "--help-all"
+
+
+def asks_for_help(words: Sequence[str]) -> bool:
+    return not {"-h", "--help", _HELP_ALL}.isdisjoint(words)
+
+
+def print_help(prog: str, config: Any, about: str, words: Sequence[str], default: Any | None) -> NoReturn:
+    """Print the help that `words`, a command line, ask for. `default` has the values that it shows."""
+    shown = shown_by_help(config, with_rare=_HELP_ALL in words)
+    given = {} if default is None else {"default": _converted(default, shown)}
+    about += f" {_HELP_ALL} shows all flags." if _has_rare_flags(config) else ""
+    subcommand = [] if dataclasses.is_dataclass(config) or words[0].startswith("-") else [words[0]]
+    pairs_off = (tyro.conf.FlagCreatePairsOff,)
+    tyro.cli(shown, prog=prog, description=about, config=pairs_off, args=[*subcommand, "--help"], **given)
+    raise SystemExit(0)  # tyro has printed and ended before
+
+
+def shown_by_help(config: Any, with_rare: bool) -> Any:
+    """A variant of a configuration for the text of `--help`: no rare flags, and no "(default: None)".
+
+    `config` is a dataclass, or the union of those of a command's subcommands.
+    """
+    if get_origin(config) in (Union, UnionType):
+        kinds = [(each.__origin__, each.__metadata__) for each in get_args(config)]
+        return Union[tuple(Annotated[(shown_by_help(kind, with_rare), *notes)] for kind, notes in kinds)]  # noqa: UP007
+    hints = get_type_hints(config, include_extras=True)
+    changed = []
+    for each in dataclasses.fields(config):
+        hint = hints[each.name]
+        kind, notes = getattr(hint, "__origin__", hint), getattr(hint, "__metadata__", ())
+        default, factory = each.default, each.default_factory
+        if each.name in _rare(config) and not with_rare:
+            hint = Annotated[(hint, tyro.conf.Suppress)]
+        elif dataclasses.is_dataclass(kind):
+            factory = shown_by_help(kind, with_rare)
+            hint = Annotated[(factory, *notes)]
+        elif (default is None or isinstance(default, bool)) and not _has_hint(notes):
+            hint = Annotated[hint, tyro.conf.arg(help_behavior_hint="")]
+        if hint is not hints[each.name]:
+            default_of = {"default": default, "default_factory": factory}
+            given: dict[str, Any] = {name: it for name, it in default_of.items() if it is not dataclasses.MISSING}
+            changed.append((each.name, hint, dataclasses.field(**given)))
+    shown = dataclasses.make_dataclass(config.__name__, changed, bases=(config,), frozen=True)
+    shown.__doc__ = config.__doc__
+    return shown
+
+
+def _rare(config: Any) -> list[str]:
+    return getattr(config, "RARE", "").split()
+
+
+def _has_rare_flags(config: Any) -> bool:
+    if not dataclasses.is_dataclass(config):
+        return False
+    hints = get_type_hints(config)
+    return bool(_rare(config)) or any(_has_rare_flags(hints[each.name]) for each in dataclasses.fields(config))
+
+
+def _converted(values: Any, kind: Any) -> Any:
+    """The same values as an instance of `kind`, a variant of their class."""
+    hints = get_type_hints(kind)
+    fields = {each.name: getattr(values, each.name) for each in dataclasses.fields(kind)}
+    converted = {
+        name: _converted(value, hints[name]) for name, value in fields.items() if dataclasses.is_dataclass(value)
+    }
+    return kind(**fields | converted)
+
+
+def _has_hint(notes: Sequence[Any]) -> bool:
+    return any(getattr(note, "help_behavior_hint", None) for note in notes)

@@ -1,0 +1,199 @@
+"""Alterations of every picture, drawn anew in every epoch, so that a network learns no pixels by heart.
+
+What is drawn is a pure function of (seed, epoch, sample): a resumed training sees what it would have seen, and
+threads, batches and ranks do not matter. Each alteration is drawn the same, whichever others there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from typing import Final, Literal, get_args
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset.preprocessing import Image
+
+EpochAlteration = Literal["move", "zoom", "turn", "contrast", "brightness", "colours", "shadow", "box", "noise"]
+EPOCH_ALTERATIONS: Final[tuple[EpochAlteration, ...]] = get_args(EpochAlteration)
+
+STEERING_A_WIDTH: Final = 4.8
+"""Steering for a picture that is moved by its width, in side corrections: 0.0075 a column of 128, by default."""
+
+NOISE_LEVEL: Final = 32.0
+"""Standard deviation of what `noise_of` gives, of which a share is added."""
+
+_MOVE: Final = 8 / 128, 5 / 128  # of width and height, to either side
+_ZOOM: Final = 0.1
+_TURN_RAD: Final = np.deg2rad(3.0)
+_CONTRAST: Final = 0.3
+_BRIGHTNESS: Final = 30.0  # levels
+_MIDDLE: Final = 127.5
+_COLOUR: Final = 0.15  # of each channel
+_SHADE: Final = 0.45, 0.75  # of the light that a shadow leaves
+_BOX: Final = 0.1, 0.4  # of width and height
+_NOISE: Final = 8.0  # levels, standard deviation at most
+_PIECES: Final = 1 << 16  # of noise
+
+_DRAWS: Final[dict[EpochAlteration, slice]] = {
+    "move": slice(0, 2),
+    "zoom": slice(2, 3),
+    "turn": slice(3, 4),
+    "contrast": slice(4, 5),
+    "brightness": slice(5, 6),
+    "colours": slice(6, 9),
+    "shadow": slice(9, 15),
+    "box": slice(15, 21),
+    "noise": slice(21, 23),
+}
+_MOST_DRAWS: Final = 24  # of a sample
+
+Numbers = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What is done to N pictures. None: to none of them."""
+
+    matrix: Floats | None  # (N, 2, 3): where in the picture each pixel comes from, px
+    colours: Floats | None  # (N, 3, 4): the new colours of (blue, green, red, 1)
+    shade: Floats | None  # (N,): the light that a shadow leaves; 1: no shadow
+    strip: NDArray[np.int32]  # (N, 4, 2): the corners of the shadow, px
+    box: list[list[int]] | None  # N of left, top, right and bottom in px, and the level; left = right: no box
+    noise: Floats | None  # (N,): standard deviation, levels
+    piece: Numbers  # (N,): which piece of the noise
+
+
+@dataclass(frozen=True)
+class EpochAlterations:
+    """The alterations of a training's pictures."""
+
+    names: Sequence[EpochAlteration]
+    seed: int
+    side_correction: float
+
+    def labels(self, labels: NDArray[np.float32], epoch: int, samples: Numbers) -> NDArray[np.float32]:
+        """The labels (N,) or (N, K) of moved pictures: steering back to where they were seen from."""
+        if "move" not in self.names:
+            return labels
+        moved = labels.copy()
+        steering = moved if moved.ndim == 1 else moved[:, 0]
+        share = _MOVE[0] * self._draws(epoch, samples, _DRAWS["move"])[:, 0]
+        steering += (self.side_correction * STEERING_A_WIDTH * share).astype(np.float32)
+        np.clip(steering, -1, 1, out=steering)
+        return moved
+
+    def alter(self, epoch: int, pictures: Image, samples: Numbers) -> None:
+        """Alter the pictures (N, height, width, 3) BGR of samples in place."""
+        drawn = self.draw(epoch, samples, pictures.shape[1], pictures.shape[2])
+        for number, picture in enumerate(pictures):
+            _alter(picture, drawn, number)
+
+    def draw(self, epoch: int, samples: Numbers, height: int, width: int) -> Drawn:
+        """What is done to the pictures of samples, of this size."""
+        draws = self._draws(epoch, samples, slice(0, _MOST_DRAWS))
+        of = {name: draws[:, part] for name, part in _DRAWS.items() if name in self.names}
+        shade, strip = None, np.zeros((len(samples), 4, 2), np.int32)
+        if (shadow := of.get("shadow")) is not None:
+            shade = np.where(shadow[:, 0] < 0, 1, _between(_SHADE, shadow[:, 1]))
+            columns = (0.5 + 0.75 * shadow[:, 2:]) * width
+            strip[:, :2, 0] = np.sort(columns[:, :2])
+            strip[:, :1:-1, 0] = np.sort(columns[:, 2:])
+            strip[:, 2:, 1] = height - 1
+        box = None
+        if (drawn := of.get("box")) is not None:
+            length = _between(_BOX, drawn[:, 1:3]) * (width, height)
+            start = (0.5 + 0.5 * drawn[:, 3:5]) * ((width, height) - length)
+            end = np.where(drawn[:, :1] < -1 / 3, start + length, start)
+            level = 127.5 + 127.5 * drawn[:, 5:]
+            box = np.concatenate([start, end, level], axis=1).astype(np.int64).tolist()
+        noise, piece = None, np.zeros(len(samples), np.int64)
+        if (drawn := of.get("noise")) is not None:
+            noise = _between((0, _NOISE), drawn[:, 0])
+            piece = _between((0, _PIECES), drawn[:, 1]).astype(np.int64)
+        return Drawn(_matrix(of, height, width), _colours(of), shade, strip, box, noise, piece)
+
+    def _draws(self, epoch: int, samples: Numbers, part: slice) -> Floats:
+        """(N, K), -1..1, by SplitMix64 (Steele et al. 2014), which draws any of them without those before."""
+        counter = samples[:, None].astype(np.uint64) * np.uint64(_MOST_DRAWS)
+        counter = counter + np.arange(part.start + 1, part.stop + 1, dtype=np.uint64)
+        mixed = _key(self.seed, epoch) + counter * np.uint64(0x9E3779B97F4A7C15)
+        mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        mixed ^= mixed >> np.uint64(31)
+        return (mixed >> np.uint64(11)).astype(np.float64) * 2.0**-52 - 1
+
+
+@lru_cache(maxsize=4)
+def _key(seed: int, epoch: int) -> np.uint64:
+    return np.uint64(np.random.SeedSequence((seed, epoch)).generate_state(1, np.uint64)[0])
+
+
+def _matrix(of: Mapping[EpochAlteration, Floats], height: int, width: int) -> Floats | None:
+    """Zoomed and turned around the middle, then moved: from the new picture's px to the old one's."""
+    count = max((len(of[name]) for name in ("move", "zoom", "turn") if name in of), default=0)
+    if not count:
+        return None
+    still = np.zeros((count, 2))
+    scale = 1 / (1 + _ZOOM * of.get("zoom", still)[:, 0])
+    angle = _TURN_RAD * of.get("turn", still)[:, 0]
+    shift = of.get("move", still) * _MOVE * (width, height)
+    cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
+    matrix = np.empty((count, 2, 3))
+    matrix[:, 0, 0], matrix[:, 0, 1] = cosine, sine
+    matrix[:, 1, 0], matrix[:, 1, 1] = -sine, cosine
+    middle = np.array([(width - 1) / 2, (height - 1) / 2])
+    matrix[:, :, 2] = middle - (matrix[:, :, :2] @ (middle + shift)[:, :, None])[:, :, 0]
+    return matrix
+
+
+def _colours(of: Mapping[EpochAlteration, Floats]) -> Floats | None:
+    """Contrast around the middle grey, brightness, and the share of each colour, in one."""
+    count = max((len(of[name]) for name in ("contrast", "brightness", "colours") if name in of), default=0)
+    if not count:
+        return None
+    none = np.zeros((count, 1))
+    contrast = 1 + _CONTRAST * of.get("contrast", none)
+    colours = np.zeros((count, 3, 4))
+    colours[:, (0, 1, 2), (0, 1, 2)] = contrast * (1 + _COLOUR * of.get("colours", none))
+    colours[:, :, 3] = _MIDDLE * (1 - contrast) + _BRIGHTNESS * of.get("brightness", none)
+    return colours
+
+
+def _alter(picture: Image, drawn: Drawn, number: int) -> None:
+    height, width = picture.shape[:2]
+    if drawn.matrix is not None:
+        four = cv2.cvtColor(picture, cv2.COLOR_BGR2BGRA)  # OpenCV warps four channels in half the time of three
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        moved = cv2.warpAffine(four, drawn.matrix[number], (width, height), None, flags, cv2.BORDER_REPLICATE)
+        cv2.cvtColor(moved, cv2.COLOR_BGRA2BGR, picture)
+    if drawn.colours is not None:
+        cv2.transform(picture, drawn.colours[number], picture)
+    if drawn.shade is not None and (shade := float(drawn.shade[number])) < 1:
+        mask = np.zeros((height, width), np.uint8)
+        cv2.fillConvexPoly(mask, drawn.strip[number], 1)
+        cv2.copyTo(cv2.convertScaleAbs(picture, alpha=shade), mask, picture)
+    if drawn.box is not None:
+        left, top, right, bottom, level = drawn.box[number]
+        if left < right:
+            picture[top:bottom, left:right] = level
+    if drawn.noise is not None:
+        share, piece = float(drawn.noise[number]) / NOISE_LEVEL, int(drawn.piece[number])
+        noise = noise_of(picture.size)[piece : piece + picture.size].reshape(picture.shape)
+        cv2.addWeighted(picture, 1, noise, share, -128 * share, picture)
+
+
+@cache
+def noise_of(size: int) -> Image:
+    """Noise around 128, of which a picture of `size` values takes a piece."""
+    random = np.random.default_rng(0)
+    return np.clip(random.normal(128, NOISE_LEVEL, size + _PIECES).round(), 0, 255).astype(np.uint8)
+
+
+def _between(bounds: tuple[float, float], drawn: Floats) -> Floats:
+    """What was drawn, -1..1, as between these bounds."""
+    return bounds[0] + (bounds[1] - bounds[0]) * (0.5 + 0.5 * drawn)

@@ -1,0 +1,47 @@
+"""Rows with a tag: `fine`, somebody has looked at what is odd in them, and it is nothing; or `exclude`."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterable
+
+from common.location import Location
+from recorder.errors import LogError
+from recorder.log.reader import Log
+from recorder.log.tags import FINE, Tag, tags_by_content
+from recorder.rows.odd_stretches import OddStretch
+
+
+class TaggedRows:
+    """The rows that a log's tags call by a name."""
+
+    def __init__(self, tags: Iterable[Tag], name: str = FINE) -> None:
+        self._first = list[int]()  # of stretches that do not touch, in order
+        self._last = list[int]()
+        for first, last, _ in sorted(tag for tag in tags if tag.name == name):
+            if self._last and first <= self._last[-1] + 1:
+                self._last[-1] = max(self._last[-1], last)
+            else:
+                self._first.append(first)
+                self._last.append(last)
+
+    def hold(self, first_row: int, last_row: int) -> bool:
+        """Whether all rows of a stretch have the tag."""
+        at = bisect_right(self._first, first_row) - 1
+        return at >= 0 and last_row <= self._last[at]
+
+    def left(self, odd: Iterable[OddStretch]) -> list[OddStretch]:
+        """The stretches in which some row lacks it."""
+        return [each for each in odd if not self.hold(each.first_row, each.last_row)]
+
+
+def fine_rows(path: Location) -> TaggedRows:
+    """The fine rows of a log; none where the log or its tags cannot be read."""
+    try:
+        tags = tags_by_content(path)
+        if not any(tag.name == FINE for of_one in tags.values() for tag in of_one):
+            return TaggedRows(())
+        with Log(path) as log:  # its fingerprint
+            return TaggedRows(tags[log.fingerprint])
+    except LogError:
+        return TaggedRows(())

@@ -1,0 +1,193 @@
+"""Do alterations drawn anew in every epoch help? One person out: trained on some people, measured on the others.
+
+python studies/alterations.py FOLDER sessions/*.mcap [--network small] [--recipes people all] [--seeds 0 1 2]
+    [--parts one three drive] [--table]
+
+"one": a network of each person alone, measured on all the others. "three": a network of all but one, measured on
+that one. Errors are shares of those of always predicting the mean of the very frames. "drive": a network of half a
+lap of both built-in tracks by the simulated keyboard driver drives full laps. Each result is a file in
+FOLDER/results: what is there is not made again, and a training that was stopped goes on. --table only prints.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Final
+
+from dataset import IndexConfig, build_index
+from dataset.epoch_alterations import EPOCH_ALTERATIONS
+from drive.config import DriveConfig
+from drive.evaluation.closed_loop import evaluate as drive
+from drive.evaluation.simulator_process import BuiltInSimulator
+from model import TrainConfig, load_pilot, train
+from model.evaluation.evaluate import evaluate_sessions
+from model.training.trainer import Trained
+
+LONGER: Final = ", 14 epochs"
+"""Of recipes that go on with the run of the same recipe."""
+PEOPLE: Final = TrainConfig(epochs=6)
+ALL: Final = replace(PEOPLE, alter_each_epoch=("all",))
+RECIPES: Final[Mapping[str, TrainConfig]] = {
+    "people": PEOPLE,
+    "all": ALL,
+    f"people{LONGER}": replace(PEOPLE, epochs=14),
+    f"all{LONGER}": replace(ALL, epochs=14),
+    **{f"{name} alone": replace(PEOPLE, alter_each_epoch=(name,)) for name in EPOCH_ALTERATIONS},
+    **{
+        f"all but {name}": replace(
+            PEOPLE, alter_each_epoch=tuple(other for other in EPOCH_ALTERATIONS if other != name)
+        )
+        for name in EPOCH_ALTERATIONS
+    },
+}
+MEASURES: Final = "RMSE", "error on turns", "correlation"
+ROADS: Final = "lake", "mountain", "random:1", "random:2", "random:3"
+MPH: Final = 15.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("logs", type=Path, nargs="+")
+    parser.add_argument("--network", default=TrainConfig.network)
+    parser.add_argument("--recipes", nargs="+", default=list(RECIPES)[:4], choices=RECIPES)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--parts", nargs="+", default=["one", "three"], choices=["one", "three", "drive"])
+    parser.add_argument("--table", action="store_true")
+    chosen = parser.parse_args()
+    logs = [log.resolve() for log in chosen.logs]
+    if not chosen.table:
+        for seed, kind in product(chosen.seeds, chosen.parts):
+            for learnt, recipe in product(parts(logs, kind), chosen.recipes):
+                if kind == "drive":
+                    drive_roads(chosen.folder, chosen.network, recipe, seed)
+                else:
+                    measure(chosen.folder, chosen.network, recipe, seed, learnt, logs)
+    for kind in chosen.parts:
+        if kind == "drive":
+            print_drives(chosen.folder, chosen.network, chosen.recipes, chosen.seeds)
+        else:
+            print_table(chosen.folder, chosen.network, kind, logs, chosen.recipes, chosen.seeds)
+
+
+def parts(logs: Sequence[Path], kind: str) -> list[list[Path]]:
+    if kind == "drive":
+        return [[]]
+    return [[log] if kind == "one" else [other for other in logs if other != log] for log in logs]
+
+
+def measure(
+    folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path], logs: Sequence[Path]
+) -> None:
+    """Train, and measure on the logs that are not learnt."""
+    result = file_of(folder, network, recipe, seed, learnt)
+    if result.exists():
+        return
+    print(result.stem, file=sys.stderr, flush=True)
+    trained = trained_on(folder, network, recipe, seed, learnt)
+    found = evaluate_sessions(trained.run, [log for log in logs if log not in learnt])
+    values = {
+        session: {
+            "RMSE": of.network.rmse_deg / of.mean.rmse_deg,
+            "error on turns": of.network.turning_mae_deg / of.mean.turning_mae_deg,
+            "correlation": of.network.correlation,
+        }
+        for session, of in found.sessions.items()
+    }
+    keep(result, {"best_epoch": trained.best_epoch, "sessions": values})
+
+
+def trained_on(folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path]) -> Trained:
+    # nothing is needed to choose an epoch of others' frames, but something has to be held out
+    index = folder / "indexes" / "-".join(log.stem for log in learnt)
+    if not index.exists():
+        build_index(list(learnt), index, IndexConfig(validation_share=0.1))
+    run = folder / "runs" / file_of(folder, network, recipe.removesuffix(LONGER), seed, learnt).stem
+    config = replace(RECIPES[recipe], network=network, seed=seed, threads=1)
+    return train(index, run, config, resume=run.exists(), figures=False, show_progress=False)
+
+
+def drive_roads(folder: Path, network: str, recipe: str, seed: int) -> None:
+    """Train on half laps of somebody at a keyboard, and drive."""
+    sessions = [folder / "sessions" / f"keyboard_{track}.mcap" for track in ("lake", "mountain")]
+    result = file_of(folder, network, recipe, seed, sessions)
+    if result.exists():
+        return
+    print(result.stem, file=sys.stderr, flush=True)
+    for session, track in zip(sessions, ("lake", "mountain"), strict=True):
+        if not session.exists():
+            record: list[str | Path] = [
+                "bc-record",
+                session.stem,
+                "--sessions",
+                session.parent,
+                "--driver",
+                "keyboard",
+                "--track",
+                track,
+            ]
+            subprocess.run([*record, "--laps", "0.5", "--speed", f"{MPH:g}", "--seed", "1"], check=True)
+    trained = trained_on(folder, network, recipe, seed, sessions)
+    drives = [(BuiltInSimulator(road), DriveConfig(set_speed_mph=MPH)) for road in ROADS]
+    reports = [
+        each.report for each in drive(load_pilot(trained.run), drives, trained.run / "drives", overwrite=True)
+    ]
+    keep(result, dict(zip(ROADS, reports, strict=True)))
+
+
+def print_drives(folder: Path, network: str, recipes: Sequence[str], seeds: Sequence[int]) -> None:
+    """For each recipe and seed: interventions, and the mean offset as a share of the half width."""
+    print(f"\n| `{network}` | seed | {' | '.join(ROADS)} |\n|{'---|' * (2 + len(ROADS))}")
+    sessions = [Path("keyboard_lake"), Path("keyboard_mountain")]
+    for recipe, seed in product(recipes, seeds):
+        file = file_of(folder, network, recipe, seed, sessions)
+        if file.exists():
+            found = json.loads(file.read_text())
+            cells = [f"{found[road]['interventions']}, {found[road]['mean_offset']:.3f}" for road in ROADS]
+            print(f"| {recipe} | {seed} | {' | '.join(cells)} |")
+
+
+def keep(result: Path, kept: Mapping[str, object]) -> None:
+    result.parent.mkdir(exist_ok=True)
+    unfinished = result.with_suffix(".part")
+    unfinished.write_text(json.dumps(kept))
+    unfinished.rename(result)
+
+
+def file_of(folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path]) -> Path:
+    named = "-".join([network, recipe.replace(", ", "-").replace(" ", "-"), *(log.stem for log in learnt)])
+    return folder / "results" / f"{named}-{seed}.json"
+
+
+def print_table(
+    folder: Path, network: str, kind: str, logs: Sequence[Path], recipes: Sequence[str], seeds: Sequence[int]
+) -> None:
+    """For each recipe: means over pairs of each seed, their mean, and the least and the most."""
+    print(
+        f"\n| `{network}`, trained on {kind} | seeds | {' | '.join(MEASURES)} |\n|{'---|' * (2 + len(MEASURES))}"
+    )
+    for recipe in recipes:
+        of_seeds: list[list[float]] = []
+        for seed in seeds:
+            files = [file_of(folder, network, recipe, seed, learnt) for learnt in parts(logs, kind)]
+            if not all(file.exists() for file in files):
+                continue
+            found = [values for file in files for values in json.loads(file.read_text())["sessions"].values()]
+            of_seeds.append([statistics.fmean(values[name] for values in found) for name in MEASURES])
+        if not of_seeds:
+            continue
+        columns = list(zip(*of_seeds, strict=True))
+        cells = [f"{statistics.fmean(each):.3f} ({min(each):.3f} to {max(each):.3f})" for each in columns]
+        print(f"| {recipe} | {len(of_seeds)} | {' | '.join(cells)} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+"""`bc-train --alter-each-epoch`: what a run keeps of it, that it goes on exactly, and is measured unaltered."""
+
+from __future__ import annotations
+
+import json
+import signal
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dataset import load
+from model import RunError, TrainConfig, train
+from model.cli import main
+from model.evaluation.evaluate import evaluate
+from model.runs.history import read_epochs
+from model.runs.training_progress import Epoch, Step
+from toy import SMALL, toy_index
+from udacity import call
+
+CONFIG = replace(SMALL, epochs=2, batch=6, keep="last", alter_each_epoch=("all",))
+
+
+@pytest.fixture(scope="module")
+def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return toy_index(tmp_path_factory.mktemp("toy"))
+
+
+@pytest.fixture(scope="module")
+def whole(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run = tmp_path_factory.mktemp("runs") / "whole"
+    train(index, run, CONFIG, figures=False)
+    return run
+
+
+class StopAt:
+    """Ctrl-C at a step."""
+
+    def __init__(self, epoch: int, batch: int) -> None:
+        self.place = epoch, batch
+
+    def step(self, step: Step) -> None:
+        if (step.epoch, step.batch) == self.place:
+            signal.raise_signal(signal.SIGINT)
+
+    def epoch(self, epoch: Epoch) -> None: ...
+    def close(self) -> None: ...
+
+
+def settings(run: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((run / "config.json").read_text())["training"]
+    return found
+
+
+def weights(run: Path) -> bytes:
+    return (run / "model.safetensors").read_bytes()
+
+
+def test_a_training_that_is_stopped_in_an_epoch_goes_on_to_the_same_weights(
+    index: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("model.training.loop.STEP_BATCHES", 3)
+    run = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt):
+        train(index, run, CONFIG, [StopAt(2, 3)], figures=False)
+    train(index, run, resume=True, figures=False)
+    assert weights(run) == weights(whole)
+
+
+def test_it_changes_what_is_learnt_and_each_choice_is_another(index: Path, whole: Path, tmp_path: Path) -> None:
+    learnt = {weights(whole)}
+    for names in (("none",), ("move",), ("noise", "box")):
+        run = tmp_path / names[0]
+        train(index, run, replace(CONFIG, alter_each_epoch=names), figures=False)
+        learnt.add(weights(run))
+    assert len(learnt) == 4
+
+
+def test_frames_held_out_are_measured_as_they_were_recorded(index: Path, whole: Path) -> None:
+    """`evaluate` knows nothing of a training's settings."""
+    last = read_epochs(whole)[-1]
+    found = evaluate(whole, index).measures
+    assert last.epoch == 2
+    assert last.measures.network.rmse_deg == pytest.approx(found.network.rmse_deg, rel=1e-4)
+
+
+def test_a_run_of_before_had_none_and_the_default_is_none(index: Path) -> None:
+    assert TrainConfig().epoch_alterations == TrainConfig.of("original").epoch_alterations == ()
+    with load(index, alter_each_epoch=TrainConfig().epoch_alterations) as loader:
+        assert loader.alterations is None
+
+
+@pytest.mark.usefixtures("without_figures")
+def test_the_command_keeps_it_and_like_and_resume_repeat_it(
+    index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    places = ["--runs", tmp_path, "--index", index, "--sessions", index.parent]
+    flags = ["--network", "small", "--batch", 6, "--threads", 1]
+    chosen = ["--alter-each-epoch", "noise", "move"]
+    assert call(main, "--name", "first", "--epochs", 1, *flags, *chosen, *places) == 0
+    assert settings(tmp_path / "first")["alter_each_epoch"] == ["noise", "move"]
+    assert call(main, "--like", "first", "--name", "second", *places) == 0
+    assert weights(tmp_path / "second") == weights(tmp_path / "first")
+    assert call(main, "--like", "first", "--name", "third", "--alter-each-epoch", "none", *places) == 0
+    assert weights(tmp_path / "third") != weights(tmp_path / "first")
+    assert call(main, "--resume", "first", "--epochs", 2, *places) == 0
+    assert settings(tmp_path / "first")["alter_each_epoch"] == ["noise", "move"]
+    capsys.readouterr()
+    assert call(main, "--resume", "first", "--epochs", 3, "--alter-each-epoch", "all", *places) == 1
+    assert "was begun with --alter-each-epoch" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("names", [("all", "move"), ("none", "move"), ("move", "move")])
+def test_a_contradiction_names_the_flag(names: tuple[Any, ...]) -> None:
+    with pytest.raises(ValueError, match=r"^--alter-each-epoch \w+ move: "):
+        TrainConfig(alter_each_epoch=names)
+
+
+def test_a_run_of_an_alteration_that_is_unknown_here_is_refused(index: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    train(index, run, replace(CONFIG, epochs=1), figures=False)
+    config = json.loads((run / "config.json").read_text())
+    config["training"]["alter_each_epoch"] = ["rain"]
+    (run / "config.json").write_text(json.dumps(config))
+    with pytest.raises(RunError, match="training settings cannot be used"):
+        train(index, run, resume=True, figures=False)

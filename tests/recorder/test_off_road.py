@@ -1,0 +1,92 @@
+"""A car that leaves the road is named, where its places are recorded and its road is built in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from logs import START_NS
+from recorder import Log, LogWriter
+from recorder.bc_pb2 import VehicleState
+from recorder.log.pose_message import pose_message
+from recorder.log.road_places import states_of
+from recorder.log_cli import main as bc_log
+from recorder.rows.odd_stretches import odd_stretches
+from recorder.rows.road_edge import off_road_rows
+from recorder.upkeep.check import check
+from recorder.upkeep.log_info import describe
+from simulator.driving.expert import Expert
+from simulator.driving.simulation import Simulation
+from udacity import call
+
+ROWS = 200
+RATE_HZ = 10
+
+
+def drive(log: Path, steer: bool, **session: str) -> set[int]:
+    """The expert on the lake; after five seconds, `steer` turns the wheel to the right until the car has left the
+    road, and the expert brings it back without a stop. The rows off the road, as the simulator has them."""
+    simulation = Simulation("lake")
+    course, track = simulation.course, simulation.track
+    expert, off, wanders = Expert(course.line, 15.0), set(), steer
+    about = {"source": "simulator", "track": "lake", "track_fingerprint": track.fingerprint(), **session}
+    with LogWriter(log, about) as writer:
+        for row in range(ROWS):
+            steering, throttle = expert.control(course)
+            wanders &= not course.off_road
+            if wanders and row > 50:
+                steering = 0.3
+            if course.off_road:
+                off.add(row)
+            time_ns = START_NS + row * 10**9 // RATE_HZ
+            state = VehicleState(
+                steering=steering, throttle=max(0.0, throttle), speed_mph=course.vehicle.speed_mph
+            )
+            writer.vehicle(time_ns, row, state)
+            writer.pose(time_ns, row, pose_message(course.pose, time_ns))
+            course.advance(steering, throttle, 1 / RATE_HZ)
+    return off
+
+
+def test_a_car_that_comes_back_without_a_stop_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "a.mcap"
+    off = drive(log, steer=True)
+    assert len(off) > 8
+    for odd in (describe(log).odd or [], check(log, look=False).odd):
+        (found,) = odd
+        assert (found.kind, found.is_sure, found.is_learnt) == ("off_road", True, True)
+        assert {*range(found.first_row, found.last_row + 1)} ^ off <= {min(off), max(off)}
+    assert f"off the road: rows {found.first_row} to {found.last_row}, " in str(found)
+    assert "m beyond the edge)" in str(found)
+    part = tmp_path / "part.mcap"
+    assert call(bc_log, "trim", log, "--to", part, "--rows", 20, ROWS - 1) == 0
+    (of_part,) = describe(part).odd or []
+    assert (of_part.kind, of_part.rows) == ("off_road", found.rows)
+    capsys.readouterr()
+    assert call(bc_log, "tag", log, "exclude", "--odd") == 0
+    assert capsys.readouterr().out == f"exclude: rows {found.first_row} to {found.last_row}\n"
+
+
+def test_a_car_on_its_road_or_on_an_unknown_one_is_not_named(tmp_path: Path) -> None:
+    assert drive(tmp_path / "on.mcap", steer=False) == set()
+    for name, session in (("other", {"track_fingerprint": "f" * 64}), ("none", {"track": "my road"})):
+        drive(tmp_path / f"{name}.mcap", steer=True, **session)
+    for name in ("on", "other", "none"):
+        assert describe(tmp_path / f"{name}.mcap").odd == []
+    with Log(tmp_path / "on.mcap") as log:
+        states = states_of(log)
+    assert states.beyond_m is not None
+    half_m = Simulation("lake").track.half_width_m.min()
+    assert np.nanmax(states.beyond_m) < -half_m / 2  # the expert keeps to the middle
+    nowhere = replace(states, beyond_m=np.full(len(states.row), np.nan))
+    assert odd_stretches(nowhere) == []
+
+
+def test_stretches_that_follow_are_one_and_a_car_put_back_is_none() -> None:
+    beyond_m = np.full(100, -1.0)
+    beyond_m[[10, *range(20, 30), *range(45, 60), *range(90, 96)]] = 0.5
+    off = off_road_rows(beyond_m, np.arange(100) / 10, np.zeros(100, np.int64))
+    assert {*np.flatnonzero(off)} == {*range(20, 60), *range(90, 96)}

@@ -1,0 +1,101 @@
+"""Copies of logs to S3 in several parts: stopped, killed, two at once, to a name that somebody takes meanwhile."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from bucket import Bucket, in_parts_of, unfinished_parts
+from common.errors import ObjectExistsError, StoreError
+from faulty_proxy import Passing
+from logs import write_log
+from recorder.log_cli import main
+from recorder.upkeep import copy_log as copying
+from recorder.upkeep.copy_log import copy_log
+from udacity import call
+
+PARTS = 6
+
+
+@pytest.fixture
+def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A log that is sent in six parts; a.mcap."""
+    path = write_log(tmp_path / "here/a.mcap", [0.1] * 60)
+    in_parts_of(monkeypatch, -(-path.stat().st_size // PARTS))
+    return path
+
+
+def contents(bucket: Bucket) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in bucket.folder.iterdir()}
+
+
+def is_part(passing: Passing, number: int) -> bool:
+    return passing.command == "PUT" and f"partNumber={number}&" in passing.path
+
+
+def test_a_copy_that_failed_begins_anew_and_leaves_nothing(bucket: Bucket, log: Path) -> None:
+    bucket.answer = lambda passing: is_part(passing, 5) and passing.fail(400, "ExpiredToken")
+    with pytest.raises(StoreError, match="ExpiredToken"):
+        copy_log(log, bucket.url("a.mcap"))
+    assert contents(bucket) == {}
+    assert unfinished_parts(bucket) == []
+    bucket.pass_all()
+    assert copy_log(log, bucket.url("a.mcap")).is_new
+    assert sum(method == "PUT" and "partNumber" in path for method, path, _ in bucket.requests) >= PARTS
+    assert contents(bucket) == {"a.mcap": log.read_bytes()}
+    bucket.pass_all()
+    assert not copy_log(log, bucket.url("a.mcap")).is_new
+    assert bucket.count("PUT") == 0
+
+
+def test_ctrl_c_ends_a_copy_and_leaves_nothing(bucket: Bucket, log: Path) -> None:
+    def interrupt(passing: Passing) -> bool:
+        if is_part(passing, 2):
+            os.kill(os.getpid(), signal.SIGINT)
+        return False
+
+    bucket.answer = interrupt
+    assert call(main, "copy", log, bucket.url()) == 130
+    bucket.pass_all()
+    assert contents(bucket) == {}
+    assert unfinished_parts(bucket) == []
+
+
+@pytest.mark.parametrize("is_same_log", [True, False])
+def test_two_machines_may_send_parts_to_one_name_at_once(
+    bucket: Bucket, log: Path, tmp_path: Path, is_same_log: bool
+) -> None:
+    other = write_log(tmp_path / "other/a.mcap", [0.2] * 60)
+    if is_same_log:
+        shutil.copy(log, other)
+    bucket.delay_s = 0.01
+    with ThreadPoolExecutor() as machines:
+        copies = [machines.submit(copy_log, each, bucket.url("a.mcap")) for each in (log, other)]
+        failures = [copy.exception() for copy in copies]
+    assert sum(isinstance(each, ObjectExistsError) for each in failures) == (0 if is_same_log else 1)
+    assert contents(bucket) == {"a.mcap": (log, other)[failures.index(None)].read_bytes()}
+
+
+@pytest.mark.parametrize("max_in_one_request", [1 << 30, 1000])
+def test_who_takes_the_name_meanwhile_wins_unless_it_may_be_replaced(
+    bucket: Bucket, log: Path, monkeypatch: pytest.MonkeyPatch, max_in_one_request: int
+) -> None:
+    monkeypatch.setattr(copying, "MAX_IN_ONE_REQUEST", max_in_one_request)
+
+    def somebody(passing: Passing) -> bool:
+        if passing.command == "POST" and "?uploads" in passing.path:
+            (bucket.folder / "a.mcap").write_bytes(b"somebody else's")
+        return False
+
+    bucket.answer = somebody
+    with pytest.raises(ObjectExistsError):
+        copy_log(log, bucket.url("a.mcap"))
+    assert contents(bucket) == {"a.mcap": b"somebody else's"}
+    assert unfinished_parts(bucket) == []
+    copy_log(log, bucket.url("a.mcap"), overwrite=True)
+    assert contents(bucket) == {"a.mcap": log.read_bytes()}

@@ -1,0 +1,150 @@
+"""The contents of the index page: settings, bins, each session's share, and the split along time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from common.errors import printable
+from common.stretches import stretches
+from dataset.errors import DatasetError
+from dataset.frames.frames_file import read_frames
+from dataset.index.build_state import FRAMES_FOLDER
+from dataset.parquet_file import read_columns, read_metadata
+from dataset.samples.samples_format import (
+    READABLE_FORMATS,
+    SAMPLES_FORMAT,
+    SAMPLES_NAME,
+    Balance,
+    SessionCounts,
+    sample_files,
+)
+from dataset.steering_bins import BINS, bin_of
+from web.logs.steering_sketch import bars, root_heights, svg
+
+_WIDTH: Final = 300
+_COLORS: Final = {"train": "#4a90d9", "validation": "#c77d1e"}  # readable on a light and on a dark page
+_BEFORE, _AFTER, _OTHER, _AXIS = "#8d97a1", "#4a90d9", "#8885", "#8884"
+
+
+@dataclass(frozen=True)
+class IndexView:
+    """An index as it is on the disk, by the metadata of its samples.parquet."""
+
+    settings: dict[str, str]
+    before: list[int]  # training samples of each steering bin, before it was balanced, and after
+    after: list[int]
+    counts: dict[str, dict[str, int]]  # frames of each session, by what becomes of them
+
+    @property
+    def frames(self) -> int:
+        return sum(counts.get("frames", 0) for counts in self.counts.values())
+
+    @property
+    def ways(self) -> list[str]:
+        """The uses of frames (training, held out ...) that any frame has, in the order of `bc-index`."""
+        known = [field.name for field in fields(SessionCounts)]
+        ways = dict.fromkeys(way for counts in self.counts.values() for way in counts)
+        some = [way for way in ways if any(counts.get(way) for counts in self.counts.values())]
+        return sorted(some, key=lambda way: known.index(way) if way in known else len(known))
+
+
+def view_index(index: Path) -> IndexView:
+    """Raises DatasetError where there is none, or where it is damaged or of another version."""
+    path = index / SAMPLES_NAME
+    metadata = read_metadata(path)
+    if metadata is None:
+        raise DatasetError(f"{path}: no index, or a damaged one; `bc-index` builds it")
+    if (version := metadata.get("format")) not in READABLE_FORMATS:
+        raise DatasetError(
+            f"{path}: of format {printable(str(version))}, not {SAMPLES_FORMAT}; `bc-index` makes it anew"
+        )
+    try:
+        balance = Balance.from_dict(metadata["balance"])
+        return IndexView(
+            {printable(str(name)): _text(value) for name, value in metadata["settings"].items()},
+            balance.before.tolist(),
+            balance.after.tolist(),
+            {
+                str(session): {str(way): int(count) for way, count in counts.items()}
+                for session, counts in metadata["counts"].items()
+            },
+        )
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise DatasetError(f"{path}: not as this version writes it ({error}); `bc-index` makes it anew") from None
+
+
+def bins_sketch(view: IndexView) -> bytes:
+    """Each bin before (behind) and after it was balanced, from left to right, as an SVG."""
+    height = 120
+    top = max([1, *view.before, *view.after])
+    parts = ((view.before, _BEFORE, 0.9), (view.after, _AFTER, 0.5))
+    heights = [([height * count / top for count in counts], color, share) for counts, color, share in parts]
+    paths = [
+        f'<path d="{bars(each, 0, 2 * _WIDTH, height, share)}" fill="{color}"/>' for each, color, share in heights
+    ]
+    return _svg(2 * _WIDTH, height, [*paths, f'<path d="M{_WIDTH} 0V{height}" stroke="{_AXIS}"/>'])
+
+
+def session_bins_sketch(index: Path, session: str) -> bytes:
+    """The square root of one session's training samples in each steering bin of the index. Raises DatasetError as
+    `view_index` does."""
+    height, bins = 28, len(view_index(index).before)
+    filters = [("session", "=", session), ("split", "=", "train")]
+    try:
+        # where they are divided, a session has a file of its own, or none
+        files = [file for file in sample_files(index) if file.name == SAMPLES_NAME or file.stem == session]
+        tables = [read_columns(file, ["label"], filters=filters) for file in files[:1]]
+    except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
+        raise DatasetError(f"{index / SAMPLES_NAME}: cannot be read ({error}); `bc-index` makes it anew") from None
+    labels = tables[0]["label"].to_numpy() if tables else np.zeros(0)
+    counts = np.bincount(bin_of(labels, bins), minlength=bins)
+    path = bars(root_heights(counts, height), 0, _WIDTH, height)
+    return _svg(_WIDTH, height, [f'<path d="{path}" fill="{_AFTER}"/>'])
+
+
+def bins_of_index(index: Path) -> int:
+    """How many steering bins an index has; the default where there is no index that can be read."""
+    try:
+        return len(view_index(index).before)
+    except DatasetError:
+        return BINS
+
+
+def split_sketch(index: Path, session: str) -> bytes:
+    """A sketch of a session's rows, trained on or held out, along it; grey is neither."""
+    frames = read_frames(index / FRAMES_FOLDER / f"{session}.parquet", ["row", "split"]).sort_by("row")
+    height, total = 14, max(1, len(frames))
+    parts = [f'<rect width="{_WIDTH}" height="{height}" fill="{_OTHER}"/>']
+    for split, color in _COLORS.items():
+        mask = pc.equal(frames["split"].cast(pa.string()), split).fill_null(False).to_numpy(zero_copy_only=False)
+        parts += [
+            f'<rect x="{_WIDTH * first / total:.2f}" width="{_WIDTH * (last - first + 1) / total:.2f}"'
+            f' height="{height}" fill="{color}"/>'
+            for first, last in stretches(mask)
+        ]
+    return _svg(_WIDTH, height, parts)
+
+
+def held_out_rows(index: Path, session: str) -> list[tuple[int, int]]:
+    """The first and last rows of the stretches of a session that validation has."""
+    frames = read_frames(index / FRAMES_FOLDER / f"{session}.parquet", ["row", "split"]).sort_by("row")
+    is_held_out = np.array(frames["split"].to_pylist()) == "validation"
+    row = frames["row"].to_numpy()
+    return [(int(row[first]), int(row[last])) for first, last in stretches(is_held_out)]
+
+
+def _svg(width: int, height: int, parts: Sequence[str]) -> bytes:
+    return svg(width, height, parts, ' preserveAspectRatio="none"')
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return printable(" ".join(map(str, value))) or "none"
+    return printable("none" if value is None else str(value))

@@ -1,0 +1,1 @@
+"""Commands that pages start: their forms, and those that run."""

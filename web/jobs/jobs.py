@@ -1,0 +1,246 @@
+"""Jobs: the project's commands, started from the page, each in a process of its own that outlives bc-web.
+
+A job is a folder in the cache, with the command, what it prints, and how it ended; so a bc-web that is begun anew
+finds those of before. A job ends by itself, or by Ctrl-C (`stop`); never because bc-web does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import secrets
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from types import MappingProxyType
+from typing import IO, Final
+from urllib.parse import urlencode
+
+import msgspec
+
+import behavioural_cloning_toolkit
+from common.errors import printable
+from common.locks import is_being_written
+from common.untrusted import real_path
+from common.untrusted_json import json_as
+from web.errors import WebError
+from web.folders.file_versions import version_of
+from web.jobs.job_forms import FORMS
+from web.jobs.job_runner import ABOUT, EXIT, LOCK, OUTPUT, READY
+
+_ROOT: Final = Path(behavioural_cloning_toolkit.__file__).parent
+_KEPT: Final = 50  # of those that have ended
+_MAX_BYTES: Final = 64 << 10  # of its output that are shown: the last ones
+_RUNNER: Final = "import sys; sys.path.append(sys.argv[2]); from web.jobs.job_runner import main; main()"
+if sys.platform == "win32":
+    _NEW_GROUP: Final = subprocess.CREATE_NEW_PROCESS_GROUP
+else:
+    _NEW_GROUP: Final = 0
+_STOPPED: Final = 130
+_WORDS: Final = {
+    0: "done",
+    1: "failed",
+    2: "refused",
+    3: "done, but something was skipped or lost",
+    _STOPPED: "stopped",
+}
+
+
+class About(msgspec.Struct):
+    """The description of a job, known from its beginning."""
+
+    words: list[str]  # of the command line, "bc-..." first
+    began: str  # UTC, ISO 8601
+    made: str  # the page of what it makes; "" for none
+    form: str = ""  # that started it, and its values
+    values: dict[str, str] = {}
+
+
+@dataclass(frozen=True)
+class Job:
+    """A command that was started here."""
+
+    key: str
+    folder: Path
+    about: About
+    code: int | None
+    """Its exit code; None while it runs, and where it left none."""
+    is_running: bool
+
+    @property
+    def command(self) -> str:
+        return printable(shlex.join(self.about.words))
+
+    @property
+    def title(self) -> str:
+        """Its name for people: its form, and what it is about."""
+        about = self.about
+        form = next((form.title for form in FORMS if form.name == about.form), "")
+        words = [word for word in about.words[1:] if not word.startswith("-")]
+        return printable(f"{form or about.words[0]} {self.run if form else ' '.join(words[:2])}".strip())
+
+    @property
+    def state(self) -> str:
+        if self.is_running:
+            return "running"
+        if self.code is None:
+            return "ended without a word: it was killed, or the computer was"
+        if self.code < 0:
+            return f"ended by signal {-self.code}"
+        return _WORDS.get(self.code, f"exit code {self.code}")
+
+    @property
+    def is_good(self) -> bool:
+        return self.is_running or self.code in (0, 3)
+
+    @property
+    def is_training(self) -> bool:
+        """Of a run, which has a page from its beginning on."""
+        return self.about.words[0] == "bc-train" and self.about.made.startswith("/runs/")
+
+    @property
+    def is_stopped(self) -> bool:
+        return self.code == _STOPPED
+
+    @property
+    def run(self) -> str:
+        """The name that its form was given: of a training, that of the run."""
+        return self.about.values.get("name") or self.about.values.get("run", "")
+
+    @property
+    def form_address(self) -> str:
+        """The form that started it, filled in as it was; "" where that is not known."""
+        about = self.about
+        return f"/jobs?{urlencode({'start': about.form, **about.values})}" if about.form else ""
+
+    @property
+    def seconds(self) -> float:
+        """Its duration; until now, while it runs."""
+        began_s = datetime.fromisoformat(self.about.began).timestamp()
+        try:
+            end_s = (self.folder / EXIT).stat().st_mtime
+        except OSError:
+            end_s = datetime.now(UTC).timestamp() if self.is_running else began_s
+        return max(0.0, end_s - began_s)
+
+    def output(self) -> str:
+        """The last part of its output."""
+        try:
+            with (self.folder / OUTPUT).open("rb") as stream:
+                size = stream.seek(0, os.SEEK_END)
+                stream.seek(max(0, size - _MAX_BYTES))
+                text = stream.read().decode(errors="replace")
+        except OSError:
+            return ""
+        lines = (text if size <= _MAX_BYTES else "...\n" + text.partition("\n")[2]).split("\n")
+        return "\n".join(printable(line.rpartition("\r")[2]) for line in lines)
+
+    def last_line(self) -> str:
+        return next((line for line in reversed(self.output().splitlines()) if line.strip()), "")
+
+
+class Jobs:
+    """The jobs of a project: the folder in which bc-web was started."""
+
+    def __init__(self, cache: Path) -> None:
+        here = hashlib.sha256(os.fsencode(Path.cwd())).hexdigest()[:16]
+        self.folder = cache / "jobs" / here
+        self._lock = threading.Lock()
+
+    def all(self) -> list[Job]:
+        """The newest first."""
+        return sorted(self._found(), key=lambda job: job.key, reverse=True)
+
+    def get(self, key: str) -> Job:
+        """Raises WebError if there is none of that name."""
+        for job in self._found():
+            if job.key == key:
+                return job
+        raise WebError(f"no job {key!r}: the newest {_KEPT} are kept, in the cache folder, while that is", 404)
+
+    def version(self) -> str:
+        """It changes with what any job prints, and when one begins or ends."""
+        digest = hashlib.sha256()
+        for job in self.all():
+            version = version_of(job.folder / OUTPUT, job.folder / EXIT)
+            digest.update(f"{job.key} {version} {job.is_running};".encode())
+        return digest.hexdigest()[:16]
+
+    def training(self, page: str) -> Job | None:
+        """The training that goes on of the run with that page."""
+        return next(
+            (job for job in self.all() if job.is_running and job.is_training and job.about.made == page), None
+        )
+
+    def start(
+        self, words: Sequence[str], made: str, form: str = "", values: Mapping[str, str] = MappingProxyType({})
+    ) -> Job:
+        """Start a command of the project: `words` are its command line, which a form made of `values`."""
+        now = datetime.now(UTC)
+        key = f"{now:%Y%m%d-%H%M%S-%f}-{secrets.token_hex(2)}"
+        folder = self.folder / key
+        with self._lock:
+            self._tidy()
+            folder.mkdir(parents=True)
+            about = About(list(words), now.isoformat(), made, form, dict(values))
+            (folder / ABOUT).write_bytes(msgspec.json.encode(about))
+            line = [sys.executable, "-P", "-c", _RUNNER, str(real_path(folder)), str(_ROOT)]
+            # in a session of its own: neither the terminal's Ctrl-C nor its end reaches it
+            process = subprocess.Popen(
+                line,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+                creationflags=_NEW_GROUP,
+            )
+            (folder / "pid").write_text(str(process.pid), encoding="utf-8")
+        threading.Thread(target=process.wait, name="a job", daemon=True).start()  # so that nothing is left of it
+        if process.stdout is None or not _is_ready(process.stdout):
+            raise WebError(f"{shlex.join(words)}: could not be started; the cache folder may be full", 500)
+        return self.get(key)
+
+    def stop(self, key: str) -> None:
+        """Press Ctrl-C in it; once more, and it ends at once. What has ended stays as it is."""
+        job = self.get(key)
+        if not job.is_running:
+            return
+        with contextlib.suppress(OSError, ValueError):  # it ends at this moment
+            number = int((job.folder / "pid").read_text(encoding="utf-8"))
+            if sys.platform == "win32":
+                os.kill(number, signal.CTRL_BREAK_EVENT)
+            else:
+                os.killpg(number, signal.SIGINT)
+
+    def _found(self) -> Iterator[Job]:
+        with contextlib.suppress(OSError):
+            for folder in self.folder.iterdir():
+                with contextlib.suppress(OSError, ValueError):
+                    if about := json_as((folder / ABOUT).read_bytes(), About):
+                        datetime.fromisoformat(about.began)
+                        yield _job(folder, about)
+
+    def _tidy(self) -> None:
+        for job in [job for job in self.all() if not job.is_running][_KEPT:]:
+            shutil.rmtree(job.folder, ignore_errors=True)
+
+
+def _is_ready(stream: IO[bytes]) -> bool:
+    with stream:
+        return stream.readline() == READY
+
+
+def _job(folder: Path, about: About) -> Job:
+    is_running = is_being_written(folder / LOCK)  # before the exit code, which is written first
+    code = None
+    with contextlib.suppress(OSError, ValueError):
+        code = int((folder / EXIT).read_text(encoding="utf-8"))
+    return Job(folder.name, folder, about, code, is_running and code is None)

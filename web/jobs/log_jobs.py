@@ -1,0 +1,162 @@
+"""The jobs on a log's page: the commands of `bc-log` that check it or make new logs beside it.
+
+Nothing is overwritten: none of them is given `--force`, and a name that is taken is refused before a job begins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from common.errors import printable
+from common.files import PART_SUFFIX, final_name
+from common.location import Location
+from common.locks import is_being_written
+from common.whole_number import whole_number
+from recorder.upkeep.recover import recovered_name
+from web.errors import WebError
+from web.folders.project_folders import ProjectFolders
+
+_SUFFIX: Final = ".mcap"
+_MAX_CHARACTERS: Final = 200  # of a new log's name
+
+
+@dataclass(frozen=True)
+class NewLogForm:
+    """The values of a form of the page."""
+
+    new: str = ""  # name of the new log, without its folder
+    first: str = ""  # rows
+    last: str = ""
+    others: tuple[str, ...] = ()  # keys of the logs to merge it with
+
+
+@dataclass(frozen=True)
+class LogJob:
+    """A command over one log. `new` gives the default name of the log that it makes."""
+
+    name: str
+    title: str
+    about: str
+    words: Callable[[Location, Location, NewLogForm, Mapping[str, Location]], Sequence[str]]
+    """The words after `bc-log NAME LOG`, for a log, the new one, the form, and all logs by key."""
+    new: Callable[[Location], Location] | None = None
+    has_rows: bool = False
+    has_others: bool = False
+    first_made: Callable[[Location], Location] | None = None  # where the command gives the names
+
+
+def _nothing(log: Location, new: Location, form: NewLogForm, logs: Mapping[str, Location]) -> list[str]:
+    return []
+
+
+def _trim(log: Location, new: Location, form: NewLogForm, logs: Mapping[str, Location]) -> list[str]:
+    rows = [_row(form.first, "first row"), _row(form.last, "last row")]
+    if rows[0] > rows[1]:
+        raise WebError(f"rows {rows[0]} to {rows[1]}: the first row, then the last one", 422)
+    return ["--rows", *map(str, rows), f"--to={new}"]
+
+
+def _merge(log: Location, new: Location, form: NewLogForm, logs: Mapping[str, Location]) -> list[str]:
+    if not form.others:
+        raise WebError("choose at least one other log to merge it with", 422)
+    others = []
+    for key in form.others:
+        if key not in logs:
+            raise WebError(f"no log {key!r} beside this one; it may have been deleted, renamed or moved", 404)
+        others.append(str(logs[key]))
+    return [*others, f"--to={new}"]
+
+
+def _recover(log: Location, new: Location, form: NewLogForm, logs: Mapping[str, Location]) -> list[str]:
+    return [f"--to={new}"]
+
+
+def _beside(word: str) -> Callable[[Location], Location]:
+    return lambda log: log.with_name(f"{final_name(log.name).removesuffix(_SUFFIX)}{word}{_SUFFIX}")
+
+
+LOG_JOBS: Final = (
+    LogJob(
+        "check",
+        "Check",
+        "Reads it through: CRCs, indexes, order; pictures that do not decode or are frozen; odd rows.",
+        _nothing,
+    ),
+    LogJob(
+        "trim",
+        "Trim",
+        "A part of it becomes a new log, its rows with the numbers that they have: those that are selected.",
+        _trim,
+        _beside("-trimmed"),
+        has_rows=True,
+    ),
+    LogJob(
+        "split",
+        "Split",
+        "Each drive becomes a log of its own, NAME-1, NAME-2 and so on. A drive ends with a gap of a second.",
+        _nothing,
+        first_made=_beside("-1"),
+    ),
+    LogJob(
+        "merge",
+        "Merge",
+        "It and the chosen ones behind it become one new log. Its rows are numbered anew.",
+        _merge,
+        _beside("-merged"),
+        has_others=True,
+    ),
+    LogJob(
+        "recover",
+        "Recover",
+        "All that is whole in a log that is unfinished or damaged becomes a finished one.",
+        _recover,
+        recovered_name,
+    ),
+)
+
+
+def log_job(name: str) -> LogJob:
+    """Raises WebError if there is none of that name."""
+    for job in LOG_JOBS:
+        if job.name == name:
+            return job
+    raise WebError(f"{name!r}: nothing of that name is made of a log", 404)
+
+
+def command_line(
+    job: LogJob, log: Location, form: NewLogForm, logs: Mapping[str, Location], folders: ProjectFolders
+) -> tuple[list[str], Location | None]:
+    """The words of the command, and the log that it makes, or the first of several; None for none. `logs` are
+    those of the log's folder, by key.
+
+    Raises WebError for what cannot be one, and where a log of the new name is there already.
+    """
+    if log.name.endswith(PART_SUFFIX) and is_being_written(log):
+        raise WebError("it is being recorded: when that has ended, new logs can be made of it", 409)
+    new = log.with_name(_name(form.new) if form.new else job.new(log).name) if job.new else log
+    words = ["bc-log", job.name, str(log), *job.words(log, new, form, logs)]
+    made = new if job.new else job.first_made(log) if job.first_made else None
+    if made is not None and folders.is_there(made):
+        raise WebError(f"{printable(str(made))}: exists already; give another name, or remove it", 409)
+    try:
+        "".join(words).encode()
+    except UnicodeEncodeError:
+        raise WebError(f"{printable(log.name)}: a name that is no text; rename it, or use bc-log", 422) from None
+    return words, made
+
+
+def _name(given: str) -> str:
+    name = given.strip().removesuffix(_SUFFIX)
+    is_name = name.isprintable() and "/" not in name and "\\" not in name and not name.startswith((".", "-"))
+    if not (name and is_name and len(name) <= _MAX_CHARACTERS):
+        raise WebError(f"{printable(given[:60])!r}: the name of a log was expected, such as lake-2", 422)
+    return name + _SUFFIX
+
+
+def _row(text: str, field: str) -> int:
+    row = whole_number(text)
+    if row is None:
+        raise WebError(f"{field}: the number of a row was expected, not {printable(text[:20])!r}", 422)
+    return row

@@ -1,0 +1,259 @@
+"""A person at the wheel: the command of a new drive, the drives that run now, and what an ended one has left."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from common.errors import printable
+from common.files import PART_SUFFIX, final_name
+from common.location import Location, Url
+from common.locks import is_being_written
+from common.untrusted import real_path
+from recorder import Log, topics
+from recorder.bc_pb2 import PilotCommand
+from recorder.errors import RecordingError
+from recorder.log.last_place import last_place_m
+from recorder.sources.row_steps import check_row_rate
+from recorder.teleop.open_wheels import OpenWheel, open_wheels
+from web.errors import WebError
+from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of
+from web.jobs.job_forms import form_of
+from web.jobs.jobs import Job
+
+TRACKS: Final = ("lake", "mountain", "random", "hairpins")
+SEEDED: Final = ("random", "hairpins")
+"""Tracks that are drawn by a seed."""
+RATES_HZ: Final = ("5", "10", "20", "25")
+"""Rows a second that the form offers."""
+EPOCHS_MORE: Final = 4
+"""For a network that learns from takeovers: it can drive already."""
+DEFAULTS: Final[Mapping[str, str]] = {
+    "simulator": "built-in",
+    "track": "lake",
+    "seed": "1",
+    "speed": "10",
+    "driver": "me",
+    "run": "",
+    "rate": "10",
+    "name": "",
+    "start": "0",
+    "like": "",
+    "on": "",
+}
+"""The values of the form. `like` is a drive, as `sessions/mine`, whose settings count where none are given; with
+`on`, the new one begins where that one ended."""
+
+_NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,79}")  # also the key of its log in addresses
+_SEED: Final = re.compile(r"[0-9]{1,18}")
+_SPEED: Final = re.compile(r"[0-9]{1,3}(\.[0-9]{1,3})?")
+_RATE: Final = re.compile(r"[0-9]{1,2}(\.[0-9]{1,4})?")
+_START: Final = re.compile(r"[0-9]{1,6}(\.[0-9]{1,2})?")
+_MAX_STEM: Final = 70  # a number follows
+_NUMBERED: Final = re.compile(r"-[0-9]{1,9}$")
+
+
+class NewDrive(NamedTuple):
+    """The command of a drive, and its log: the folder, and the key in addresses."""
+
+    words: list[str]
+    place: Place
+    key: str
+
+
+class TakeoverPlace(NamedTuple):
+    """A person takes over from a network."""
+
+    row: int
+    seconds: float  # since the first command
+
+
+class EndedDrive(NamedTuple):
+    """A drive's log. `is_whole`: False while it is written, and where nobody finished it."""
+
+    log: Location
+    is_whole: bool
+    is_growing: bool
+
+
+def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
+    """The drive that the form asks for. Raises WebError for a value that cannot be one."""
+    given = {name: value.strip() for name, value in values.items() if value.strip()}
+    before = _settings_of(given["like"], folders, goes_on="on" in given) if "like" in given else {}
+    asked = {**DEFAULTS, **before, **given}
+    name = asked["name"] or free_name("drive", folders)
+    if not _NAME.fullmatch(name):
+        raise WebError("name: letters, digits, and . _ - were expected, such as lake-1", 422)
+    built_in = asked["simulator"] == "built-in"
+    if asked["driver"] == "me":
+        words = ["bc-record", name, "--driver=me"]
+        words += [f"--track={_track(asked)}", f"--rate={_rate(asked)}"] if built_in else ["--listen"]
+        words += _start(asked) if built_in else []
+        words.append(f"--speed={_speed(asked)}")
+        if folders.sessions != Path("sessions"):
+            is_stored = isinstance(folders.sessions, Url)
+            words.append(f"{'--copy-to' if is_stored else '--sessions'}={folders.sessions}")
+        return NewDrive([*words, "--no-page"], "sessions", name)
+    run = folders.run_folders().get(asked["run"])
+    if run is None:
+        raise WebError("run: choose one that is there; train one first, on a session of yours", 422)
+    words = ["bc-drive", run.name, "--takeover=me", f"--speed={_speed(asked)}"]
+    words += [f"--simulator={_track(asked)}", *_start(asked)] if built_in else []
+    words += [f"--runs={folders.runs}"] if folders.runs != Path("runs") else []
+    return NewDrive([*words, f"--log={folders.drives / f'{name}.mcap'}", "--no-page"], "drives", name)
+
+
+def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list[str], str]:
+    """The command that trains a network on a session or, from the run that drove on, on the takeovers of a drive;
+    and the name of the new run. Raises WebError where that run is not there."""
+    runs = folders.run_folders()
+    name = final_name(log.name).removesuffix(".mcap")
+    if place == "drives":
+        with Log(log) as drive:
+            name = drive.metadata.get("run", "")
+        if key_of(Path(name)) not in runs:
+            raise WebError(f"the run {printable(name)!r}, which drove, is not in {folders.runs}", 404)
+    names = itertools.chain([name], (f"{name}-{number}" for number in itertools.count(2)))
+    run = next(free for free in names if key_of(Path(free)) not in runs)
+    if place == "drives":
+        values = {"run": name, "takeovers": str(log), "name": run, "epochs": str(EPOCHS_MORE)}
+        return form_of("learn").words(values, folders), run
+    with Log(log) as session:
+        epochs = quick_epochs(session.counts.get(topics.VEHICLE, 0))
+    return [*form_of("train").words({"name": run, "epochs": str(epochs)}, folders), "--on", name], run
+
+
+def quick_epochs(rows: int) -> int:
+    """The epochs in which a network learns to drive from so many rows: two minutes for half a lap on quick cores.
+
+    Six for half a lap of both tracks: after three, two of three networks needed help (docs/at-the-wheel.md).
+    """
+    rows = max(1, rows)
+    return round(max(2, min(10, max(6000 / rows, min(6, 13_000 / rows)))))
+
+
+def is_training_on(job: Job, log: Location) -> bool:
+    """Whether a job trains, or has trained, on that log."""
+    words = job.about.words
+    return words[-2:] == ["--on", final_name(log.name).removesuffix(".mcap")] or f"--takeovers={log}" in words
+
+
+def free_name(beginning: str, folders: ProjectFolders, first: int = 1) -> str:
+    """A name that no session and no drive has; with a number at its end, from `first` on."""
+    taken = {key_of(Path(final_name(log.name))) for place in PLACES for log in folders.logs(place).values()}
+    names = (f"{beginning}-{number}" for number in itertools.count(first))
+    return next(name for name in names if name not in taken)
+
+
+def running(key: str) -> OpenWheel:
+    """The drive of that key. Raises WebError if it does not run (any more)."""
+    for wheel in open_wheels(Path.cwd()):
+        if wheel.key == key:
+            return wheel
+    raise WebError(
+        f"no drive {key!r} runs here: it has ended, or its process was killed; what it has recorded is kept", 404
+    )
+
+
+def place_of(wheel: OpenWheel, folders: ProjectFolders) -> tuple[Place, str] | None:
+    """The folder of the project that a drive's log is in, and its key there; None if it is elsewhere."""
+    log = Path(wheel.project, wheel.log)
+    for place in PLACES:
+        folder: Location = getattr(folders, place)
+        here = Path(place) if isinstance(folder, Url) else folder  # made here, and copied there at the end
+        if real_path(log.parent) == real_path(here):
+            return place, key_of(Path(final_name(log.name)))
+    return None
+
+
+def ended_drive(place: Place, key: str, folders: ProjectFolders) -> EndedDrive | None:
+    """The log that a drive has left or is still writing; None if there is none."""
+    logs = folders.logs(place)
+    if key in logs and not logs[key].name.endswith(PART_SUFFIX):
+        return EndedDrive(logs[key], is_whole=True, is_growing=False)
+    for log in logs.values():
+        if key_of(Path(final_name(log.name))) == key:
+            return EndedDrive(log, is_whole=False, is_growing=isinstance(log, Path) and is_being_written(log))
+    return None
+
+
+def takeovers(log: Log) -> list[TakeoverPlace]:
+    """Where a person took over from the network."""
+    found: list[TakeoverPlace] = []
+    if topics.PILOT_COMMAND not in log.counts:
+        return found
+    was_human, first_ns = True, None
+    for message, command in log.commands():
+        first_ns = message.log_time_ns if first_ns is None else first_ns
+        is_human = command.driver == PilotCommand.HUMAN
+        if is_human and not was_human:
+            found.append(TakeoverPlace(message.sequence, (message.log_time_ns - first_ns) / 1e9))
+        was_human = is_human
+    return found
+
+
+def _track(asked: Mapping[str, str]) -> str:
+    """The name of the track; also one that has its seed already."""
+    kind, _, drawn = asked["track"].partition(":")
+    seed = drawn or asked["seed"]
+    if kind not in TRACKS or not _SEED.fullmatch(seed) or (drawn and kind not in SEEDED):
+        raise WebError(
+            "track: lake, mountain, random or hairpins was expected, the last two with a seed from 0 on", 422
+        )
+    return f"{kind}:{seed}" if kind in SEEDED else kind
+
+
+def _rate(asked: Mapping[str, str]) -> str:
+    if not _is_rate(asked["rate"]):
+        raise WebError(f"rows a second: one of {', '.join(RATES_HZ)} was expected", 422)
+    return asked["rate"]
+
+
+def _is_rate(text: str) -> bool:
+    try:
+        check_row_rate(float(text) if _RATE.fullmatch(text) else 0.0)
+    except RecordingError:
+        return False
+    return True
+
+
+def _speed(asked: Mapping[str, str]) -> str:
+    if not _is_speed(asked["speed"]):
+        raise WebError("speed: mph above 0 and up to 100 were expected", 422)
+    return asked["speed"]
+
+
+def _is_speed(text: str) -> bool:
+    return bool(_SPEED.fullmatch(text)) and 0 < float(text) <= 100
+
+
+def _start(asked: Mapping[str, str]) -> list[str]:
+    """The flag for where a drive begins, if that is not the track's start."""
+    if not _START.fullmatch(asked["start"]):
+        raise WebError("start: metres along the track were expected", 422)
+    return [f"--start={asked['start']}"] if float(asked["start"]) else []
+
+
+def _settings_of(like: str, folders: ProjectFolders, *, goes_on: bool) -> dict[str, str]:
+    """The form's values of an earlier drive, as far as its log has them; with `goes_on`, a name that follows its
+    own, and the place where it ended."""
+    place, _, key = like.partition("/")
+    ended = next((ended_drive(known, key, folders) for known in PLACES if known == place), None)
+    if ended is None:
+        raise WebError("the drive to go on from is not there (any more)", 404)
+    with Log(ended.log) as log:
+        track, rate = log.metadata.get("track", ""), log.metadata.get("drive.rate", "")
+        held = log.read_metadata(topics.PERSON_METADATA).get("hold_mph", "")
+        start_m = last_place_m(log) if goes_on else None
+        speed = log.metadata.get("set_speed_mph", held)
+    settings = {"simulator": "built-in", "track": track} if track else {"simulator": "any"}
+    settings |= {"speed": speed} if _is_speed(speed) else {}
+    settings |= {"rate": rate} if _is_rate(rate) else {}
+    settings |= {} if start_m is None else {"start": f"{start_m:.1f}"}
+    stem = _NUMBERED.sub("", final_name(ended.log.name).removesuffix(".mcap"))
+    if goes_on and _NAME.fullmatch(stem) and len(stem) < _MAX_STEM:
+        settings["name"] = free_name(stem, folders, first=2)
+    return settings

@@ -1,0 +1,63 @@
+"""The tags beside logs, kept in memory while their files are unchanged; those of a store in the cache, too."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+from common import UserError
+from common.errors import StoreError
+from common.location import Location
+from recorder.log.tags import Tag, tags_by_content, tags_path
+from web.folders.cache_folder import CacheFolder
+from web.folders.project_folders import ProjectFolders
+
+
+@dataclass(frozen=True)
+class TagsBeside:
+    """The contents of the file of tags beside a log."""
+
+    version: str  # of the file
+    tags: list[Tag]  # of this content of the log, by their rows
+    stale: int  # those of what had its name before
+
+
+class LogTags:
+    """The tags of all logs that are shown."""
+
+    def __init__(self, folders: ProjectFolders, cache: CacheFolder) -> None:
+        self._folders = folders
+        self._cache = cache
+        self._lock = threading.Lock()
+        self._known: dict[Location, tuple[tuple[str, str], TagsBeside | UserError]] = {}
+
+    def of(self, path: Location, fingerprint: str) -> TagsBeside:
+        """The tags beside a log, for this content of it. Raises LogError for a broken file, StoreError."""
+        key = self._folders.version_of(tags_path(path)), fingerprint
+        with self._lock:
+            known = self._known.get(path)
+        if known is None or known[0] != key:
+            found: TagsBeside | UserError
+            try:
+                by_content = self._by_content(path, key[0])
+                tags = sorted(by_content.pop(fingerprint, ()))
+                found = TagsBeside(key[0], tags, sum(map(len, by_content.values())))
+            except StoreError:
+                raise  # the next one may get an answer
+            except UserError as error:
+                found = error
+            with self._lock:
+                self._known[path] = known = key, found
+        if isinstance(known[1], UserError):
+            raise known[1]
+        return known[1]
+
+    def _by_content(self, path: Location, version: str) -> dict[str, set[Tag]]:
+        if isinstance(path, Path):
+            return tags_by_content(path)
+        if not self._folders.has_tags(path):
+            return {}
+        self._folders.refuse_unanswered(path)
+        key = f"tags 1 {path} {version}"
+        return self._cache.struct(key, dict[str, set[Tag]], lambda: tags_by_content(path))

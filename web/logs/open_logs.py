@@ -1,0 +1,132 @@
+"""Logs that stay open between the requests of a page, opened anew when the file is another one."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from common.location import Location, Url
+from recorder import Log, LogError
+from recorder.log.road_places import states_of
+from recorder.mcap.chunk_cache import ChunkCache, default_cache
+from recorder.rows.row_quality import States
+from web.folders.project_folders import ProjectFolders
+
+MAX_OPEN: Final = 8
+MAX_MESSAGES: Final = 500_000
+"""In the logs that are kept open, unless it is one alone: each takes about 120 bytes of memory."""
+
+
+class OpenLog:
+    """An open log with what several requests need of it."""
+
+    def __init__(self, path: Location, version: str, cache: ChunkCache | None) -> None:
+        self.log = Log(path, cache=cache)
+        self.version = version
+        """The version of the file, by `ProjectFolders.version_of`."""
+        self.messages = sum(self.log.counts.values())
+        self.users = 0
+        if isinstance(path, Url):  # a page's requests come at once: each would ask the store for the same
+            try:
+                with contextlib.suppress(LogError):  # raised again where its rows are used
+                    _ = self.states
+            except BaseException:
+                self.log.close()
+                raise
+
+    @cached_property
+    def states(self) -> States:
+        """The vehicle states, one for each row; empty for a log without them."""
+        return states_of(self.log)
+
+    @cached_property
+    def first_time_ns(self) -> int:
+        return int(self.states.time_ns[0]) if len(self.states.time_ns) else 0
+
+    def position(self, row: int) -> int | None:
+        """The position of a row among all rows, by its number."""
+        found = np.flatnonzero(self.states.row == row)
+        return int(found[0]) if len(found) else None
+
+
+class OpenLogs:
+    """The logs used last. A log that is not kept any more is closed only when no request uses it: else another
+    file might get its descriptor's number during a read."""
+
+    def __init__(self, folders: ProjectFolders) -> None:
+        self._folders = folders
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[Location, OpenLog] = OrderedDict()
+        self._opening: dict[Location, threading.Lock] = {}
+
+    @contextlib.contextmanager
+    def open(self, path: Location) -> Iterator[OpenLog]:
+        """Raises LogError if it cannot be read, StoreError."""
+        version = self._folders.version_of(path)
+        found = self._used(path, version)
+        if found is None:
+            with self._lock:
+                opening = self._opening.setdefault(path, threading.Lock())
+            with opening:  # requests meanwhile get the same one
+                found = self._used(path, version) or self._opened(path, version)
+        try:
+            yield found
+        finally:
+            with self._lock:
+                found.users -= 1
+                if not found.users and self._kept.get(path) is not found:
+                    found.log.close()
+
+    def _used(self, path: Location, version: str) -> OpenLog | None:
+        """The log as it is kept open, with one user more."""
+        with self._lock:
+            found = self._kept.get(path)
+            if found is not None and found.version != version:
+                self._drop(path)
+                found = None
+            if found is not None:
+                self._kept.move_to_end(path)
+                found.users += 1
+        return found
+
+    def _opened(self, path: Location, version: str) -> OpenLog:
+        self._folders.refuse_unanswered(path)
+        opened = OpenLog(path, version, self._cache if isinstance(path, Url) else None)
+        with self._lock:
+            if path in self._kept:  # of another version
+                self._drop(path)
+            self._kept[path] = opened
+            opened.users += 1
+            while len(self._kept) > MAX_OPEN or (len(self._kept) > 1 and self._messages() > MAX_MESSAGES):
+                self._drop(next(iter(self._kept)))
+        return opened
+
+    def _messages(self) -> int:
+        return sum(each.messages for each in self._kept.values())
+
+    @cached_property
+    def _cache(self) -> ChunkCache:
+        return default_cache()  # shared with trainings, which need not fetch the same chunks again
+
+    def drop_changed(self) -> None:
+        """Close those whose files were deleted or replaced: an open file keeps its space on the disk."""
+        with self._lock:
+            versions = {path: self._folders.version_of(path) for path in self._kept}
+            for path in [path for path, kept in self._kept.items() if kept.version != versions[path]]:
+                self._drop(path)
+
+    def close(self) -> None:
+        with self._lock:
+            for path in list(self._kept):
+                self._drop(path)
+
+    def _drop(self, path: Location) -> None:
+        dropped = self._kept.pop(path)
+        if not dropped.users:
+            dropped.log.close()

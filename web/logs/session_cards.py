@@ -1,0 +1,280 @@
+"""The entries of the list of sessions: each log in short, its tags, and its frames in the index."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cached_property
+from pathlib import Path
+
+import msgspec
+import pyarrow.compute as pc
+
+from common import UserError
+from common.errors import StoreError, printable
+from common.files import PART_SUFFIX
+from common.location import Location, absolute
+from common.locks import is_being_written
+from common.untrusted import real_path
+from dataset.errors import DatasetError
+from dataset.frames.frames_file import read_frames, session_name
+from dataset.index.build_state import FRAMES_FOLDER, BuildState, Sources, Stat, read_state, sources_of
+from dataset.parquet_file import read_metadata
+from recorder import Log
+from recorder.log.known_lag import lag_path
+from recorder.log.tagged_rows import TaggedRows
+from recorder.log.tags import Tag
+from recorder.upkeep.log_info import LogInfo, describe
+from web.folders.background import Background
+from web.folders.cache_folder import CacheFolder
+from web.folders.file_versions import version_of
+from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of
+from web.logs.log_tags import LogTags, TagsBeside
+
+TagRows = tuple[str, int, int]
+"""A tag as an index keeps it: its name, its first and its last row."""
+
+
+class Glance(msgspec.Struct, frozen=True):
+    """The part of a log that is cached between starts: without its tags, which change without it."""
+
+    info: LogInfo
+    fingerprint: str
+
+
+class Share(msgspec.Struct, frozen=True):
+    """The part of a session's frames file that is cached between starts."""
+
+    frames: dict[str, int]  # by split
+    tags: list[TagRows] | None  # that its rows had; None where the file lacks them
+
+
+class IndexState(StrEnum):
+    """What the index has of a session, as pages show it."""
+
+    INDEXED = "in the index"
+    MISSING = "not in the index"
+    CHANGED = "changed since it was indexed"
+    UNREAD = "being read"
+    LEFT_OUT = "left out"
+    PASSED_OVER = "left out by choice"
+
+
+@dataclass(frozen=True)
+class InIndex:
+    """A session's state in the index."""
+
+    state: IndexState
+    why: str = ""
+    frames: dict[str, int] = field(default_factory=dict)  # by split
+
+
+@dataclass(frozen=True)
+class SessionCard:
+    """A log in the list. `info` is None while it is being read, and where it cannot be (`problem`)."""
+
+    key: str
+    path: Location
+    version: str
+    info: LogInfo | None
+    problem: str
+    tags: dict[str, int]  # rows of each name
+    tags_problem: str
+    index: InIndex
+    is_recording: bool
+
+    @property
+    def name(self) -> str:
+        return printable(self.path.name.removesuffix(".mcap"))
+
+    @property
+    def state(self) -> str:
+        """The state in one word: "" for a finished log."""
+        if self.problem:
+            return "damaged"
+        if self.is_recording:
+            return "recording"
+        return "reading" if self.info is None else "unfinished" if self.info.notice else ""
+
+    @property
+    def why(self) -> str:
+        """Why it is damaged or unfinished, and what helps; without its path, as its name stands beside it."""
+        is_finished = self.info and not self.is_recording  # what grows need not be recovered
+        notice = self.problem or (self.info.notice if self.info and is_finished else "")
+        return notice.removeprefix(f"{printable(str(self.path))}: ")
+
+    @cached_property
+    def flags(self) -> dict[str, int]:
+        """The odd rows of each kind; and gaps, without those that the recorder meant."""
+        if self.info is None:
+            return {}
+        gaps = (self.info.flags or {}).get("gap", 0) - len(self.info.meant_gaps)
+        return self.info.odd_rows | ({"gap": gaps} if gaps > 0 else {})
+
+    @property
+    def odd_rows(self) -> int:
+        return sum(self.info.odd_rows.values()) if self.info else 0  # as `bc-log ls` counts them
+
+
+class SessionCards:
+    """The cards of all logs of a folder, read on a thread and cached between starts."""
+
+    def __init__(self, folders: ProjectFolders, cache: CacheFolder, pools: Mapping[Place, Executor]) -> None:
+        self._folders = folders
+        self._cache = cache
+        self._glances = {place: Background[Location, Glance](pools[place], self._glance) for place in PLACES}
+        self._shares = {place: Background[Path, Share](pools[place], self._share) for place in PLACES}
+        self._tags = LogTags(folders, cache)
+
+    @property
+    def done(self) -> int:
+        glances, shares = self._glances.values(), self._shares.values()
+        return sum(made.done for made in glances) + sum(made.done for made in shares)
+
+    def cards(self, place: Place, patience_s: float | None) -> list[SessionCard]:
+        """The cards of all logs in a folder, by name; those not read in that time have no `info` yet."""
+        logs = self._folders.logs(place)
+        versions = [(path, self._folders.version_of_log(path)) for path in logs.values()]
+        glances = self._glances[place].results(versions, patience_s)
+        index = self._folders.index_here
+        state = read_state(index)
+        frames = {path: frames_path(index, path) for path in logs.values()}
+        held = [frames[path] for path in logs.values() if session_name(path) in state.logs]
+        shares = self._shares[place].results([(path, version_of(path)) for path in held], patience_s)
+        return [
+            self._card(path, version, glances.get(path), self._in_index(path, state, shares.get(frames[path])))
+            for path, version in versions
+        ]
+
+    def info(self, path: Location) -> LogInfo:
+        """The description on the page of a log; of one in a store, from the cache. Raises LogError, StoreError."""
+        if isinstance(path, Path):
+            return describe(path, with_tags=False)
+        info = self._glance(path, self._folders.version_of_log(path)).info
+        is_measured_since = info.lacks_lag and self._folders.stat(lag_path(path)) is not None
+        return describe(path, with_tags=False) if is_measured_since else info
+
+    def tags(self, path: Location, fingerprint: str) -> TagsBeside:
+        """The tags beside the log. Raises LogError for a broken file, StoreError."""
+        return self._tags.of(path, fingerprint)
+
+    def _card(
+        self, path: Location, version: str, glance: Glance | UserError | None, index: InIndex
+    ) -> SessionCard:
+        problem, tags_problem, tags = "", "", list[Tag]()
+        is_recording = path.name.endswith(PART_SUFFIX) and is_being_written(path)
+        if isinstance(glance, StoreError):
+            tags_problem, glance = printable(str(glance)), None  # it is not known to be damaged
+        elif isinstance(glance, UserError):
+            # of what is being recorded, nothing may have reached the disk yet
+            problem = "" if is_recording and _is_empty(path) else printable(str(glance))
+            glance = None
+        if glance is not None:
+            try:
+                tags = self.tags(path, glance.fingerprint).tags
+            except UserError as error:
+                tags_problem = printable(str(error))
+        info = glance.info if glance else None
+        if info and info.odd:
+            info = dataclasses.replace(info, odd=TaggedRows(tags).left(info.odd))
+        return SessionCard(
+            key=key_of(path),
+            path=path,
+            version=version,
+            info=info,
+            problem=problem,
+            tags=dict(rows_by_name(tags)),
+            tags_problem=tags_problem,
+            index=index,
+            is_recording=is_recording,
+        )
+
+    def _glance(self, path: Location, version: str) -> Glance:
+        def read() -> Glance:
+            self._folders.refuse_unanswered(path)
+            return _read_glance(path)
+
+        return self._cache.struct(f"glance 3 {absolute(path)} {version}", Glance, read)
+
+    def _in_index(self, path: Location, state: BuildState, share: Share | UserError | None) -> InIndex:
+        session = session_name(path)
+        built = state.logs.get(session)
+        if built is None:
+            return InIndex(IndexState.PASSED_OVER if session in state.passed_over else IndexState.MISSING)
+        if built.sources[0] != str(absolute(path)):
+            return InIndex(IndexState.MISSING, "it has another log of that name")
+        sources = sources_of(session, path, self._folders.index_here, self._folders.stat)
+        if built.sources != sources:
+            are_tags = _but_tags(built.sources) == _but_tags(sources)
+            if are_tags and share is None:
+                return InIndex(IndexState.UNREAD)  # what the index has of its tags
+            if not (are_tags and self._has_tags_of(share, path, built.fingerprint)):
+                return InIndex(IndexState.CHANGED, "`bc-index` brings it up to date")
+        if not built.fingerprint:
+            return InIndex(IndexState.LEFT_OUT, printable(built.notice))
+        if isinstance(share, UserError):
+            return InIndex(IndexState.INDEXED, printable(str(share)))
+        return InIndex(IndexState.INDEXED, "", share.frames if share else {})
+
+    def _has_tags_of(self, share: Share | UserError | None, path: Location, fingerprint: str) -> bool:
+        """Whether the tags beside a log are those of the index: later changes may have been undone."""
+        if not isinstance(share, Share):
+            return False
+        try:
+            tags = self.tags(path, fingerprint).tags
+        except UserError:
+            return False
+        return share.tags == [(tag.name, tag.first_row, tag.last_row) for tag in tags]
+
+    def _share(self, path: Path, version: str) -> Share:
+        key = f"share 1 {real_path(path)} {version}"
+        return self._cache.struct(key, Share, lambda: _read_share(path))
+
+
+def frames_path(index: Path, log: Location) -> Path:
+    return index / FRAMES_FOLDER / f"{session_name(log)}.parquet"
+
+
+def rows_by_name(tags: Sequence[Tag]) -> Counter[str]:
+    """The number of rows with each name; `tags` are in the order of their rows, and may overlap."""
+    counts, reached = Counter[str](), dict[str, int]()
+    for tag in tags:
+        first = max(tag.first_row, reached.get(tag.name, -1) + 1)
+        counts[tag.name] += max(0, tag.last_row - first + 1)
+        reached[tag.name] = max(tag.last_row, reached.get(tag.name, -1))
+    return counts
+
+
+def _is_empty(path: Location) -> bool:
+    try:
+        return isinstance(path, Path) and path.stat().st_size == 0
+    except OSError:  # it was finished at this moment
+        return False
+
+
+def _read_glance(path: Location) -> Glance:
+    # a path may be no text; of what is kept, nothing depends on where it was
+    with Log(path) as log:
+        info = describe(log, with_tags=False, with_kept_lag=False)  # kept as long as the log is the same
+        info = dataclasses.replace(info, path="", notice=printable(info.notice))
+        return Glance(info, log.fingerprint)
+
+
+def _but_tags(sources: Sources) -> tuple[str, Stat, Stat]:
+    path, log, _, picture_check = sources
+    return path, log, picture_check
+
+
+def _read_share(path: Path) -> Share:
+    if not path.is_file():
+        raise DatasetError(f"{path}: missing; `bc-index` makes it again")
+    split = read_frames(path, ["split"])["split"]
+    frames = {str(pair["values"]): int(pair["counts"]) for pair in pc.value_counts(split).to_pylist()}
+    try:
+        return Share(frames, msgspec.convert((read_metadata(path) or {}).get("tags"), list[TagRows]))
+    except msgspec.ValidationError:
+        return Share(frames, None)

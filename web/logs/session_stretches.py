@@ -1,0 +1,80 @@
+"""The stretches of a log that something is odd in: those of its rows, and those known of its pictures."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.car import CAMERAS
+from common.errors import printable
+from common.stretches import stretches
+from dataset.config import IndexConfig
+from dataset.frames.frame_flags import ImageFindings, PictureFlag, lists_with
+from dataset.frames.frames_file import session_name
+from dataset.frames.frames_table import frames_of
+from recorder import Log
+from recorder.log.meant_gaps import meant_rows
+from recorder.rows.odd_stretches import odd_stretches
+from recorder.rows.row_quality import NOT_LEARNT, States, row_flags
+from recorder.topics import QUALITY_METADATA, camera_topic
+
+PLAIN_FLAGS: Final = ("standing_still", "manoeuvring")
+"""Flags of rows that are no kind of odd stretch: ordinary stops, and the ways out of crashes."""
+_SURE: Final = ("broken_picture", "steering_against_pictures")
+
+
+class ShownStretch(NamedTuple):
+    """Odd rows of a log, by their positions among its rows."""
+
+    kind: str
+    first: int
+    last: int
+    cause: str
+    is_sure: bool
+
+
+def shown_stretches(log: Log, states: States, findings: ImageFindings | None) -> list[ShownStretch]:
+    """The odd stretches of a log, in order. Frozen and broken pictures, and steering that contradicts them, are
+    among them where `findings` of the log's pictures are given.
+
+    A gap is a stretch of two rows: the last before it and the first after it. One that the recorder meant is none.
+    """
+    found = []
+    for each in odd_stretches(states):
+        first, last = (int(np.flatnonzero(states.row == row)[0]) for row in (each.first_row, each.last_row))
+        found.append(ShownStretch(each.kind, first, last, printable(each.cause), each.is_sure))
+    gaps = row_flags(states)["gap"] & ~np.isin(states.row, meant_rows(log.read_metadata(QUALITY_METADATA)))
+    found += [ShownStretch("gap", max(at - 1, 0), at, "", False) for at in np.flatnonzero(gaps).tolist()]
+    found += [
+        ShownStretch(flag, first, last, "", flag in _SURE)
+        for flag, mask in _of_pictures(log, states, findings).items()
+        for first, last in stretches(mask)
+    ]
+    return sorted(found, key=lambda stretch: (stretch.first, stretch.last, stretch.kind))
+
+
+def flag_stretches(states: States) -> dict[str, list[tuple[int, int]]]:
+    """The stretches, as first and last position, of each flag of rows that is no kind of odd stretch."""
+    if not len(states.row):
+        return {}
+    flags = row_flags(states)
+    return {flag: stretches(flags[flag]) for flag in PLAIN_FLAGS if flags[flag].any()}
+
+
+def not_learnt_stretches(states: States) -> list[tuple[int, int]]:
+    """The rows that training leaves out by default, as the first and last positions of stretches."""
+    if not len(states.row):
+        return []
+    flags = row_flags(states)
+    return stretches(np.logical_or.reduce([flags[flag] for flag in NOT_LEARNT]))
+
+
+def _of_pictures(log: Log, states: States, findings: ImageFindings | None) -> dict[PictureFlag, NDArray[np.bool_]]:
+    """Of each flag of pictures the rows (N,) that it holds for."""
+    pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
+    session = printable(session_name(log.path))  # a file name may be no text
+    frames = frames_of(states, pictures, session, IndexConfig(), findings=findings)
+    row = frames["row"].to_numpy()
+    return {flag: np.isin(states.row, row[lists_with(frames["flags"], flag)]) for flag in get_args(PictureFlag)}

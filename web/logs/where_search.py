@@ -1,0 +1,80 @@
+"""The search for rows that a condition holds for: the SQL of `bc-index --where`, over each log."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from typing import Final
+
+import pyarrow as pa
+
+from common import UserError
+from common.errors import printable
+from common.location import Location
+from dataset.config import IndexConfig
+from dataset.frames.frames_file import FRAMES_SCHEMA
+from dataset.frames.frames_table import frames_table
+from dataset.samples.filter import Condition
+from recorder import Log
+from recorder.log.tags import read_tags, tags_path
+from web.folders.background import Background
+from web.folders.project_folders import ProjectFolders
+
+_MAX_SEARCHES: Final = 8  # of which the results are kept
+_LONGEST: Final = 2000  # characters of a condition
+
+Found = Mapping[Location, int]
+"""Number of rows found in each log that has been searched."""
+
+
+class WhereSearches:
+    """The conditions that pages have used last, with what was found so far."""
+
+    def __init__(self, folders: ProjectFolders, pool: Executor) -> None:
+        self._folders = folders
+        self._pool = pool
+        self._lock = threading.Lock()
+        self._searches: OrderedDict[str, Background[Location, int]] = OrderedDict()
+        self._done = 0  # of searches that are not kept any more
+
+    @property
+    def done(self) -> int:
+        with self._lock:
+            return self._done + sum(search.done for search in self._searches.values())
+
+    def rows(self, where: str, logs: Sequence[Location], patience_s: float | None) -> Found:
+        """The number of rows that the condition holds for, of each log searched in that time; 0 where a log
+        cannot be read. Raises UserError if it is no condition."""
+        if len(where) > _LONGEST:
+            raise UserError(f"a condition of {len(where):,} characters: at most {_LONGEST:,} are taken")
+        with self._lock:
+            search = self._searches.get(where)
+        if search is None:
+            _check(where)
+            search = Background[Location, int](self._pool, lambda path, version: len(self.numbers(where, path)))
+            with self._lock:
+                self._searches[where] = search
+                while len(self._searches) > _MAX_SEARCHES:
+                    _, dropped = self._searches.popitem(last=False)
+                    self._done += dropped.done
+        version_of, version_of_log = self._folders.version_of, self._folders.version_of_log
+        versions = [(path, f"{version_of_log(path)} {version_of(tags_path(path))}") for path in logs]
+        found = search.results(versions, patience_s)
+        return {path: rows if isinstance(rows, int) else 0 for path, rows in found.items()}
+
+    def numbers(self, where: str, path: Location) -> set[int]:
+        """The rows of a log that the condition holds for. Raises UserError if it is no condition, or where the log
+        cannot be read."""
+        self._folders.refuse_unanswered(path)
+        with Log(path) as log:
+            frames = frames_table(log, self._folders.index_here, IndexConfig(), read_tags(path, log.fingerprint))
+        return set(frames["row"].filter(pa.array(Condition(where).holds(frames))).to_pylist())
+
+
+def _check(where: str) -> None:
+    try:
+        Condition(where).check(FRAMES_SCHEMA.empty_table())
+    except UserError as error:
+        raise UserError(printable(str(error))) from None

@@ -1,0 +1,198 @@
+"""Work on many pictures: done by a process of its own, one at a time, its progress reported, its result kept as a
+file in the cache by a key that names what it was made of."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+from zipfile import BadZipFile
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from common.errors import printable
+from common.interrupts import leave_signals_to_main_thread
+from model.runs.run_files import CONFIG, WEIGHTS
+from web.errors import WebError
+from web.folders.file_versions import version_of
+from web.processes.own_process import reports, start_process
+
+Result = TypeVar("Result")
+
+
+@dataclass
+class Work:
+    """Work that was requested."""
+
+    total: int  # pictures
+    pictures: int = 0
+    stage: str = ""  # its part, where it has several: each has a total of its own
+    is_begun: bool = False  # else it waits until the one before it has ended
+    is_done: bool = False
+    is_stopped: bool = False
+    problem: str = ""
+    left_s: float | None = None
+    """Remaining time; None while it is unknown."""
+    _first: tuple[int, float] | None = None  # pictures by the first report, and when: before lies the beginning
+
+    def advance_to(self, pictures: int, total: int | None = None, stage: str = "") -> None:
+        if stage != self.stage:
+            self.stage, self._first, self.left_s = stage, None, None
+        self.total = self.total if total is None else total
+        self.pictures = min(self.total, pictures)
+        now_s = time.monotonic()
+        if self._first is None:
+            self._first = self.pictures, now_s
+        elif self.pictures > self._first[0]:
+            each_s = (now_s - self._first[1]) / (self.pictures - self._first[0])
+            self.left_s = each_s * (self.total - self.pictures)
+
+    @property
+    def progress(self) -> dict[str, object]:
+        """The progress as pages show it."""
+        return {
+            "is_begun": self.is_begun,
+            "stage": self.stage,
+            "pictures": self.pictures,
+            "total": self.total,
+            "left_s": self.left_s,
+        }
+
+
+class KeptWork:
+    """The works of one kind: those that are kept, and those under way. The folder may be deleted at any time."""
+
+    def __init__(self, folder: Path, module: str, stopped: str) -> None:
+        """`module` has the `main()` of the process; it is given words and, last, the path of its result. `stopped`
+        is what a page reads of work that was stopped."""
+        self._folder = folder
+        self._module = module
+        self._stopped = stopped
+        self._pool = ThreadPoolExecutor(1, f"work in {folder.name}")
+        self._lock = threading.Lock()
+        self._requested: dict[str, Work] = {}
+        self._fingerprints: dict[Path, tuple[str, str]] = {}
+        self._process: subprocess.Popen[bytes] | None = None
+        self._at_work: Work | None = None  # what that process is for
+        self._is_closed = False
+
+    def path(self, key: str) -> Path:
+        return self._folder / f"{key}.npz"
+
+    def find(self, key: str, read: Callable[[Mapping[str, NDArray[Any]]], Result]) -> Result | None:
+        """What `read` makes of the columns kept under that key; None where there are none (any more). A damaged
+        file is deleted: it is made again."""
+        path = self.path(key)
+        try:
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as kept:
+                return read(kept)
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError, EOFError, BadZipFile, msgspec.MsgspecError):
+            with contextlib.suppress(OSError):
+                path.unlink()
+            return None
+
+    def fingerprint(self, run: Path) -> str:
+        """The fingerprint of a run's weights and settings. Raises WebError for a run without weights."""
+        files = [run / WEIGHTS, run / CONFIG]
+        version = version_of(*files)
+        known = self._fingerprints.get(run)
+        if known is None or known[0] != version:
+            digest = hashlib.sha256()
+            try:
+                for file in files:
+                    with file.open("rb") as stream:
+                        digest.update(hashlib.file_digest(stream, "sha256").digest())
+            except OSError as error:
+                why = f"{error.filename}: {error.strerror}"
+                raise WebError(f"{why}; a run has weights after its first epoch", 409) from None
+            self._fingerprints[run] = known = version, digest.hexdigest()
+        return known[1]
+
+    def requested(self, key: str) -> Work | None:
+        with self._lock:
+            return self._requested.get(key)
+
+    def start(self, key: str, pictures: int, words: Sequence[str]) -> None:
+        """Begin with it, if it is not under way."""
+        with self._lock:
+            known = self._requested.get(key)
+            if known is not None and not (known.is_done or known.is_stopped):
+                return
+            self._requested[key] = work = Work(pictures)
+        self._pool.submit(self._run, work, [*words, str(self.path(key).absolute())])
+
+    def stop(self, key: str) -> None:
+        """End it, for all pages that wait for it; one that has ended stays as it is."""
+        with self._lock:
+            work = self._requested.get(key)
+            if work is None or work.is_done:
+                return
+            work.is_stopped = True
+            work.problem = work.problem or self._stopped
+            if self._at_work is work and self._process is not None:
+                self._process.kill()
+
+    def close(self) -> None:
+        self._is_closed = True
+        with self._lock:
+            if self._process is not None:
+                self._process.kill()
+        self._pool.shutdown(cancel_futures=True)
+
+    def _run(self, work: Work, words: list[str]) -> None:
+        leave_signals_to_main_thread()
+        try:
+            with tempfile.TemporaryDirectory(prefix="bc-web-", ignore_cleanup_errors=True) as temporary:
+                self._run_in(temporary, work, words)
+        except OSError as error:
+            work.problem = f"it cannot be started: {error.strerror}"
+        finally:
+            with self._lock:
+                self._process = self._at_work = None
+            work.is_done = True
+
+    def _run_in(self, temporary: str, work: Work, words: list[str]) -> None:
+        with self._lock:
+            if self._is_closed or work.is_stopped:
+                return
+            work.is_begun = True
+            self._at_work = work
+            self._process = process = start_process(self._module, words, temporary)
+        with process:
+            for message in reports(process):
+                _update(work, message)
+        if process.returncode and not work.problem:
+            work.problem = f"the process at work ended with {process.returncode}; try it again"
+
+
+def write_result(path: Path, **columns: NDArray[Any]) -> None:
+    """Write the result of the process at work: whole, or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f"{path.name}.{os.getpid()}")
+    try:
+        with part.open("wb") as stream:
+            np.savez(stream, **columns)  # type: ignore[arg-type]
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _update(work: Work, message: Mapping[str, Any]) -> None:
+    with contextlib.suppress(ValueError, KeyError, TypeError):
+        if "problem" in message:
+            work.problem = printable(str(message["problem"]))
+        else:
+            work.advance_to(int(message["pictures"]), message.get("total"), message.get("stage", ""))

@@ -1,0 +1,65 @@
+"""Processes of ours next to the server: each runs a module, and reports lines of JSON."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import behavioural_cloning_toolkit
+from common import UserError
+from common.errors import printable
+from common.output import print_result
+from common.parent_process import end_with_parent
+
+_ROOT: Final = str(Path(behavioural_cloning_toolkit.__file__).parent)
+
+
+def start_process(module: str, words: list[str], temporary: str) -> subprocess.Popen[bytes]:
+    """Call `main()` of a module with these words as its arguments. Its temporary files lie in a folder of its own:
+    a process that is killed leaves its copy of a log in a store behind. Raises OSError if it cannot be started."""
+    start = f"import sys; sys.path.append(sys.argv.pop(1)); from {module} import main; main()"
+    return subprocess.Popen(
+        [sys.executable, "-P", "-c", start, _ROOT, *words],
+        stdin=subprocess.PIPE,  # it ends with this process
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONUNBUFFERED": "1", "TMPDIR": temporary},
+        start_new_session=True,
+    )
+
+
+def reports(process: subprocess.Popen[bytes]) -> Iterator[dict[str, Any]]:
+    """What a process reports, until it ends."""
+    assert process.stdout is not None  # noqa: S101
+    with process.stdout as lines:
+        for line in lines:
+            with contextlib.suppress(ValueError):
+                yield json.loads(line)
+
+
+def report(**values: object) -> None:
+    """Tell the server, from the process itself, its progress or `problem`."""
+    print_result(json.dumps(values))
+
+
+def run_in_process(work: Callable[..., object], niceness: int = 0) -> None:
+    """Call `work` with this process's arguments, and report what goes wrong."""
+    if sys.platform != "win32":
+        signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the web server's threads block those that end a process
+        os.nice(niceness)
+    end_with_parent()
+    try:
+        work(*sys.argv[1:])
+    except UserError as error:
+        report(problem=printable(str(error)))
+    except OSError as error:
+        report(problem=printable(f"{error.filename or sys.argv[1]}: {error.strerror}"))
+    except MemoryError:
+        report(problem="not enough memory")

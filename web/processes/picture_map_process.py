@@ -1,0 +1,179 @@
+"""The process in which pictures are laid out by what they show: to a run's network or, without one, by their
+pixels. It reports progress on stdout, and writes a file. A network of one's own code is not run here."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import cv2
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from common import UserError
+from common.errors import printable
+from common.location import location
+from dataset.loader.log_crops import LogCrops
+from dataset.picture_spec import PictureSpec
+from dataset.preprocessing import Image
+from recorder import Log
+from recorder.log_copy_cli import brought_here
+from recorder.rows.odd_stretches import ODD_KINDS, odd_stretches
+from recorder.rows.row_quality import States
+from web.errors import WebError
+from web.processes.kept_work import write_result
+from web.processes.neighbour_map import ROUNDS, Floats, groups, neighbour_map
+from web.processes.own_process import report, run_in_process
+from web.processes.picture_maps import MapAbout
+
+_BATCH: Final = 64
+_PIXELS: Final = PictureSpec(width_px=64, height_px=32)
+_SHRUNK: Final = (16, 8)  # of the crop: what moves little stays alike
+_GROUPS: Final = 24
+_NICENESS: Final = 5
+
+
+@dataclass
+class _Columns:
+    """What is gathered of each picture, in parts of some pictures."""
+
+    features: list[Floats] = field(default_factory=list)
+    log: list[NDArray[np.int64]] = field(default_factory=list)
+    row: list[NDArray[np.int64]] = field(default_factory=list)
+    steering: list[NDArray[np.float64]] = field(default_factory=list)
+    predicted: list[NDArray[np.float64]] = field(default_factory=list)
+    odd: list[NDArray[np.int64]] = field(default_factory=list)
+
+
+def main() -> None:
+    run_in_process(_work, _NICENESS)
+
+
+def _work(most: str, run: str, *words: str) -> None:
+    *pairs, result = words
+    logs = list(zip(pairs[::2], pairs[1::2], strict=True))
+    _make(logs, Path(run) if run else None, int(most), Path(result))
+
+
+def _make(logs: Sequence[tuple[str, str]], run: Path | None, most: int, result: Path) -> None:
+    notes: list[str] = []
+    found = _Columns()
+    sees = _Eye(run)
+    total = sum(_pictures(log) for _, log in logs)
+    step = max(1, -(-total // most))
+    angles = set()
+    for number, (fingerprint, log) in enumerate(logs):
+        with _noted(notes, len(logs) > 1), brought_here([location(log)]) as (here,):
+            angles.add(_look(here, number, fingerprint, step, sees, found, total))
+    if not found.row:
+        raise WebError("; ".join(notes) or "no picture of the centre camera in these logs")
+    features = np.concatenate(found.features)
+    rounds = 0
+
+    def on_round() -> None:
+        nonlocal rounds
+        rounds += 1
+        report(stage="laid out", pictures=rounds, total=ROUNDS)
+
+    laid_out = neighbour_map(features, on_round)
+    place = laid_out.place
+    group = groups(place, _GROUPS)
+    max_deg = angles.pop() if len(angles) == 1 else None
+    about = MapAbout(step, list(ODD_KINDS), _middles(place, group), max_deg, notes)
+    write_result(
+        result,
+        x=place[:, 0],
+        y=place[:, 1],
+        nearest=laid_out.nearest,
+        alone=laid_out.alone,
+        group=group,
+        about=np.frombuffer(msgspec.json.encode(about), np.uint8),
+        **{name: np.concatenate(getattr(found, name)) for name in ("log", "row", "steering", "predicted", "odd")},
+    )
+
+
+@contextlib.contextmanager
+def _noted(notes: list[str], is_one_of_several: bool) -> Iterator[None]:
+    """A log that cannot be read is left out of several."""
+    try:
+        yield
+    except UserError as error:
+        if not is_one_of_several:
+            raise
+        notes.append(printable(str(error)))
+
+
+def _pictures(log: str) -> int:
+    try:
+        with brought_here([location(log)]) as (here,), LogCrops(here) as crops:
+            return len(crops)
+    except UserError:  # it is named when its pictures are read
+        return 0
+
+
+class _Eye:
+    """What looks at crops: a run's network, or the pixels themselves."""
+
+    def __init__(self, run: Path | None) -> None:
+        self.spec = _PIXELS
+        self._network = None
+        if run is not None:
+            from model.runs.run_folder import load_network, picture_of_run  # loads PyTorch
+
+            self.spec = picture_of_run(run)
+            self._network = load_network(run).eval()
+
+    def look(self, crops: Image) -> tuple[Floats, NDArray[np.float64]]:
+        """Features (N, D) and predicted steering (N,), NaN of pixels, for crops (N, `spec.shape`)."""
+        if self._network is None:
+            shrunk = [cv2.resize(crop, _SHRUNK, interpolation=cv2.INTER_AREA) for crop in crops]
+            pixels: Floats = np.array(shrunk, np.float32).reshape(len(crops), -1) / np.float32(255)
+            return pixels, np.full(len(crops), np.nan)
+        from dataset.prediction_targets import steering_in
+        from model.evaluation.predict import as_input
+        from model.network.inner_features import answers_and_features
+
+        answers, features = answers_and_features(self._network, as_input(crops))
+        return features.numpy(), steering_in(answers.numpy().astype(np.float64))
+
+
+def _look(
+    path: Path, number: int, fingerprint: str, step: int, eye: _Eye, found: _Columns, total: int
+) -> float | None:
+    """Add the pictures of a log to what was found; the wheels' angle of its car."""
+    with Log(path) as log:
+        odd = odd_stretches(States.of(log.vehicle()))
+    kinds = list(ODD_KINDS)
+    with LogCrops(path) as crops:
+        if crops.fingerprint != fingerprint:
+            raise WebError(f"{path.name}: it has changed since: reload this page, or bring the index up to date")
+        for numbers, pictures in crops.batches(_BATCH, eye.spec, step):
+            if not len(numbers):
+                continue
+            features, predicted = eye.look(pictures)
+            rows = crops.row[numbers]
+            of_rows = np.full(len(rows), -1)
+            for stretch in reversed(odd):
+                of_rows[(rows >= stretch.first_row) & (rows <= stretch.last_row)] = kinds.index(stretch.kind)
+            found.features.append(features)
+            found.log.append(np.full(len(rows), number))
+            found.row.append(rows)
+            found.steering.append(crops.recorded[numbers])
+            found.predicted.append(predicted)
+            found.odd.append(of_rows)
+            report(pictures=step * sum(map(len, found.row)), total=total)
+        return crops.max_steering_deg
+
+
+def _middles(place: Floats, group: NDArray[np.int32]) -> list[int]:
+    """Of each group the picture that is nearest to its middle."""
+    middles = []
+    for number in range(int(group.max()) + 1):
+        members = np.flatnonzero(group == number)
+        apart = ((place[members] - place[members].mean(0)) ** 2).sum(1)
+        middles.append(int(members[apart.argmin()]))
+    return middles

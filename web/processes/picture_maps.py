@@ -1,0 +1,68 @@
+"""Maps of the pictures of logs by what they show: made by a process of its own, and kept in the cache by the
+fingerprints of the logs and of the run whose network looks at them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from common.location import Location
+from web.folders.project_folders import as_word
+from web.processes.kept_work import KeptWork
+
+COLUMNS: Final = ("x", "y", "log", "row", "steering", "predicted", "nearest", "alone", "group", "odd")
+"""Of each picture, as float32: its place, the number of its log, its row, the steering that was driven and
+predicted (NaN: none), how far the most alike picture and its neighbours are (1 is usual), its group, and the
+number of what is odd in its row (-1: nothing)."""
+MAX_POINTS: Final = 10_000
+_FORMAT: Final = 1
+
+
+class MapAbout(msgspec.Struct, frozen=True):
+    """What a map is of."""
+
+    step: int  # of so many pictures, one is shown
+    odd: list[str]  # the kinds that `odd` has numbers of
+    groups: list[int]  # the picture in the middle of each group
+    max_deg: float | None  # the wheels' angle at steering 1; None: unknown, or several
+    notes: list[str]  # what was left out
+
+
+@dataclass(frozen=True)
+class MappedLog:
+    """A log whose pictures are shown."""
+
+    at: str  # its address: /sessions/KEY
+    path: Location
+    fingerprint: str
+
+
+class PictureMaps:
+    """Maps that are kept, and those that are being made."""
+
+    def __init__(self, cache: Path) -> None:
+        self.work = KeptWork(cache / "maps", "web.processes.picture_map_process", "it was stopped")
+
+    def key(self, logs: Sequence[MappedLog], run: Path | None) -> str:
+        """The name that a map has here. Raises WebError for a run without weights."""
+        eye = self.work.fingerprint(run) if run else ""
+        words = [str(_FORMAT), str(MAX_POINTS), eye, *(log.fingerprint for log in logs)]
+        return hashlib.sha256(" ".join(words).encode()).hexdigest()
+
+    def find(self, key: str) -> MapAbout | None:
+        """What the map of that key is of; None where it was not made yet, or is kept no more."""
+        return self.work.find(key, lambda kept: msgspec.json.decode(kept["about"].tobytes(), type=MapAbout))
+
+    def columns(self, key: str) -> bytes | None:
+        """COLUMNS, one after the other."""
+        return self.work.find(key, lambda kept: b"".join(kept[name].astype("<f4").tobytes() for name in COLUMNS))
+
+    def start(self, key: str, logs: Sequence[MappedLog], run: Path | None) -> None:
+        """Begin with it, if it is not under way."""
+        pairs = [word for log in logs for word in (log.fingerprint, as_word(log.path))]
+        self.work.start(key, 0, [str(MAX_POINTS), str(run.absolute()) if run else "", *pairs])

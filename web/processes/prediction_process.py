@@ -1,0 +1,71 @@
+"""The process in which a run's network predicts a whole log. It reports progress on stdout, and writes a file.
+
+A process of its own: a network uses all processors for a while, and shall not hold up the pages. A network of
+one's own code is not run here, because no user has named it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from common.errors import printable
+from common.location import location
+from model.evaluation.log_predictions import LogPredictions
+from model.evaluation.predict import BATCH
+from model.evaluation.predict_log import predict_log
+from model.metrics import measure
+from recorder.log_copy_cli import brought_here
+from web.errors import WebError
+from web.processes.kept_work import write_result
+from web.processes.own_process import report, run_in_process
+from web.processes.predictions import Measured, WorstMoment
+
+_WORST: Final = 30  # moments that are listed
+_NICENESS: Final = 5
+
+
+def main() -> None:
+    run_in_process(_work, _NICENESS)
+
+
+def _work(log: str, run: str, fingerprint: str, result: str) -> None:
+    with brought_here([location(log)]) as (here,):
+        found = _predict(here, Path(run))
+    if found.about["log_fingerprint"] != fingerprint:
+        raise WebError("the log has been replaced since this page was opened: reload it")
+    _write(found, Path(result))
+
+
+def _predict(log: Path, run: Path) -> LogPredictions:
+    pictures = 0
+
+    def on_batch() -> None:
+        nonlocal pictures
+        pictures += BATCH
+        report(pictures=pictures)
+
+    return predict_log(log, [run], on_batch=on_batch)
+
+
+def _write(found: LogPredictions, result: Path) -> None:
+    (run,) = found.predicted
+    predicted = found.predicted[run]
+    known = np.isfinite(found.recorded)
+    measured = measure(predicted[known], found.recorded[known], max_deg=found.max_deg)
+    about = Measured(
+        frames=measured.frames,
+        rmse_deg=measured.network.rmse_deg if measured.frames else None,
+        mean_rmse_deg=measured.mean.rmse_deg if measured.frames else None,
+        max_deg=found.max_deg,
+        worst=[
+            WorstMoment(worst.row, worst.error_deg, worst.predicted_deg, worst.recorded_deg)
+            for worst in found.worst(run, _WORST)
+        ],
+        notes=[printable(line) for line in (*found.skipped.lines(), found.notice) if line],
+    )
+    encoded = np.frombuffer(msgspec.json.encode(about), np.uint8)
+    write_result(result, row=found.row, predicted=predicted, about=encoded)

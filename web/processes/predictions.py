@@ -1,0 +1,81 @@
+"""The steering that a run predicts for a log, kept in the cache by the fingerprints of both."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from common.location import Location
+from web.folders.project_folders import as_word
+from web.processes.kept_work import KeptWork
+
+_FORMAT: Final = 1  # of the files that are kept
+
+
+class WorstMoment(msgspec.Struct, frozen=True):
+    """A moment at which the network is off the most; `error_deg` is positive where it steers too far right."""
+
+    row: int
+    error_deg: float
+    predicted_deg: float
+    recorded_deg: float
+
+
+class Measured(msgspec.Struct, frozen=True):
+    """The errors of a network. RMSEs are None where nothing was recorded to compare with."""
+
+    frames: int
+    rmse_deg: float | None
+    mean_rmse_deg: float | None  # of always predicting the mean
+    max_deg: float | None  # the wheels' angle at steering 1; None: unknown
+    worst: list[WorstMoment]
+    notes: list[str]  # what was left out
+
+
+@dataclass(frozen=True)
+class Predicted:
+    about: Measured
+    row: NDArray[np.int64]  # (N,), of each picture of the centre camera that decodes
+    steering: NDArray[np.float64]  # (N,), -1 (left) to 1 (right), before any clamp
+
+    def at(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+        """The steering at rows (M,) of the log; NaN where there was no picture."""
+        found = np.full(len(rows), np.nan)
+        if len(self.row):
+            order = np.argsort(self.row, kind="stable")
+            places = np.minimum(np.searchsorted(self.row[order], rows), len(order) - 1)
+            is_there = self.row[order][places] == rows
+            found[is_there] = self.steering[order][places[is_there]]
+        return found
+
+
+class Predictions:
+    """Predictions that are kept, and those that are being made."""
+
+    def __init__(self, cache: Path) -> None:
+        stopped = "it was stopped; choose the run again to begin anew"
+        self.work = KeptWork(cache / "predictions", "web.processes.prediction_process", stopped)
+
+    def key(self, log_fingerprint: str, run: Path) -> str:
+        """The name that this prediction has here. Raises WebError for a run without weights."""
+        return hashlib.sha256(f"{_FORMAT} {log_fingerprint} {self.work.fingerprint(run)}".encode()).hexdigest()
+
+    def find(self, key: str) -> Predicted | None:
+        """The prediction of that key; None where it was not made yet, or is kept no more."""
+        return self.work.find(key, _predicted)
+
+    def start(self, key: str, log: Location, log_fingerprint: str, run: Path, pictures: int) -> None:
+        """Begin with it, if it is not under way."""
+        self.work.start(key, pictures, [as_word(log), str(run.absolute()), log_fingerprint])
+
+
+def _predicted(kept: Mapping[str, NDArray[Any]]) -> Predicted:
+    about = msgspec.json.decode(kept["about"].tobytes(), type=Measured)
+    return Predicted(about, kept["row"].astype(np.int64), kept["predicted"].astype(np.float64))

@@ -1,0 +1,224 @@
+"""Logs that are open in Rerun. For each, a process writes a recording file, which the viewer in the page reads.
+
+Rerun's viewer is a program of WebAssembly within the `rerun` program. bc-web takes it out once and keeps it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import os
+import secrets
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from common import UserError
+from common.errors import printable
+from common.interrupts import leave_signals_to_main_thread
+from common.location import Location, Url
+from common.versions import package_line, version_of
+from web.errors import WebError
+from web.folders.cache_folder import CacheFolder
+from web.folders.project_folders import as_word
+from web.processes.own_process import reports, start_process
+
+MOST: Final = 2
+"""Logs that are open at once; one more ends the oldest."""
+FILES: Final = {"re_viewer.js": "text/javascript", "re_viewer_bg.wasm": "application/wasm"}
+"""The viewer's files, and their media types."""
+
+_LOCAL: Final = "127.0.0.1"
+_PATIENCE_S: Final = 10.0  # for a file of the viewer
+_GRACE_S: Final = 3.0  # for a process to end by itself
+_POLL_S: Final = 0.05
+_MAX_NOTES: Final = 20
+_AT_ONCE: Final = 1 << 18  # bytes
+
+
+class RerunViewer:
+    """One log that is open, and the process that writes its recording."""
+
+    def __init__(self, log: Location, *, is_growing: bool) -> None:
+        """Raises WebError if the process cannot be started."""
+        self.key = secrets.token_hex(8)
+        self.notes: list[str] = []
+        """Messages about the log, such as what had to be left out."""
+        self.problem = ""
+        """Why it cannot be shown any longer; empty while it can."""
+        if isinstance(log, Url):
+            self.notes.append("a copy of the log comes from its store first")
+        try:
+            self._temporary = tempfile.TemporaryDirectory(prefix="bc-web-", ignore_cleanup_errors=True)
+            self._folder = Path(self._temporary.name) / "recording"
+            self._folder.mkdir()
+            words = [as_word(log), str(self._folder / "log.rrd"), "growing" if is_growing else "finished"]
+            self._process = start_process("web.processes.rerun_process", words, self._temporary.name)
+        except OSError as error:
+            raise WebError(f"Rerun cannot be started: {error.strerror}", 500) from None
+        self._reader = threading.Thread(target=self._read, name="rerun", daemon=True)
+        self._reader.start()
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether there is something to show by now."""
+        file = self._opened()
+        if file is None:
+            return False
+        with file:
+            return bool(file.read(1))
+
+    def recording(self) -> Iterator[bytes]:
+        """The recording file while it is written, to its end."""
+        file = self._opened()
+        if file is None:
+            return
+        with file:
+            is_whole = False
+            while not self.problem:
+                if data := file.read(_AT_ONCE):
+                    yield data
+                elif is_whole:
+                    return
+                else:
+                    is_whole = self._process.poll() is not None
+                    time.sleep(_POLL_S)
+
+    def _opened(self) -> BinaryIO | None:
+        for _ in range(2):  # it gets its name when it is whole
+            for path in self._folder.glob("*"):
+                with contextlib.suppress(FileNotFoundError):
+                    return path.open("rb")
+        return None
+
+    def end(self, why: str = "") -> threading.Thread:
+        """Begin to end it; the thread ends when all of it has."""
+        self.problem = self.problem or why or "Rerun has ended; open it again"
+        ending = threading.Thread(target=self._end, name="rerun ends")
+        ending.start()
+        return ending
+
+    def _end(self) -> None:
+        leave_signals_to_main_thread()
+        assert self._process.stdin is not None  # noqa: S101
+        with contextlib.suppress(OSError):
+            self._process.stdin.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_GRACE_S)
+        if sys.platform != "win32":
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.kill()
+        self._process.wait()
+        self._reader.join()
+        self._temporary.cleanup()
+
+    def _read(self) -> None:
+        leave_signals_to_main_thread()
+        for message in reports(self._process):
+            self.problem = self.problem or printable(str(message.get("problem", "")))
+            if "note" in message and len(self.notes) < _MAX_NOTES:
+                self.notes.append(printable(str(message["note"])))
+        if code := self._process.wait():
+            self.problem = self.problem or f"the process that reads the log ended with {code}; open it again"
+
+
+class RerunViewers:
+    """All of them. Each lives as long as the request that has asked for it."""
+
+    def __init__(self, cache: CacheFolder) -> None:
+        self._cache = cache
+        self._lock = threading.Lock()
+        self._fetching = threading.Lock()
+        self._open: dict[str, RerunViewer] = {}  # the oldest first
+        self._endings: list[threading.Thread] = []
+
+    def open(self, log: Location, *, is_growing: bool) -> RerunViewer:
+        """Serve a log. Raises WebError where Rerun is not installed, or cannot be started."""
+        if find_spec("rerun") is None or find_spec("rerun_cli") is None:
+            raise WebError(f"Rerun is not installed here: `{package_line('rerun-sdk')}` brings it", 501)
+        viewer = RerunViewer(log, is_growing=is_growing)
+        with self._lock:
+            others = list(self._open.values())
+            self._open[viewer.key] = viewer
+        for other in others[: max(0, len(others) + 1 - MOST)]:
+            self.end(other, f"ended, because {MOST} logs were opened in Rerun since; open it again")
+        return viewer
+
+    def get(self, key: str) -> RerunViewer:
+        """Raises WebError if it is not open (any more)."""
+        with self._lock:
+            viewer = self._open.get(key)
+        if viewer is None:
+            raise WebError("this log is not open in Rerun any more: open it again from its page", 404)
+        return viewer
+
+    def end(self, viewer: RerunViewer, why: str = "") -> None:
+        with self._lock:
+            if self._open.pop(viewer.key, None) is not None:
+                self._endings = [thread for thread in self._endings if thread.is_alive()]
+                self._endings.append(viewer.end(why))
+
+    def file(self, name: str) -> bytes:
+        """One of the viewer's `FILES`. Raises WebError if Rerun does not give it."""
+        with self._fetching:
+            if (kept := self._cache.find(_key(name))) is None:
+                try:
+                    files = _files_of_viewer()
+                except (OSError, UserError, http.client.HTTPException) as error:
+                    raise WebError(f"{name}: Rerun does not start ({error}); open the log again", 503) from None
+                for each, data in files.items():
+                    self._cache.keep(_key(each), data)
+                kept = files[name]
+        return kept
+
+    def close(self) -> None:
+        """End all of them, and wait for it."""
+        with self._lock:
+            viewers = list(self._open.values())
+        for viewer in viewers:
+            self.end(viewer)
+        for ending in self._endings:
+            ending.join()
+
+
+def command_of(log: Location) -> str:
+    """The command that opens the same beside the browser."""
+    return printable(shlex.join(["bc-play", str(log)]))
+
+
+def viewer_version() -> str:
+    """The version of Rerun, under which a browser keeps the viewer's files."""
+    return version_of("rerun-sdk")
+
+
+def _key(name: str) -> str:
+    return f"rerun {viewer_version()} {name}"
+
+
+def _files_of_viewer() -> dict[str, bytes]:
+    """From a `rerun` that serves them on this machine for a moment."""
+    from viz.viewer_process import Ports, free_port, open_viewer, wait_until_it_listens
+
+    ports = Ports(free_port(), free_port())
+    files = {}
+    with open_viewer(ports, web=True) as viewer:
+        for port in (ports.data, ports.web):
+            wait_until_it_listens(viewer, f"http://{_LOCAL}:{port}")
+        for name in FILES:
+            connection = http.client.HTTPConnection(_LOCAL, ports.web, timeout=_PATIENCE_S)
+            with contextlib.closing(connection):
+                connection.request("GET", f"/{name}")
+                answer = connection.getresponse()
+                if answer.status != 200:
+                    raise http.client.HTTPException(f"{name}: HTTP {answer.status}")
+                files[name] = answer.read()
+    return files

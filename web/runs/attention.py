@@ -1,0 +1,91 @@
+"""The attention map of a run's network for a picture, as a transparent picture to lie over it."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from common.location import Location
+from model.runs.run_files import CONFIG, WEIGHTS
+from web.errors import WebError
+from web.folders.file_versions import version_of
+from web.runs.run_networks import check_network
+
+if TYPE_CHECKING:  # these load PyTorch, which only requests need
+    from dataset.picture_spec import PictureSpec
+    from model.network.picture_network import PictureNetwork
+
+_COLOR: Final = (255, 40, 230)  # BGR: no road has it
+_MOST: Final = 0.8  # how much of it covers the picture where the network looks most
+_UNSEEN: Final = 0.45  # how dark what it does not see becomes
+_WIDEST_PX: Final = 640
+_KEPT: Final = 2  # networks in memory
+
+
+class Attention:
+    """The networks used last. They run on one picture at a time."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._networks: dict[Path, tuple[str, PictureNetwork, PictureSpec]] = {}
+
+    def overlay(self, run: Path, place: Location, log: Location, encoded: bytes) -> bytes:
+        """A PNG with the shape of the picture: coloured where the network looks, dark outside its crop. `run`
+        is here; `place` is where it is kept.
+
+        Raises RunError for a run that cannot be loaded, or a network without an attention map; WebError for code
+        of one's own, and for a picture that does not decode.
+        """
+        from dataset.preprocessing import decode, preprocess
+        from model.errors import RunError
+        from model.evaluation.predict import as_input
+        from model.network.visual_backprop import visual_backprop
+
+        try:
+            picture = decode(encoded)
+        except ValueError as error:
+            raise WebError(f"{log}: no picture here that decodes ({error})", 422) from None
+        with self._lock:
+            network, spec = self._network(run, log, place)
+            try:
+                _, maps = visual_backprop(network, as_input(preprocess(picture, spec)[None]))
+            except RunError as error:
+                raise RunError(f"{run}: {error}") from None
+        return _drawn(maps[0].numpy(), picture.shape[0], picture.shape[1], spec)
+
+    def _network(self, run: Path, log: Location, place: Location) -> tuple[PictureNetwork, PictureSpec]:
+        import torch
+
+        from model.runs.run_folder import load_network, picture_of_run
+
+        # one picture is too little for two: they wait for each other, where the machine is busy 20 times as long
+        torch.set_num_threads(1)
+        version = version_of(run / WEIGHTS, run / CONFIG)
+        known = self._networks.pop(run, None)
+        if known is None or known[0] != version:
+            check_network(run, log, place)
+            known = version, load_network(run), picture_of_run(run)
+        self._networks[run] = known
+        while len(self._networks) > _KEPT:
+            self._networks.pop(next(iter(self._networks)))
+        return known[1], known[2]
+
+
+def _drawn(attention: NDArray[np.float32], height: int, width: int, spec: PictureSpec) -> bytes:
+    """`attention` (spec.height_px, spec.width_px), 0 to 1, over the rows of a picture that the network sees."""
+    scale = min(1.0, _WIDEST_PX / width)
+    size = max(1, round(height * scale)), max(1, round(width * scale))
+    alpha = np.full(size, _UNSEEN, np.float32)
+    color = np.zeros((*size, 3), np.uint8)
+    rows = spec.crop_slice(size[0])
+    part = alpha[rows]
+    part[:] = _MOST * cv2.resize(attention, (part.shape[1], part.shape[0]), interpolation=cv2.INTER_LINEAR)
+    color[rows] = _COLOR
+    ok, png = cv2.imencode(".png", np.dstack([color, np.rint(255 * alpha).astype(np.uint8)]))
+    assert ok  # noqa: S101 - of any array of that type
+    return png.tobytes()

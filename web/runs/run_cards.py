@@ -1,0 +1,145 @@
+"""The entries of the list of runs: each run's summary, as `bc-runs` has it, and whether it is being trained."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import math
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from common import UserError
+from common.errors import printable
+from common.location import Location
+from model.runs.run_files import CONFIG, RESULTS_FILE, WEIGHTS
+from model.runs.run_lock import is_being_trained
+from model.runs.training_progress import METRICS_FILE, STEPS_FILE
+from model.runs.worst_pictures import WORST_FILE
+from web.folders.background import Background
+from web.folders.project_folders import ProjectFolders, key_of
+from web.runs.training_cost import EarlierTraining
+
+if TYPE_CHECKING:  # these load PyTorch, which only pages of runs need
+    from model.runs.history import History
+    from model.runs.run_summary import RunSummary
+
+_SUMMED_UP: Final = CONFIG, METRICS_FILE, RESULTS_FILE, WEIGHTS
+_GROWING: Final = STEPS_FILE, WORST_FILE
+_HISTORY: Final = METRICS_FILE, *_GROWING
+_TRAININGS: Final = 8  # that say how fast one is
+_HISTORIES: Final = 16  # kept in memory, of the runs shown last
+
+
+@dataclass(frozen=True)
+class RunCard:
+    """A run in the list. `summary` is None while it is being read, and where it cannot be (`problem`)."""
+
+    key: str
+    path: Path
+    summary: RunSummary | None
+    problem: str
+    is_training: bool
+
+    @property
+    def name(self) -> str:
+        return printable(self.path.name)
+
+    @property
+    def state(self) -> str:
+        """The state in one word: "" for a run that is whole."""
+        if self.problem:
+            return "damaged"
+        if self.is_training:
+            return "training"
+        return "reading" if self.summary is None else "" if self.summary.kept_epoch else "no epoch yet"
+
+
+class RunCards:
+    """The cards of all runs, and the histories of those shown last."""
+
+    def __init__(self, folders: ProjectFolders) -> None:
+        self._folders = folders
+        self._pool = ThreadPoolExecutor(1, "reading runs")  # not that of logs: the first run loads PyTorch
+        self._summaries = Background[Path, "RunSummary"](self._pool, _summary)
+        self._lock = threading.Lock()
+        self._histories: dict[Path, tuple[str, History]] = {}
+
+    def close(self) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+    @property
+    def done(self) -> int:
+        return self._summaries.done
+
+    def version(self) -> str:
+        """It changes with every file that a training or an evaluation writes."""
+        digest = hashlib.sha256()
+        for path in self._folders.run_folders().values():
+            version = self._folders.version_of_run(path, (*_SUMMED_UP, *_GROWING))
+            digest.update(version.encode() + bytes([is_being_trained(path)]))
+        return digest.hexdigest()[:16] + self._folders.runs_problem
+
+    def cards(self, patience_s: float) -> list[RunCard]:
+        """The cards of all runs, by name; those that cannot be read in that time have no `summary` yet."""
+        found = self._folders.run_folders().values()
+        versions = [(path, self._folders.version_of_run(path, _SUMMED_UP)) for path in found]
+        summaries = self._summaries.results(versions, patience_s)
+        return [_card(path, summaries.get(path), self._folders.run_place(path)) for path in found]
+
+    def history(self, path: Path) -> History:
+        """The course of a training by now; of one that has not begun, none. Raises RunError where it cannot be
+        read."""
+        from model.runs.history import HistoryReader
+
+        version = self._folders.version_of_run(path, _HISTORY)
+        with self._lock:
+            known = self._histories.get(path)
+        if known is None or known[0] != version:
+            self._folders.bring_run(path, _HISTORY)
+            found, _ = HistoryReader(path).read()
+            with self._lock:
+                self._histories.pop(path, None)
+                self._histories[path] = known = version, found
+                while len(self._histories) > _HISTORIES:
+                    self._histories.pop(next(iter(self._histories)))
+        return known[1]
+
+
+def earlier_trainings(runs: RunCards, patience_s: float) -> list[EarlierTraining]:
+    """The speed of the newest trainings of this project, the newest first."""
+    cards = [card for card in runs.cards(patience_s) if card.summary is not None and card.summary.epochs]
+    cards.sort(key=lambda card: card.summary.written_at if card.summary else "", reverse=True)
+    found = []
+    for card in cards[:_TRAININGS]:
+        with contextlib.suppress(UserError):
+            found.append(_earlier(card, runs))
+    return found
+
+
+def _earlier(card: RunCard, runs: RunCards) -> EarlierTraining:
+    from model.runs.run_config import load_config
+
+    machine = load_config(card.path).get("machine")
+    device = str(machine.get("device", "")) if isinstance(machine, dict) else ""
+    network = card.summary.network if card.summary else ""
+    speeds = [epoch.samples_per_s for epoch in runs.history(card.path).epochs]
+    return EarlierTraining(card.name, network, device, speeds[-1] if speeds else math.nan)
+
+
+def _card(path: Path, found: RunSummary | UserError | None, place: Location) -> RunCard:
+    problem = ""
+    if isinstance(found, UserError):
+        problem, found = str(found), None
+    elif found is not None and found.problem:
+        problem, found = found.problem, None
+    problem = problem.replace(str(path), str(place))  # what is here is a copy of it
+    return RunCard(key_of(path), path, found, printable(problem), is_being_trained(path))
+
+
+def _summary(run: Path, version: str) -> RunSummary:
+    from model.runs.run_summary import summarize_run
+
+    return summarize_run(run)

@@ -1,0 +1,116 @@
+"""Two runs compared on the same frames: the job, `bc-eval --compare`, and its numbers as a page shows them."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final
+
+from common.location import Location
+from common.steering_unit import SteeringUnit, steering_unit
+from common.untrusted_json import json_as
+from model.runs.run_files import WEIGHTS
+from web.errors import WebError
+from web.folders.project_folders import ProjectFolders
+from web.jobs.jobs import Job
+
+_ENDS_WELL: Final = (0, 1, 3)  # 1: B is worse
+
+
+@dataclass(frozen=True)
+class ComparedMeasure:
+    """A measure of both runs, and the interval of B - A, in the unit of the page; NaN where there is none."""
+
+    heading: str
+    a: float
+    b: float
+    low: float
+    high: float
+    verdict: str
+    digits: int
+
+    @property
+    def reach(self) -> float:
+        """The farthest end of the interval from no difference; 0 where there is none."""
+        ends = (self.low, self.high, self.b - self.a)
+        return max((abs(end) for end in ends if math.isfinite(end)), default=0.0)
+
+
+@dataclass(frozen=True)
+class ShownComparison:
+    frames: int
+    blocks: str  # "120 blocks"
+    unit: SteeringUnit
+    confidence: float
+    apart: float  # the answers of both, root mean square
+    verdict: str
+    measures: Sequence[ComparedMeasure]
+
+
+def compare_command(a: Path, b: Path, session: str, folders: ProjectFolders) -> list[str]:
+    """The command line, on the frames held out, or on a session. Raises WebError for a name that would be taken
+    for a flag."""
+    if flags := [name for name in (a.name, b.name, session) if name.startswith("-")]:
+        raise WebError(f"{flags[0]!r} would be taken for a flag: rename it", 422)
+    words = ["bc-eval", "--compare", a.name, b.name, "--json", *(["--session", session] if session else [])]
+    for name in ("runs", "sessions"):
+        folder: Location = getattr(folders, name)
+        if folder != getattr(ProjectFolders(), name):
+            words.append(f"--{name}={folder}")
+    return words
+
+
+def newest_job(jobs: Sequence[Job], command: list[str]) -> Job | None:
+    """The newest job with this command."""
+    return next((job for job in jobs if job.about.words == command), None)
+
+
+def is_outdated(job: Job, runs: Sequence[Path]) -> bool:
+    """Whether one of the runs has other weights than the job found."""
+    began_s = datetime.fromisoformat(job.about.began).timestamp()
+    with contextlib.suppress(OSError):
+        return any((run / WEIGHTS).stat().st_mtime > began_s for run in runs)
+    return False
+
+
+def comparison_of(job: Job) -> ShownComparison | None:
+    """The comparison that a job has printed; None where it has printed none."""
+    if job.code not in _ENDS_WELL:
+        return None
+    lines = [line for line in job.output().splitlines() if line.startswith("{")]
+    found = json_as(lines[-1], dict[str, Any]) if lines else None
+    try:
+        return None if found is None else _shown(found)
+    except (KeyError, TypeError, ValueError, AttributeError):  # of a later version
+        return None
+
+
+def _shown(found: dict[str, Any]) -> ShownComparison:
+    from model.evaluation.run_comparison import MEASURES  # loads PyTorch
+
+    headings = {measure.name: measure for measure in MEASURES}
+    unit = steering_unit(found.get("max_deg", 0.0))
+    measures = []
+    for name, values in found["measures"].items():
+        known = headings.get(name)
+        per = unit.per_deg if name.endswith("_deg") else 1.0
+        a, b, low, high = (
+            math.nan if values[key] is None else per * float(values[key]) for key in ("a", "b", "low", "high")
+        )
+        heading = known.heading if known else name.replace("_", " ")
+        digits = 3 if known and known.scale == 1.0 else 2
+        measures.append(ComparedMeasure(heading, a, b, low, high, str(values["verdict"]), digits))
+    units = "sessions" if "sessions" in found else "blocks"
+    return ShownComparison(
+        int(found["frames"]),
+        f"{int(found[units]):,} {units}",
+        unit,
+        float(found["confidence"]),
+        unit.of(float(found["answers_apart_deg"])),
+        str(found["verdict"]),
+        measures,
+    )

@@ -1,0 +1,57 @@
+"""The data that runs were trained on: the index as it is now, or a session; read without PyTorch."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+from dataset.parquet_file import read_metadata
+from dataset.samples.samples_format import SAMPLES_NAME
+from model.runs.run_files import CONFIG
+from web.folders.file_versions import version_of
+
+_OF_THE_RUN: Final = ("fingerprint", "content_fingerprint", "targets_fingerprint")
+"""Fields of a run's config for its data that the index itself lacks."""
+
+
+@dataclass(frozen=True)
+class RunOrigin:
+    """`index` is the checksum of the index's metadata at that time: its settings, logs and balance; "" where they
+    are unknown."""
+
+    sessions: frozenset[str]
+    index: str
+
+
+def origin_of(run: Path) -> RunOrigin:
+    """The origin of a run; empty where its config.json cannot be read, which the list of runs shows."""
+    config = run / CONFIG
+    return _origin(config, version_of(config))
+
+
+def index_checksum(index: Path) -> str:
+    """The checksum of the index's present metadata; "" where there is no index."""
+    metadata = read_metadata(index / SAMPLES_NAME)
+    return _checksum(metadata) if metadata else ""
+
+
+@lru_cache(maxsize=4096)
+def _origin(config: Path, version: str) -> RunOrigin:
+    try:
+        data = json.loads(config.read_bytes()).get("data")
+    except (OSError, ValueError, RecursionError, AttributeError):
+        data = None
+    if not isinstance(data, dict):
+        return RunOrigin(frozenset(), "")
+    logs = data.get("logs")
+    sessions = frozenset(logs) if isinstance(logs, dict) else frozenset[str]()
+    return RunOrigin(sessions, _checksum({name: data[name] for name in data if name not in _OF_THE_RUN}))
+
+
+def _checksum(metadata: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(metadata, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,59 @@
+"""The memory of the server: what requests have freed goes back to the system.
+
+By default each of a server's forty threads gets an arena of its own, in which the C library keeps what that thread
+has freed, and Arrow keeps a pool: they grow to what all threads have needed at their worst.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from collections.abc import Callable
+from typing import Final
+
+import anyio.to_thread
+import pyarrow as pa
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+EVERY: Final = 500
+"""Answers after which free memory is given back: seconds of scrubbing, minutes of a page that only polls."""
+
+# of glibc's malloc.h
+_M_MMAP_THRESHOLD: Final = -3
+_M_ARENA_MAX: Final = -8
+_ARENAS: Final = 2
+_LARGE_BYTES: Final = 256 << 10  # blocks of their own, which are given back as soon as they are freed
+
+
+def give_memory_back() -> None:
+    """Set this for the process, before it has threads. Without glibc, only Arrow's pool is set."""
+    pa.set_memory_pool(pa.system_memory_pool())
+    if (set_option := _of_c_library("mallopt")) is not None:
+        set_option(_M_ARENA_MAX, _ARENAS)
+        set_option(_M_MMAP_THRESHOLD, _LARGE_BYTES)
+
+
+def trim() -> None:
+    """Give back what is free between what is used."""
+    if (trim_all := _of_c_library("malloc_trim")) is not None:
+        trim_all(0)
+
+
+class TrimmedApp:
+    """An app that gives free memory back after every so many answers."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+        self._answers = 0
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        await self._app(scope, receive, send)
+        self._answers += 1
+        if self._answers % EVERY == 0:
+            await anyio.to_thread.run_sync(trim)
+
+
+def _of_c_library(name: str) -> Callable[..., int] | None:
+    if sys.platform != "linux":
+        return None
+    return getattr(ctypes.CDLL(None), name, None)

@@ -1,0 +1,123 @@
+// Predicted against driven steering, a point for each picture of a session: each leads to its picture.
+
+import { colourReader } from "../colours.js";
+import { showStatus } from "../live.js";
+import { PointCloud } from "../point_cloud.js";
+import { ask, LogData } from "../session/log_data.js";
+import { Predictions } from "../session/predictions.js";
+
+const TICKS = 4; // to each side, at most
+const ROUND = [0.5, 1, 2, 5, 10, 20, 25]; // units between two ticks
+const by = (id) => document.getElementById(id);
+const section = by("scatter");
+const cloud = new PointCloud(by("scatter-cloud"), {
+  onPoint: show,
+  onPick: (at) => {
+    cloud.pin(at);
+    show(at);
+  },
+  onOpen: (at) => at >= 0 && location.assign(page(at)),
+  drawBelow: drawAxes,
+  radius: 2.5,
+});
+cloud.tool = "move";
+let data = null;
+let predictions = null;
+let rows = []; // positions in the session, of the points
+let most = 1;
+
+async function load() {
+  const { value: address } = by("scatter-log");
+  const isAsked = () => by("scatter-log").value === address;
+  try {
+    data = new LogData(address);
+    predictions = new Predictions(data, { onChange: () => isAsked() && showProgress() });
+    await data.load();
+    const [, heldOut] = await Promise.all([predictions.choose(section.dataset.run), heldOutRows()]);
+    if (isAsked() && predictions.about) draw(heldOut);
+  } catch (error) {
+    if (isAsked()) by("scatter-words").textContent = error.message;
+  }
+}
+
+/** The stretches of rows that it did not learn from; null where that is not known. */
+async function heldOutRows() {
+  const { heldOut } = by("scatter-log").selectedOptions[0].dataset;
+  return heldOut ? (await ask(heldOut)).json() : null;
+}
+
+function showProgress() {
+  by("scatter-words").textContent = predictions.summary;
+  by("scatter-stop").hidden = !predictions.isWaiting;
+}
+
+function draw(heldOut) {
+  const { steering, predicted, row } = data.columns;
+  rows = Array.from(steering.keys()).filter((at) => Number.isFinite(steering[at]) && Number.isFinite(predicted[at]));
+  const isHeldOut = (at) => heldOut?.some(([first, last]) => first <= row[at] && row[at] <= last) ?? false;
+  const of = Uint8Array.from(rows, (at) => (heldOut ? (isHeldOut(at) ? 1 : 0) : 1));
+  most = Math.max(0.1, ...rows.flatMap((at) => [Math.abs(steering[at]), Math.abs(predicted[at])]).slice(0, 40000));
+  cloud.show(Float32Array.from(rows, (at) => steering[at]), Float32Array.from(rows, (at) => -predicted[at]));
+  cloud.limit(-most, most, -most, most);
+  cloud.colour(["--series-0", "--series-1"].map(colourReader(section)), of);
+  by("scatter-legend").hidden = !heldOut;
+  by("scatter-and-picture").hidden = false;
+  section.dataset.shown = rows.length; // for scripts that wait for it
+}
+
+const angle = (share, digits = 1) => {
+  const { max_deg: maxDeg } = predictions.about;
+  const text = maxDeg === null ? `${Math.round(100 * share)} %` : `${(share * maxDeg).toFixed(digits)}°`;
+  return text.replace(/^-(0\.?0*[° ])/, "$1");
+};
+
+/** The line on which both are the same, and an axis of each through zero. */
+function drawAxes(context, place, { width, height }) {
+  if (!predictions?.about) return;
+  const colour = colourReader(section);
+  context.font = getComputedStyle(section).font;
+  const line = (from, to, stroke) => {
+    context.strokeStyle = colour(stroke);
+    context.beginPath();
+    context.moveTo(...place(...from));
+    context.lineTo(...place(...to));
+    context.stroke();
+  };
+  line([-most, 0], [most, 0], "--line");
+  line([0, -most], [0, most], "--line");
+  line([-most, most], [most, -most], "--dim");
+  context.fillStyle = colour("--dim");
+  const [zeroX, zeroY] = place(0, 0);
+  const unit = predictions.about.max_deg ?? 100;
+  const step = ROUND.find((each) => each * TICKS >= most * unit) / unit;
+  for (let share = -step * TICKS; share <= most; share += step) {
+    if (Math.abs(share) < step / 2 || share < -most) continue;
+    const [x, y] = place(share, -share);
+    context.fillText(angle(share, 0), x - 10, Math.min(Math.max(zeroY + 14, 14), height - 4));
+    context.fillText(angle(share, 0), Math.min(Math.max(zeroX + 4, 4), width - 40), y + 4);
+  }
+  context.fillText("driven →", width - 64, Math.min(Math.max(zeroY - 6, 14), height - 4));
+  context.fillText("predicted ↑", Math.min(Math.max(zeroX + 4, 4), width - 70), 14);
+}
+
+function page(at) {
+  return `${data.address}#row=${data.columns.row[rows[at]]}&run=${section.dataset.run}`;
+}
+
+function show(at) {
+  const shown = at < 0 ? cloud.pinned : at;
+  if (shown < 0) return;
+  const { row, steering, predicted } = data.columns;
+  const position = rows[shown];
+  const [picture] = by("scatter-under").children;
+  picture.hidden = false;
+  picture.src = `${data.address}/pictures/center/${row[position]}?v=${data.state.version}`;
+  const words = `row ${row[position]}: ${angle(predicted[position])} predicted, ${angle(steering[position])} driven · `;
+  by("scatter-under-words").replaceChildren(words, Object.assign(document.createElement("a"), { href: page(shown), textContent: "open" }));
+}
+
+by("scatter-show").addEventListener("click", load);
+by("scatter-log").addEventListener("change", () => predictions && load());
+by("scatter-stop").addEventListener("click", () =>
+  predictions.stop().then(showProgress, (error) => showStatus(error.message)),
+);
