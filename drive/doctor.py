@@ -16,9 +16,10 @@ from common.errors import UserError, as_user_error, counted, printable
 from common.files import short_path
 from common.locks import is_being_written
 from model.runs.advice import Advice
+from recorder.log.logs_in_folder import logs_in
 from recorder.log.tags import FINE, tags_path
 from recorder.rows.odd_stretches import ODD_KINDS
-from recorder.upkeep.log_info import LogInfo, describe, logs_in
+from recorder.upkeep.log_info import LogInfo, describe
 
 MAX_COMMANDS: Final = 3
 _MAX_NAMED: Final = 5
