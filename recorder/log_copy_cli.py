@@ -20,8 +20,8 @@ from common.location import Location, Url
 from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result
 from common.progress import progress_bar
+from recorder.log.logs_in_folder import logs_in
 from recorder.log_flag import named_log
-from recorder.upkeep.log_info import logs_in
 
 _MAX_NAMED: Final = 8
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import tyro
 from rich.table import Table
@@ -14,10 +14,13 @@ from common.command import DONE, print_error, warn
 from common.errors import as_user_error
 from common.location import Location, Url, location
 from common.output import print_result, print_table
+from recorder.log.logs_in_folder import logs_in
 from recorder.log_flag import FOLDERS, LogFlag
 from recorder.log_next import print_first, step_of_list
 from recorder.log_report import plain
-from recorder.upkeep.log_info import LogInfo, describe, logs_in
+
+if TYPE_CHECKING:
+    from recorder.upkeep.log_info import LogInfo
 
 SORTED_BY: Final[dict[str, Callable[[LogInfo], Any]]] = {
     "newest": lambda info: tuple(-ord(character) for character in info.start),
@@ -39,6 +42,8 @@ class ListLogs:
     """Print one JSON object a log, as `bc-log info --json` does."""
 
     def run(self) -> int:
+        from recorder.upkeep.log_info import describe  # NumPy
+
         infos, codes = [], [DONE]
         for path in self._logs():
             try:

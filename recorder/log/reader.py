@@ -15,7 +15,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
-import pyarrow as pa
 from mcap.records import Attachment, Channel, Schema
 from mcap.records import Message as McapMessage
 from numpy.typing import NDArray
@@ -43,7 +42,8 @@ from recorder.mcap.salvage import salvage
 from recorder.mcap.scan import read_structure
 from recorder.topics import camera_topic, prediction_topic
 
-if TYPE_CHECKING:  # training reads pictures where protobuf is not installed
+if TYPE_CHECKING:  # training reads pictures where protobuf is not installed; a log's end needs no Arrow
+    import pyarrow as pa
     from google.protobuf.message import Message as ProtobufMessage
 
     from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
@@ -269,6 +269,8 @@ class Log(Closeable):
     def frames(self) -> pa.Table:
         """The cameras' pictures, one a row, in the order of the file: row (the frame's number in the log), camera,
         log_time_ns, offset, length and chunk (for `read`)."""
+        import pyarrow as pa
+
         parts = []
         for camera in CAMERAS:
             pictures = self.pictures(camera_topic(camera))
@@ -294,6 +296,7 @@ class Log(Closeable):
     def numbers(self, topic_name: str, fields: Sequence[str]) -> pa.Table:
         """Fields of the messages on a topic of the registry, one message a row: row, log_time_ns, and each field
         by its name; NaN where a message lacks one that is optional."""
+        import pyarrow as pa
         from google.protobuf.message import DecodeError
 
         entries = self._of_topic(topic_name)

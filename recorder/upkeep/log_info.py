@@ -9,9 +9,9 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
-from common.location import Location, Url
+from common.location import Location
 from common.untrusted_json import json_as
 from recorder import topics
 from recorder.log.known_lag import keep_lag, kept_lag, known_lag, noted_lag
@@ -104,23 +104,6 @@ class LogInfo:
         """One line of JSON, an object."""
         tags = [tag._asdict() for tag in self.tags]
         return json.dumps({**asdict(self), "tags": tags}, allow_nan=False)
-
-
-@overload
-def logs_in(folder: Path) -> list[Path]: ...
-
-
-@overload
-def logs_in(folder: Url) -> list[Url]: ...
-
-
-def logs_in(folder: Location) -> list[Path] | list[Url]:
-    """The logs of a folder by name, finished and not. Raises StoreError for what cannot be listed."""
-    if isinstance(folder, Url):
-        from common.object_store import list_objects  # an extra
-
-        return [each.url for each in list_objects(folder) if each.url.suffix == ".mcap"]
-    return sorted((*folder.glob("*.mcap"), *folder.glob("*.mcap.*.part")))
 
 
 def describe(

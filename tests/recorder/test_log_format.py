@@ -23,18 +23,20 @@ from driving import road_jpeg, run, run_code, untrained_run
 from logs import START_NS, STEP_NS, plain_read, read_messages
 from model.evaluation.predict_log import predict_log
 from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
+from panorama import write_drive
 from recorder import Log, LogWriter, import_udacity
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.lerobot.export import export_lerobot
 from recorder.log.meant_gaps import not_recorded
 from recorder.log.tags import Tag, read_tags
-from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
+from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.gymnasium_flags import GymFlags
 from recorder.sources.import_csv import import_csv
 from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.import_lerobot import import_lerobot
 from recorder.sources.import_mcap import import_mcap
 from recorder.sources.record_gymnasium import GymRecording, record_gymnasium
+from recorder.sources.simulated_drive import SimulatedDrive
 from recorder.upkeep.edit import merge, rewrite, split, trim
 from recorder.upkeep.recover import recover
 from repository import ROOT
@@ -113,7 +115,7 @@ def test_nothing_of_ours_can_be_imported_beside_the_first_example(tmp_path: Path
 
 
 def test_the_example_with_mcap_reads_a_log_without_this_project(log: Path) -> None:
-    (code,) = blocks("With mcap", "python")
+    code = (ROOT / "examples" / "log_with_mcap.py").read_text(encoding="utf-8")
     done = run_without_ours(code, log.parent)
     assert done.returncode == 0, done.stderr
     lengths = [len(pictures_of(row).get("center", b"")) for row in range(len(ROWS))]
@@ -159,7 +161,7 @@ def test_the_example_without_any_library_finds_the_pictures(log: Path, is_finish
             if offset < end:
                 expected.append(f"/camera/{camera} {row} {START_NS + row * STEP_NS} {offset} {len(jpeg)}")
     assert 30 < len(expected) < 71 or (is_finished and len(expected) == 71)
-    (code,) = blocks("Without any library", "python")
+    code = (ROOT / "examples" / "log_without_library.py").read_text(encoding="utf-8")
     done = run_without_ours(code, log.parent, "-S")
     assert (done.stdout.splitlines(), done.stderr) == (expected, "")
 
@@ -273,6 +275,7 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
             writer.picture("center", row, row, cv2.imencode(".jpg", np.zeros(size, np.uint8))[1].tobytes())
             writer.vehicle(row, row, VehicleState())
 
+    path["a minute"] = write_drive(folder / "a minute.mcap", [b"no picture"] * 601, source="udacity")
     recover(path["udacity"], path["recovered"])
     trim(path["simulator"], path["trimmed"], (1, 2))
     path["rewritten"] = rewrite(path["udacity"], folder / "rewritten.mcap").path
