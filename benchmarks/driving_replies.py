@@ -51,6 +51,7 @@ OURS: Final = (
     Ours("`bc-drive`"),
     Ours("`bc-drive --viewer`", viewer=True),
     Ours("`bc-drive --viewer`, the viewer stopped by SIGSTOP", viewer=True, frozen=True),
+    Ours("`bc-drive --server threading`", ("--server", "threading")),
     Ours("`bc-drive --precision float32`", ("--precision", "float32")),
 )
 

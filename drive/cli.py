@@ -95,6 +95,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
                 overwrite=config.force,
                 host=config.host,
                 port=config.port if simulator is None else 0,  # any free port: no other simulator connects
+                mode=config.server,
                 is_built_in=simulator is not None,
                 track=config.simulator,
                 at_wheel=at_wheel,
@@ -304,7 +305,7 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     training = replace(training, **network_settings(load_config(run), run))
     aggregation = Aggregation(run, simulator, settings, config.aggregate, folders, training)
     try:
-        for done in aggregation.rounds(_notify, lambda notice: codes.append(warn(notice))):
+        for done in aggregation.rounds(config.server, _notify, lambda notice: codes.append(warn(notice))):
             rounds.append(done)
             codes.append(_copy_round(config, done, drives, runs / done.run if len(rounds) > 1 else None))
     finally:  # what was driven is shown, whatever stops the rest

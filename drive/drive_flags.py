@@ -70,8 +70,8 @@ class Drive:
     """Arithmetic; auto: the fastest."""
     viewer: Annotated[str, tyro.conf.arg(metavar="auto|window|web|ADDRESS|FILE.rrd|off")] = "auto"
     """Show the drive in Rerun; auto: a window, with a display."""
-    server: Literal["eventlet", "threading"] = "threading"
-    """No effect; the next version drops this flag."""
+    server: Literal["eventlet", "threading"] = "eventlet"
+    """The Socket.IO server."""
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 admits other machines."""
     port: int = 4567

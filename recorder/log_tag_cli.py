@@ -78,7 +78,7 @@ class NameRows:
         if not self.remove and self.tag not in {tag.name for tag in tags}:
             return code  # nothing was tagged
         if self.tag == EXCLUDE:
-            print_next("bc-index", "training then leaves out the rows that are tagged so, and no others")
+            print_next("bc-index", "it leaves out the rows that are tagged so")
         else:
             print_next(f"bc-play {shlex.quote(str(self.log))}")
         return code
@@ -95,7 +95,7 @@ class NameRows:
         from common.stretches import stretches
         from recorder.log.reader import Log
         from recorder.log.road_places import states_of
-        from recorder.log.tagged_rows import fine_rows
+        from recorder.log.tagged_rows import tagged_rows
         from recorder.rows.odd_stretches import odd_stretches
         from recorder.rows.row_condition import rows_where
 
@@ -113,7 +113,7 @@ class NameRows:
         else:
             found = [each for each in odd if each.is_sure]
             if not self.remove:
-                found = fine_rows(self.log).left(found)
+                found = tagged_rows(self.log).left(found)
             chosen = [Tag(each.first_row, each.last_row, name) for each in found]
             words = [str(each) for each in found]
         for line in words[:MAX_LINES]:

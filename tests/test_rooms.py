@@ -213,13 +213,13 @@ def test_no_room_imports_tests_benchmarks_or_studies() -> None:
     [
         (
             "dataset, model, model.training",
-            ["rerun", "socketio", "engineio", "websocket", "obstore", "viz", "drive"],
+            ["rerun", "socketio", "engineio", "eventlet", "websocket", "obstore", "viz", "drive"],
         ),
         (
             "recorder, simulator",
-            ["rerun", "socketio", "torch", "gymnasium", "starlette", "obstore"],
+            ["rerun", "socketio", "eventlet", "torch", "gymnasium", "starlette", "obstore"],
         ),
-        ("viz, viz.cli, model.runs.runs_in_store", ["socketio", "torch", "websocket"]),
+        ("viz, viz.cli, model.runs.runs_in_store", ["socketio", "eventlet", "torch", "websocket"]),
     ],
 )
 def test_a_room_loads_only_what_it_needs(rooms: str, unloaded: list[str]) -> None:

@@ -26,6 +26,7 @@ from model.runs.car_of_run import refuse_other_steering
 from model.runs.own_index import logs_with_takeovers
 from model.runs.run_folder import CONFIG, run_name
 from recorder.log.session_car import UDACITY
+from recorder.server.telemetry_server import ServerMode
 
 MAX_ROUNDS: Final = 100
 
@@ -83,7 +84,9 @@ class Aggregation:
         if in_the_way := self._left():
             raise DriveError(f"exist already, of an aggregation before this one; move them away: {in_the_way}")
 
-    def rounds(self, notify: Callable[[str], None], warn: Callable[[str], object]) -> Iterator[AggregationRound]:
+    def rounds(
+        self, mode: ServerMode, notify: Callable[[str], None], warn: Callable[[str], object]
+    ) -> Iterator[AggregationRound]:
         """Give each drive as it is done: the first with the run as it is, one more after every training.
 
         `notify` gets a line for each step, and how to go on if it is stopped; `warn` gets one, once, for every log
@@ -100,7 +103,7 @@ class Aggregation:
                 notify(
                     f"{run_name(run)} drives {self._simulator.description}, the expert takes over where it has to"
                 )
-                done = self._drive(run, log)
+                done = self._drive(run, log, mode)
             except KeyboardInterrupt:
                 notify(self._way_on(number, trained))
                 raise
@@ -146,10 +149,10 @@ class Aggregation:
         except DatasetError as error:
             raise DriveError(f"{self._index}: {error}") from None
 
-    def _drive(self, run: Path, log: Path) -> AggregationRound:
+    def _drive(self, run: Path, log: Path, mode: ServerMode) -> AggregationRound:
         pilot = load_pilot(run)
         pilot.warm_up()
-        summary = self._simulator.drive(pilot, self._config, log)
+        summary = self._simulator.drive(pilot, self._config, log, mode)
         return AggregationRound(run_name(run), log, summary.laps, summary.interventions, summary.autonomy_percent)
 
 

@@ -17,6 +17,7 @@ from drive.errors import DriveError
 from drive.evaluation.simulator_process import check_laps
 from drive.log.drive_summary import DriveSummary
 from model import Pilot
+from recorder.server.telemetry_server import ServerMode
 
 FRAMES_WITHOUT_EXPERT: Final = 25
 """A simulator that sends no expert's command in so many frames has none."""
@@ -44,7 +45,7 @@ class ExternalSimulator:
     def description(self) -> str:
         return f"a simulator that connects to {self.host}:{self.port}"
 
-    def drive(self, pilot: Pilot, config: DriveConfig, log: Path) -> DriveSummary:
+    def drive(self, pilot: Pilot, config: DriveConfig, log: Path, mode: ServerMode) -> DriveSummary:
         """Wait for it, drive it, and log that; the summary of the log.
 
         Raises DriveError where it has no expert that could take over, ListenError if the port is taken,
@@ -61,6 +62,7 @@ class ExternalSimulator:
                 log,
                 host=self.host,
                 port=self.port,
+                mode=mode,
                 notify=notify,
                 show_status=status.show,
             ) as server:

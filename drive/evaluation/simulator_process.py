@@ -17,6 +17,7 @@ from drive.drive_server import DriveServer
 from drive.errors import DriveError
 from drive.log.drive_summary import DriveSummary
 from model import Pilot
+from recorder.server.telemetry_server import ServerMode
 from simulator.driving.drive_limits import MAX_LAPS
 from simulator.roads.track import load_track
 
@@ -62,9 +63,9 @@ class BuiltInSimulator:
     def description(self) -> str:
         return self.track
 
-    def drive(self, pilot: Pilot, config: DriveConfig, log: Path) -> DriveSummary:
+    def drive(self, pilot: Pilot, config: DriveConfig, log: Path, mode: ServerMode) -> DriveSummary:
         """Drive it, in lock-step unless it keeps real time, and log that; the summary of the log."""
-        return drive_and_log(pilot, self, config, log)[1]
+        return drive_and_log(pilot, self, config, log, mode=mode)[1]
 
 
 def check_laps(laps: float) -> None:
@@ -80,6 +81,7 @@ def drive_and_log(
     log: Path,
     *,
     overwrite: bool = False,
+    mode: ServerMode = "eventlet",
     shows_progress: bool = True,
 ) -> tuple[dict[str, Any], DriveSummary]:
     """Drive the built-in simulator, and log that: the simulator's own report, and the summary of the log.
@@ -94,6 +96,7 @@ def drive_and_log(
             log,
             overwrite=overwrite,
             port=0,
+            mode=mode,
             is_built_in=True,
             track=simulator.track,
         ) as server,

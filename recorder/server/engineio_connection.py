@@ -6,9 +6,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 from engineio import packet
 from engineio.socket import Socket
@@ -51,6 +51,36 @@ class Received(NamedTuple):
     received_s: float
 
 
+class ServerHost(Protocol):
+    """The web server that runs the connections, in green threads or in those of the system."""
+
+    port: int
+
+    def make_lock(self) -> Lock: ...
+
+    def let_others_run(self) -> None:
+        """Let other connections and the tick run; does nothing where the system switches threads by itself."""
+        ...
+
+    def start(self, application: Callable[..., Iterable[bytes]]) -> None: ...
+
+    def wait(self, seconds: float) -> None:
+        """Serve connections for so long."""
+        ...
+
+    def after_websocket(self) -> Iterable[bytes]:
+        """The answer to a request that became a websocket, which is closed now."""
+        ...
+
+    def end(self) -> None:
+        """Wait until the connections that were closed have ended, and cut the others."""
+        ...
+
+    def close(self) -> None:
+        """Stop listening."""
+        ...
+
+
 class Connection(Socket):  # type: ignore[misc]
     """Sends an answer in the thread that has read the message, and is pinged by the server's tick. Clients of
     Socket.IO 2, such as the real simulator, are served as modern ones are.
@@ -66,20 +96,21 @@ class Connection(Socket):  # type: ignore[misc]
     in_flight: InFlight[Received]
     last_ping: Any
     _lock: Lock
+    _host: ServerHost
     _notify: Callable[[str], None]
     _websocket: WebSocket | None
     _since_s: float  # time.monotonic()
     _next_ping_s: float
 
     @classmethod
-    def adopt(cls, connection: Any, lock: Lock, notify: Callable[[str], None]) -> None:
+    def adopt(cls, connection: Any, lock: Lock, host: ServerHost, notify: Callable[[str], None]) -> None:
         """Turn a new connection of python-engineio into one of this class. `lock` is held while one is closed;
         `notify` gets the reason where a client is disconnected."""
         connection.__class__ = cls
         connection.has_sent_message, connection.awaits_first_command = False, True
         connection.is_announced = False
         connection.first_command_sent, connection.in_flight = False, InFlight()
-        connection._lock, connection._notify = lock, notify
+        connection._lock, connection._host, connection._notify = lock, host, notify
         connection._websocket = None
         connection._since_s = connection._next_ping_s = time.monotonic()
 
@@ -100,7 +131,7 @@ class Connection(Socket):  # type: ignore[misc]
     @property
     def has_unread(self) -> bool:
         """True if the client has sent something that is not handled yet."""
-        return self._websocket is not None and (not self._websocket.is_idle or self._websocket.has_unread)
+        return self._websocket is not None and (bool(self._websocket.waiting) or self._websocket.has_unread)
 
     @property
     def waiting(self) -> list[str | bytes]:
@@ -202,6 +233,8 @@ class Connection(Socket):  # type: ignore[misc]
                 stream,
                 headers,
                 max_bytes=self.server.max_http_buffer_size,
+                make_lock=self._host.make_lock,
+                let_others_run=self._host.let_others_run,
             )
         except HandshakeError as error:
             self.close(wait=False, abort=True)

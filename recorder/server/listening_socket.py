@@ -9,23 +9,31 @@ from typing import Any
 from recorder.errors import ListenError
 
 
-class QuickAckSocket(socket.socket):
-    """A socket that acknowledges received data at once; its accepted connections do, too, and send without delay.
+class QuickAck:
+    """A mixin for a socket class that acknowledges received data at once.
 
     The real simulator sends a telemetry in many small writes with Nagle's algorithm on: each waits for the
     acknowledgement of the one before, which Linux delays. Measured: 44 ms a telemetry with the delay, 0.6 without.
     """
 
     def recv(self, *arguments: Any, **options: Any) -> bytes:
-        data = super().recv(*arguments, **options)
+        data: bytes = super().recv(*arguments, **options)  # type: ignore[misc]
         if hasattr(socket, "TCP_QUICKACK"):  # Linux; the kernel switches it off again by itself
-            self.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
+            self.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)  # type: ignore[attr-defined]
         return data
+
+
+class QuickAckSocket(QuickAck, socket.socket):
+    """A socket that acknowledges at once; its accepted connections do, too, and send without delay."""
 
     def accept(self) -> tuple[QuickAckSocket, Any]:
         connection, address = super().accept()
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        send_at_once(connection)
         return QuickAckSocket(fileno=connection.detach()), address
+
+
+def send_at_once(connection: socket.socket) -> None:
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
 def has_unread(stream: socket.socket) -> bool:
@@ -38,12 +46,16 @@ def has_unread(stream: socket.socket) -> bool:
         return False
 
 
-def listen(host: str, port: int) -> QuickAckSocket:
-    """A socket that listens on host:port, port 0 for a free one. Raises ListenError if that is not possible."""
+def listen(host: str, port: int, kind: type[Any] = QuickAckSocket) -> Any:
+    """A socket of that kind that listens on host:port, port 0 for a free one. Raises ListenError if that is not
+    possible.
+
+    Not `eventlet.listen`, which shares ports: a second server would silently take half of the connections.
+    """
     if not 0 <= port < 65536:
         raise ListenError(f"cannot listen on {host}:{port}: --port is a number from 1 to 65535")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listener = QuickAckSocket(family, socket.SOCK_STREAM)
+    listener = kind(family, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((host, port))

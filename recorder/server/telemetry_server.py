@@ -17,12 +17,11 @@ from socketio import packet
 from common.errors import printable
 from recorder.server.allowed_hosts import AllowedHosts
 from recorder.server.connection_guard import END_S, MAX_CONNECTIONS, NOTICE_TOO_MANY, Notify, landing_page
-from recorder.server.engineio_connection import WEBSOCKET_OVER, Connection, Received
+from recorder.server.engineio_connection import WEBSOCKET_OVER, Connection, Received, ServerHost
 from recorder.server.locale_numbers import POINT
 from recorder.server.malformed_packets import CheckedPacket, check_body, is_telemetry, one_line_logger
 from recorder.server.running_clock import RunningClock
 from recorder.server.telemetry import MAX_IMAGE_BYTES, format_command
-from recorder.server.threaded_host import ThreadedHost
 
 TICK_S: Final = 0.1
 FIRST_COMMAND_S: Final = 1.0
@@ -48,6 +47,7 @@ NOTICE_REFUSED: Final = (
 MAX_SHOWN_CHARACTERS: Final = 100  # of such a name
 _SID: Final = "telemetry.sid"  # the key of a connection's name in its request's environment
 
+ServerMode = Literal["eventlet", "threading"]
 Result = TypeVar("Result")
 
 
@@ -112,14 +112,15 @@ class TelemetryServer:
         *,
         host: str = "127.0.0.1",
         port: int = 4567,
+        mode: ServerMode = "eventlet",
         notify: Notify = lambda text: None,
         first_command: Steer | Literal["manual", "nothing"] = "nothing",
     ) -> None:
         """Starts to listen; port 0 takes a free one. Raises ListenError if that is not possible.
 
-        Each connection is served in a thread of its own. `notify` gets a line for a person where something else
-        than a simulator connects, each line once; like the handler, it is never called by two threads at once.
-        `first_command` is sent over a websocket on which no telemetry
+        "eventlet" serves all connections in the thread that runs it, "threading" each in one of its own. `notify`
+        gets a line for a person where something else than a simulator connects, each line once; like the handler,
+        it is never called by two threads at once. `first_command` is sent over a websocket on which no telemetry
         has come for `FIRST_COMMAND_S`: some clients wait for it, as classic servers begin with a command.
         """
         self._first_command = first_command
@@ -136,11 +137,11 @@ class TelemetryServer:
         self._lock = threading.RLock()
         self._allowed_hosts = AllowedHosts(host)
         self._has_refused = False
-        self._host = ThreadedHost(host, port, self._notify_once)
+        self._host = _host(mode, host, port, self._notify_once)
         self.port: int = self._host.port
         log = one_line_logger(self._notify_once)
         self._server = socketio.Server(
-            async_mode="threading",
+            async_mode=mode,
             async_handlers=False,
             serializer=CheckedPacket,
             cors_allowed_origins=self._allowed_hosts.allows,
@@ -167,7 +168,7 @@ class TelemetryServer:
         self._host.start(self._serve)
         try:
             while not self._is_done(until):
-                self._host.wait(TICK_S)
+                self._host.wait(TICK_S)  # a tick, because a signal does not wake eventlet
                 with self._lock:
                     self._clock.tick()
                     self._call(self._handler.tick)
@@ -186,7 +187,7 @@ class TelemetryServer:
 
     def close(self) -> None:
         """Stop listening; `run` has done so at its end."""
-        self._host.server_close()
+        self._host.close()
 
     def push(self, sid: str, command: Steer) -> None:
         """Send a command that answers no telemetry; to be called by the handler, from `tick`."""
@@ -246,9 +247,7 @@ class TelemetryServer:
                 connection.hang_up()
             start_response("400 Bad Request", [("Content-Length", "0")])
             return []
-        if environ.get(WEBSOCKET_OVER):
-            raise ConnectionAbortedError  # then nothing more is written, and nothing logged
-        return answer
+        return self._host.after_websocket() if environ.get(WEBSOCKET_OVER) else answer
 
     def _refuse(self, what: str) -> None:
         with self._lock:  # once: a page that tries one name after another must not fill the screen
@@ -261,7 +260,7 @@ class TelemetryServer:
             # a websocket is a connection, which the host counts; a polling client leaves none
             self._notify_once(NOTICE_TOO_MANY)
             return False
-        Connection.adopt(self._engine.sockets[engine_sid], self._lock, self._notify_once)
+        Connection.adopt(self._engine.sockets[engine_sid], self._lock, self._host, self._notify_once)
         environ[_SID] = engine_sid
         with self._lock:
             return self._connected(engine_sid, environ)
@@ -378,3 +377,14 @@ def _telemetries(connection: Connection) -> int:
 def _is_for_websocket(environ: dict[str, Any]) -> bool:
     query = parse_qs(str(environ.get("QUERY_STRING", "")))
     return query.get("transport", [""])[0] == "websocket"
+
+
+def _host(mode: ServerMode, host: str, port: int, notify: Notify) -> ServerHost:
+    """The web server of a mode; only that one is imported."""
+    if mode == "eventlet":
+        from recorder.server.eventlet_host import EventletHost
+
+        return EventletHost(host, port, notify)
+    from recorder.server.threaded_host import ThreadedHost
+
+    return ThreadedHost(host, port, notify)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import io
 import socketserver
+import threading
 import time
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -13,51 +14,16 @@ from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 from recorder.server.connection_guard import (
     END_S,
     MAX_CONNECTIONS,
-    NOTICE_NOT_HTTP,
     NOTICE_TOO_MANY,
+    GuardedHandler,
     Notify,
     OpenConnections,
-    first_bytes_problem,
 )
-from recorder.server.engineio_connection import STREAM
-from recorder.server.listening_socket import listen
+from recorder.server.engineio_connection import Lock
+from recorder.server.listening_socket import QuickAckSocket, listen
 
 
-class _Handler(WSGIRequestHandler):
-    """Examines a connection's first bytes before it reads a request."""
-
-    def __init__(self, *arguments: Any, notify: Notify, open_connections: OpenConnections) -> None:
-        """The connection is in `open_connections` while it is served."""
-        self._notify = notify
-        self._open_connections = open_connections
-        super().__init__(*arguments)  # handles the request
-
-    def handle(self) -> None:
-        self._open_connections.add(self.connection)
-        try:
-            problem = first_bytes_problem(self.connection)
-            if problem is None:
-                self._open_connections.request_started(self.connection)
-                super().handle()
-            elif problem:
-                self._notify(problem)
-        finally:
-            self._open_connections.remove(self.connection)
-
-    def get_environ(self) -> dict[str, Any]:
-        environ: dict[str, Any] = super().get_environ()
-        environ[STREAM] = self.connection
-        if environ["REQUEST_METHOD"] == "GET":  # it has no body: the answer may take its time
-            self._open_connections.request_complete(self.connection)
-        return environ
-
-    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        self._notify(NOTICE_NOT_HTTP)
-        super().send_error(code, message, explain)
-
-    def log_message(self, format: str, *arguments: Any) -> None:
-        pass  # what is worth a line is a notice
-
+class _Handler(GuardedHandler, WSGIRequestHandler):
     def get_stderr(self) -> io.StringIO:
         return io.StringIO()  # for the tracebacks of clients that have gone
 
@@ -67,7 +33,7 @@ class ThreadedHost(socketserver.ThreadingMixIn, WSGIServer):
 
     def __init__(self, host: str, port: int, notify: Notify) -> None:
         """Starts to listen. Raises ListenError if that is not possible."""
-        listener = listen(host, port)
+        listener: QuickAckSocket = listen(host, port, QuickAckSocket)
         self._notify = notify
         self._open_connections = OpenConnections(notify)
         handler: Any = functools.partial(_Handler, notify=notify, open_connections=self._open_connections)
@@ -77,6 +43,12 @@ class ThreadedHost(socketserver.ThreadingMixIn, WSGIServer):
         self.server_name, self.server_port = listener.getsockname()[:2]
         self.port: int = self.server_port
         self.setup_environ()
+
+    def make_lock(self) -> Lock:
+        return threading.Lock()
+
+    def let_others_run(self) -> None:
+        pass  # the system switches threads by itself
 
     def start(self, application: Callable[..., Iterable[bytes]]) -> None:
         self.set_app(application)
@@ -88,11 +60,17 @@ class ThreadedHost(socketserver.ThreadingMixIn, WSGIServer):
             self.handle_request()
         self._open_connections.close_overdue()
 
+    def after_websocket(self) -> Iterable[bytes]:
+        raise ConnectionAbortedError  # then nothing more is written, and nothing logged
+
     def end(self) -> None:
         until_s = time.monotonic() + END_S
         while len(self._open_connections) and time.monotonic() < until_s:
             time.sleep(0.01)
         self._open_connections.close_all()
+        self.close()
+
+    def close(self) -> None:
         self.server_close()
 
     def verify_request(self, request: Any, client_address: Any) -> bool:

@@ -31,6 +31,7 @@ from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.bad_telemetry import MAX_OF_EACH
 from recorder.log.log_time import LogClock
+from recorder.server.eventlet_host import EventletHost
 from recorder.server.telemetry import Telemetry
 from recorder.server.world import World
 from recorder.upkeep.check import check
@@ -487,6 +488,20 @@ def test_a_mistake_of_ours_is_no_silent_loss(tmp_path: Path) -> None:
 
 
 # Its thread
+
+
+def test_it_is_written_while_the_driving_loop_waits_in_eventlet(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    host = EventletHost("127.0.0.1", 0, lambda problem: None)
+    host.start(lambda environ, start_response: [])
+    with LogWriter(path, {"source": "drive"}, live=True) as writer, DriveLog(writer) as log:
+        begin = writer.bytes_written
+        for number in range(20):
+            log.decision(decided(number), 2.0)
+        while writer.bytes_written < begin + 256 * 1024:
+            host.wait(0.001)
+    host.end()
+    assert len(read_messages(path)["/vehicle"]) == 20
 
 
 def test_what_was_handed_over_last_reaches_the_file_without_anything_more(tmp_path: Path) -> None:

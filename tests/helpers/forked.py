@@ -25,7 +25,7 @@ from repository import HELPERS
 _UNREAD: Final = (
     *("PYTEST_CURRENT_TEST", "DISPLAY"),
     *("NO_COLOR", "TERM"),
-    *("RUST_LOG"),
+    *("EVENTLET_NO_GREENDNS", "RUST_LOG"),
     *("PYGAME_HIDE_SUPPORT_PROMPT", "_RJEM_MALLOC_CONF"),
 )
 _LIMITS: Final = ("RLIMIT_AS", "RLIMIT_DATA", "RLIMIT_FSIZE", "RLIMIT_NOFILE")

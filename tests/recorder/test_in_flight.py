@@ -13,7 +13,7 @@ from driving import PATIENCE_S
 from recorder.server import in_flight as flight
 from recorder.server import running_clock, telemetry_server
 from recorder.server.running_clock import RunningClock
-from recorder.server.telemetry_server import Answer, Steer, TelemetryServer
+from recorder.server.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
 from serving import Book, RawClient, Serving, fields, steered, steering
 from waiting import wait_until
 
@@ -73,8 +73,8 @@ def answer_to(number: int) -> tuple[str, Any]:
     return steered(Steer(-steering(number), 0.5))
 
 
-def serving(book: Pushing, **options: Any) -> Serving:
-    made = Serving(book, **options)
+def serving(mode: ServerMode, book: Pushing, **options: Any) -> Serving:
+    made = Serving(mode, book, **options)
     book.server = made.server
     return made
 
@@ -88,10 +88,10 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize("in_flight", [1, 2, 3])
-def test_a_pause_leaves_as_many_in_flight_as_before(in_flight: int) -> None:
+def test_a_pause_leaves_as_many_in_flight_as_before(in_flight: int, mode: ServerMode) -> None:
     """The simulator pauses with all answers in hand, and is sent one command more."""
     book = Pushing()
-    with serving(book):
+    with serving(mode, book):
         loop = Loop(book.server.port, in_flight)
         for number in range(in_flight):
             loop.expect_answer_to(number)
@@ -106,10 +106,10 @@ def test_a_pause_leaves_as_many_in_flight_as_before(in_flight: int) -> None:
     assert book.left == [fields(in_flight)]
 
 
-def test_the_command_that_a_silent_client_needed_costs_it_no_answer() -> None:
+def test_the_command_that_a_silent_client_needed_costs_it_no_answer(mode: ServerMode) -> None:
     """It had lost all telemetries: one is in flight again, which is held for a moment, and answered."""
     book = Pushing()
-    with serving(book):
+    with serving(mode, book):
         loop = Loop(book.server.port, 2)
         for number in range(2):
             loop.expect_answer_to(number)
@@ -123,9 +123,9 @@ def test_the_command_that_a_silent_client_needed_costs_it_no_answer() -> None:
 
 
 @pytest.mark.usefixtures("patient")
-def test_a_client_that_waits_for_no_answer_misses_one_only() -> None:
+def test_a_client_that_waits_for_no_answer_misses_one_only(mode: ServerMode) -> None:
     book = Pushing()
-    with serving(book):
+    with serving(mode, book):
         loop = Loop(book.server.port, 1)
         loop.expect_answer_to(0)
         for _ in range(3):
@@ -137,9 +137,9 @@ def test_a_client_that_waits_for_no_answer_misses_one_only() -> None:
     assert book.left == [fields(number) for number in (1, 2, 3)]  # one for each command
 
 
-def test_a_client_that_connects_again_owes_nothing() -> None:
+def test_a_client_that_connects_again_owes_nothing(mode: ServerMode) -> None:
     book = Pushing()
-    with serving(book):
+    with serving(mode, book):
         loop = Loop(book.server.port, 1)
         loop.expect_answer_to(0)
         book.push()
@@ -155,10 +155,12 @@ def test_a_client_that_connects_again_owes_nothing() -> None:
 
 @pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize("in_flight", [1, 2])
-def test_a_first_command_is_paid_back_and_reported(in_flight: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_first_command_is_paid_back_and_reported(
+    in_flight: int, mode: ServerMode, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(telemetry_server, "FIRST_COMMAND_S", 0.0)
     book = Pushing()
-    with serving(book, first_command=PUSHED):
+    with serving(mode, book, first_command=PUSHED):
         loop = Loop(book.server.port, 0)
         assert loop.client.command() == steered(PUSHED)
         loop.tell(in_flight + 1)  # its own, which were slow, and that of the command
@@ -170,7 +172,7 @@ def test_a_first_command_is_paid_back_and_reported(in_flight: int, monkeypatch: 
 
 
 @pytest.mark.usefixtures("patient")
-def test_the_number_in_flight_is_counted() -> None:
+def test_the_number_in_flight_is_counted(mode: ServerMode) -> None:
     """The handler takes its time for the first telemetry: the second one comes before the first is answered."""
     is_sent = threading.Event()
 
@@ -180,7 +182,7 @@ def test_the_number_in_flight_is_counted() -> None:
             return super().telemetry(sid, data, received_s)
 
     book = Slow()
-    with serving(book):
+    with serving(mode, book):
         loop = Loop(book.server.port, 2)
         is_sent.set()
         for number in range(2):
@@ -196,7 +198,7 @@ def test_the_number_in_flight_is_counted() -> None:
     assert book.in_flight[1:] == [2, 2, 2]
 
 
-def test_the_age_of_a_picture_includes_its_waiting() -> None:
+def test_the_age_of_a_picture_includes_its_waiting(mode: ServerMode) -> None:
     """Three telemetries come while one is handled, which takes long: all have waited for as long."""
     is_handling, goes_on = threading.Event(), threading.Event()
     handled_s: list[float] = []
@@ -211,7 +213,7 @@ def test_the_age_of_a_picture_includes_its_waiting() -> None:
             return super().telemetry(sid, data, received_s)
 
     book = Slow()
-    with Serving(book) as running:
+    with Serving(mode, book) as running:
         client = at_once(RawClient(running.port))
         client.tell(fields(0))
         assert is_handling.wait(PATIENCE_S)
@@ -226,20 +228,21 @@ def test_the_age_of_a_picture_includes_its_waiting() -> None:
 
 
 def test_what_was_sent_and_is_not_read_yet_is_no_silence() -> None:
+    """One thread ticks and reads: it reads before it judges."""
     unread: list[bool] = []
     is_ticking, is_sent = threading.Event(), threading.Event()
 
     class Ticking(Pushing):
         def tick(self) -> None:
             super().tick()
-            if self.sid and not unread and not self.server.has_unread(self.sid):
-                unread.append(False)
+            if self.sid and not unread:
+                unread.append(self.server.has_unread(self.sid))
                 is_ticking.set()
                 assert is_sent.wait(PATIENCE_S)
                 unread.append(self.server.has_unread(self.sid))
 
     book = Ticking()
-    with serving(book):
+    with serving("eventlet", book):
         loop = Loop(book.server.port, 1)
         loop.expect_answer_to(0)
         assert is_ticking.wait(PATIENCE_S)

@@ -115,7 +115,7 @@ def test_nothing_of_ours_can_be_imported_beside_the_first_example(tmp_path: Path
 
 
 def test_the_example_with_mcap_reads_a_log_without_this_project(log: Path) -> None:
-    (code,) = blocks("With mcap", "python")
+    code = (ROOT / "examples" / "log_with_mcap.py").read_text(encoding="utf-8")
     done = run_without_ours(code, log.parent)
     assert done.returncode == 0, done.stderr
     lengths = [len(pictures_of(row).get("center", b"")) for row in range(len(ROWS))]
@@ -161,7 +161,7 @@ def test_the_example_without_any_library_finds_the_pictures(log: Path, is_finish
             if offset < end:
                 expected.append(f"/camera/{camera} {row} {START_NS + row * STEP_NS} {offset} {len(jpeg)}")
     assert 30 < len(expected) < 71 or (is_finished and len(expected) == 71)
-    (code,) = blocks("Without any library", "python")
+    code = (ROOT / "examples" / "log_without_library.py").read_text(encoding="utf-8")
     done = run_without_ours(code, log.parent, "-S")
     assert (done.stdout.splitlines(), done.stderr) == (expected, "")
 

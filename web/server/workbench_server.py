@@ -13,7 +13,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from common import UserError
 from common.interrupts import leave_signals_to_main_thread
 from recorder.errors import ListenError
-from recorder.server.listening_socket import listen
+from recorder.server.listening_socket import listen, send_at_once
 from recorder.teleop.messages import MAX_MESSAGE_BYTES
 
 _LAST_ANSWERS_S: Final = 2  # for requests that are being answered when the server stops
@@ -26,10 +26,13 @@ class WorkbenchServer:
     def __init__(self, app: ASGIApp, host: str, port: int) -> None:
         """Raises UserError where host:port cannot be listened on."""
         try:
-            self._socket: socket.socket = listen(host, port)
+            self._socket: socket.socket = listen(host, port, socket.socket)
         except ListenError as error:
             reason = str(error).partition("; end the bc-drive")[0]
             raise UserError(f"{reason}; give another --port, or end the bc-web that is running there") from None
+        # asyncio does so itself only where a socket was made with the protocol's number; else each answer, whose
+        # head and body are two writes, waits 40 ms for the delayed acknowledgement. Connections inherit it.
+        send_at_once(self._socket)
         self.port: int = self._socket.getsockname()[1]
         self._app = app
         self._server = uvicorn.Server(
