@@ -9,16 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import Final, Literal, get_args
+from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset.epoch_alteration_names import EpochAlteration
 from dataset.preprocessing import Image
-
-EpochAlteration = Literal["move", "zoom", "turn", "contrast", "brightness", "colours", "shadow", "box", "noise"]
-EPOCH_ALTERATIONS: Final[tuple[EpochAlteration, ...]] = get_args(EpochAlteration)
 
 STEERING_A_WIDTH: Final = 4.8
 """Steering for a picture that is moved by its width, in side corrections: 0.0075 a column of 128, by default."""

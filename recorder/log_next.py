@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from common.location import Location, location
 from common.output import print_next
-from recorder.log.tagged_rows import TaggedRows
 from recorder.log.tags import EXCLUDE
 from recorder.log_flag import SESSIONS
 
