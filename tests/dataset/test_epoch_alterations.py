@@ -95,7 +95,7 @@ def test_threads_batches_ranks_and_memory_do_not_matter(index: Path) -> None:
     assert of_ranks[0] | of_ranks[1] | of_ranks[2] == expected
 
 
-def test_no_sample_is_the_same_in_another_epoch_or_by_another_seed(index: Path) -> None:
+def test_another_epoch_or_seed_changes_every_sample(index: Path) -> None:
     first = by_sample(index)
     for other in (by_sample(index, epoch=2), by_sample(index, seed=1)):
         assert other.keys() == first.keys()
@@ -134,7 +134,7 @@ def test_draws_are_those_of_splitmix64() -> None:
 # Nothing else is altered
 
 
-def test_without_it_pictures_and_labels_are_those_of_the_index(index: Path) -> None:
+def test_elsewhere_pictures_and_labels_are_those_of_the_index(index: Path) -> None:
     with load(index, batch=16) as plain, load(index, batch=16, alter_each_epoch=EPOCH_ALTERATIONS) as loader:
         assert batches(plain, 1) != batches(loader, 1)
         order = loader.order(1)
@@ -149,7 +149,7 @@ def test_without_it_pictures_and_labels_are_those_of_the_index(index: Path) -> N
 
 
 @pytest.mark.parametrize("spec", [PictureSpec(), PictureSpec(200, 66, 60, 25, "YUV"), PictureSpec(96, 48)])
-def test_a_networks_own_picture_is_altered_before_its_colours_are_changed(index: Path, spec: PictureSpec) -> None:
+def test_own_pictures_are_altered_before_their_colours_change(index: Path, spec: PictureSpec) -> None:
     bgr = PictureSpec(spec.width_px, spec.height_px, spec.crop_top, spec.crop_bottom)
     with load(index, seen=bgr) as plain, load(index, seen=spec, alter_each_epoch=EPOCH_ALTERATIONS) as loader:
         order = plain.order(5)
@@ -162,7 +162,7 @@ def test_a_networks_own_picture_is_altered_before_its_colours_are_changed(index:
 # The label moves with the picture
 
 
-def test_a_picture_moves_with_its_steering() -> None:
+def test_a_move_is_up_to_8_columns_each_0_0075_of_steering() -> None:
     moved = places(altered(spot(), "move")) - places(spot()[None])
     assert -8 <= moved[:, 0].min() < -7
     assert 7 < moved[:, 0].max() <= 8
@@ -171,7 +171,7 @@ def test_a_picture_moves_with_its_steering() -> None:
     np.testing.assert_allclose(labels - 0.1, 0.0075 * moved[:, 0], atol=0.0075 * 0.1)
 
 
-def test_another_size_moves_by_the_same_share() -> None:
+def test_another_size_moves_by_its_share_steering_by_side_correction() -> None:
     narrow = of("move").draw(1, SAMPLES, 32, 64).matrix
     wide = of("move").draw(1, SAMPLES, 64, 128).matrix
     assert narrow is not None
@@ -190,7 +190,7 @@ def test_the_loader_takes_the_side_correction_of_its_index(index: Path) -> None:
         assert np.abs(labels - loader.rows.label[order]).max() > 0.02
 
 
-def test_only_steering_moves_of_several_targets_and_it_ends_at_full_lock() -> None:
+def test_of_several_targets_only_steering_moves_up_to_full_lock() -> None:
     before = np.stack([np.linspace(-1, 1, COUNT), np.full(COUNT, np.nan)], axis=1).astype(np.float32)
     labels = of("move").labels(before, 1, SAMPLES)
     assert np.isnan(labels[:, 1]).all()
@@ -228,7 +228,7 @@ def test_nothing_black_comes_in_at_the_edges() -> None:
     assert (altered(grey(90), "move", "zoom", "turn") == 90).all()
 
 
-def test_contrast_brightness_and_colours_change_apart() -> None:
+def test_contrast_keeps_the_middle_brightness_adds_colours_are_apart() -> None:
     dark, bright = altered(grey(78), "contrast")[:, 0, 0], altered(grey(178), "contrast")[:, 0, 0]
     factor = (bright.astype(float) - dark) / 100
     assert (factor.min(), factor.max()) == pytest.approx((0.7, 1.3), abs=0.02)

@@ -57,7 +57,7 @@ def weights(run: Path) -> bytes:
     return (run / "model.safetensors").read_bytes()
 
 
-def test_a_training_stopped_in_an_epoch_resumes_to_the_same_weights(
+def test_a_training_stopped_in_an_epoch_goes_on_to_the_same_weights(
     index: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("model.training.loop.STEP_BATCHES", 3)
@@ -117,7 +117,7 @@ def test_a_contradiction_names_the_flag(names: tuple[Any, ...]) -> None:
         TrainConfig(alter_each_epoch=names)
 
 
-def test_a_run_of_an_alteration_that_is_unknown_here_is_refused(index: Path, tmp_path: Path) -> None:
+def test_a_run_of_an_unknown_alteration_is_refused(index: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     train(index, run, replace(CONFIG, epochs=1), figures=False)
     config = json.loads((run / "config.json").read_text())
