@@ -11,7 +11,7 @@ PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-
 # compiled once, and not by each of the hundreds of processes that tests start, whatever the environment says
 test test-long coverage: export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install install-dev demo test test-long coverage check docs site pictures proto foxglove-reader azurite lerobot-reader donkeycar clean
+.PHONY: install install-dev demo test test-long coverage bench check docs site pictures proto foxglove-reader azurite lerobot-reader donkeycar clean
 
 # what people need; tests, checks and docs install what they need besides
 install: $(VENV)/installed
@@ -49,6 +49,10 @@ coverage: $(VENV)/installed-dev
 	$(BIN)/coverage combine -q build/coverage
 	$(BIN)/coverage report --precision=2 >build/coverage/report.txt
 	@tail -1 build/coverage/report.txt
+
+# training step, index and reply, beside what is kept for this kind of processor; `ARGS=--keep` keeps them
+bench: $(VENV)/installed-dev
+	$(BIN)/python benchmarks/bench.py $(ARGS)
 
 check: $(VENV)/installed-dev
 	$(BIN)/ruff check $(SOURCES)

@@ -1,6 +1,6 @@
 """Public names that are imported when they are first used.
 
-A package hands out names from modules that need torch or eventlet, which take seconds to load; its command's
+A package hands out names from modules that need torch or rerun, which take seconds to load; its command's
 `--help` needs none of them.
 """
 

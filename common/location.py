@@ -88,12 +88,12 @@ def location(text: str | Location) -> Location:
     """The place that a person names. Raises UsageError for a URL of another kind, or of no bucket."""
     if not isinstance(text, str):
         return text
-    found = _URL.fullmatch(text)
-    if found is None:
+    match = _URL.fullmatch(text)
+    if match is None:
         if _COLLAPSED.match(text):
             raise UsageError(f"{text}: no path; a URL is spelt {_with_all_slashes(text)}")
         return Path(text)
-    scheme, rest = found[1].lower(), found[2]
+    scheme, rest = match[1].lower(), match[2]
     if scheme == "file":
         return Path(unquote(urlsplit(text).path))
     if scheme not in SCHEMES:
@@ -107,8 +107,8 @@ def location(text: str | Location) -> Location:
 
 def is_in_store(text: str) -> bool:
     """True if what a person gives is the URL of an object, or folder, in a store."""
-    found = _URL.fullmatch(text)
-    return found is not None and found[1].lower() in SCHEMES
+    match = _URL.fullmatch(text)
+    return match is not None and match[1].lower() in SCHEMES
 
 
 def absolute(place: Location) -> Location:
@@ -136,7 +136,7 @@ def _with_all_slashes(text: str) -> str:
 def refuse_urls(words: Sequence[str]) -> None:
     """Raise UsageError for a URL among the words of a command that takes none."""
     for word in words:
-        if (found := _URL.fullmatch(word)) and found[1].lower() in (*SCHEMES, "file"):
+        if (match := _URL.fullmatch(word)) and match[1].lower() in (*SCHEMES, "file"):
             raise UsageError(
                 f"{word}: a place of this machine is expected here, no URL; `bc-log copy {word} FOLDER` brings a"
                 " log here, `bc-log copy LOG URL` takes one there; `bc-train --copy-to URL` does so with a run,"

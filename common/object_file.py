@@ -67,14 +67,14 @@ class ObjectFile(Closeable):
         self._pool: ThreadPoolExecutor | None = None
         with as_store_error(url):
             try:
-                found, data = read_part(url, {"suffix": _END})
+                meta, data = read_part(url, {"suffix": _END})
                 is_end = True
             except failures.NotSupportedError:
-                found, data = read_part(url, (0, _SMALL))
-                is_end = len(data) == found["size"]
-        self.size: int = found["size"]
-        self.version: str = found["e_tag"] or ""
-        self.object_version = ObjectVersion(self.version, found["version"])
+                meta, data = read_part(url, (0, _SMALL))
+                is_end = len(data) == meta["size"]
+        self.size: int = meta["size"]
+        self.version: str = meta["e_tag"] or ""
+        self.object_version = ObjectVersion(self.version, meta["version"])
         self._keep(self.size - len(data) if is_end else 0, data)
         if not is_end:
             last = min(_END, self.size)
@@ -90,8 +90,8 @@ class ObjectFile(Closeable):
         return True
 
     def read(self, offset: int, length: int) -> bytes:
-        if (known := self._known(offset, length)) is not None:
-            return known
+        if (data := self._known(offset, length)) is not None:
+            return data
         with self._lock:
             # a record may begin in what its head was read with
             is_next = self._read_from <= offset <= self._read_to
@@ -106,8 +106,8 @@ class ObjectFile(Closeable):
             pool = self._pool = self._pool or ThreadPoolExecutor(AT_ONCE, "store")
         waiting: deque[Future[bytes]] = deque()
         for offset, length in ranges:
-            known = self._known(offset, length)
-            waiting.append(pool.submit(self._fetched, offset, length) if known is None else _done(known))
+            data = self._known(offset, length)
+            waiting.append(pool.submit(self._fetched, offset, length) if data is None else _done(data))
             if len(waiting) == 2 * AT_ONCE:
                 yield waiting.popleft().result()
         while waiting:
@@ -177,16 +177,16 @@ def read_part(url: Url, part: tuple[int, int] | SuffixRange) -> tuple[ObjectMeta
     if the answer is cut off, or has fewer bytes than it declares."""
     for attempt in range(CUT_OFF):
         try:
-            found = obstore.get(store_of(url, False), url.key, options={"range": part})
-            data = found.bytes().to_bytes()
+            result = obstore.get(store_of(url, False), url.key, options={"range": part})
+            data = result.bytes().to_bytes()
         except failures.GenericError as error:
             if is_out_of_range(str(error)):  # nothing is in it
                 return obstore.head(store_of(url, False), url.key), b""
             if attempt == CUT_OFF - 1 or not is_cut_off(str(error)):
                 raise
             continue
-        if len(data) == found.range[1] - found.range[0]:
-            return found.meta, data
+        if len(data) == result.range[1] - result.range[0]:
+            return result.meta, data
     raise StoreError(f"{url}: came incomplete {CUT_OFF} times")
 
 

@@ -45,26 +45,26 @@ class StoredObject:
 def list_objects(folder: Url) -> list[StoredObject]:
     """The objects right in a folder, by name. One request for a thousand names. Raises StoreError."""
     with as_store_error(folder):
-        found = _again_if_cut_off(
+        objects = _again_if_cut_off(
             lambda: obstore.list_with_delimiter(store_of(folder, False), folder.key or None)["objects"]
         )
-    return sorted(_stored_object(folder, each) for each in found)
+    return sorted(_stored_object(folder, meta) for meta in objects)
 
 
 def list_below(folder: Url) -> list[StoredObject]:
     """The objects in a folder and in those within it, by name. Raises StoreError."""
     with as_store_error(folder):
-        found = _again_if_cut_off(
+        objects = _again_if_cut_off(
             lambda: list(itertools.chain.from_iterable(obstore.list(store_of(folder, False), folder.key or None)))
         )
-    return sorted(_stored_object(folder, each) for each in found)
+    return sorted(_stored_object(folder, meta) for meta in objects)
 
 
 def find_object(url: Url) -> StoredObject | None:
     """An object's entry, as in a listing; None if there is none. Raises StoreError."""
     with as_store_error(url):
         try:
-            found = obstore.head(store_of(url, False), url.key)
+            meta = obstore.head(store_of(url, False), url.key)
         except FileNotFoundError as error:
             if is_no_bucket(str(error)):
                 raise
@@ -73,30 +73,30 @@ def find_object(url: Url) -> StoredObject | None:
             if is_refused(str(error)):
                 read_part(url, (0, 1))  # raises the same, and why: HEAD is answered without a word of it
             raise
-    return _stored_object(url, found)
+    return _stored_object(url, meta)
 
 
-def _stored_object(place: Url, found: ObjectMeta) -> StoredObject:
+def _stored_object(place: Url, meta: ObjectMeta) -> StoredObject:
     """An object in the bucket of `place`."""
-    written_ns = int(found["last_modified"].timestamp()) * 1_000_000_000
-    return StoredObject(Url(place.scheme, place.bucket, found["path"]), found["size"], _version(found), written_ns)
+    written_ns = int(meta["last_modified"].timestamp()) * 1_000_000_000
+    return StoredObject(Url(place.scheme, place.bucket, meta["path"]), meta["size"], _version(meta), written_ns)
 
 
-def _version(found: ObjectMeta) -> str:
+def _version(meta: ObjectMeta) -> str:
     """An object's ETag, without the quotation marks, which Azure leaves out in listings."""
-    return (found["e_tag"] or "").strip('"')
+    return (meta["e_tag"] or "").strip('"')
 
 
 def read_object(url: Url, max_bytes: int) -> bytes | None:
     """All of a small object; None if there is none. Raises StoreError, also for one that is larger."""
     with as_store_error(url):
         try:
-            found, data = read_part(url, (0, max_bytes))
+            meta, data = read_part(url, (0, max_bytes))
         except FileNotFoundError as error:
             if is_no_bucket(str(error)):
                 raise
             return None
-    if found["size"] > max_bytes:
+    if meta["size"] > max_bytes:
         raise StoreError(f"{url}: larger than {max_bytes:,} bytes")
     return data
 
@@ -121,29 +121,29 @@ def put_file(url: Url, file: Path, replaces: ObjectVersion | None) -> ObjectVers
     """
     if (size := file.stat().st_size) > MAX_IN_ONE_REQUEST:
         raise StoreError(f"{url}: {size:,} bytes are more than a store takes at once")
-    there = find_object(url) if replaces is not None else None  # not every store knows the condition
+    current = find_object(url) if replaces is not None else None  # not every store knows the condition
     with as_store_error(url):
         try:
             mode: PutMode = "create"
             if replaces is not None:
-                if there is None or there.version != replaces.name:
+                if current is None or current.version != replaces.name:
                     raise failures.PreconditionError
                 mode = {"e_tag": replaces.e_tag}
                 if replaces.version is not None:
                     mode["version"] = replaces.version
             made = obstore.put(store_of(url, True), url.key, file, mode=mode, use_multipart=False)
         except (failures.PreconditionError, failures.AlreadyExistsError):
-            if (ours := _version_if_same(url, file)) is not None:  # by this very call, and the answer was lost
-                return ours
+            if (version := _version_if_same(url, file)) is not None:  # by this very call, and the answer was lost
+                return version
             raise ObjectChangedError(f"{url}: was written by another machine meanwhile; that stays") from None
     return ObjectVersion(made["e_tag"] or "", made["version"])
 
 
 def _version_if_same(url: Url, file: Path) -> ObjectVersion | None:
     """The object's version, if it has the bytes of the file. Raises StoreError."""
-    with ObjectFile(url) as there, file.open("rb") as here:
-        is_same = all(data == here.read(len(data)) for data in there.read_from()) and not here.read(1)
-        return there.object_version if is_same else None
+    with ObjectFile(url) as stored, file.open("rb") as stream:
+        is_same = all(data == stream.read(len(data)) for data in stored.read_from()) and not stream.read(1)
+        return stored.object_version if is_same else None
 
 
 def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:

@@ -94,8 +94,8 @@ class StoredFolder(Closeable):
 
         Raises UserError for a file that was, or whose name cannot be here; StoreError.
         """
-        found = list_below(self.url) if objects is None else objects
-        objects_by_name = {each.url.name_in(self.url): each for each in found}
+        listed = list_below(self.url) if objects is None else objects
+        objects_by_name = {each.url.name_in(self.url): each for each in listed}
         record = objects_by_name.get(RECORD_NAME)
         there = {name: each for name, each in objects_by_name.items() if not _is_hidden(name)}
         differ = [name for name, each in there.items() if self._differs(name, each, keeps_ours=keeps_ours)]
@@ -161,9 +161,9 @@ class StoredFolder(Closeable):
         self._copies[name] = self._sent(name)
 
     def _remove(self, name: str) -> None:
-        there = find_object(self.url.joined(name))
-        if there is not None and there.version == _version_of(self._copies[name]).name:
-            remove(there.url)
+        stored = find_object(self.url.joined(name))
+        if stored is not None and stored.version == _version_of(self._copies[name]).name:
+            remove(stored.url)
         del self._copies[name]
 
     def _sent(self, name: str) -> Copy:
@@ -192,11 +192,11 @@ class StoredFolder(Closeable):
         put_over(self.url / RECORD_NAME, bytes_of(StoreRecord(str(self.url), files)))
 
     def _files(self) -> list[Path]:
-        found = []
+        paths = []
         for folder, folders, names in os.walk(self.here):
             folders[:] = [name for name in folders if not name.startswith(".") and not name.endswith(PART_SUFFIX)]
-            found += [Path(folder, name) for name in names if not name.startswith(".")]
-        return [path for path in found if not path.name.endswith(PART_SUFFIX) and not path.is_symlink()]
+            paths += [Path(folder, name) for name in names if not name.startswith(".")]
+        return [path for path in paths if not path.name.endswith(PART_SUFFIX) and not path.is_symlink()]
 
     def _is_changed(self, name: str) -> bool:
         """True for a file here that is not the copy it was."""
@@ -318,8 +318,8 @@ def _sha256_of(path: Path) -> str:
 def _add_lines(path: Path, ours: bytes) -> None:
     """Put the lines of `ours` that a file has not at its end."""
     theirs = path.read_bytes()
-    known = set(theirs.splitlines())
-    added = [line for line in ours.splitlines() if line not in known]
+    lines = set(theirs.splitlines())
+    added = [line for line in ours.splitlines() if line not in lines]
     if added:
         end = b"" if not theirs or theirs.endswith(b"\n") else b"\n"
         with path.open("ab") as stream:

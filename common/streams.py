@@ -202,5 +202,5 @@ def _raw(stream: Any) -> Any:
 
 
 def _escaped(match: re.Match[str]) -> str:
-    found = match[0]
-    return found if len(found) > 1 or found.isprintable() else ascii(found)[1:-1]
+    text = match[0]
+    return text if len(text) > 1 or text.isprintable() else ascii(text)[1:-1]

@@ -16,9 +16,10 @@ from common.errors import UserError, as_user_error, counted, printable
 from common.files import short_path
 from common.locks import is_being_written
 from model.runs.advice import Advice
-from recorder.log.tags import FINE
+from recorder.log.logs_in_folder import logs_in
+from recorder.log.tags import FINE, tags_path
 from recorder.rows.odd_stretches import ODD_KINDS
-from recorder.upkeep.log_info import LogInfo, describe, logs_in
+from recorder.upkeep.log_info import LogInfo, describe
 
 MAX_COMMANDS: Final = 3
 _MAX_NAMED: Final = 5
@@ -148,6 +149,9 @@ def _index(project: Path, found: Diagnosis, wanted: _Wanted, *, has_sessions: bo
             "index: an earlier version made it, which held out crashes and did not know all that is odd"
         )
         wanted.learn.append(Advice("what is odd is then neither learnt nor held out", "bc-index"))
+    tags = map(tags_path, logs_in(sessions)) if has_sessions else ()
+    if any(_time_ns(path) > _time_ns(index / SAMPLES_NAME) for path in tags):
+        wanted.learn.append(Advice("tags are newer than the index", "bc-index"))
     absent = _tried(lambda: sessions_not_indexed(index, sessions), index, found) if has_sessions else []
     if absent:
         names = ", ".join(map(printable, absent[:_MAX_NAMED])) + (

@@ -89,6 +89,7 @@ class DriveServer:
             self._server = TelemetryServer(
                 self, host=host, port=port, mode=mode, notify=notify, first_command=first
             )
+            stack.callback(self._server.close)
             self._stack = stack.pop_all()
         self.port = self._server.port
 

@@ -208,6 +208,7 @@ def _exported(
             )
         except OnnxExporterError as error:
             raise RunError(f"a part is missing there ({in_one_line(_cause(error))})") from None
+    assert program is not None  # noqa: S101  # it was given no file to write
     ClearMetadataAndDocStringPass()(program.model)
     model = program.model_proto
     model.graph.ClearField("value_info")

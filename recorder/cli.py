@@ -2,39 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
-import math
-import shlex
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from common.command import check_port, flags_given, run_command, usage_errors, warn_skipped
-from common.errors import UsageError, counted, printable
-from common.files import refuse_existing
-from common.location import Url, local_path
+from common.command import run_command
 from common.location_flag import LocationFlag
-from common.output import print_message, print_next, print_result
-from common.preview import preview
-from recorder.errors import RecordingError
-from recorder.log.session_car import named_car
-from recorder.log_copy_cli import copy_recording, refuse_copying, refuse_taken_name
-from recorder.log_made_cli import brought_as_they_are
-from recorder.person_cli import AtTheWheel, check_at_the_wheel, listen_at_the_wheel, record_at_the_wheel
-from recorder.rows.odd_stretches import odd_advice, odd_lines
-from recorder.sources.built_in_simulator import SimulatedDrive, check_drive, record_simulated
-from recorder.sources.frame_rate import check_rate
-from recorder.sources.gymnasium_flags import GYM_FLAGS, GymFlags
-from recorder.sources.import_mcap import check_scale
-from recorder.sources.import_result import Imported
-from recorder.sources.listen_settings import ListenSettings
-from recorder.sources.recording_kinds import Topics, import_recording, refuse_to_watch
-from recorder.upkeep.log_info import describe
+from recorder.sources.gymnasium_flags import GymFlags
+from recorder.sources.simulated_drive import SimulatedDrive
+from recorder.sources.topic_flags import Topics
 
 if TYPE_CHECKING:
-    from recorder.sources.record_gymnasium import GymRecording
+    pass
 
 
 @dataclass(frozen=True)
@@ -90,174 +71,11 @@ class Record:
     """With --gym: standard deviation of noise in the expert's steering, such as 0.1."""
 
 
-def record(config: Record) -> int:
-    _refuse_contradictions(config)
-    name = f"{config.name}.mcap"
-    if isinstance(config.sessions, Url):
-        refuse_copying(config.sessions)
-        refuse_taken_name(config.sessions / name, config.force)
-        config = replace(config, sessions=Path("sessions"), copy_to=config.sessions)
-    elif config.copy_to is not None:
-        refuse_copying(config.copy_to)
-    done = _record_to(config, local_path(config.sessions) / name)
-    size_mb = done.path.stat().st_size / 1e6
-    code = warn_skipped(done.skipped)
-    for notice in done.notices:
-        print_message(notice)
-    print_result(
-        f"{done.path}: {counted(done.rows, 'row')}, {counted(done.pictures, 'picture')}, {size_mb:,.1f} MB"
-    )
-    odd = describe(done.path, with_tags=False).odd or ()
-    for line in odd_lines(odd):
-        print_message(line, heading="odd:", style="yellow")
-    for line in odd_advice(odd, done.path):
-        print_message(line)
-    if config.copy_to is not None:
-        code = max(code, copy_recording(done.path, config.copy_to, config.force))
-    folder = done.path.parent
-    print_next(f"bc-index --sessions {shlex.quote(str(folder))}" if folder != Path("sessions") else "bc-index")
-    return code
+def _record(config: Record) -> int:
+    from recorder.record_command import record  # NumPy, Arrow, Protobuf, OpenCV
 
-
-def _record_to(config: Record, log: Path) -> Imported:
-    car = None if config.car is None else named_car(config.car)
-    source = config.source
-    with contextlib.ExitStack() as stack:
-        if isinstance(source, Url):
-            refuse_existing(log, config.force)  # before gigabytes are brought
-            (source,) = stack.enter_context(brought_as_they_are([source]))
-
-        def show(growing: Path) -> None:
-            if config.viewer:
-                stack.enter_context(preview(growing, idle_priority=True))
-
-        settings = ListenSettings(config.host, config.port, config.idle, car, show)
-        if config.drive.driver == "me":
-            wheel = AtTheWheel(log, config.open, config.page)
-            if config.listen:
-                return listen_at_the_wheel(settings, config.drive.speed[0], wheel, config.force)
-            return record_at_the_wheel(config.drive, config.rate, wheel, config.force)
-        if config.listen:
-            from recorder.sources.live_telemetry import listen_for_telemetry  # Socket.IO: a second to load
-
-            return listen_for_telemetry(log, settings, overwrite=config.force)
-        if config.environment.gym is not None:
-            from recorder.sources.record_gymnasium import record_gymnasium
-
-            return record_gymnasium(replace(_gym_recording(config), car=car), log, overwrite=config.force)
-        if source is not None and config.watch:
-            from recorder.sources.udacity_follow import watch_udacity
-
-            refuse_to_watch(source)
-            return watch_udacity(
-                source,
-                log,
-                rate_hz=config.rate,
-                idle_s=config.idle,
-                car=car,
-                overwrite=config.force,
-                on_started=show,
-            )
-        if source is not None:
-            return import_recording(
-                source,
-                log,
-                config.topics,
-                columns=config.columns,
-                rate_hz=config.rate,
-                all_catalogs=config.all_catalogs,
-                car=car,
-                overwrite=config.force,
-            )
-        if config.drive == SimulatedDrive():  # nobody has asked for it: perhaps --from was forgotten
-            print_message(
-                f"bc-record: the built-in simulator's expert drives {config.drive.track};"
-                " --from FOLDER takes what was recorded elsewhere"
-            )
-        return record_simulated(_drive_of(config), log, udacity=config.udacity, overwrite=config.force)
-
-
-def _drive_of(config: Record) -> SimulatedDrive:
-    return config.drive if config.rate is None else replace(config.drive, rate=config.rate)
-
-
-def _gym_recording(config: Record) -> GymRecording:
-    from recorder.sources.record_gymnasium import GymRecording
-
-    return GymRecording(config.environment, config.drive.seed, config.rate, config.wander)
-
-
-def _refuse_contradictions(config: Record) -> None:
-    name = config.name
-    if isinstance(config.sessions, Url) and config.copy_to is not None:
-        raise UsageError(f"--sessions {config.sessions}: is where the log is copied to: leave out --copy-to")
-    if not name or name.startswith(".") or set(name) & set('/\\:*?"<>|') or printable(name) != name:
-        raise UsageError(f"{name!r}: not a name for a session; give a plain one, such as `bc-record lake`")
-    if name.endswith(".mcap"):
-        raise UsageError(f"{name}: give the name without its ending: `bc-record {name.removesuffix('.mcap')}`")
-    if config.source is not None and config.listen:
-        raise UsageError("--from and --listen: give one of them")
-    if isinstance(config.source, Url) and (config.watch or config.source.suffix != ".mcap"):
-        raise UsageError(
-            f"--from {config.source}: of what is in a store, another program's log (.mcap) is expected, without"
-            " --watch; copy a folder here first"
-        )
-    if config.watch and config.source is None:
-        raise UsageError("--watch follows a folder: give it with --from FOLDER")
-    if (
-        (config.source is not None or config.listen)
-        and (config.udacity is not None or config.drive != SimulatedDrive())
-        and not (config.listen and config.drive.driver == "me")
-    ):
-        raise UsageError(
-            "--from and --listen record what others drive; --udacity and --track and its like are the simulator's"
-        )
-    if config.listen and config.rate is not None:
-        raise UsageError("--rate: telemetry has the time at which it comes; leave it out")
-    if not (config.watch or config.listen) and (config.idle is not None or config.viewer):
-        raise UsageError("--idle and --viewer go with --watch or --listen")
-    if config.topics != Topics() and (config.source is None or config.watch):
-        raise UsageError("--image, --steering and --steering-scale go with --from")
-    if config.columns and (config.source is None or config.watch):
-        raise UsageError("--columns goes with --from FOLDER, which has pictures and a csv")
-    if config.all_catalogs and (config.source is None or config.watch):
-        raise UsageError("--all-catalogs goes with --from ~/mycar/data")
-    if config.idle is not None and not 0 <= config.idle < math.inf:
-        raise UsageError(f"--idle {config.idle:g}: a number of seconds, 0 or more, was expected")
-    if config.port:  # 0: a free one
-        check_port("--port", config.port)
-    persons = flags_given(config, "open", "page") or flags_given(config.drive, "start")
-    if config.drive.driver != "me" and persons:
-        raise UsageError(f"{persons}: only with --driver me")
-    if config.drive.driver == "me" and config.udacity is not None:
-        raise UsageError("--udacity: a simulated driver's, not with --driver me")
-    if config.environment.gym is not None:
-        _refuse_beside_gym(config)
-        return
-    if config.car is not None and config.source is None and not config.listen:
-        raise UsageError("--car goes with --from, --listen or --gym: the built-in simulator's is known")
-    if (flags := flags_given(config.environment, *GYM_FLAGS)) or (flags := flags_given(config, "wander")):
-        raise UsageError(f"{flags}: only with --gym ID")
-    if config.drive.driver == "me":
-        check_at_the_wheel(config.drive, config.rate, listens=config.listen)
-        return
-    with usage_errors(RecordingError):
-        if config.source is not None:
-            check_rate(config.rate)
-            check_scale(config.topics.steering_scale)
-        else:
-            check_drive(_drive_of(config))
-
-
-def _refuse_beside_gym(config: Record) -> None:
-    from recorder.sources.record_gymnasium import check_recording
-
-    if flags := flags_given(config, "source", "watch", "listen", "udacity", "all_catalogs"):
-        raise UsageError(f"{flags.replace('--source', '--from')}: not with --gym, which is recorded itself")
-    if replace(config.drive, seed=0) != SimulatedDrive():
-        raise UsageError("--track, --driver and their like are the built-in simulator's: not with --gym")
-    check_recording(_gym_recording(config))
+    return record(config)
 
 
 def main() -> None:
-    run_command("bc-record", Record, record)
+    run_command("bc-record", Record, _record)

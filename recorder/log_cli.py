@@ -14,8 +14,6 @@ from common.errors import as_user_error, counted
 from common.location import Location
 from common.output import print_result
 from recorder.errors import RecordingError
-from recorder.log.reader import Log
-from recorder.log.session_car import UDACITY, car_of
 from recorder.log_copy_cli import CopyLogs
 from recorder.log_edit_cli import Merge, Recover, Rewrite, Split, Trim, noted, remark_crcs, some_logs
 from recorder.log_export_cli import ExportLogs
@@ -24,8 +22,6 @@ from recorder.log_list_cli import ListLogs
 from recorder.log_next import NextStep, print_first, step_of_check, step_of_info
 from recorder.log_report import print_checked, print_info
 from recorder.log_tag_cli import NameRows, warn_stale
-from recorder.upkeep.check import check
-from recorder.upkeep.log_info import describe
 
 
 @dataclass(frozen=True)
@@ -47,6 +43,8 @@ class ShowInfo:
         return code
 
     def _one(self, path: Location, steps: list[NextStep]) -> int:
+        from recorder.upkeep.log_info import describe  # NumPy
+
         info = describe(path, look=self.look)
         if self.json:
             print_result(info.as_json())
@@ -76,6 +74,9 @@ class Check:
         return code
 
     def _one(self, path: Location, steps: list[NextStep]) -> int:
+        from recorder.upkeep.check import check
+        from recorder.upkeep.log_info import describe
+
         checked = check(path, look=self.look)
         if self.json:
             found = [finding._asdict() for finding in checked.findings]
@@ -104,6 +105,8 @@ class Cameras:
         return _each(self.logs, self._one)
 
     def _one(self, path: Location) -> int:
+        from recorder.log.reader import Log
+        from recorder.log.session_car import UDACITY, car_of
         from recorder.upkeep.side_cameras import (  # OpenCV
             UDACITY_MPH,
             UDACITY_SPACING,

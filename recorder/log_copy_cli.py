@@ -20,8 +20,8 @@ from common.location import Location, Url
 from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result
 from common.progress import progress_bar
+from recorder.log.logs_in_folder import logs_in
 from recorder.log_flag import named_log
-from recorder.upkeep.log_info import logs_in
 
 _MAX_NAMED: Final = 8
 
@@ -107,10 +107,10 @@ def copy_recording(log: Path, to: Location, overwrite: bool, *, prog: str = "bc-
     copied: it is recorded all the same."""
     code = DONE if copy_logs([log], to, overwrite=overwrite, prog=prog) == DONE else DONE_BUT_SKIPPED
     try:
-        there = {other.name for other in logs_in(to)}
+        names_stored = {other.name for other in logs_in(to)}
     except StoreError:  # reported already
-        there = set()
-    missing = [each for each in logs_in(log.parent) if each.suffix == ".mcap" and each.name not in there]
+        names_stored = set()
+    missing = [each for each in logs_in(log.parent) if each.suffix == ".mcap" and each.name not in names_stored]
     if missing:
         names = ", ".join(printable(each.name) for each in missing[:_MAX_NAMED])
         more = f" and {len(missing) - _MAX_NAMED:,} more" if len(missing) > _MAX_NAMED else ""
@@ -125,10 +125,10 @@ def brought_here(places: Sequence[Location]) -> Iterator[tuple[Path, ...]]:
     from recorder.upkeep.copy_log import copy_log  # obstore, an extra
 
     with tempfile.TemporaryDirectory(prefix="bc-logs-") as folder:
-        found: list[Path] = []
+        copies: list[Path] = []
         for number, place in enumerate(places):
             if isinstance(place, Path):
-                found.append(place)
+                copies.append(place)
                 continue
             copy = Path(folder) / str(number) / place.name
             with progress_bar() as progress:
@@ -136,8 +136,8 @@ def brought_here(places: Sequence[Location]) -> Iterator[tuple[Path, ...]]:
                 done = copy_log(place, copy, on_bytes=partial(progress.advance, task))
             if done.notice:
                 print_message(done.notice)
-            found.append(copy)
-        yield tuple(found)
+            copies.append(copy)
+        yield tuple(copies)
 
 
 def _pairs(places: Sequence[Location], to: Location) -> list[tuple[Location, Location]]:
@@ -166,6 +166,6 @@ def size_of(log: Location) -> int | None:
     if isinstance(log, Url):
         from common.object_store import find_object
 
-        found = find_object(log)
-        return found.size if found else None
+        stored = find_object(log)
+        return stored.size if stored else None
     return log.stat().st_size if log.is_file() else None

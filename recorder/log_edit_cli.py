@@ -15,16 +15,11 @@ from common.files import final_path
 from common.location import Location
 from common.location_flag import LocationFlag
 from common.output import print_message, print_result
-from recorder.log.reader import Log
 from recorder.log_flag import LogFlag
 from recorder.log_made_cli import MakesLogs, MakesLogsOfOne
 from recorder.log_report import print_written
 from recorder.log_row_flags import rows_of_flags, times_of_flags
 from recorder.log_tag_cli import LogPlace
-from recorder.mcap.mcap_file import WITHOUT_CRCS
-from recorder.upkeep.check import is_whole
-from recorder.upkeep.edit import merge, rewrite, split, trim, trim_times
-from recorder.upkeep.recover import recover, recovered_name
 
 
 @dataclass(frozen=True)
@@ -40,9 +35,15 @@ class Recover(MakesLogsOfOne):
     """Replace an existing file."""
 
     def target(self) -> Location:
+        from recorder.upkeep.recover import recovered_name
+
         return recovered_name(self.log) if self.to is None else _named(self.to)
 
     def make_of(self, path: Path, to: Path) -> int:
+        from recorder.log.reader import Log
+        from recorder.upkeep.check import is_whole
+        from recorder.upkeep.recover import recover
+
         if final_path(path) == path and is_whole(path):
             print_result(f"{path}: whole, nothing to recover{'' if self.to else '; nothing was written'}")
             if self.to is None:
@@ -77,6 +78,8 @@ class Trim(MakesLogsOfOne):
         return _named(self.to)
 
     def make_of(self, path: Path, to: Path) -> int:
+        from recorder.upkeep.edit import trim, trim_times
+
         code = noted(path)
         if self.rows is not None:
             rows = rows_of_flags(path, self.start, self.end, self.rows)
@@ -103,6 +106,8 @@ class Merge(MakesLogs):
         return _named(self.to)
 
     def make(self, logs: Sequence[Path], to: Path) -> int:
+        from recorder.upkeep.edit import merge
+
         code = max(map(noted, logs))
         return max(code, print_written(merge(logs, to, overwrite=self.force)))
 
@@ -122,6 +127,8 @@ class Rewrite(MakesLogsOfOne):
         return _named(self.to)
 
     def make_of(self, path: Path, to: Path) -> int:
+        from recorder.upkeep.edit import rewrite
+
         code = print_written(rewrite(path, to, overwrite=self.force))
         print_message(f"{path} is as it was; once {to} is checked it can take its place")
         return code
@@ -143,6 +150,8 @@ class Split(MakesLogsOfOne):
         return self.log.parent if self.to is None else self.to
 
     def make_of(self, path: Path, to: Path) -> int:
+        from recorder.upkeep.edit import split
+
         code = noted(path)
         parts = split(path, to, overwrite=self.force)
         return max(code, *map(print_written, parts))
@@ -164,11 +173,15 @@ def _named(to: Location) -> Location:
 def remark_crcs(path: Location, has_crcs: bool) -> None:
     """Print that damage to a log without CRCs cannot be noticed."""
     if not has_crcs:
+        from recorder.mcap.mcap_file import WITHOUT_CRCS
+
         print_message(f"{path}: {WITHOUT_CRCS}")
 
 
 def noted(path: Location) -> int:
     """Say it of an unfinished log before it is used, and of one without CRCs."""
+    from recorder.log.reader import Log
+
     with Log(path) as log:
         remark_crcs(path, log.has_crcs)
         return warn(log.notice) if log.notice else DONE

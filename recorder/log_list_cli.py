@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import tyro
 from rich.table import Table
@@ -14,10 +14,13 @@ from common.command import DONE, print_error, warn
 from common.errors import as_user_error
 from common.location import Location, Url, location
 from common.output import print_result, print_table
+from recorder.log.logs_in_folder import logs_in
 from recorder.log_flag import FOLDERS, LogFlag
 from recorder.log_next import print_first, step_of_list
 from recorder.log_report import plain
-from recorder.upkeep.log_info import LogInfo, describe, logs_in
+
+if TYPE_CHECKING:
+    from recorder.upkeep.log_info import LogInfo
 
 SORTED_BY: Final[dict[str, Callable[[LogInfo], Any]]] = {
     "newest": lambda info: tuple(-ord(character) for character in info.start),
@@ -39,21 +42,23 @@ class ListLogs:
     """Print one JSON object a log, as `bc-log info --json` does."""
 
     def run(self) -> int:
-        found, codes = [], [DONE]
+        from recorder.upkeep.log_info import describe  # NumPy
+
+        infos, codes = [], [DONE]
         for path in self._logs():
             try:
-                found.append(describe(path))
+                infos.append(describe(path))
             except Exception as error:
                 codes.append(print_error("bc-log", as_user_error(path, error)))
-        found.sort(key=lambda info: (SORTED_BY[self.sort](info), info.path))
+        infos.sort(key=lambda info: (SORTED_BY[self.sort](info), info.path))
         if self.json:
-            for info in found:
+            for info in infos:
                 print_result(info.as_json())
-        elif found:
-            print_table(_table(found))
-        code = max([*codes, *(warn(info.notice) for info in found if info.notice)])
-        if found and not self.json:
-            print_first([step_of_list(found)])
+        elif infos:
+            print_table(_table(infos))
+        code = max([*codes, *(warn(info.notice) for info in infos if info.notice)])
+        if infos and not self.json:
+            print_first([step_of_list(infos)])
         return code
 
     def _logs(self) -> list[Location]:
@@ -73,13 +78,13 @@ def _is_folder(place: Location) -> bool:
     return place.suffix != ".mcap" if isinstance(place, Url) else place.is_dir()
 
 
-def _table(found: Sequence[LogInfo]) -> Table:
+def _table(infos: Sequence[LogInfo]) -> Table:
     table = Table(box=None, pad_edge=False)
     for heading in ("log", "begun, UTC", "min", "rows", "MB", "driven by", "odd", "tags"):
         is_number = heading in ("min", "rows", "MB")
         no_wrap = is_number or heading == "begun, UTC"
         table.add_column(heading, justify="right" if is_number else "left", no_wrap=no_wrap, overflow="fold")
-    for info in found:
+    for info in infos:
         odd = ", ".join(f"{rows:,} {kind.replace('_', ' ')}" for kind, rows in info.odd_rows.items())
         table.add_row(
             plain(location(info.path).name.removesuffix(".mcap")),

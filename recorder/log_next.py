@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from common.location import Location, location
 from common.output import print_next
 from recorder.log.tagged_rows import TaggedRows
 from recorder.log.tags import EXCLUDE
 from recorder.log_flag import SESSIONS
-from recorder.rows.odd_stretches import OddStretch, exclude_command
-from recorder.upkeep.log_info import LogInfo
+
+if TYPE_CHECKING:  # NumPy
+    from recorder.rows.odd_stretches import OddStretch
+    from recorder.upkeep.log_info import LogInfo
 
 _EXCLUDES: Final = "excludes all that is surely odd"
 
@@ -27,6 +29,8 @@ class NextStep(NamedTuple):
 
 def step_of_info(info: LogInfo) -> NextStep:
     """What to do about a log, by its numbers."""
+    from recorder.rows.odd_stretches import exclude_command
+
     log, left = location(info.path), _left(info)
     if any(each.is_sure for each in left):
         return NextStep(1, exclude_command(left, log), _EXCLUDES)
@@ -37,6 +41,8 @@ def step_of_info(info: LogInfo) -> NextStep:
 
 def step_of_check(info: LogInfo, odd: Sequence[OddStretch], *, is_damaged: bool) -> NextStep:
     """What to do about a log whose file, rows and pictures were checked, and showed what is `odd`."""
+    from recorder.rows.odd_stretches import exclude_command
+
     log = location(info.path)
     if is_damaged:
         return NextStep(0, _command("recover", log), "it writes what is sound to a new log")
@@ -61,6 +67,7 @@ def step_of_list(logs: Sequence[LogInfo]) -> NextStep:
 
 def _left(info: LogInfo, odd: Sequence[OddStretch] | None = None) -> list[OddStretch]:
     """What is odd in a log and not excluded."""
+
     return TaggedRows(info.tags, EXCLUDE).left(odd or info.odd or ())
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from rich.markup import escape
 from rich.table import Table
@@ -15,18 +15,14 @@ from common.errors import counted, printable
 from common.location import Location, location
 from common.output import print_result, print_table
 from common.steering_unit import DEGREES, FULL_LOCK
-from recorder.log.known_lag import lag_path
-from recorder.log.session_car import is_angle_unknown
-from recorder.log.tagged_rows import TaggedRows
 from recorder.log.tags import EXCLUDE, Tag
-from recorder.rows.label_plan import NOT_MEASURED
-from recorder.rows.odd_stretches import OddStretch, odd_advice, odd_lines
-from recorder.rows.steering_report import lag_in_words, steering_line
 from recorder.topics import VEHICLE
-from recorder.upkeep.check import Checked
-from recorder.upkeep.check_contents import ODD_FINDINGS
-from recorder.upkeep.derived_log import Written
-from recorder.upkeep.log_info import LogInfo
+
+if TYPE_CHECKING:  # NumPy
+    from recorder.rows.odd_stretches import OddStretch
+    from recorder.upkeep.check import Checked
+    from recorder.upkeep.derived_log import Written
+    from recorder.upkeep.log_info import LogInfo
 
 MAX_PLACES: Final = 6
 """So many are named of a kind; --json names all."""
@@ -37,6 +33,10 @@ _LONG_LIST: Final = 4
 
 
 def print_info(info: LogInfo) -> None:
+    from recorder.log.session_car import is_angle_unknown
+    from recorder.rows.label_plan import NOT_MEASURED
+    from recorder.rows.steering_report import steering_line
+
     driven = f", {info.driven_s:,.1f} s driven" if info.driven_s is not None else ""
     size = f"{info.size_bytes / 1e6:,.1f} MB"
     print_table(f"[bold]{plain(info.path)}[/]: {info.duration_s:,.1f} s{driven}, {size}, {info.start}")
@@ -67,6 +67,10 @@ def _print_more(count: int, noun: str, shown: int = MAX_LINES) -> None:
 
 
 def print_checked(checked: Checked, tags: Sequence[Tag]) -> None:
+    from recorder.log.known_lag import lag_path
+    from recorder.rows.steering_report import lag_in_words
+    from recorder.upkeep.check_contents import ODD_FINDINGS
+
     decoded = f", {counted(checked.pictures, 'picture')} decoded" if checked.pictures else ""
     verdict = counted(len(checked.findings), "finding") if checked.findings else "nothing wrong"
     print_result(f"{checked.path}: {counted(checked.messages, 'message')}{decoded}: {verdict}")
@@ -105,6 +109,7 @@ def rows_of(tag: Tag) -> str:
 
 
 def _print_drives(info: LogInfo) -> None:
+
     if info.drives is None or info.flags is None:
         if not info.is_ours:
             print_table("  written by another program: `bc-log check` looks at what is in it")
@@ -126,6 +131,9 @@ def _print_drives(info: LogInfo) -> None:
 
 def _odd_lines(odd: Sequence[OddStretch], tags: Sequence[Tag], log: Location) -> list[str]:
     """What is odd in a log, and what to do about it; what is excluded is counted."""
+    from recorder.log.tagged_rows import TaggedRows
+    from recorder.rows.odd_stretches import odd_advice, odd_lines
+
     left = TaggedRows(tags, EXCLUDE).left(odd)
     excluded = len(odd) - len(left)
     lines = [f"{counted(excluded, 'odd stretch is', 'odd stretches are')} excluded"] if excluded else []

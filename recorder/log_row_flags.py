@@ -6,14 +6,15 @@ import math
 
 from common.errors import UsageError
 from common.location import Location
-from recorder.log.reader import Log
-from recorder.upkeep.edit import check_rows, rows_between
 
 
 def rows_of_flags(
     path: Location, start_s: float | None, end_s: float | None, rows: tuple[int, int] | None
 ) -> tuple[int, int]:
     """The rows that the flags name."""
+    from recorder.log.reader import Log  # NumPy
+    from recorder.upkeep.edit import check_rows, rows_between
+
     if rows is not None:
         if start_s is not None or end_s is not None:
             raise UsageError("give either --rows, or --start and --end")

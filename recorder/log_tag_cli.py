@@ -13,10 +13,6 @@ from common.command import DONE, usage_errors, warn
 from common.errors import UsageError, counted, did_you_mean
 from common.location import Location
 from common.output import ask, print_message, print_next, print_result
-from common.stretches import stretches
-from recorder.log.reader import Log
-from recorder.log.road_places import states_of
-from recorder.log.tagged_rows import fine_rows
 from recorder.log.tags import (
     EXCLUDE,
     Tag,
@@ -31,8 +27,6 @@ from recorder.log.tags import (
 from recorder.log_flag import LogFlag
 from recorder.log_report import MAX_LINES, rows_of
 from recorder.log_row_flags import rows_of_flags
-from recorder.rows.odd_stretches import odd_stretches
-from recorder.rows.row_condition import rows_where
 
 LogPlace = Annotated[LogFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 
@@ -64,6 +58,8 @@ class NameRows:
     """Remove the tag from these rows, or from all."""
 
     def run(self) -> int:
+        from recorder.log.reader import Log  # NumPy
+
         with Log(self.log) as log:
             if log.problem:
                 raise UserError(f"{log.notice}; tag that one")
@@ -82,7 +78,7 @@ class NameRows:
         if not self.remove and self.tag not in {tag.name for tag in tags}:
             return code  # nothing was tagged
         if self.tag == EXCLUDE:
-            print_next("bc-index", "training then leaves out the rows that are tagged so, and no others")
+            print_next("bc-index", "it leaves out the rows that are tagged so")
         else:
             print_next(f"bc-play {shlex.quote(str(self.log))}")
         return code
@@ -96,6 +92,13 @@ class NameRows:
             return [Tag(*rows_of_flags(self.log, self.start, self.end, self.rows), name)]
         if (self.start, self.end, self.rows) != (None,) * 3 or (self.odd and self.where is not None):
             raise UsageError("give one of --odd, --where, --rows, or --start and --end")
+        from common.stretches import stretches
+        from recorder.log.reader import Log
+        from recorder.log.road_places import states_of
+        from recorder.log.tagged_rows import tagged_rows
+        from recorder.rows.odd_stretches import odd_stretches
+        from recorder.rows.row_condition import rows_where
+
         with Log(self.log) as log:
             states = states_of(log)
             odd = odd_stretches(states) if self.odd else []
@@ -110,7 +113,7 @@ class NameRows:
         else:
             found = [each for each in odd if each.is_sure]
             if not self.remove:
-                found = fine_rows(self.log).left(found)
+                found = tagged_rows(self.log).left(found)
             chosen = [Tag(each.first_row, each.last_row, name) for each in found]
             words = [str(each) for each in found]
         for line in words[:MAX_LINES]:

@@ -12,8 +12,8 @@ from common.command import flags_given, usage_errors
 from common.errors import UsageError
 from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
 from recorder.errors import RecordingError
-from recorder.sources.built_in_simulator import SimulatedDrive
 from recorder.sources.import_result import Imported
+from recorder.sources.simulated_drive import SimulatedDrive
 from simulator.driving.drive_limits import MAX_SPEED_MPH
 
 if TYPE_CHECKING:

@@ -25,9 +25,10 @@ from dataset.figure_style import BLUE, DPI, ORANGE, figure_style, new_figure
 from recorder import Log
 from recorder.rows.steering_habits import neighbours_mean
 from simulator.driving.course import Course
+from simulator.driving.drive_limits import DriverName
 from simulator.driving.expert import Expert
 from simulator.driving.recovery_driving import drive_for_recording
-from simulator.driving.simulated_driver import DriverName, SimulatedDriver, make_driver
+from simulator.driving.simulated_driver import SimulatedDriver, make_driver
 from simulator.driving.vehicle import STEP_S
 from simulator.roads.track import Track, load_track
 

@@ -18,10 +18,10 @@ from dataset import IndexConfig, build_index
 from faulty_proxy import FAULTS
 from logs import write_log
 from recorder import Log
+from recorder.log.logs_in_folder import logs_in
 from recorder.log.tags import Tag, add_tag, read_tags
 from recorder.upkeep.check import check
 from recorder.upkeep.copy_log import copy_log
-from recorder.upkeep.log_info import logs_in
 from udacity import jpeg
 
 SETTINGS = IndexConfig(labels="as-recorded", block_s=1, gap_s=0)

@@ -55,7 +55,7 @@ def test_what_is_odd_is_excluded_first_and_then_looked_at(capsys: pytest.Capture
     assert call(bc_log, "tag", "b c", "exclude", "--odd") == 0
     capsys.readouterr()
     for arguments in (["ls"], ["info", "b c"], ["check", "--no-look", "b c"]):
-        call(bc_log, *arguments)
+        assert call(bc_log, *arguments) == 0  # no finding is left
         said = capsys.readouterr()
         assert said.err.replace(".venv/bin/", "").splitlines()[-1] == "next: `bc-index`"
         assert "--odd" not in said.out

@@ -17,6 +17,7 @@ import pytest
 from test_rooms import MAY_IMPORT
 
 from driving import COMMANDS, PATIENCE_S, command, environment, run, run_code
+from logs import write_log
 from repository import ROOT
 
 HIDING = {"a module": "{room}.py", "a package": "{room}/__init__.py", "a folder": "{room}/notes.txt"}
@@ -134,6 +135,45 @@ def test_a_package_that_has_written_over_a_room_is_named(is_uninstalled: bool, t
             " dataset` and install the toolkit again, or install it into an environment of its own"
         )
     assert done.stderr == f"bc-index: {why}\n"
+
+
+HEAVY = [
+    "numpy",
+    "pyarrow",
+    "cv2",
+    "google.protobuf",
+    "mcap",
+    "torch",
+    "rerun",
+    "socketio",
+    "starlette",
+    "matplotlib",
+]
+LOADED_BY = """
+import sys, behavioural_cloning_toolkit
+sys.argv = {line}
+try:
+    getattr(behavioural_cloning_toolkit, sys.argv[0].replace("-", "_"))()
+finally:
+    print([name for name in {heavy} if name in sys.modules], file=sys.stderr)
+"""
+
+
+def loaded_by(*line: str) -> str:
+    """The last line of a command's errors: which of the heavy modules it has loaded."""
+    done = run_code(LOADED_BY.format(line=list(line), heavy=HEAVY))
+    assert done.returncode == 0, done.stderr
+    return done.stderr.splitlines()[-1]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_help_of_a_command_loads_nothing_heavy(name: str) -> None:
+    assert loaded_by(name, "--help") == "[]"
+
+
+def test_a_log_is_described_without_arrow_and_opencv(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "a.mcap", [0.1, 0.2])
+    assert loaded_by("bc-log", "info", str(log)) == "['numpy', 'mcap']"
 
 
 @pytest.mark.parametrize("name", COMMANDS)

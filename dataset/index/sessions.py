@@ -15,7 +15,7 @@ from dataset.index.build_state import Stat, Stats, read_state, sources_of
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
 from recorder import Log
-from recorder.upkeep.log_info import logs_in
+from recorder.log.logs_in_folder import logs_in
 
 
 def find_logs(sessions: Sequence[Location | str], folder: Location | str) -> list[Location]:

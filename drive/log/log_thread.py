@@ -21,9 +21,8 @@ _IDLE_S: Final = 0.1
 class LogThread:
     """Calls the functions that it is given, in their order, on a thread of its own; and `flush` while it is idle.
 
-    eventlet does not replace this program's threads: it is a real one, and works on while the driving loop waits
-    for the network or computes. It is as important to the system as the loop: one that is put to sleep while it
-    holds Python's lock would stop the loop with it.
+    It is as important to the system as the driving loop: one that sleeps while it holds Python's lock would stop
+    the loop with it.
 
     Not to be called by two threads at once.
     """

@@ -183,13 +183,15 @@ class _Export:
         kept: list[int] = []
         for number in rows:
             self._advance()
-            found = pictures.read(number)
-            if found is None:
+            encoded = pictures.read(number)
+            if encoded is None:
                 continue
             # an episode whose first pictures cannot be used needs a sample, too
             is_sampled = number in sampled_rows or not kept
             decoded = (
-                [decode_picture(picture, cv2.IMREAD_COLOR) for picture in found] if is_video or is_sampled else []
+                [decode_picture(picture, cv2.IMREAD_COLOR) for picture in encoded]
+                if is_video or is_sampled
+                else []
             )
             sound = [picture for picture in decoded if picture is not None]
             if len(sound) != len(decoded):
@@ -197,14 +199,14 @@ class _Export:
                 continue
             if not kept:
                 self._files.begin_episode(self._sizes)
-                self._example = self._example or found[0]
+                self._example = self._example or encoded[0]
             if is_sampled:
                 for of_camera, picture in zip(statistics.values(), sound, strict=True):
                     of_camera.add(picture)
             if is_video:
                 self._files.add_to_videos(sound)
             else:
-                spool.add(found)
+                spool.add(encoded)
             kept.append(number)
         return kept, statistics
 
@@ -238,8 +240,8 @@ class _Export:
             form.LOG_CAR: _car(log),
             **{
                 f"stats/{feature}/{name}": values
-                for feature, of in as_json(statistics).items()
-                for name, values in of.items()
+                for feature, columns in as_json(statistics).items()
+                for name, values in columns.items()
             },
         }
 
@@ -274,7 +276,7 @@ class _Export:
 
 def _statistics(numbers: Columns, pictures: dict[Camera, PictureStatistics]) -> dict[str, Statistics]:
     """Without those of our own columns: nothing learns from them, and a speed may be unknown."""
-    of_pictures = {form.image_key(camera): found.statistics() for camera, found in pictures.items()}
+    of_pictures = {form.image_key(camera): statistics.statistics() for camera, statistics in pictures.items()}
     own = {form.LOG_TIME, form.LOG_ROW, form.LOG_VEHICLE}
     return of_pictures | {name: number_statistics(values) for name, values in numbers.items() if name not in own}
 

@@ -52,7 +52,7 @@ def plan_export(
     cameras. Raises LogError if one cannot be read, if no camera is in all, or if
     their wheels turn differently."""
     cameras, notices = _cameras(paths, wanted)
-    steps, rates, row_count, known, degrees = [np.zeros(0, np.int64)], {}, 0, [], set[float | None]()
+    steps, rates, row_count, has_speeds, degrees = [np.zeros(0, np.int64)], {}, 0, [], set[float | None]()
     for path in paths:
         with Log(path, shows_progress=True) as log:
             taken = log_episodes(log, cameras, Skipped(), None if chosen is None else chosen[path])
@@ -63,14 +63,14 @@ def plan_export(
             steps.append(its_steps)
             rates[path.name] = 1e9 / usual_step(its_steps)
         if len(taken.states.row):
-            known.append(bool(np.isfinite(taken.states.speed_mph).all()))
+            has_speeds.append(bool(np.isfinite(taken.states.speed_mph).all()))
     rate_hz = 1e9 / usual_step(np.concatenate(steps)) if rates else 1.0
     if rates and max(rates.values()) > RATES_DIFFER * min(rates.values()):
         listed = ", ".join(f"{rate:.1f} in {name}" for name, rate in rates.items())
         notices.append(
             f"rows a second differ ({listed}); the dataset says {rate_hz:.0f}, its {LOG_TIME} are right"
         )
-    if any(known) and not all(known):
+    if any(has_speeds) and not all(has_speeds):
         notices.append(f"not every row has a speed: it is in {LOG_VEHICLE}, and {STATE} is without it")
     if len(different := {assumed_deg(each) for each in degrees}) > 1:
         listed = " and ".join(f"{each:g}" for each in sorted(different))
@@ -80,7 +80,7 @@ def plan_export(
         )
     return ExportPlan(
         cameras,
-        bool(known) and all(known),
+        bool(has_speeds) and all(has_speeds),
         rate_hz,
         None if None in degrees else degrees.pop(),
         row_count,

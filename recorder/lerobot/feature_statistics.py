@@ -56,8 +56,8 @@ class PictureStatistics:
         """A picture (height, width, 3)."""
         self.count += 1
         for channel in range(3):
-            found = cv2.calcHist([bgr], [channel], None, [256], [0, 256])
-            self._counts[2 - channel] += found.ravel().astype(np.int64)
+            counts = cv2.calcHist([bgr], [channel], None, [256], [0, 256])
+            self._counts[2 - channel] += counts.ravel().astype(np.int64)
 
     def statistics(self) -> Statistics:
         """Statistics of the pictures added until now, at least one; each of shape (3, 1, 1)."""

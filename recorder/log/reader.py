@@ -15,7 +15,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
-import pyarrow as pa
 from mcap.records import Attachment, Channel, Schema
 from mcap.records import Message as McapMessage
 from numpy.typing import NDArray
@@ -40,10 +39,11 @@ from recorder.mcap.picture_places import (
     read_places,
 )
 from recorder.mcap.salvage import salvage
-from recorder.mcap.scan import is_complete, read_structure, read_summary
+from recorder.mcap.scan import read_structure
 from recorder.topics import camera_topic, prediction_topic
 
-if TYPE_CHECKING:  # training reads pictures where protobuf is not installed
+if TYPE_CHECKING:  # training reads pictures where protobuf is not installed; a log's end needs no Arrow
+    import pyarrow as pa
     from google.protobuf.message import Message as ProtobufMessage
 
     from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
@@ -72,7 +72,6 @@ class Log(Closeable):
     `salvages`: with whole chunks that lie elsewhere than they should, or have a damaged header, for a recovery.
     `shows_progress`: with a progress bar while all of it is read, which is when messages are first read.
     `cache`: keeps the chunks of a log in a store that pictures are read from.
-    `brief`: the places of chunks are read when they are first needed: in a long log, they are most of its end.
     Raises LogError where the file is missing, not an MCAP file, or damaged.
     """
 
@@ -83,13 +82,12 @@ class Log(Closeable):
         salvages: bool = False,
         shows_progress: bool = False,
         cache: ChunkCache | None = None,
-        brief: bool = False,
     ) -> None:
         self.path = location(path)
         self._shows_progress = shows_progress
         self._file = McapFile(self.path)
         try:
-            self._structure = self._as_found = read_structure(self._file, without_chunks=brief)
+            self._structure = self._as_found = read_structure(self._file)
             if not salvages:
                 self._file.check_count(self.message_count or 0)
             else:
@@ -120,13 +118,7 @@ class Log(Closeable):
 
     @property
     def chunks(self) -> list[Chunk]:
-        """The chunks, in the order of the file. Raises LogError where the list of a log that was opened `brief`
-        is damaged."""
-        if not self._structure.has_chunks:
-            whole = read_summary(self._file)  # walking through it would bring all of it here
-            if whole is None or not is_complete(whole):
-                raise self._file.damaged("the list of its chunks")
-            self._structure.chunks, self._structure.has_chunks = whole.chunks, True
+        """The chunks, in the order of the file."""
         return self._structure.chunks
 
     @cached_property
@@ -215,8 +207,8 @@ class Log(Closeable):
         if self._structure.statistics is not None:
             by_channel = self._structure.statistics.channel_message_counts
         else:
-            found = np.unique(self._index["channel"], return_counts=True)
-            by_channel = dict(zip(*(column.tolist() for column in found), strict=True))
+            uniques = np.unique(self._index["channel"], return_counts=True)
+            by_channel = dict(zip(*(column.tolist() for column in uniques), strict=True))
         counts: dict[str, int] = {}
         for number, channel in self.channels.items():
             counts[channel.topic] = counts.get(channel.topic, 0) + by_channel.get(number, 0)
@@ -277,13 +269,15 @@ class Log(Closeable):
     def frames(self) -> pa.Table:
         """The cameras' pictures, one a row, in the order of the file: row (the frame's number in the log), camera,
         log_time_ns, offset, length and chunk (for `read`)."""
+        import pyarrow as pa
+
         parts = []
         for camera in CAMERAS:
-            found = self.pictures(camera_topic(camera))
+            pictures = self.pictures(camera_topic(camera))
             columns = {
-                "row": found.sequence,
-                "camera": pa.array([camera] * len(found.sequence), pa.string()),
-                **{name: getattr(found, name) for name in ("log_time_ns", "offset", "length", "chunk")},
+                "row": pictures.sequence,
+                "camera": pa.array([camera] * len(pictures.sequence), pa.string()),
+                **{name: getattr(pictures, name) for name in ("log_time_ns", "offset", "length", "chunk")},
             }
             parts.append(pa.table(columns))
         return pa.concat_tables(parts).sort_by([("chunk", "ascending"), ("offset", "ascending")])
@@ -296,30 +290,34 @@ class Log(Closeable):
     def table(self, topic_name: str) -> pa.Table:
         """The messages on a topic of the registry, one a row: row, log_time_ns, and the columns it has there."""
         columns = topics.TOPICS[topic_name].columns
-        found = self.numbers(topic_name, [column.field for column in columns])
-        return found.rename_columns([*found.column_names[:2], *(column.name for column in columns)])
+        table = self.numbers(topic_name, [column.field for column in columns])
+        return table.rename_columns([*table.column_names[:2], *(column.name for column in columns)])
 
     def numbers(self, topic_name: str, fields: Sequence[str]) -> pa.Table:
         """Fields of the messages on a topic of the registry, one message a row: row, log_time_ns, and each field
         by its name; NaN where a message lacks one that is optional."""
+        import pyarrow as pa
         from google.protobuf.message import DecodeError
 
-        found = self._of_topic(topic_name)
+        entries = self._of_topic(topic_name)
         kind = topics.TOPICS[topic_name].message.load()
         try:
-            values = decode_numbers(list(self._contents(found)), kind, fields)
+            values = decode_numbers(list(self._contents(entries)), kind, fields)
         except DecodeError as error:
             raise self._no_such_message(topic_name, kind) from error
-        columns = {"row": found["sequence"].astype(np.int64), "log_time_ns": found["log_time_ns"].astype(np.int64)}
+        columns = {
+            "row": entries["sequence"].astype(np.int64),
+            "log_time_ns": entries["log_time_ns"].astype(np.int64),
+        }
         return pa.table(columns | dict(zip(fields, values, strict=True)))
 
     def picture(self, row: int, camera: Camera = "center") -> bytes:
         """The JPEG (or PNG) of a camera at a row, byte for byte. Raises LogError if there is none."""
-        found = self.pictures(camera_topic(camera))
-        (at,) = np.nonzero(found.sequence == row)
+        pictures = self.pictures(camera_topic(camera))
+        (at,) = np.nonzero(pictures.sequence == row)
         if not len(at):
             raise LogError(f"{self.path}: row {row} has no picture of the {camera} camera")
-        return self.read(int(found.offset[at[0]]), int(found.length[at[0]]), int(found.chunk[at[0]]))
+        return self.read(int(pictures.offset[at[0]]), int(pictures.length[at[0]]), int(pictures.chunk[at[0]]))
 
     def pictures(self, topic: str) -> Pictures:
         """The places of the pictures of a CompressedImage topic."""
@@ -333,8 +331,8 @@ class Log(Closeable):
 
     def rows_and_times(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Number and log time of every vehicle state, in the order of the log."""
-        found = self._of_topic(topics.VEHICLE)
-        return found["sequence"].astype(np.int64), found["log_time_ns"].astype(np.int64)
+        entries = self._of_topic(topics.VEHICLE)
+        return entries["sequence"].astype(np.int64), entries["log_time_ns"].astype(np.int64)
 
     def messages(self, topic: str) -> list[Message]:
         """The places of the messages on `topic`, in the order of writing."""
@@ -418,20 +416,20 @@ class Log(Closeable):
     def _decoded(self, topic: str, kind: type[Decoded]) -> Iterator[tuple[Message, Decoded]]:
         from google.protobuf.message import DecodeError
 
-        found = self._of_topic(topic)
-        for message, content in zip(_messages(found), self._contents(found), strict=True):
+        entries = self._of_topic(topic)
+        for message, content in zip(_messages(entries), self._contents(entries), strict=True):
             try:
                 yield message, kind.FromString(content)
             except DecodeError as error:
                 raise self._no_such_message(topic, kind) from error
 
-    def _contents(self, found: NDArray[np.void]) -> Iterator[bytes]:
+    def _contents(self, entries: NDArray[np.void]) -> Iterator[bytes]:
         """The contents of messages of the index; of messages that lie together, the chunk is read once."""
         # Where they lie far apart, among pictures, each is read alone: the rest of its chunk is not needed.
-        is_near = np.diff(found["offset"], prepend=-_NEAR_BYTES, append=2**62) < _NEAR_BYTES
+        is_near = np.diff(entries["offset"], prepend=-_NEAR_BYTES, append=2**62) < _NEAR_BYTES
         are_near = is_near[:-1] | is_near[1:]  # the one before, or the next
         records_at, records = 0, b""
-        for offset, length, chunk, is_beside in _in_plain_numbers(*(found[name] for name in _PLACE), are_near):
+        for offset, length, chunk, is_beside in _in_plain_numbers(*(entries[name] for name in _PLACE), are_near):
             if chunk != UNCOMPRESSED or not is_beside:
                 yield self._chunk_reader.read(offset, length, chunk)
                 continue
@@ -443,9 +441,9 @@ class Log(Closeable):
         return self._file.damaged(f"a message on {topic} is not a {kind.DESCRIPTOR.full_name}")
 
 
-def _messages(found: NDArray[np.void]) -> list[Message]:
+def _messages(entries: NDArray[np.void]) -> list[Message]:
     names = ("sequence", "log_time_ns", *_PLACE)
-    return [Message(*row) for row in _in_plain_numbers(*(found[name] for name in names))]
+    return [Message(*row) for row in _in_plain_numbers(*(entries[name] for name in names))]
 
 
 def _in_plain_numbers(*columns: NDArray[Any]) -> Iterator[tuple[Any, ...]]:

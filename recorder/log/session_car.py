@@ -196,11 +196,11 @@ def max_steering_deg_of(log: Log) -> float:
     Raises LogError for a merged log whose sessions differ in it, and for settings that no car has.
     """
     cars = (car_in(session, log.path) or UDACITY for session in _sessions(log))
-    found = {car.max_steering_deg for car in cars} or {MAX_STEERING_DEG}
-    if len(found) > 1:
-        degrees = " and ".join(f"{each:g}" for each in sorted(found))
+    angles_deg = {car.max_steering_deg for car in cars} or {MAX_STEERING_DEG}
+    if len(angles_deg) > 1:
+        degrees = " and ".join(f"{each:g}" for each in sorted(angles_deg))
         raise LogError(f"{log.path}: merged of sessions whose wheels turn by {degrees} degrees at steering 1")
-    return found.pop()
+    return angles_deg.pop()
 
 
 def known_max_steering_deg(log: Log) -> float | None:
@@ -244,8 +244,8 @@ def _sessions(log: Log) -> list[dict[str, str]]:
     if not _is_merged(log.metadata):
         return [log.metadata]
     of_another = f"{topics.SESSION_METADATA} of "
-    found = [session for name, session in log.all_metadata() if name.startswith(of_another)]
-    return [session for session in found if not _is_merged(session)]
+    sessions = [session for name, session in log.all_metadata() if name.startswith(of_another)]
+    return [session for session in sessions if not _is_merged(session)]
 
 
 def _is_merged(session: Mapping[str, str]) -> bool:

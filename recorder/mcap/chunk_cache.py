@@ -81,19 +81,19 @@ class ChunkCache:
 
     def _make_room(self, size: int) -> None:
         """Remove the logs that were not used for longest, but those in use here, until all may be kept."""
-        found: list[tuple[float, int, Path]] = []
+        logs: list[tuple[float, int, Path]] = []
         with contextlib.suppress(OSError):
             for path in self.folder.iterdir():
                 with contextlib.suppress(OSError):
                     status = path.stat()
                     blocks = getattr(status, "st_blocks", None)  # Windows has none, and no holes
                     held = status.st_size if blocks is None else blocks * _BLOCK_BYTES
-                    found.append((status.st_mtime, held, path))
-        held = sum(each for _, each, _ in found) + size
+                    logs.append((status.st_mtime, held, path))
+        held = sum(each for _, each, _ in logs) + size
         most = self.max_bytes
         with contextlib.suppress(OSError):
             most = min(most, held - size + shutil.disk_usage(self.folder).free - _STAYS_FREE)
-        for _, freed, path in sorted(found):
+        for _, freed, path in sorted(logs):
             if held <= most:
                 break
             if path.name not in self._in_use:

@@ -17,11 +17,11 @@ class CopiedChannels:
 
     def number_of(self, schema: Schema | None, channel: Channel) -> int:
         """The number of a channel of another log in this one."""
-        known = self._by_id.get(id(channel))
-        if known is None:
+        entry = self._by_id.get(id(channel))
+        if entry is None:
             # keeping the channel keeps its id from being used again
-            known = self._by_id[id(channel)] = (channel, self._register(schema, channel))
-        return known[1]
+            entry = self._by_id[id(channel)] = (channel, self._register(schema, channel))
+        return entry[1]
 
     def _register(self, schema: Schema | None, channel: Channel) -> int:
         metadata = dict(channel.metadata)

@@ -62,8 +62,8 @@ class FetchedChunks(Closeable):
                 coming = self._coming.get(number)
             if coming is not None:
                 return coming.result()
-            if (known := self._on_disk(number)) is not None:
-                return known
+            if (record := self._on_disk(number)) is not None:
+                return record
             if (fetched := self.fetch([number]).get(number)) is not None:
                 return fetched.result()
 
@@ -79,8 +79,8 @@ class FetchedChunks(Closeable):
     def missing(self, numbers: Sequence[int]) -> list[int]:
         """The numbers of these chunks that are neither here nor on their way."""
         with self._lock:
-            here = self._coming.keys() | self._kept.keys() | self._damaged.keys()
-            unknown = [each for each in numbers if each not in here]
+            taken = self._coming.keys() | self._kept.keys() | self._damaged.keys()
+            unknown = [each for each in numbers if each not in taken]
         return [number for number in unknown if not self._has(number)]
 
     def runs(self, numbers: Sequence[int]) -> Iterator[list[int]]:
@@ -123,9 +123,9 @@ class FetchedChunks(Closeable):
         wanted = []
         for number, future in futures.items():
             if (
-                self._has(number) and (known := self._on_disk(number)) is not None
+                self._has(number) and (record := self._on_disk(number)) is not None
             ):  # another process has fetched it
-                future.set_result(known)
+                future.set_result(record)
             else:
                 wanted.append(number)
         if not wanted:

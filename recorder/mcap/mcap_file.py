@@ -284,8 +284,8 @@ class McapFile(Closeable):
         return attachment
 
     def _content(self, offset: int, opcode: int) -> bytes:
-        found, length = RECORD.unpack(self.read(offset, RECORD.size))
-        if found != opcode:
+        stored, length = RECORD.unpack(self.read(offset, RECORD.size))
+        if stored != opcode:
             raise self.damaged("a record is not where the summary says")
         if offset not in self._beside_chunks_at:
             self._beside_chunks_at.add(offset)
@@ -296,8 +296,8 @@ class McapFile(Closeable):
 
     def parts(self, records: bytes) -> Parts:
         """The messages and definitions among a chunk's records. Raises LogError if one is damaged."""
-        found = Parts(array("q"), [])
-        unpack, is_message = RECORD.unpack_from, found.messages.append
+        parts = Parts(array("q"), [])
+        unpack, is_message = RECORD.unpack_from, parts.messages.append
         position, size = 0, len(records)
         for _ in range(self._most_messages):
             if position > size - RECORD.size:
@@ -309,9 +309,9 @@ class McapFile(Closeable):
                     raise self.damaged("a message is cut off")
                 is_message(position)
             elif opcode in _DEFINITIONS:
-                if len(found.definitions) == _MAX_DEFINITIONS:
+                if len(parts.definitions) == _MAX_DEFINITIONS:
                     raise self.damaged("more schemas and channels than a file can have")
-                found.definitions.append((opcode, position, end))
+                parts.definitions.append((opcode, position, end))
             position = end
         else:
             raise self._too_many(f"{self._most_messages:,} records and more")
@@ -319,7 +319,7 @@ class McapFile(Closeable):
             raise self.damaged("a record points out of its chunk")
         if position < size:
             raise self.damaged("a record in a chunk is cut off")
-        return found
+        return parts
 
     def check_count(self, messages: int) -> None:
         """Raise LogError if that many messages cannot be in a file of this size."""

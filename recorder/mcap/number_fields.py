@@ -25,7 +25,7 @@ def decode_numbers(contents: Sequence[bytes], kind: type[Message], names: Sequen
     (https://protobuf.dev/programming-guides/encoding/), is taken from all messages at once; any other message, and
     all of a type that has fields of other kinds, are decoded by Protobuf. Raises DecodeError as that does.
     """
-    found = np.zeros((len(names), len(contents)))
+    values = np.zeros((len(names), len(contents)))
     is_done = np.zeros(len(contents), np.bool_)
     fields: list[Any] = sorted(kind.DESCRIPTOR.fields, key=attrgetter("number"))
     if all(map(_is_plain, fields)) and len(contents):
@@ -38,24 +38,24 @@ def decode_numbers(contents: Sequence[bytes], kind: type[Message], names: Sequen
             is_here = (data[at] == (field.number << 3 | is_double)) & (at < end)  # wire type 1: of eight bytes
             if not is_double:
                 is_here &= data[at + 1] < 0x80
-            (here,) = np.nonzero(is_here)
+            (present,) = np.nonzero(is_here)
             if field.name in names:
-                row = found[names.index(field.name)]
+                row = values[names.index(field.name)]
                 if field.has_presence:
                     row[:] = np.nan
                 if is_double:
-                    row[here] = data[at[here, None] + np.arange(1, _DOUBLE_BYTES)].view("<f8")[:, 0]
+                    row[present] = data[at[present, None] + np.arange(1, _DOUBLE_BYTES)].view("<f8")[:, 0]
                 else:
-                    row[here] = data[at[here] + 1]
-            at[here] += _DOUBLE_BYTES if is_double else _ENUM_BYTES
+                    row[present] = data[at[present] + 1]
+            at[present] += _DOUBLE_BYTES if is_double else _ENUM_BYTES
         is_done = at == end
     lacking = {field.name for field in fields if field.has_presence and field.message_type is None}
     for number in np.flatnonzero(~is_done).tolist():
         message = kind.FromString(contents[number])
-        for row, name in zip(found, names, strict=True):
+        for row, name in zip(values, names, strict=True):
             is_missing = name in lacking and not message.HasField(name)
             row[number] = np.nan if is_missing else attrgetter(name)(message)
-    return found
+    return values
 
 
 def _is_plain(field: Any) -> bool:

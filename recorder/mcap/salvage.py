@@ -41,8 +41,8 @@ def salvage(file: McapFile, structure: Structure) -> None:
         search.through(start, end)
     if structure.lost and not structure.problem:  # chunks may have moved
         walked = walk(file)
-        known = {chunk.start for chunk in structure.chunks}
-        if moved := [chunk for chunk in walked.chunks if chunk.start not in known]:
+        starts = {chunk.start for chunk in structure.chunks}
+        if moved := [chunk for chunk in walked.chunks if chunk.start not in starts]:
             structure.chunks += moved
             structure.lost = walked.lost
             structure.metadata_at, structure.attachments_at = walked.metadata_at, walked.attachments_at
@@ -66,9 +66,9 @@ def _drop_damaged(file: McapFile, structure: Structure) -> list[tuple[int, int]]
 class _Search:
     """Adds to `found` what is whole in stretches of the file, and what is lost in them."""
 
-    def __init__(self, file: McapFile, found: Structure) -> None:
+    def __init__(self, file: McapFile, structure: Structure) -> None:
         self._file = file
-        self._found = found
+        self._structure = structure
         self._budget = search_budget(file)
 
     def through(self, start: int, end: int) -> None:
@@ -76,20 +76,20 @@ class _Search:
         while start < end:
             chunk = self._chunk_at(start, end)
             if chunk is not None:
-                self._found.chunks.append(chunk)
+                self._structure.chunks.append(chunk)
                 start = self._behind_records(chunk.end, end)
                 continue
             following = min(next_chunk(self._file, start + 1), end) if self._budget > 0 else end
-            if self._found.lost and self._found.lost[-1][1] == start:
-                start = self._found.lost.pop()[0]
-            self._found.lost.append((start, following))
+            if self._structure.lost and self._structure.lost[-1][1] == start:
+                start = self._structure.lost.pop()[0]
+            self._structure.lost.append((start, following))
             start = following
 
     def _chunk_at(self, start: int, end: int) -> Chunk | None:
         """A whole chunk that begins at `start` and ends within `end`."""
         for chunk in self._guesses(start, end):
             try:
-                add_definitions(self._file, self._file.records(chunk), self._found)
+                add_definitions(self._file, self._file.records(chunk), self._structure)
             except LogError:
                 if self._budget <= 0:
                     break
@@ -129,11 +129,11 @@ class _Search:
             yield stated
         stored = self._file.read(start + stored_at, length - stored_at)
         try:
-            found = len(unpack(stored, name, MAX_CHUNK_BYTES))
+            size = len(unpack(stored, name, MAX_CHUNK_BYTES))
         except NOT_UNPACKED:
             return
-        if found != stated:
-            yield found
+        if size != stated:
+            yield size
 
     def _behind_records(self, start: int, end: int) -> int:
         """The end of the sound records that lie before the next chunk: indexes, metadata, the file's header."""
@@ -143,7 +143,7 @@ class _Search:
             if opcode not in _BESIDE_CHUNKS or following > end:
                 break
             try:
-                add_record(self._file, opcode, start, following, self._found)
+                add_record(self._file, opcode, start, following, self._structure)
             except LogError:
                 break
             start = following

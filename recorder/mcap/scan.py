@@ -33,7 +33,6 @@ from recorder.mcap.mcap_file import (
     McapFile,
     prefixed,
 )
-from recorder.mcap.summary_groups import read_without_chunks
 from recorder.topics import QUALITY_METADATA
 
 GOES_ON: Final = "unfinished: its recording is still going on"
@@ -43,7 +42,6 @@ _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary start, summa
 _CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # first and last time, start, length, bytes of the map that follows
 _MAP_ENTRY_BYTES: Final = 2 + 8  # a channel, and where the index of its messages lies
 _MAX_MAP_BYTES: Final = _MAP_ENTRY_BYTES << 16  # there are as many numbers for channels
-_DATA_END_BYTES: Final = RECORD.size + 4
 
 # A chunk of less than 16 MiB: opcode, length, times, uncompressed size, CRC, compression.
 _CHUNK_START: Final = re.compile(
@@ -66,11 +64,9 @@ class Structure:
     statistics: Statistics | None = None  # of a finished file
     problem: str = ""  # why the file had to be walked through; empty for a finished one
     has_end: bool = True  # whether the data section is finished
-    data_end: int = 0  # where it ends in a finished file, by the summary
     attachment_names: dict[int, str] = field(default_factory=dict)  # by their offsets; by the summary
     has_quality: bool = False  # by the summary; every log of ours with rows whose data section has a CRC does
     lost: list[tuple[int, int]] = field(default_factory=list)  # stretches of bytes that make no sense
-    has_chunks: bool = True  # False: `chunks` was left out
 
     @property
     def image_channels(self) -> set[int]:
@@ -83,22 +79,17 @@ class Structure:
 
     def is_protobuf(self, channel: int, schema: str) -> bool:
         """True if a channel's messages are of this schema, in Protobuf."""
-        known = self.channels[channel]
-        return is_protobuf_channel(self.schemas.get(known.schema_id), known, schema)
+        record = self.channels[channel]
+        return is_protobuf_channel(self.schemas.get(record.schema_id), record, schema)
 
 
-def read_structure(file: McapFile, *, without_chunks: bool = False) -> Structure:
-    """The structure of the file: from its end if that is sound, else by walking through it. `without_chunks`: of
-    a long file in a store, its chunks may be left out."""
-    if without_chunks and file.is_remote:
-        found = read_summary(file, without_chunks=True)
-        if found is not None and is_complete(found):
-            return found
-    found = read_summary(file)
-    if found is None:
+def read_structure(file: McapFile) -> Structure:
+    """The structure of the file: from its end if that is sound, else by walking through it."""
+    structure = read_summary(file)
+    if structure is None:
         return walk(file)
-    if is_complete(found):
-        return found
+    if is_complete(structure):
+        return structure
     # other programs may leave out of the summary what can be found by walking; the file is a finished one
     walked = walk(file)
     return replace(walked, problem="") if walked.has_end and not walked.lost else walked
@@ -109,17 +100,17 @@ def is_complete(summary: Structure) -> bool:
     statistics = summary.statistics
     return (
         statistics is not None
-        and (len(summary.chunks) == statistics.chunk_count or not summary.has_chunks)
+        and len(summary.chunks) == statistics.chunk_count
         and len(summary.channels) >= statistics.channel_count
         and len(summary.schemas) >= statistics.schema_count
         and len(summary.metadata_at) == statistics.metadata_count
         and len(summary.attachments_at) == statistics.attachment_count
-        and (summary.chunks != [] or not statistics.message_count or not summary.has_chunks)
+        and (summary.chunks != [] or not statistics.message_count)
     )
 
 
-def walk_on(file: McapFile, position: int, found: Structure) -> tuple[int, bool]:
-    """Take into `found` what has been completed behind `position` of a file that grows.
+def walk_on(file: McapFile, position: int, structure: Structure) -> tuple[int, bool]:
+    """Take into `structure` what has been completed behind `position` of a file that grows.
 
     Returns the position to go on from next time, and True if nothing more will come. Start at `len(MAGIC)`; the
     file has its new size afterwards. Raises LogError where the file was deleted before its end was written, or is
@@ -137,7 +128,7 @@ def walk_on(file: McapFile, position: int, found: Structure) -> tuple[int, bool]
         try:
             if end > file.size:
                 raise file.damaged("no record")
-            add_record(file, opcode, position, end, found)
+            add_record(file, opcode, position, end, structure)
         except LogError:
             wasted += min(end, file.size) - position
             if wasted > max_waste:
@@ -145,34 +136,29 @@ def walk_on(file: McapFile, position: int, found: Structure) -> tuple[int, bool]
             end = next_chunk(file, position + 1)
             if end == file.size:
                 break  # the next chunk may still come
-            found.lost.append((position, end))
+            structure.lost.append((position, end))
         position = end
     if not is_there:
         raise LogError(f"{file.path}: deleted before it was finished; nothing more will come")
     return position, False
 
 
-def read_summary(file: McapFile, *, without_chunks: bool = False) -> Structure | None:
-    """The structure as the summary at the file's end lists it; None if that is not sound. `without_chunks`: the
-    chunks of a long one are left out."""
+def read_summary(file: McapFile) -> Structure | None:
+    """The structure as the summary at the file's end lists it; None if that is not sound."""
     tail = _FOOTER.size + len(MAGIC)
     if file.size < 2 * len(MAGIC) + _FOOTER.size:
         return None
     footer = file.read(file.size - tail, tail)
-    opcode, length, start, offsets_start, crc = _FOOTER.unpack_from(footer)
+    opcode, length, start, _, crc = _FOOTER.unpack_from(footer)
     is_footer = opcode == Opcode.FOOTER and length == _FOOTER.size - RECORD.size and footer.endswith(MAGIC)
     if not is_footer or not 0 < start <= file.size - tail or file.size - start > MAX_RECORD_BYTES:
         return None
-    found = Structure(data_end=start - _DATA_END_BYTES)
-    summary = read_without_chunks(file, start, offsets_start, file.size - tail) if without_chunks else None
-    if summary is not None:
-        found.has_chunks = False
-    else:
-        summary = file.read(start, file.size - start)
-        if not file.may_have_crc(crc, summary[: len(summary) - len(MAGIC) - 4]):
-            return None
+    structure = Structure()
+    summary = file.read(start, file.size - start)
+    if not file.may_have_crc(crc, summary[: len(summary) - len(MAGIC) - 4]):
+        return None
     try:
-        others = _take_chunk_indexes(summary, found.chunks)
+        others = _take_chunk_indexes(summary, structure.chunks)
         for record in StreamReader(
             io.BytesIO(others),
             skip_magic=True,
@@ -181,24 +167,24 @@ def read_summary(file: McapFile, *, without_chunks: bool = False) -> Structure |
         ).records:
             match record:
                 case Schema():
-                    found.schemas[record.id] = record
+                    structure.schemas[record.id] = record
                 case Channel():
-                    found.channels[record.id] = record
+                    structure.channels[record.id] = record
                 case MetadataIndex():
-                    found.metadata_at.append(record.offset)
-                    found.has_quality |= record.name == QUALITY_METADATA
+                    structure.metadata_at.append(record.offset)
+                    structure.has_quality |= record.name == QUALITY_METADATA
                 case AttachmentIndex():
-                    found.attachments_at.append(record.offset)
-                    found.attachment_names[record.offset] = record.name
+                    structure.attachments_at.append(record.offset)
+                    structure.attachment_names[record.offset] = record.name
                 case Statistics():
-                    found.statistics = record
+                    structure.statistics = record
     except UNREADABLE:
         return None
-    found.chunks.sort(key=lambda chunk: chunk.start)
-    edges = [len(MAGIC), *(edge for chunk in found.chunks for edge in (chunk.start, chunk.end)), start]
+    structure.chunks.sort(key=lambda chunk: chunk.start)
+    edges = [len(MAGIC), *(edge for chunk in structure.chunks for edge in (chunk.start, chunk.end)), start]
     if any(later < earlier for earlier, later in itertools.pairwise(edges)):
         return None
-    return found
+    return structure
 
 
 def _take_chunk_indexes(summary: bytes, chunks: list[Chunk]) -> bytes:
@@ -234,7 +220,7 @@ def _take_chunk_indexes(summary: bytes, chunks: list[Chunk]) -> bytes:
 
 def walk(file: McapFile) -> Structure:
     """The structure as it is found from the file's start to its end; what makes no sense is in `lost`."""
-    found = Structure(problem=GOES_ON if is_being_written(file.path) else KILLED, has_end=False)
+    structure = Structure(problem=GOES_ON if is_being_written(file.path) else KILLED, has_end=False)
     position, wasted, max_waste = len(MAGIC), 0, search_budget(file)
     unsure = position  # from here on no CRC has held: a damaged length may have led past whole chunks
     while file.size - position >= RECORD.size:
@@ -244,57 +230,58 @@ def walk(file: McapFile) -> Structure:
             if end > file.size:
                 raise file.damaged("no record")
             if opcode == Opcode.DATA_END and length == 4:
-                found.problem = "its end is damaged"
-                found.has_end = True
+                structure.problem = "its end is damaged"
+                structure.has_end = True
                 break
-            add_record(file, opcode, position, end, found)
+            add_record(file, opcode, position, end, structure)
         except LogError:
             following = next_chunk(file, unsure + 1) if wasted < max_waste else file.size
             if following == position:
                 following = next_chunk(file, position + 1)
             wasted += following - unsure + _SEARCH_BYTES + _cost(file, position, end)
             lost_from = position if following > position else unsure
-            if found.lost and found.lost[-1][1] == lost_from:
-                found.lost[-1] = (found.lost[-1][0], following)
+            if structure.lost and structure.lost[-1][1] == lost_from:
+                structure.lost[-1] = (structure.lost[-1][0], following)
             else:
-                found.lost.append((lost_from, following))
+                structure.lost.append((lost_from, following))
             position = unsure = following
         else:
             position = end
             if opcode in (Opcode.CHUNK, Opcode.MESSAGE):
                 unsure = end
-    if position < file.size and not found.has_end:
-        found.lost.append((position, file.size))  # a few bytes of a record that was being written
-    return found
+    if position < file.size and not structure.has_end:
+        structure.lost.append((position, file.size))  # a few bytes of a record that was being written
+    return structure
 
 
-def add_record(file: McapFile, opcode: int, start: int, end: int, found: Structure) -> None:
-    """Add to `found` the record of a data section from `start` to `end`. Raises LogError where it is none."""
+def add_record(file: McapFile, opcode: int, start: int, end: int, structure: Structure) -> None:
+    """Add to `structure` the record of a data section from `start` to `end`. Raises LogError where it is none."""
     if opcode == Opcode.CHUNK:
-        add_definitions(file, file.records(Chunk(start, end)), found)
+        add_definitions(file, file.records(Chunk(start, end)), structure)
         compression = prefixed(file.read(start, CHUNK_HEADER.size + 8), CHUNK_HEADER.size)
-        found.chunks.append(Chunk(start, end, compression.decode()))
-    elif opcode == Opcode.MESSAGE and _is_message(file, start, end, found):
-        found.chunks.append(Chunk(start, end, is_message=True))
+        structure.chunks.append(Chunk(start, end, compression.decode()))
+    elif opcode == Opcode.MESSAGE and _is_message(file, start, end, structure):
+        structure.chunks.append(Chunk(start, end, is_message=True))
     elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
         _add_definition(
-            file, opcode, file.read(start + RECORD.size, end - start - RECORD.size), found, exactly=True
+            file, opcode, file.read(start + RECORD.size, end - start - RECORD.size), structure, exactly=True
         )
     elif opcode == Opcode.METADATA:
         file.metadata(start)
-        found.metadata_at.append(start)
+        structure.metadata_at.append(start)
     elif opcode == Opcode.ATTACHMENT:
         file.attachment(start)
-        found.attachments_at.append(start)
+        structure.attachments_at.append(start)
     elif not (opcode == Opcode.MESSAGE_INDEX and _is_index(file, start, end)) and start != len(MAGIC):
         raise file.damaged("no record of a data section")  # but the header, which is the first
 
 
-def _is_message(file: McapFile, start: int, end: int, found: Structure) -> bool:
+def _is_message(file: McapFile, start: int, end: int, structure: Structure) -> bool:
     """Files without chunks exist, not of ours; no file has both, and a damaged chunk may look like a message."""
-    if file.promises_crcs or end - start < MESSAGE.size or (found.chunks and not found.chunks[0].is_message):
+    has_chunks = bool(structure.chunks) and not structure.chunks[0].is_message
+    if file.promises_crcs or end - start < MESSAGE.size or has_chunks:
         return False
-    return MESSAGE.unpack(file.read(start, MESSAGE.size))[2] in found.channels
+    return MESSAGE.unpack(file.read(start, MESSAGE.size))[2] in structure.channels
 
 
 def _cost(file: McapFile, start: int, end: int) -> int:

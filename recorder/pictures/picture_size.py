@@ -28,8 +28,8 @@ _SCAN_OR_END: Final = frozenset({0xD9, 0xDA})
 
 def width_and_height(picture: bytes) -> tuple[int, int] | None:
     """Width and height of a JPEG or PNG; None if it is neither, or cut off before that."""
-    found = _size_at(picture)
-    return None if found is None else found[0]
+    size_at = _size_at(picture)
+    return None if size_at is None else size_at[0]
 
 
 def _size_at(picture: bytes) -> tuple[tuple[int, int], int] | None:
@@ -57,18 +57,18 @@ class SizeReader:
     def width_and_height(self, picture: bytes) -> tuple[int, int] | None:
         """The same as the function `width_and_height`, quicker for pictures with the header of the last one."""
         if not self._header or not picture.startswith(self._header):
-            found = _size_at(picture)
-            if found is None:
+            size_at = _size_at(picture)
+            if size_at is None:
                 return None
-            self._size, end = found
+            self._size, end = size_at
             self._header = picture[:end]
         return self._size
 
 
 def pixels(picture: bytes) -> int | None:
     """Width x height of a JPEG or PNG; None if it is neither, or cut off before that."""
-    found = width_and_height(picture)
-    return None if found is None else found[0] * found[1]
+    size = width_and_height(picture)
+    return None if size is None else size[0] * size[1]
 
 
 def can_be_decoded(picture: bytes) -> bool:

@@ -211,28 +211,28 @@ def odd_in(quality: Mapping[str, str]) -> list[OddStretch] | None:
     return json_as(quality.get(ODD, ""), list[OddStretch])
 
 
-def odd_lines(found: Sequence[OddStretch]) -> list[str]:
+def odd_lines(odd: Sequence[OddStretch]) -> list[str]:
     """What is odd in a log, in words."""
-    lines = [str(each) for each in found[:MAX_NAMED]]
-    if len(found) > MAX_NAMED:
-        lines.append(f"and {counted(len(found) - MAX_NAMED, 'more stretch', 'more stretches')}")
+    lines = [str(each) for each in odd[:MAX_NAMED]]
+    if len(odd) > MAX_NAMED:
+        lines.append(f"and {counted(len(odd) - MAX_NAMED, 'more stretch', 'more stretches')}")
     return lines
 
 
-def exclude_command(found: Sequence[OddStretch], log: Location) -> str:
+def exclude_command(odd: Sequence[OddStretch], log: Location) -> str:
     """The command that excludes all that is sure."""
-    look = " --look" * any(each.is_sure and each.is_shown for each in found)
+    look = " --look" * any(each.is_sure and each.is_shown for each in odd)
     return f"bc-log tag {shlex.quote(str(log))} exclude --odd{look}"
 
 
-def odd_advice(found: Sequence[OddStretch], log: Location) -> list[str]:
+def odd_advice(odd: Sequence[OddStretch], log: Location) -> list[str]:
     """What becomes of what is odd in a log, and what to do about it; nothing where nothing is."""
     lines, place = [], shlex.quote(str(log))
-    if any(not each.is_learnt and each.kind in NOT_LEARNT for each in found):
+    if any(not each.is_learnt and each.kind in NOT_LEARNT for each in odd):
         lines.append("crashes, driving backwards and parked cars are not learnt by default, if a person drove")
-    if any(each.is_sure for each in found):
-        lines.append(f"`{exclude_command(found, log)}` excludes all that is sure")
-    if unsure := next((each for each in found if not each.is_sure), None):
+    if any(each.is_sure for each in odd):
+        lines.append(f"`{exclude_command(odd, log)}` excludes all that is sure")
+    if unsure := next((each for each in odd if not each.is_sure), None):
         look = f"`bc-play {place}`, or let `bc-log check {place}` look at its pictures"
         lines.append(f"look at what is perhaps odd, {look}; `{unsure.command(log)}` excludes it")
     return lines

@@ -52,32 +52,32 @@ class _Parser:
         self._at = 0
 
     def parsed(self) -> Mask:
-        found = self._any()
+        mask = self._any()
         if self._at < len(self._tokens):
             raise self._expected("and, or, or the end")
-        return found
+        return mask
 
     def _any(self) -> Mask:
-        found = self._all()
+        mask = self._all()
         while self._took("or"):
-            found = found | self._all()
-        return found
+            mask = mask | self._all()
+        return mask
 
     def _all(self) -> Mask:
-        found = self._one()
+        mask = self._one()
         while self._took("and"):
-            found = found & self._one()
-        return found
+            mask = mask & self._one()
+        return mask
 
     def _one(self) -> Mask:
         if self._took("("):
             self._depth += 1
             if self._depth > _MAX_PARENTHESES:
                 raise UsageError(f"--where: at most {_MAX_PARENTHESES} parentheses are taken")
-            found = self._any()
+            mask = self._any()
             if not self._took(")"):
                 raise self._expected("and, or, or )")
-            return found
+            return mask
         left = self._value()
         compare = _COMPARE.get(self._next())
         if compare is None:

@@ -76,6 +76,10 @@ class ServerHost(Protocol):
         """Wait until the connections that were closed have ended, and cut the others."""
         ...
 
+    def close(self) -> None:
+        """Stop listening."""
+        ...
+
 
 class Connection(Socket):  # type: ignore[misc]
     """Sends an answer in the thread that has read the message, and is pinged by the server's tick. Clients of

@@ -99,4 +99,7 @@ class EventletHost:
             with eventlet.Timeout(END_S, False):
                 self._connections.waitall()
             self._open_connections.close_all()
+        self.close()
+
+    def close(self) -> None:
         self._listener.close()

@@ -46,16 +46,16 @@ def parse_number(text: str, decimal: str = POINT) -> float | None:
     itself leaves that open."""
     if len(text) >= _MAX_CHARACTERS:
         return None
-    found = _NUMBER.fullmatch(_INVISIBLE.sub("", text).replace("\u2212", "-").strip())
-    if found is None or (found["sign"] and found["behind"]):
+    match = _NUMBER.fullmatch(_INVISIBLE.sub("", text).replace("\u2212", "-").strip())
+    if match is None or (match["sign"] and match["behind"]):
         return None
-    decimal = decimal_separator(found["digits"]) or decimal
-    digits = re.sub(f"[{re.escape(_THOUSANDS.replace(decimal, ''))}]", "", found["digits"]).replace(decimal, POINT)
+    decimal = decimal_separator(match["digits"]) or decimal
+    digits = re.sub(f"[{re.escape(_THOUSANDS.replace(decimal, ''))}]", "", match["digits"]).replace(decimal, POINT)
     try:
-        number = float(digits + (found["exponent"] or ""))
+        number = float(digits + (match["exponent"] or ""))
     except ValueError:  # two decimal separators, or one of another language
         return None
-    return -number if "-" in (found["sign"], found["behind"]) else number
+    return -number if "-" in (match["sign"], match["behind"]) else number
 
 
 def format_number(value: float, decimal: str = POINT) -> str:

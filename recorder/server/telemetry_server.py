@@ -185,6 +185,10 @@ class TelemetryServer:
         if self._failure is not None:
             raise self._failure
 
+    def close(self) -> None:
+        """Stop listening; `run` has done so at its end."""
+        self._host.close()
+
     def push(self, sid: str, command: Steer) -> None:
         """Send a command that answers no telemetry; to be called by the handler, from `tick`."""
         with self._lock:

@@ -68,6 +68,9 @@ class ThreadedHost(socketserver.ThreadingMixIn, WSGIServer):
         while len(self._open_connections) and time.monotonic() < until_s:
             time.sleep(0.01)
         self._open_connections.close_all()
+        self.close()
+
+    def close(self) -> None:
         self.server_close()
 
     def verify_request(self, request: Any, client_address: Any) -> bool:

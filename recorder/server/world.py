@@ -68,8 +68,8 @@ class WorldNotices:
 
     def new_notices(self, problems: Iterable[str], *, clock_stands: bool) -> list[str]:
         """The notices that are due after a telemetry with these problems (`parse_world`)."""
-        found = [*problems, CLOCK_STANDING] if clock_stands else problems
-        new = [problem for problem in found if problem not in self._noticed]
+        current = [*problems, CLOCK_STANDING] if clock_stands else problems
+        new = [problem for problem in current if problem not in self._noticed]
         self._noticed.update(new)
         return [f"the simulator's world is not used whole: {problem}" for problem in new]
 
@@ -100,12 +100,12 @@ def parse_world(value: object, decimal: str = POINT) -> tuple[World | None, tupl
     if not members and not problems:
         return None, (f"none of its members is known, which are {', '.join(MEMBERS)}",)
     for group in _GROUPS:
-        known = [name for name in group if name in members]
-        if known and len(known) < len(group):
+        present = [name for name in group if name in members]
+        if present and len(present) < len(group):
             missing = [name for name in group if value.get(name) is None]
             if missing:
-                problems.append(f"{' and '.join(missing)} missing beside {known[0]}: they go together")
-            for name in known:
+                problems.append(f"{' and '.join(missing)} missing beside {present[0]}: they go together")
+            for name in present:
                 del members[name]
     return (World(**members) if members else None), tuple(problems)
 

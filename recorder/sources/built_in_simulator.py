@@ -5,11 +5,9 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, ClassVar, Final, Literal
-
-import tyro
+from typing import Final
 
 from common import Skipped, UserError
 from common.errors import counted
@@ -22,9 +20,10 @@ from recorder.log.pose_message import pose_message
 from recorder.log.session_car import built_in, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.import_result import Imported
-from simulator.driving.drive_limits import MAX_LAPS, MAX_SPEED_MPH
+from recorder.sources.simulated_drive import SimulatedDrive
+from simulator.driving.drive_limits import MAX_LAPS, MAX_SPEED_MPH, DriverName
 from simulator.driving.recovery_driving import MAX_RECOVERY, DriveStep, drive_for_recording, steps_each
-from simulator.driving.simulated_driver import DriverName, make_driver
+from simulator.driving.simulated_driver import make_driver
 from simulator.driving.simulation import Simulation
 from simulator.protocol.udacity_writer import UdacityWriter
 from simulator.rendering.camera import MOUNT_LEFT_M
@@ -35,31 +34,6 @@ CLOCK_START_NS: Final = 1_767_225_600 * 10**9  # 2026-01-01T00:00:00Z
 _SPEED_EXPECTED: Final = f"a set speed above 0 mph and up to {MAX_SPEED_MPH} (the car reaches 30)"
 BACK_TO_START_S: Final = 2.0
 """The gap in the times of a recording where the car is put back at the start, to be driven at another speed."""
-
-
-@dataclass(frozen=True)
-class SimulatedDrive:
-    """A drive of the built-in simulator."""
-
-    RARE: ClassVar[str] = "start recovery noise"
-    track: str = "lake"
-    """lake, mountain, random:SEED, or hairpins:SEED."""
-    driver: DriverName | Literal["me"] = "expert"
-    """The expert, a simulated person at keyboard or mouse, or you (me)."""
-    laps: float | None = None
-    """Laps at each speed; by default 1."""
-    start: Annotated[float, tyro.conf.arg(metavar="METRES")] = 0.0
-    """With --driver me: where to start."""
-    speed: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MPH [MPH ...]")] = (10.0,)
-    """Set speeds, one drive each; the driver slows for bends."""
-    rate: Annotated[float, tyro.conf.Suppress] = 10.0  # bc-record has a --rate of its own
-    """Recorded rows a second; it must divide 50."""
-    recovery: float = 0.35
-    """Share of rows in which the car returns to the line."""
-    noise: float = 0.03
-    """Unsteadiness of the steering; 0.03: a calm person."""
-    seed: int = 0
-    """Same seed, same log; also of --gym's first episode."""
 
 
 def record_simulated(

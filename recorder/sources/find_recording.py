@@ -23,11 +23,11 @@ def is_udacity(folder: Path) -> bool:
 
 def recordings_near(source: Path) -> str:
     """ " did you mean ...?", naming the recordings near `source`; "" without any."""
-    found = list(islice(_search(source), _MAX_SUGGESTED + 1))
-    if not found:
+    suggestions = list(islice(_search(source), _MAX_SUGGESTED + 1))
+    if not suggestions:
         return ""
-    more = " or another one there" if len(found) > _MAX_SUGGESTED else ""
-    return f" did you mean {' or '.join(map(str, found[:_MAX_SUGGESTED]))}{more}?"
+    more = " or another one there" if len(suggestions) > _MAX_SUGGESTED else ""
+    return f" did you mean {' or '.join(map(str, suggestions[:_MAX_SUGGESTED]))}{more}?"
 
 
 def recordings_in(folder: Path, levels: int = 2) -> list[Path]:
@@ -35,9 +35,9 @@ def recordings_in(folder: Path, levels: int = 2) -> list[Path]:
     if _is_recording(folder):
         return [folder]
     folders = [folder, *(inner for level in islice(_levels_below(folder), levels) for inner in level)]
-    found = [each for each in folders if _is_recording(each)]
-    others = [each for each in folders if not any(each.is_relative_to(one) for one in found)]
-    return [*found, *(path for each in others for path in _files_in(each))]
+    recordings = [each for each in folders if _is_recording(each)]
+    others = [each for each in folders if not any(each.is_relative_to(one) for one in recordings)]
+    return [*recordings, *(path for each in others for path in _files_in(each))]
 
 
 def _search(source: Path) -> Iterator[Path]:

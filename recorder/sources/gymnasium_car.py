@@ -236,12 +236,12 @@ def _their_errors(what: str, where: str) -> Iterator[None]:
 
 def _parse_arguments(text: str) -> dict[str, Any]:
     try:
-        found = json.loads(text)
+        arguments = json.loads(text)
     except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict):
+        arguments = None
+    if not isinstance(arguments, dict):
         raise UsageError(f"--gym-args {text}: a JSON object was expected, such as '{{\"seed\": 7}}'")
-    return found
+    return arguments
 
 
 def _parse_action(text: str | None) -> ActionMap:
@@ -262,7 +262,7 @@ def _parse_speed(text: str | None) -> tuple[float, str | None]:
 
 def _find_picture(name: str, space: Any, key: str | None) -> tuple[str, ...]:
     """The keys that lead to the camera's picture."""
-    pictures = [keys for keys, found in _parts(space) if _is_picture(found)]
+    pictures = [keys for keys, part in _parts(space) if _is_picture(part)]
     shown = ", ".join(".".join(keys) for keys in pictures)
     if key is not None:
         wanted = tuple(key.split("."))

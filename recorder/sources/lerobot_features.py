@@ -63,8 +63,8 @@ class LeRobotFeatures:
 
     @property
     def numbers(self) -> list[FeatureNumber]:
-        found = (self.steering, self.throttle, self.brake, self.speed_mph)
-        return [number for number in found if number is not None]
+        numbers = (self.steering, self.throttle, self.brake, self.speed_mph)
+        return [number for number in numbers if number is not None]
 
 
 def choose_features(

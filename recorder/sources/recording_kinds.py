@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from common.files import PART_SUFFIX
 from common.untrusted import real_path
@@ -21,18 +17,7 @@ from recorder.sources.import_mcap import McapTopics, import_mcap, is_mcap_or_bag
 from recorder.sources.import_result import Imported
 from recorder.sources.import_udacity import import_udacity
 from recorder.sources.lerobot_dataset import is_lerobot
-
-
-@dataclass(frozen=True)
-class Topics:
-    """Topics of another program's log, or features of a dataset."""
-
-    image: Annotated[str | None, tyro.conf.arg(metavar="TOPIC")] = None
-    """Topic of the pictures, or a LeRobot dataset's feature."""
-    steering: Annotated[str | None, tyro.conf.arg(metavar="TOPIC.FIELD")] = None
-    """The steering: /cmd_vel.angular.z; for LeRobot: action.steering."""
-    steering_scale: float = 1.0
-    """Factor to -1 (left) .. 1 (right); negative for ROS."""
+from recorder.sources.topic_flags import Topics
 
 
 def import_recording(

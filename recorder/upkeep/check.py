@@ -13,7 +13,8 @@ from common.progress import track
 from recorder.errors import LogError
 from recorder.log.reader import Log
 from recorder.log.road_places import states_of
-from recorder.log.tagged_rows import fine_rows
+from recorder.log.tagged_rows import tagged_rows
+from recorder.log.tags import EXCLUDE
 from recorder.mcap.mcap_file import McapFile
 from recorder.mcap.scan import read_structure
 from recorder.rows.odd_stretches import OddStretch, odd_stretches
@@ -66,7 +67,7 @@ def check(path: Location, *, look: bool = True) -> Checked:
     """
     damage: list[Finding] = []
     findings: list[Finding] = []
-    fine = fine_rows(path)
+    fine = tagged_rows(path)
     with McapFile(path) as file:
         structure = read_structure(file)
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
@@ -97,7 +98,7 @@ def check(path: Location, *, look: bool = True) -> Checked:
                 left_out = "`bc-index --cameras center` leaves them out"
                 findings.append(Finding("side cameras that are swapped", f"left and right; {left_out}"))
     odd = fine.left(odd)
-    findings += odd_findings(odd)
+    findings += odd_findings(tagged_rows(path, EXCLUDE).left(odd))
     pauses = [finding for finding in findings if finding.kind == GAPS and _is_paused_by_people(path)]
     return Checked(
         path,
@@ -116,6 +117,6 @@ def check(path: Location, *, look: bool = True) -> Checked:
 
 def _is_paused_by_people(path: Location) -> bool:
     """Whether a log was imported from a recorder that people switch off and on: a gap is then no loss."""
-    with contextlib.suppress(LogError), Log(path, brief=True) as log:
+    with contextlib.suppress(LogError), Log(path) as log:
         return log.metadata.get("source") in ("udacity", "donkeycar", "csv")
     return False

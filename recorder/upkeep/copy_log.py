@@ -74,8 +74,8 @@ def copy_log(
 def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
     with Log(log) as opened:  # raises LogError for a file that is no log
         size, fingerprint = opened.size, opened.file_fingerprint
-    if (there := find_object(url)) is not None:
-        if there.size == size and _fingerprint(url) == fingerprint:
+    if (stored := find_object(url)) is not None:
+        if stored.size == size and _fingerprint(url) == fingerprint:
             on_bytes(size)
             return Copied(url, size, False, _upload_tags(log, url, overwrite))
         if not overwrite:
@@ -118,8 +118,8 @@ def _refuse_other(made: Url, log: Path, fingerprint: str) -> None:
 
 def _is_there(url: Url, size: int, fingerprint: str) -> bool:
     """True if this log is there, whole."""
-    found = find_object(url)
-    return found is not None and found.size == size and _fingerprint(url) == fingerprint
+    stored = find_object(url)
+    return stored is not None and stored.size == size and _fingerprint(url) == fingerprint
 
 
 def _parts(log: Path, on_bytes: OnBytes, free: Url | None) -> Iterator[bytes]:
@@ -189,31 +189,31 @@ def _fingerprint(place: Location) -> str:
 
 def _upload_tags(log: Path, url: Url, overwrite: bool) -> str:
     """Copy the tags beside a log; returns why not, where others are there."""
-    ours, there = tags_path(log), tags_path(url)
-    if not ours.is_file():
+    file, stored = tags_path(log), tags_path(url)
+    if not file.is_file():
         return ""
-    tags = ours.read_bytes()
+    tags = file.read_bytes()
     if overwrite:
-        put_over(there, tags)
+        put_over(stored, tags)
         return ""
     try:
-        put_new(there, tags)
+        put_new(stored, tags)
     except ObjectExistsError:
-        return "" if read_object(there, MAX_BYTES) == tags else _other_tags(ours, there)
+        return "" if read_object(stored, MAX_BYTES) == tags else _other_tags(file, stored)
     return ""
 
 
 def _download_tags(url: Url, path: Path, overwrite: bool) -> str:
-    there, ours = tags_path(url), tags_path(path)
-    tags = read_object(there, MAX_BYTES)
-    if tags is None or (ours.is_file() and ours.read_bytes() == tags):
+    stored, file = tags_path(url), tags_path(path)
+    tags = read_object(stored, MAX_BYTES)
+    if tags is None or (file.is_file() and file.read_bytes() == tags):
         return ""
-    if ours.exists() and not overwrite:
-        return _other_tags(there, ours)
-    with atomic_file(ours, overwrite=overwrite) as part:
+    if file.exists() and not overwrite:
+        return _other_tags(stored, file)
+    with atomic_file(file, overwrite=overwrite) as part:
         part.write_bytes(tags)
     return ""
 
 
-def _other_tags(tags: Location, there: Location) -> str:
-    return f"{tags}: not copied, {there} has other tags; --force replaces them"
+def _other_tags(tags: Location, target: Location) -> str:
+    return f"{tags}: not copied, {target} has other tags; --force replaces them"

@@ -9,9 +9,9 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
-from common.location import Location, Url
+from common.location import Location
 from common.untrusted_json import json_as
 from recorder import topics
 from recorder.log.known_lag import keep_lag, kept_lag, known_lag, noted_lag
@@ -106,30 +106,13 @@ class LogInfo:
         return json.dumps({**asdict(self), "tags": tags}, allow_nan=False)
 
 
-@overload
-def logs_in(folder: Path) -> list[Path]: ...
-
-
-@overload
-def logs_in(folder: Url) -> list[Url]: ...
-
-
-def logs_in(folder: Location) -> list[Path] | list[Url]:
-    """The logs of a folder by name, finished and not. Raises StoreError for what cannot be listed."""
-    if isinstance(folder, Url):
-        from common.object_store import list_objects  # an extra
-
-        return [each.url for each in list_objects(folder) if each.url.suffix == ".mcap"]
-    return sorted((*folder.glob("*.mcap"), *folder.glob("*.mcap.*.part")))
-
-
 def describe(
     place: Location | Log, *, look: bool = False, with_tags: bool = True, with_kept_lag: bool = True
 ) -> LogInfo:
     """Describe a log by its place, or one that is open; `look` measures the steering's lag in some pictures if
     nobody has yet. `with_tags`, `with_kept_lag`: with what is kept beside the log. Raises LogError if the log
     cannot be read or, `with_tags`, its tags; StoreError."""
-    with contextlib.nullcontext(place) if isinstance(place, Log) else Log(place, brief=True) as log:
+    with contextlib.nullcontext(place) if isinstance(place, Log) else Log(place) as log:
         first_ns, last_ns = log.time_range_ns
         duration_s = (last_ns - first_ns) / 1e9
         counts, schemas = log.counts, log.schemas

@@ -1,4 +1,8 @@
-"""The most that a drive of the built-in simulator may be asked for: more is a slip of the finger."""
+"""What a drive of the built-in simulator may be asked for: its drivers, and how much at most."""
+
+from typing import Literal
+
+DriverName = Literal["expert", "keyboard", "mouse"]
 
 MAX_SPEED_MPH = 100
 """Of a set speed; the car reaches 30."""

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal, Protocol, assert_never
+from typing import Protocol, assert_never
 
 from simulator.driving.course import Course
+from simulator.driving.drive_limits import DriverName
 from simulator.driving.expert import Expert
 from simulator.driving.keyboard import KeyboardDriver
 from simulator.driving.mouse import MouseDriver
 from simulator.roads.centreline import Centreline
-
-DriverName = Literal["expert", "keyboard", "mouse"]
 
 
 class SimulatedDriver(Protocol):

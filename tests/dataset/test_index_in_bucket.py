@@ -12,10 +12,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import dataset.index_command
 import pyarrow as pa
 import pytest
 
+import dataset.index_command
 from bucket import Bucket, serving_bucket
 from common.allowed_places import allow_places
 from common.location import Url

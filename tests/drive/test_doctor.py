@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
 from pathlib import Path
 from typing import Any
@@ -97,7 +98,10 @@ def test_odd_rows_are_named_with_their_longest_stretch() -> None:
 def test_what_is_perhaps_odd_is_to_be_looked_at() -> None:
     write_log(Path("sessions") / "sunday.mcap", [0.1] * 60, overwrite=True)
     assert "bc-log check sessions/sunday.mcap" in commands()
+    before = examine().advice
     assert call(log_command, "tag", "sessions/sunday.mcap", "exclude", "--start", 0) == 0
+    os.utime("sessions/sunday.tags.jsonl", (2e9, 2e9))  # whatever the clock's steps are
+    assert next(each for each in examine().advice if each not in before).why == "tags are newer than the index"
     assert "bc-log check sessions/sunday.mcap" not in commands()
     write_log(Path("sessions") / "sunday.mcap", [3.0] * 30 + STEERING[:30], overwrite=True)
     assert any("values out of range: 30" in line for line in examine().odd)

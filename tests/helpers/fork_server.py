@@ -23,8 +23,10 @@ from typing import Any, NoReturn
 LOADED = (
     *("torch", "cv2", "pyarrow.compute", "pyarrow.parquet", "rich.progress"),
     *("tyro._backends._tyro_backend", "typeguard"),
-    *("model.cli", "model.pilot", "model.training.trainer", "dataset.cli", "drive.cli"),
-    *("recorder.cli", "recorder.log_cli", "recorder.server.eventlet_host", "recorder.server.threaded_host"),
+    *("model.cli", "model.pilot", "model.training.trainer", "dataset.index_command", "drive.cli"),
+    *("recorder.record_command", "recorder.upkeep.check", "recorder.upkeep.edit", "recorder.upkeep.recover"),
+    *("dataset.cli", "recorder.cli", "recorder.log_cli"),
+    *("recorder.server.eventlet_host", "recorder.server.threaded_host"),
     *("drive.evaluation.eval_cli", "drive.evaluation.closed_loop", "simulator.cli", "viz.cli"),
 )
 LOADED_IF_INSTALLED = (

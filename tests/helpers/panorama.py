@@ -64,7 +64,7 @@ def write_drive(
     at_s = np.arange(len(pictures)) / RATE_HZ
     steering = wheel(at_s)
     speed = speed_mph(at_s) if callable(speed_mph) else np.full(len(at_s), speed_mph)
-    with LogWriter(path, {"source": "test", **about}, live=live) as writer:
+    with LogWriter(path, {"source": "test"} | about, live=live) as writer:
         for row, picture in enumerate(pictures):
             time_ns = START_NS + start_s * 1_000_000_000 + round(row * 1e9 / RATE_HZ)
             state = VehicleState(

@@ -308,7 +308,7 @@ def test_a_run_of_the_version_before_is_judged_by_what_it_has(tmp_path: Path) ->
     assert "driving error (" in judge(run).summary
 
 
-def test_crashes_that_an_earlier_version_held_out_are_said_until_bc_eval_has_measured_without(
+def test_crashes_held_out_by_an_earlier_version_are_said(
     tmp_path: Path,
 ) -> None:
     config = sound()

@@ -15,9 +15,10 @@ from disk import files_of_at_most
 from driving import PATIENCE_S, Process, command
 from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
 from recorder import import_udacity
-from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
+from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.import_mcap import import_mcap
+from recorder.sources.simulated_drive import SimulatedDrive
 from recorder.sources.udacity_follow import watch_udacity
 from tubs import record_2, write_tub_2
 from udacity import make_recording, paths

@@ -16,7 +16,8 @@ from recorder import Log
 from recorder.bc_pb2 import VehicleState
 from recorder.log.writer import LogWriter
 from recorder.log_cli import main
-from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
+from recorder.sources.built_in_simulator import record_simulated
+from recorder.sources.simulated_drive import SimulatedDrive
 from recorder.upkeep import copy_log
 from recorder.upkeep.log_info import describe
 from udacity import call, jpeg

@@ -23,18 +23,20 @@ from driving import road_jpeg, run, run_code, untrained_run
 from logs import START_NS, STEP_NS, plain_read, read_messages
 from model.evaluation.predict_log import predict_log
 from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
+from panorama import write_drive
 from recorder import Log, LogWriter, import_udacity
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.lerobot.export import export_lerobot
 from recorder.log.meant_gaps import not_recorded
 from recorder.log.tags import Tag, read_tags
-from recorder.sources.built_in_simulator import SimulatedDrive, record_simulated
+from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.gymnasium_flags import GymFlags
 from recorder.sources.import_csv import import_csv
 from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.import_lerobot import import_lerobot
 from recorder.sources.import_mcap import import_mcap
 from recorder.sources.record_gymnasium import GymRecording, record_gymnasium
+from recorder.sources.simulated_drive import SimulatedDrive
 from recorder.upkeep.edit import merge, rewrite, split, trim
 from recorder.upkeep.recover import recover
 from repository import ROOT
@@ -273,6 +275,7 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
             writer.picture("center", row, row, cv2.imencode(".jpg", np.zeros(size, np.uint8))[1].tobytes())
             writer.vehicle(row, row, VehicleState())
 
+    path["a minute"] = write_drive(folder / "a minute.mcap", [b"no picture"] * 601, source="udacity")
     recover(path["udacity"], path["recovered"])
     trim(path["simulator"], path["trimmed"], (1, 2))
     path["rewritten"] = rewrite(path["udacity"], folder / "rewritten.mcap").path

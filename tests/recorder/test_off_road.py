@@ -70,7 +70,7 @@ def test_a_car_that_comes_back_without_a_stop_is_named(tmp_path: Path, capsys: p
     assert capsys.readouterr().out == f"exclude: rows {found.first_row} to {found.last_row}\n"
 
 
-def test_nothing_is_said_of_a_car_on_its_road_or_of_a_road_that_is_not_known(tmp_path: Path) -> None:
+def test_a_car_on_its_road_or_on_an_unknown_one_is_not_named(tmp_path: Path) -> None:
     assert drive(tmp_path / "on.mcap", steer=False) == set()
     for name, session in (("other", {"track_fingerprint": "f" * 64}), ("none", {"track": "my road"})):
         drive(tmp_path / f"{name}.mcap", steer=True, **session)
@@ -85,7 +85,7 @@ def test_nothing_is_said_of_a_car_on_its_road_or_of_a_road_that_is_not_known(tmp
     assert odd_stretches(nowhere) == []
 
 
-def test_stretches_that_follow_each_other_are_one_and_a_car_put_back_at_once_is_none() -> None:
+def test_stretches_that_follow_are_one_and_a_car_put_back_is_none() -> None:
     beyond_m = np.full(100, -1.0)
     beyond_m[[10, *range(20, 30), *range(45, 60), *range(90, 96)]] = 0.5
     off = off_road_rows(beyond_m, np.arange(100) / 10, np.zeros(100, np.int64))

@@ -10,11 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from simulator.driving.course import Course
+from simulator.driving.drive_limits import DriverName
 from simulator.driving.keyboard import KeyPress
 from simulator.driving.mouse import FULL_LOCK_PX
 from simulator.driving.person import REACTION_S
 from simulator.driving.recovery_driving import PUSH_S, DriveStep, drive_for_recording
-from simulator.driving.simulated_driver import DriverName, make_driver
+from simulator.driving.simulated_driver import make_driver
 from simulator.driving.vehicle import STEP_S
 from simulator.roads.track import load_track
 

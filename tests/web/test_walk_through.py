@@ -138,7 +138,7 @@ def test_from_a_damaged_session_to_its_drive(
         with Log(drive) as found:
             assert found.metadata["run"] == "walked"
             driven = len(found.vehicle())
-        page.click(f"text={drive.stem}")
+        page.click(f"a:text('{drive.stem}')")
         open_session(page)
         assert f"{driven} rows" in page.inner_text(".title")
         # not by decode(): it fails where the page goes on to another picture meanwhile

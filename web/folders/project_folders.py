@@ -21,8 +21,8 @@ from common.files import PART_SUFFIX
 from common.location import Location, Url
 from dataset.index.build_state import Stat, stat_of
 from model.runs.run_files import CONFIG
+from recorder.log.logs_in_folder import logs_in
 from recorder.log.tags import tags_path
-from recorder.upkeep.log_info import logs_in
 from web.errors import WebError
 from web.folders.file_versions import version_of, version_of_folder, version_of_growing, version_of_stats
 from web.folders.stored_folders import StoredCopy, StoreListings

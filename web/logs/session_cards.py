@@ -258,7 +258,7 @@ def _is_empty(path: Location) -> bool:
 
 def _read_glance(path: Location) -> Glance:
     # a path may be no text; of what is kept, nothing depends on where it was
-    with Log(path, brief=True) as log:
+    with Log(path) as log:
         info = describe(log, with_tags=False, with_kept_lag=False)  # kept as long as the log is the same
         info = dataclasses.replace(info, path="", notice=printable(info.notice))
         return Glance(info, log.fingerprint)

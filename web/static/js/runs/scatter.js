@@ -67,7 +67,8 @@ function draw(heldOut) {
 
 const angle = (share, digits = 1) => {
   const { max_deg: maxDeg } = predictions.about;
-  return maxDeg === null ? `${Math.round(100 * share)} %` : `${(share * maxDeg).toFixed(digits)}°`;
+  const text = maxDeg === null ? `${Math.round(100 * share)} %` : `${(share * maxDeg).toFixed(digits)}°`;
+  return text.replace(/^-(0\.?0*[° ])/, "$1");
 };
 
 /** The line on which both are the same, and an axis of each through zero. */

@@ -1,0 +1,143 @@
+"""The training step, the index and the reply of a drive, beside what they have been on this kind of processor.
+
+python benchmarks/bench.py            # make bench: five minutes; exit code 1 if something is 10 % slower
+python benchmarks/bench.py --keep     # keeps these figures for this kind of processor
+
+benchmarks/kept_figures.json has the kept ones. Each figure is the best of its rounds: whatever else a machine does
+only slows it. The rounds take turns, so that a slow minute meets all of them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Final
+
+import torch
+from driving_servers import start_ours, write_pictures
+from indexing import write_log
+
+from dataset import IndexConfig, build_index
+from model.adam import Adam
+from model.config import TrainConfig
+from model.device import choose_machine
+from model.network.original import SteeringNetwork
+from model.training.step import training_step
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from driving import untrained_run
+
+KEPT: Final = Path(__file__).with_name("kept_figures.json")
+MOVED: Final = 0.1
+ROUNDS: Final = 5
+BATCHES: Final = 4  # of 256, in a round
+ROWS: Final = 20_000  # of the log that is indexed
+REPLIES: Final = 1_500  # in a round
+UNITS: Final = {"training step": "samples/s", "index": "frames/s of processor time", "reply": "replies/s"}
+
+
+def processor() -> str:
+    """Its name, what it multiplies with, and how many cores this process may use."""
+    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    about = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
+    flags = set(about.get("flags", "").split())
+    units = [name for name in ("avx2", "avx512f", "avx512_bf16", "amx_bf16") if name in flags]
+    return f"{about.get('model name', 'unknown')}, {' '.join(units)}, {len(os.sched_getaffinity(0))} cores"
+
+
+def train_steps() -> Callable[[], float]:
+    """The default network learns random pictures in memory."""
+    config = TrainConfig()
+    machine = choose_machine(config)
+    network = SteeringNetwork(config.dropout).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    optimizer = Adam(network.parameters(), config.rate)
+    pictures = torch.randint(0, 256, (config.batch, 128, 128, 3), dtype=torch.uint8).permute(0, 3, 1, 2)
+    steering = torch.rand(config.batch) * 2 - 1
+    network.train()
+
+    def round_of() -> float:
+        begin_s = time.perf_counter()
+        for _ in range(BATCHES):
+            training_step(
+                network, optimizer, pictures, steering, dtype=machine.dtype, micro_batch=machine.micro_batch
+            )
+        return BATCHES * config.batch / (time.perf_counter() - begin_s)
+
+    return round_of
+
+
+def index_log(folder: Path) -> Callable[[], float]:
+    """A log of three cameras is indexed anew, with balanced samples."""
+    log = write_log(folder, ROWS, 0)
+    rounds = iter(range(ROUNDS + 1))
+
+    def round_of() -> float:
+        begin_s = time.process_time()
+        made = build_index([log], folder / f"index{next(rounds)}", IndexConfig())
+        taken_s = time.process_time() - begin_s
+        return sum(counts.frames for counts in made.counts.values()) / taken_s
+
+    return round_of
+
+
+@contextmanager
+def answer(folder: Path) -> Iterator[Callable[[], float]]:
+    """`bc-drive` with the default network answers a client with one telemetry in flight."""
+    pictures = folder / "pictures"
+    pictures.mkdir()
+    write_pictures(None, pictures)
+    with ExitStack() as stack:
+        server = start_ours(
+            "bc-drive", untrained_run(folder / "run", network="original"), folder / "drive.mcap", stack
+        )
+        server.suspend()
+        yield lambda: server.drive(pictures, REPLIES, 60.0).replies_per_s
+
+
+def measure() -> dict[str, float]:
+    with tempfile.TemporaryDirectory(prefix="bc-bench-") as name, answer(Path(name)) as reply:
+        rounds = {"training step": train_steps(), "index": index_log(Path(name)), "reply": reply}
+        found: dict[str, list[float]] = {what: [] for what in rounds}
+        for _ in range(ROUNDS + 1):
+            for what, round_of in rounds.items():
+                found[what].append(round_of())
+    for what, rates in found.items():
+        shown = ", ".join(f"{rate:,.0f}" for rate in sorted(rates[1:]))
+        print(f"{what}: {shown} (median {statistics.median(rates[1:]):,.0f})", file=sys.stderr)
+    return {what: max(rates[1:]) for what, rates in found.items()}  # the first warms up
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--keep", action="store_true", help="keep the figures for this kind of processor")
+    arguments = parser.parse_args()
+    kind = processor()
+    all_kept = json.loads(KEPT.read_text(encoding="utf-8"))
+    kept: dict[str, float] = all_kept.get(kind, {})
+    found = measure()
+    print(f"{kind}:\n\n| | now | kept | ratio | |\n|---|---|---|---|---|")
+    is_slower = False
+    for what, rate in found.items():
+        if what not in kept:
+            print(f"| {what}, {UNITS[what]} | {rate:,.0f} | - | - | nothing kept: --keep |")
+            continue
+        ratio = rate / kept[what]
+        moved = "**slower**" if ratio < 1 - MOVED else "faster: --keep" if ratio > 1 + MOVED else ""
+        is_slower |= ratio < 1 - MOVED
+        print(f"| {what}, {UNITS[what]} | {rate:,.0f} | {kept[what]:,.0f} | {ratio:.2f} | {moved} |")
+    if arguments.keep:
+        all_kept[kind] = {what: round(rate) for what, rate in found.items()}
+        KEPT.write_text(json.dumps(all_kept, indent=2, sort_keys=True) + "\n", encoding="utf-8")
+    raise SystemExit(int(is_slower))
+
+
+if __name__ == "__main__":
+    main()

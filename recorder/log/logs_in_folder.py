@@ -1,0 +1,25 @@
+"""The logs of a folder, here or in a store."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import overload
+
+from common.location import Location, Url
+
+
+@overload
+def logs_in(folder: Path) -> list[Path]: ...
+
+
+@overload
+def logs_in(folder: Url) -> list[Url]: ...
+
+
+def logs_in(folder: Location) -> list[Path] | list[Url]:
+    """The logs of a folder by name, finished and not. Raises StoreError for what cannot be listed."""
+    if isinstance(folder, Url):
+        from common.object_store import list_objects  # an extra
+
+        return [each.url for each in list_objects(folder) if each.url.suffix == ".mcap"]
+    return sorted((*folder.glob("*.mcap"), *folder.glob("*.mcap.*.part")))
