@@ -133,7 +133,7 @@ def test_draws_are_those_of_splitmix64() -> None:
 # Nothing else is altered
 
 
-def test_without_it_and_out_of_an_epoch_the_pictures_and_labels_are_those_of_the_index(index: Path) -> None:
+def test_without_it_pictures_and_labels_are_those_of_the_index(index: Path) -> None:
     with load(index, batch=16) as plain, load(index, batch=16, alter_each_epoch=EPOCH_ALTERATIONS) as loader:
         assert batches(plain, 1) != batches(loader, 1)
         order = loader.order(1)
@@ -161,7 +161,7 @@ def test_a_networks_own_picture_is_altered_before_its_colours_are_changed(index:
 # The label moves with the picture
 
 
-def test_a_picture_moves_up_to_8_columns_and_5_rows_and_the_steering_by_0_0075_a_column() -> None:
+def test_a_picture_moves_with_its_steering() -> None:
     moved = places(altered(spot(), "move")) - places(spot()[None])
     assert -8 <= moved[:, 0].min() < -7
     assert 7 < moved[:, 0].max() <= 8
@@ -170,7 +170,7 @@ def test_a_picture_moves_up_to_8_columns_and_5_rows_and_the_steering_by_0_0075_a
     np.testing.assert_allclose(labels - 0.1, 0.0075 * moved[:, 0], atol=0.0075 * 0.1)
 
 
-def test_another_size_moves_by_the_same_share_and_steering_follows_the_side_correction() -> None:
+def test_another_size_moves_by_the_same_share() -> None:
     narrow = of("move").draw(1, SAMPLES, 32, 64).matrix
     wide = of("move").draw(1, SAMPLES, 64, 128).matrix
     assert narrow is not None
@@ -227,7 +227,7 @@ def test_nothing_black_comes_in_at_the_edges() -> None:
     assert (altered(grey(90), "move", "zoom", "turn") == 90).all()
 
 
-def test_contrast_is_around_the_middle_grey_brightness_adds_colours_are_apart() -> None:
+def test_contrast_brightness_and_colours_change_apart() -> None:
     dark, bright = altered(grey(78), "contrast")[:, 0, 0], altered(grey(178), "contrast")[:, 0, 0]
     factor = (bright.astype(float) - dark) / 100
     assert (factor.min(), factor.max()) == pytest.approx((0.7, 1.3), abs=0.02)

@@ -57,7 +57,7 @@ def weights(run: Path) -> bytes:
     return (run / "model.safetensors").read_bytes()
 
 
-def test_a_training_that_is_stopped_in_an_epoch_goes_on_to_the_same_weights(
+def test_a_training_stopped_in_an_epoch_resumes_to_the_same_weights(
     index: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("model.training.loop.STEP_BATCHES", 3)
