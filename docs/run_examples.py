@@ -45,6 +45,8 @@ def main() -> None:
     for page in PAGES:
         for code in _blocks((ROOT / page).read_text(encoding="utf-8"), "python"):
             _run([sys.executable, "-I", "-c", code], folder)
+    for example in sorted((ROOT / "examples").glob("log_*.py")):
+        _run([sys.executable, "-I", str(example)], folder)
 
 
 def _commands() -> Iterator[list[str]]:

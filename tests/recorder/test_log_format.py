@@ -125,7 +125,7 @@ def test_the_example_with_mcap_reads_a_log_without_this_project(log: Path) -> No
 
 
 def test_the_example_with_the_toolkit(log: Path) -> None:
-    (code,) = blocks("With this toolkit", "python")
+    code = (ROOT / "examples" / "log_with_toolkit.py").read_text(encoding="utf-8")
     done = run_code(code, cwd=log.parent)
     assert done.returncode == 0, done.stderr
     steering = [row[0] for row in ROWS]
@@ -338,7 +338,7 @@ def test_every_field_stands_on_the_page(
 
 
 def test_the_columns_in_the_example_are_those_of_the_tables(log: Path) -> None:
-    (code,) = blocks("With this toolkit", "python")
+    code = (ROOT / "examples" / "log_with_toolkit.py").read_text(encoding="utf-8")
     told = {name: columns.split(", ") for name, columns in re.findall(r"log\.(\w+)\(\)  # .*?: (.*)", code)}
     with Log(log) as opened:
         assert told == {"frames": opened.frames().column_names, "vehicle": opened.vehicle().column_names}

@@ -181,12 +181,11 @@ def test_the_names_are_known_however_the_two_are_imported() -> None:
         assert (done.stdout, done.stderr) == ("{'track': 'mountain'}\n", "")
 
 
-def test_the_example_of_the_page_drives(
+def test_the_example_of_an_environment_drives(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """With a network that has learnt nothing, which soon leaves the road."""
-    page = (ROOT / "docs" / "gymnasium.md").read_text(encoding="utf-8")
-    code, *_ = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    code = (ROOT / "examples" / "drive_environment.py").read_text(encoding="utf-8")
     assert len(code.splitlines()) <= 30
     untrained_run(tmp_path / "runs" / "first")
     monkeypatch.chdir(tmp_path)
