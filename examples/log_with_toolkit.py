@@ -14,9 +14,8 @@ with Log("run.mcap") as log:
     print(log.metadata["source"], log.counts)
 
 picture = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)  # BGR
-assert picture is not None
 print(f"{len(vehicle)} rows, {len(frames)} pictures, mean steering {steering.mean():+.4f}")
-print(f"sharpest left turn: row {sharpest}, steering {steering.min():+.4f}, picture {picture.shape}")
+print(f"sharpest left turn: row {sharpest}, steering {steering.min():+.4f}, picture {np.asarray(picture).shape}")
 
 samples = frames.join(vehicle.drop_columns(["log_time_ns"]), "row")  # a picture and its label in each row
 print(samples.num_rows, "samples")
