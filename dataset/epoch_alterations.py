@@ -47,7 +47,7 @@ _DRAWS: Final[dict[EpochAlteration, slice]] = {
     "box": slice(15, 21),
     "noise": slice(21, 23),
 }
-_MOST_DRAWS: Final = 24  # of a sample
+_MAX_DRAWS: Final = 24  # of a sample
 
 Numbers = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -93,7 +93,7 @@ class EpochAlterations:
 
     def draw(self, epoch: int, samples: Numbers, height: int, width: int) -> Drawn:
         """What is done to the pictures of samples, of this size."""
-        draws = self._draws(epoch, samples, slice(0, _MOST_DRAWS))
+        draws = self._draws(epoch, samples, slice(0, _MAX_DRAWS))
         of = {name: draws[:, part] for name, part in _DRAWS.items() if name in self.names}
         shade, strip = None, np.zeros((len(samples), 4, 2), np.int32)
         if (shadow := of.get("shadow")) is not None:
@@ -117,7 +117,7 @@ class EpochAlterations:
 
     def _draws(self, epoch: int, samples: Numbers, part: slice) -> Floats:
         """(N, K), -1..1, by SplitMix64 (Steele et al. 2014), which draws any of them without those before."""
-        counter = samples[:, None].astype(np.uint64) * np.uint64(_MOST_DRAWS)
+        counter = samples[:, None].astype(np.uint64) * np.uint64(_MAX_DRAWS)
         counter = counter + np.arange(part.start + 1, part.stop + 1, dtype=np.uint64)
         mixed = _key(self.seed, epoch) + counter * np.uint64(0x9E3779B97F4A7C15)
         mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
