@@ -17,6 +17,7 @@ from logs import write_log
 from model.runs.kept_results import keep_result
 from runs import a_run
 from waiting import wait_until
+from web.server.templates import with_code
 from workbench import Served, served
 
 AWKWARD = "a & <b>'é 100%"
@@ -217,3 +218,8 @@ def test_a_training_is_seen_live(tmp_path: Path) -> None:
         assert bench.get("/changes").json["runs"] != after
         wait_until(lambda: "3/3" in rows(bench)["r"])
         assert bench.get("/runs.curves?run=r").json[0]["lines"]["RMSE"][0] == [1.0, 2.0, 3.0]
+
+
+def test_commands_in_a_text_are_shown_as_code_and_all_of_it_is_escaped() -> None:
+    shown = with_code("`bc-eval` of <b> & `a<b`")
+    assert shown == "<code>bc-eval</code> of &lt;b&gt; &amp; <code>a&lt;b</code>"

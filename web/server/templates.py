@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 from common.errors import counted, decimal
 from common.versions import version_of
@@ -42,11 +44,16 @@ def _places(number: float | str | None, places: int) -> str:
     return decimal(value, places) if math.isfinite(value) else "-"
 
 
+def with_code(text: str) -> Markup:
+    """What stands between backticks, as code."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+
+
 _environment = Environment(
     loader=PackageLoader("web"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 )
 _environment.globals.update(menu=PAGES, static=STATIC, version=version_of())
-_environment.filters.update(minutes=_minutes, counted=counted, places=_places)
+_environment.filters.update(minutes=_minutes, counted=counted, places=_places, with_code=with_code)
 
 
 def render(template: str, /, **values: Any) -> str:
