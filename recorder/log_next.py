@@ -66,6 +66,7 @@ def step_of_list(logs: Sequence[LogInfo]) -> NextStep:
 
 def _left(info: LogInfo, odd: Sequence[OddStretch] | None = None) -> list[OddStretch]:
     """What is odd in a log and not excluded."""
+    from recorder.log.tagged_rows import TaggedRows  # NumPy
 
     return TaggedRows(info.tags, EXCLUDE).left(odd or info.odd or ())
 

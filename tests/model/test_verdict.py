@@ -252,7 +252,7 @@ def test_each_rule_names_its_numbers_and_a_command(of: RunNumbers, why: str, com
     assert found.command == command
 
 
-def test_more_epochs_are_not_advised_where_there_is_hardly_a_turn_to_learn() -> None:
+def test_more_epochs_are_not_advised_where_hardly_a_turn_is_to_learn() -> None:
     improving = [*WEAK[:2], epoch(3, 0.3)]
     few, hardly_any = (
         sound(counts={name: {"frames": 6000, "training": frames} for name in ("a", "b")})
