@@ -134,8 +134,8 @@ REQUESTS: dict[Callable[[Store], None], int] = {
     upload: 11,
     upload_in_parts: 13,
     download: 5,
-    index: 6,
-    read: 9,
+    index: 7,
+    read: 14,
     keep: 10,
     add: 24,
 }

@@ -13,8 +13,8 @@ from common.progress import track
 from recorder.errors import LogError
 from recorder.log.reader import Log
 from recorder.log.road_places import states_of
-from recorder.log.tagged_rows import tagged_rows
-from recorder.log.tags import EXCLUDE
+from recorder.log.tagged_rows import TaggedRows, tagged_rows
+from recorder.log.tags import EXCLUDE, read_tags
 from recorder.mcap.mcap_file import McapFile
 from recorder.mcap.scan import read_structure
 from recorder.rows.odd_stretches import OddStretch, odd_stretches
@@ -80,25 +80,25 @@ def check(path: Location, *, look: bool = True) -> Checked:
         has_crcs = file.have_crcs(structure.chunks)
     has_rows = contents.counts[VEHICLE] and contents.counts[camera_topic("center")]
     odd = contents.odd
-    if contents.counts[POSE]:
-        with contextlib.suppress(LogError), Log(path) as log:
-            odd = odd_stretches(states_of(log))
     lag, is_lag_kept = None, False
-    if look and has_rows:
-        with contextlib.suppress(LogError), Log(path) as log:
+    excluded = TaggedRows(())
+    with contextlib.suppress(LogError), Log(path) as log:
+        excluded = TaggedRows(read_tags(path, log.fingerprint), EXCLUDE)
+        if contents.counts[POSE]:
+            odd = odd_stretches(states_of(log))
+        if look and has_rows:
             lag = find_lag(log)
             is_lag_kept = not lacks_lag(log)
-    if look and has_rows and isinstance(path, Path):
-        from recorder.seen.shown_stretches import with_pictures  # OpenCV
-        from recorder.upkeep.side_cameras import are_swapped
+        if look and has_rows and isinstance(path, Path):
+            from recorder.seen.shown_stretches import with_pictures  # OpenCV
+            from recorder.upkeep.side_cameras import are_swapped
 
-        with contextlib.suppress(LogError), Log(path) as log:
             odd = with_pictures(log, States.of(log.vehicle()), odd)
             if are_swapped(log):
                 left_out = "`bc-index --cameras center` leaves them out"
                 findings.append(Finding("side cameras that are swapped", f"left and right; {left_out}"))
     odd = fine.left(odd)
-    findings += odd_findings(tagged_rows(path, EXCLUDE).left(odd))
+    findings += odd_findings(excluded.left(odd))
     pauses = [finding for finding in findings if finding.kind == GAPS and _is_paused_by_people(path)]
     return Checked(
         path,

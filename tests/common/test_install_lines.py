@@ -64,7 +64,7 @@ def test_an_installed_toolkit_knows_where_it_came_from(
         (tmp_path / name).touch()
     monkeypatch.chdir(prefix)
     monkeypatch.setattr(versions, "__file__", str(prefix / "site-packages" / "common" / "versions.py"))
-    monkeypatch.setattr(versions, "distribution", lambda name: Installed)
+    monkeypatch.setattr("importlib.metadata.distribution", lambda name: Installed)
     assert versions.install_line("web") == f"pip install {expected.replace('FOLDER', str(tmp_path))}"
 
 

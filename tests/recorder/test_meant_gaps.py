@@ -134,4 +134,4 @@ def test_a_pause_of_a_recorder_that_people_switch_is_no_finding(
     assert call(main, "check", path) == 0
     first, pauses = capsys.readouterr().out.splitlines()
     assert first.endswith("nothing wrong")
-    assert pauses.endswith("a new drive begins: 2 (before row 2, before row 4)")
+    assert pauses.endswith("a new drive begins after each: 2 (before row 2, before row 4)")

@@ -97,7 +97,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copytree(ROOT / room, code / room, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("simulator", "dataset", "model", "viz", "behavioural_cloning_toolkit.py"):
         (code / name).symlink_to(ROOT / name)
-    cameras, topics = code / "common" / "car.py", code / "recorder" / "log" / "topics.py"
+    cameras, topics = code / "common" / "car.py", code / "recorder" / "topics.py"
     cameras.write_text(replaced(cameras.read_text(encoding="utf-8"), *CAMERA), encoding="utf-8")
     last = "\n        Topic(EVENTS,"
     topics.write_text(replaced(topics.read_text(encoding="utf-8"), last, ENTRY.rstrip() + last), encoding="utf-8")
