@@ -135,7 +135,7 @@ REQUESTS: dict[Callable[[Store], None], int] = {
     upload_in_parts: 13,
     download: 5,
     index: 7,
-    read: 14,
+    read: 13,
     keep: 10,
     add: 24,
 }

@@ -23,7 +23,7 @@ from recorder.rows.steering_habits import LagFinding
 from recorder.topics import POSE, VEHICLE, camera_topic
 from recorder.upkeep.check_contents import GAPS, Contents, Finding, odd_findings
 from recorder.upkeep.check_structure import sound_chunks
-from recorder.upkeep.log_info import find_lag, lacks_lag
+from recorder.upkeep.log_info import find_lag
 
 
 def is_whole(path: Location) -> bool:
@@ -87,8 +87,7 @@ def check(path: Location, *, look: bool = True) -> Checked:
         if contents.counts[POSE]:
             odd = odd_stretches(states_of(log))
         if look and has_rows:
-            lag = find_lag(log)
-            is_lag_kept = not lacks_lag(log)
+            lag, is_lag_kept = find_lag(log)
         if look and has_rows and isinstance(path, Path):
             from recorder.seen.shown_stretches import with_pictures  # OpenCV
             from recorder.upkeep.side_cameras import are_swapped

@@ -126,7 +126,7 @@ def describe(
         steering, found = _steering(log, quality), noted_lag(quality)
         goes_by = steering is not None and goes_by_lag(steering, driven_by(log))
         if found is None and goes_by:
-            found = (kept_lag(log) if with_kept_lag else None) or (_measured(log) if look else None)
+            found = (kept_lag(log) if with_kept_lag else None) or (_measured(log)[0] if look else None)
         return LogInfo(
             path=str(log.path),
             size_bytes=log.size,
@@ -172,10 +172,12 @@ def driven_by(log: Log) -> str:
     return machine_of(log.metadata, has_commands=bool(log.counts.get(topics.PILOT_COMMAND)))
 
 
-def find_lag(log: Log) -> LagFinding | None:
-    """The lag of a log's steering, measured in its pictures and kept beside it if it was not known; None where
-    labels do not depend on it. Raises LogError for rows that cannot be read, and StoreError."""
-    return known_lag(log) or (_measured(log) if _goes_by_lag(log) else None)
+def find_lag(log: Log) -> tuple[LagFinding | None, bool]:
+    """The lag of a log's steering, measured in its pictures if it was not known, and whether it is kept beside the
+    log or need not be; None where labels do not depend on it. Raises LogError for rows that cannot be read, and
+    StoreError."""
+    lag = known_lag(log)
+    return _measured(log) if lag is None and _goes_by_lag(log) else (lag, True)
 
 
 def lacks_lag(log: Log) -> bool:
@@ -188,12 +190,11 @@ def _goes_by_lag(log: Log) -> bool:
     return steering is not None and goes_by_lag(steering, driven_by(log))
 
 
-def _measured(log: Log) -> LagFinding:
+def _measured(log: Log) -> tuple[LagFinding, bool]:
     from recorder.seen.steering_lag import measure_lag  # OpenCV
 
     found = LagFinding(measure_lag(log, States.of(log.vehicle())))
-    keep_lag(log, found)
-    return found
+    return found, keep_lag(log, found)
 
 
 def set_speeds_mph(log: Log) -> tuple[float, ...]:

@@ -1,6 +1,7 @@
 // Who drove when, as a band below the curves.
 
 import { DRIVERS } from "./course.js";
+import { contextBeside } from "./plot_canvas.js";
 
 export class DriverBand {
   constructor(figure, course, curves) {
@@ -26,12 +27,7 @@ export class DriverBand {
     const { canvas } = this;
     const [plot] = this.curves.plots;
     if (this.figure.hidden || !plot) return;
-    const scale = devicePixelRatio;
-    canvas.style.marginLeft = `${plot.bbox.left / scale}px`;
-    canvas.style.width = `${plot.bbox.width / scale}px`;
-    canvas.width = plot.bbox.width;
-    canvas.height = canvas.clientHeight * scale;
-    const context = canvas.getContext("2d");
+    const context = contextBeside(canvas, plot);
     const color = this.curves.colorReader();
     const { min, max } = plot.scales.x;
     const across = (at) => ((at - min) / (max - min)) * canvas.width;
@@ -39,7 +35,7 @@ export class DriverBand {
       if (last < min - 1 || first > max + 1) continue;
       const left = across(first - 0.5);
       context.fillStyle = color(`--by-${DRIVERS[driver][0]}`);
-      context.fillRect(left, 0, Math.max(across(last + 0.5) - left, scale), canvas.height);
+      context.fillRect(left, 0, Math.max(across(last + 0.5) - left, devicePixelRatio), canvas.height);
     }
   }
 }

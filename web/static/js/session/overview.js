@@ -2,6 +2,7 @@
 // along, or drag over the strip to show another part.
 
 import { drawAll, drawTracks } from "./bands.js";
+import { contextBeside } from "./plot_canvas.js";
 
 const LANE = 4;
 
@@ -53,11 +54,7 @@ export class Overview {
     canvas.hidden = !plot;
     if (!plot) return;
     const scale = devicePixelRatio;
-    canvas.style.marginLeft = `${plot.bbox.left / scale}px`;
-    canvas.style.width = `${plot.bbox.width / scale}px`;
-    canvas.width = plot.bbox.width;
-    canvas.height = canvas.clientHeight * scale;
-    const context = canvas.getContext("2d");
+    const context = contextBeside(canvas, plot);
     const across = (at) => (at / Math.max(data.length - 1, 1)) * canvas.width;
     const box = { top: 0, height: canvas.height, min: 0, max: data.length - 1, across };
     drawTracks(context, data, curves.odd, curves.colors, box, LANE * scale);
