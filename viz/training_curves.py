@@ -129,7 +129,7 @@ def prepare_training(run: Path) -> Iterator[PreparedRecording]:
     history, skipped = read_history(run)
     notices = [f"skipped {line}" for line in skipped.lines()]
     yield PreparedRecording(
-        _name(run), None, lambda recording, flush: _send_whole(history, recording, flush), notices
+        _name(run), None, lambda recording, flush, _: _send_whole(history, recording, flush), notices
     )
 
 
