@@ -25,7 +25,7 @@ from web.errors import WebError
 from web.folders.project_folders import PLACES, key_of
 from web.pages.workbench import Workbench
 from web.processes.picture_maps import MappedLog
-from web.runs.run_networks import NETWORK_FILES, check_network
+from web.runs.run_networks import NETWORK_FILES, can_be_run, check_network
 from web.server.templates import render
 
 _KEY: Final = re.compile(r"[0-9a-f]{64}")
@@ -47,15 +47,18 @@ def map_routes(bench: Workbench) -> list[Route]:
         logs = [_place_and_key(each) for each in of]
         paths = [bench.folders.log(place, key) for place, key in logs]
         names = [printable(path.name.removesuffix(".mcap")) for path in paths]
-        runs = [(key, printable(path.name)) for key, path in _runs(bench).items()]
+        found = _runs(bench)
+        runs = [(key, printable(path.name)) for key, path in found.items()]
         run = request.query_params.get("run", "")
+        if run not in (_PIXELS, *found):
+            run = next((key for key in reversed(found) if can_be_run(found[key])), _PIXELS)
         return HTMLResponse(
             render(
                 "map.html",
                 of=[(name, f"/{place}/{key}") for name, (place, key) in zip(names, logs, strict=True)],
                 at=f"/{logs[0][0]}" if logs else "/index",
                 runs=runs,
-                run=run if run in (_PIXELS, *dict(runs)) else (runs[-1][0] if runs else _PIXELS),
+                run=run,
                 pixels=_PIXELS,
             )
         )
