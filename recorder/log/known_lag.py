@@ -77,10 +77,20 @@ def _beside(path: Location) -> bytes | None:
 
 def keep_lag(log: Log, found: LagFinding) -> bool:
     """Keep the lag beside a log that has its name; False where nothing can be written."""
-    path = lag_path(log.path)
     if log.path.suffix != ".mcap":
         return False  # it still grows, or is recovered: then it is measured again
-    data = msgspec.json.encode(_Kept(1, log.fingerprint, found.lag)) + b"\n"
+    return _keep(lag_path(log.path), msgspec.json.encode(_Kept(1, log.fingerprint, found.lag)) + b"\n")
+
+
+def copy_lag(log: Location, to: Location) -> None:
+    """Copy the lag kept beside a log to its copy. Where that fails, it is measured again there."""
+    with contextlib.suppress(UserError):
+        data = _beside(lag_path(log))
+        if data is not None and _beside(lag_path(to)) != data:
+            _keep(lag_path(to), data)
+
+
+def _keep(path: Location, data: bytes) -> bool:
     try:
         if isinstance(path, Url):
             from common.object_store import put_over  # an extra

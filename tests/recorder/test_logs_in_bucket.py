@@ -389,15 +389,17 @@ def test_without_obstore_a_url_says_what_to_install(tmp_path: Path) -> None:
 # copying
 
 
-def test_a_log_and_its_tags_go_to_a_store_and_back(
+def test_a_log_its_tags_and_its_lag_go_to_a_store_and_back(
     bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = large_log(tmp_path)
     tag(log, "recovery")
+    beside = tmp_path / "large.tags.jsonl", tmp_path / "large.lag.json"
+    beside[1].write_text("{}")
     assert call(main, "copy", log, "s3://logs/sessions") == 0
     assert capsys.readouterr().out == f"s3://logs/sessions/large.mcap: {log.stat().st_size / 1e6:,.1f} MB\n"
     files = {path.name: path.read_bytes() for path in (bucket.folder / "sessions").iterdir()}
-    assert files == {path.name: path.read_bytes() for path in (log, tmp_path / "large.tags.jsonl")}
+    assert files == {path.name: path.read_bytes() for path in (log, *beside)}
     assert call(main, "copy", "s3://logs/sessions", tmp_path / "back") == 0
     assert {path.name: path.read_bytes() for path in (tmp_path / "back").iterdir()} == files
 
