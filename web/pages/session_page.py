@@ -18,6 +18,7 @@ from common.location import Location
 from common.locks import is_being_written
 from common.stretches import stretches
 from recorder import Log, LogError
+from recorder.log.known_lag import lag_path
 from recorder.log.session_car import known_max_steering_deg
 from recorder.log.tags import EXCLUDE, tags_path
 from recorder.rows.row_condition import rows_where
@@ -59,14 +60,14 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         )
 
     def version(request: Request) -> Response:
-        """The versions of the log and its tags, which change when `state`, `rows` or `tags` are outdated."""
+        """The versions of the log, its tags and its lag: they change when what the page shows of them is outdated."""
         bench.folders.refresh(place)
         bench.logs.drop_changed()
         path = path_of(request)
         is_growing = path.name.endswith(PART_SUFFIX) and is_being_written(path)
         version_of = bench.folders.version_of
-        versions = {"log": version_of(path), "tags": version_of(tags_path(path)), "growing": is_growing}
-        return JSONResponse(versions | {"problem": bench.folders.problem(place)})
+        versions = {"log": version_of(path), "tags": version_of(tags_path(path)), "lag": version_of(lag_path(path))}
+        return JSONResponse(versions | {"growing": is_growing, "problem": bench.folders.problem(place)})
 
     def state(request: Request) -> Response:
         path = path_of(request)
@@ -146,6 +147,7 @@ def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
     findings = bench.checks.findings(log)
     return {
         "version": opened.version,
+        "lag": bench.folders.version_of(lag_path(log.path)),
         "fingerprint": log.fingerprint,
         "rows": len(states.row),
         "cameras": [camera for camera in CAMERAS if len(log.pictures(camera_topic(camera)).sequence)],

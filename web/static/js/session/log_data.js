@@ -20,7 +20,7 @@ export async function ask(path, options) {
 }
 
 export class LogData extends EventTarget {
-  /** Events: `rows` (all is new), `tags`, and `problem` with its text as detail (empty: it is over). */
+  /** Events: `rows` (all is new), `tags`, `lag` (of the steering: measured), and `problem` with its text as detail (empty: it is over). */
   constructor(address) {
     super();
     this.address = address;
@@ -124,6 +124,10 @@ export class LogData extends EventTarget {
       const found = await (await ask(`${this.address}/version`)).json();
       if (found.problem !== this.storeProblem) this.report((this.storeProblem = found.problem));
       if (found.log !== this.state.version) await this.changed(found);
+      if (found.lag !== this.state.lag) {
+        this.state.lag = found.lag;
+        this.dispatchEvent(new Event("lag"));
+      }
       if (found.tags !== this.tagsVersion) {
         this.tagsVersion = found.tags; // fetched once, also where they cannot be read
         await this.loadTags();

@@ -319,6 +319,7 @@ async function checkPictures() {
 }
 
 data.addEventListener("tags", showTags);
+data.addEventListener("lag", () => by("about").dispatchEvent(new Event("lag-changed")));
 data.addEventListener("problem", (event) => {
   by("problem").textContent = event.detail;
   by("problem").hidden = !event.detail;
