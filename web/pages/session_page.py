@@ -50,6 +50,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
                 at=f"/{place}/{request.path_params['log']}",
                 info=info,
                 cameras=CAMERAS,
+                can_train=place == "sessions" and path.suffix == ".mcap",
                 is_driven=is_driven(topic.topic for topic in info.topics),
                 path=printable(str(path)),
                 log_jobs=shown_log_jobs(path),
