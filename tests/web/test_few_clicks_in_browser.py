@@ -70,7 +70,7 @@ def test_six_clicks_and_a_drop_import_train_and_drive(
     lines = [f"{paths(row)},{0.1 * (row % 5 - 2)},0.5,0,9.5\n" for row in rows]
     make_recording(tmp_path / "mine" / "lake", "".join(lines), rows)
     with served(tmp_path / "project") as bench, opened_page(browser, f"{bench.address}/sessions") as page:
-        page.click("text=Import a recording")
+        page.click(".cards a[href='/import']")
         page.wait_for_selector("#drop")
         page.wait_for_load_state()  # with its scripts
         drop(page, tmp_path / "mine" / "lake")

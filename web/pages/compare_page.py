@@ -15,7 +15,7 @@ from starlette.routing import Route
 from common.errors import printable
 from dataset.frames.frames_file import session_name
 from web.errors import WebError
-from web.pages.form_values import form_values
+from web.pages.request_values import form_values
 from web.pages.workbench import Workbench
 from web.runs.run_comparisons import compare_command, comparison_of, is_outdated, newest_job
 from web.server.templates import render

@@ -24,7 +24,7 @@ from web.errors import WebError
 from web.folders.project_folders import key_of
 from web.folders.uploads import MAX_FILES, MAX_UPLOAD_BYTES, Upload, plain_name, remove_upload, uploads_in
 from web.jobs.job_forms import form_of
-from web.pages.form_values import form_values
+from web.pages.request_values import form_values
 from web.pages.workbench import Workbench
 from web.server.request_guard import UPLOAD
 from web.server.templates import render

@@ -32,7 +32,7 @@ from web.index.index_view import (
 )
 from web.jobs.job_forms import INDEX_FIELDS, form_of
 from web.logs.session_cards import IndexState
-from web.pages.form_values import form_values
+from web.pages.request_values import form_values
 from web.pages.workbench import Workbench
 from web.runs.run_origins import index_checksum, origin_of
 from web.runs.run_settings import differing

@@ -18,7 +18,7 @@ from web.errors import WebError
 from web.index.index_view import view_index
 from web.jobs.job_forms import FORMS, form_of
 from web.jobs.jobs import Job
-from web.pages.form_values import form_values
+from web.pages.request_values import form_values
 from web.pages.workbench import Workbench
 from web.runs.run_cards import earlier_trainings
 from web.runs.training_cost import training_cost

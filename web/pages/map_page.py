@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import re
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-import msgspec
 from starlette.datastructures import QueryParams
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
@@ -30,15 +29,6 @@ from web.server.templates import render
 
 _KEY: Final = re.compile(r"[0-9a-f]{64}")
 _PIXELS: Final = "pixels"
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """A map as an address names it."""
-
-    logs: list[MappedLog]
-    of: list[str]  # as the address has them; none: all of the index
-    run: Path | None  # None: by pixels
 
 
 def map_routes(bench: Workbench) -> list[Route]:
@@ -65,25 +55,14 @@ def map_routes(bench: Workbench) -> list[Route]:
 
     def state(request: Request) -> Response:
         """The state of a map. POST begins with it where it has not been made yet."""
-        asked = _asked(bench, request.query_params)
-        key = bench.maps.key(asked.logs, asked.run)
-        shown = {"key": key, "about": None, "problem": "", "logs": [_shown(bench, log) for log in asked.logs]}
-        if not asked.logs:
+        logs, run = _asked(bench, request.query_params)
+        key = bench.maps.key(logs, run)
+        shown = {"logs": [_shown(bench, log) for log in logs]}
+        if not logs:
             problem = "no session is in the index; build it, or open the map of a session from its page"
-            return JSONResponse({**shown, "problem": problem})
-        before = bench.maps.work.requested(key)
-        was_done = before is not None and before.is_done
-        if (about := bench.maps.find(key)) is not None:
-            return JSONResponse({**shown, "about": msgspec.to_builtins(about)})
-        if request.method == "POST":
-            bench.maps.start(key, asked.logs, asked.run)
-        work = bench.maps.work.requested(key)
-        if work is None:
-            return JSONResponse(shown)
-        problem = work.problem
-        if was_done and work is before and not problem:
-            problem = "the map could not be kept: the cache folder may be full"
-        return JSONResponse({**shown, **work.progress, "problem": problem})
+            return JSONResponse({**shown, "key": key, "about": None, "problem": problem})
+        start = partial(bench.maps.start, key, logs, run) if request.method == "POST" else None
+        return JSONResponse(shown | bench.maps.work.state(key, lambda: bench.maps.find(key), start))
 
     def stop(request: Request) -> Response:
         """End it, for all pages that wait for it."""
@@ -129,7 +108,8 @@ def _runs(bench: Workbench) -> dict[str, Path]:
     return {key: times[key][1] for key in sorted(times, key=lambda key: times[key])}
 
 
-def _asked(bench: Workbench, query: QueryParams) -> _Asked:
+def _asked(bench: Workbench, query: QueryParams) -> tuple[list[MappedLog], Path | None]:
+    """The logs that an address names, or all of the index; and the run, None for pixels."""
     of = query.getlist("of")
     logs = [_log(bench, each) for each in of] if of else _of_index(bench)
     name = query.get("run", _PIXELS)
@@ -138,7 +118,7 @@ def _asked(bench: Workbench, query: QueryParams) -> _Asked:
         bench.folders.bring_run(run, NETWORK_FILES)
         first = logs[0].path if logs else bench.folders.sessions
         check_network(run, first, bench.folders.run_place(run))
-    return _Asked(logs, of, run)
+    return logs, run
 
 
 def _log(bench: Workbench, of: str) -> MappedLog:

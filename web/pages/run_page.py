@@ -21,8 +21,8 @@ from model.network.names import BUILT_IN
 from model.runs.run_files import STEERING
 from web.errors import WebError
 from web.folders.project_folders import PLACES, ProjectFolders, key_of
-from web.pages.address_number import number_in
 from web.pages.changes import runs_version
+from web.pages.request_values import number_in
 from web.pages.runs_page import PATIENCE_S
 from web.pages.workbench import Workbench
 from web.runs.run_bins import bin_bars

@@ -61,13 +61,13 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         )
 
     def version(request: Request) -> Response:
-        """The versions of the log, its tags and its lag: they change when what the page shows of them is outdated."""
+        """The versions of the log, its tags and its lag, which change when what the page shows is outdated."""
         bench.folders.refresh(place)
         bench.logs.drop_changed()
         path = path_of(request)
         is_growing = path.name.endswith(PART_SUFFIX) and is_being_written(path)
-        version_of = bench.folders.version_of
-        versions = {"log": version_of(path), "tags": version_of(tags_path(path)), "lag": version_of(lag_path(path))}
+        files = {"log": path, "tags": tags_path(path), "lag": lag_path(path)}
+        versions = {name: bench.folders.version_of(file) for name, file in files.items()}
         return JSONResponse(versions | {"growing": is_growing, "problem": bench.folders.problem(place)})
 
     def state(request: Request) -> Response:

@@ -30,7 +30,7 @@ from web.jobs.wheels import (
     takeovers,
     training,
 )
-from web.pages.form_values import form_values
+from web.pages.request_values import form_values
 from web.pages.workbench import Workbench
 from web.runs.run_origins import origin_of
 from web.server.templates import render
