@@ -65,11 +65,7 @@ def compare_routes(bench: Workbench) -> list[Route]:
             **asked,
             "names": [printable(run.name) for run in runs],
             "query": urlencode(asked),
-            "sessions": {
-                key: printable(session_name(path))
-                for key, path in bench.folders.logs("sessions").items()
-                if path.name.endswith(".mcap")
-            },
+            "sessions": bench.folders.finished("sessions"),
             "command": printable(shlex.join(command)),
             "job": job,
             "found": found,

@@ -15,6 +15,7 @@ from common.errors import counted, printable
 from common.whole_number import whole_number
 from model.config import TrainConfig
 from web.errors import WebError
+from web.folders.project_folders import shown_name
 from web.index.index_view import view_index
 from web.jobs.job_forms import FORMS, form_of
 from web.jobs.jobs import Job
@@ -31,9 +32,7 @@ def job_routes(bench: Workbench) -> list[Route]:
     def page(request: Request) -> Response:
         live = bench.jobs.version()
         known = {
-            "sessions": sorted(
-                printable(path.name.removesuffix(".mcap")) for path in bench.folders.logs("sessions").values()
-            ),
+            "sessions": sorted(map(shown_name, bench.folders.logs("sessions").values())),
             "runs": sorted(printable(path.name) for path in bench.folders.run_folders().values()),
         }
         values = dict(request.query_params)

@@ -14,7 +14,7 @@ from starlette.routing import Route
 from common import UserError
 from common.errors import printable
 from common.location import Location
-from web.folders.project_folders import Place, key_of
+from web.folders.project_folders import Place, key_of, shown_name
 from web.jobs.log_jobs import LOG_JOBS, NewLogForm, command_line, log_job
 from web.pages.request_values import form_pairs
 from web.pages.workbench import Workbench
@@ -48,7 +48,7 @@ def log_job_routes(bench: Workbench, place: Place) -> list[Route]:
 
 def shown_log_jobs(log: Location) -> list[dict[str, Any]]:
     """The jobs that the page of a log offers, with the default names of new logs."""
-    named = {job.name: printable(job.made(log).name.removesuffix(".mcap")) for job in LOG_JOBS if job.made}
+    named = {job.name: shown_name(job.made(log)) for job in LOG_JOBS if job.made}
     return [{"job": job, "new": named.get(job.name, "") if job.is_named else ""} for job in LOG_JOBS]
 
 

@@ -21,7 +21,7 @@ from dataset.frames.frames_file import session_name
 from dataset.index.build_state import read_state
 from model.runs.run_files import CONFIG, WEIGHTS
 from web.errors import WebError
-from web.folders.project_folders import PLACES, key_of
+from web.folders.project_folders import PLACES, key_of, shown_name
 from web.pages.workbench import Workbench
 from web.processes.picture_maps import MappedLog
 from web.runs.run_networks import NETWORK_FILES, can_be_run, check_network
@@ -36,7 +36,7 @@ def map_routes(bench: Workbench) -> list[Route]:
         of = request.query_params.getlist("of")
         logs = [_place_and_key(each) for each in of]
         paths = [bench.folders.log(place, key) for place, key in logs]
-        names = [printable(path.name.removesuffix(".mcap")) for path in paths]
+        names = [shown_name(path) for path in paths]
         found = _runs(bench)
         runs = [(key, printable(path.name)) for key, path in found.items()]
         run = request.query_params.get("run", "")
@@ -150,7 +150,7 @@ def _shown(bench: Workbench, log: MappedLog) -> dict[str, object]:
             tags.append((tag.first_row, tag.last_row, tag.name))
     return {
         "at": log.at,
-        "name": printable(log.path.name.removesuffix(".mcap")),
+        "name": shown_name(log.path),
         "version": bench.folders.version_of(log.path),
         "fingerprint": log.fingerprint,
         "tags": tags,

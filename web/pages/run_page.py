@@ -130,9 +130,9 @@ def _scattered(bench: Workbench, pages: Mapping[str, str], card: RunCard) -> lis
     learnt = {address: name for name, address in _sessions(pages, card) if address}
     found = [(name, at, f"/index/{at.split('/')[-1]}/held-out" * is_of_index) for at, name in learnt.items()]
     for place in PLACES:
-        for key, path in bench.folders.logs(place).items():
-            if path.suffix == ".mcap" and (at := f"/{place}/{key}") not in learnt:
-                found.append((printable(path.name.removesuffix(".mcap")), at, ""))
+        for key, name in bench.folders.finished(place).items():
+            if (at := f"/{place}/{key}") not in learnt:
+                found.append((name, at, ""))
     return found
 
 

@@ -23,7 +23,7 @@ from recorder.log.session_car import known_max_steering_deg
 from recorder.log.tags import EXCLUDE, tags_path
 from recorder.rows.row_condition import rows_where
 from recorder.topics import camera_topic
-from web.folders.project_folders import Place
+from web.folders.project_folders import Place, shown_name
 from web.logs.drive_course import is_driven
 from web.logs.open_logs import OpenLog
 from web.logs.session_stretches import flag_stretches, not_learnt_stretches, shown_stretches
@@ -41,7 +41,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
     def page(request: Request) -> Response:
         path = path_of(request)
         info = bench.cards.info(path)
-        name = printable(path.name.removesuffix(".mcap"))
+        name = shown_name(path)
         return HTMLResponse(
             render(
                 "session.html",
@@ -54,7 +54,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
                 is_driven=is_driven(topic.topic for topic in info.topics),
                 path=printable(str(path)),
                 log_jobs=shown_log_jobs(path),
-                others=_others(bench, place, path),
+                others=[item for item in bench.folders.finished(place).items() if item[1] != name],
                 play_command=command_of(path),
                 runs=[(key, printable(run.name)) for key, run in bench.folders.run_folders().items()],
             )
@@ -130,16 +130,6 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         Route(f"{at}/names", known_names),
         Route(f"{at}/tags", change, methods=["POST"]),
         Route(f"{at}/look", check_pictures, methods=["GET", "POST"]),
-    ]
-
-
-def _others(bench: Workbench, place: Place, path: Location) -> list[tuple[str, str]]:
-    """Keys and names of the finished logs beside it."""
-    logs = bench.folders.logs(place).items()
-    return [
-        (key, printable(log.name.removesuffix(".mcap")))
-        for key, log in logs
-        if log != path and log.name.endswith(".mcap")
     ]
 
 
