@@ -78,7 +78,7 @@ def test_six_clicks_and_a_drop_import_train_and_drive(
         open_session(page)
         page.click("text=Train on it")
         page.click("text=Let it drive: lake")  # as soon as it has learnt
-        page.click("text=Take the wheel")
+        page.click("button:text('Take the wheel')")
         page.wait_for_selector("#wheel[data-holder=true][data-frame]")
         assert "the network drives" in wait_until(lambda: page.inner_text("#driver"))
         page.keyboard.press("Escape")
