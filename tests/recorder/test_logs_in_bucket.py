@@ -5,12 +5,10 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +16,7 @@ import localbucket
 import pytest
 
 from bucket import Answer, Bucket, serving_bucket
-from common.errors import ObjectChangedError, ObjectExistsError, StoreError, UsageError
+from common.errors import ObjectChangedError, StoreError, UsageError
 from common.location import Url, location, relative_to
 from disk import files_of_at_most
 from driving import one_line_in
@@ -175,15 +173,6 @@ def test_a_log_that_lists_no_crcs_of_its_chunks_is_asked_for_those_alone(bucket:
         assert len(log.chunks) > 70
         assert log.fingerprint == expected
     assert bucket.bytes_sent < 300_000
-
-
-def test_rows_are_read_without_pictures(bucket: Bucket) -> None:
-    large_log(bucket.folder)
-    bucket.requests.clear()
-    with Log(bucket.url("large.mcap")) as log:
-        assert len(log.frames()) == 1200
-        assert len(log.vehicle()) == 400
-    assert bucket.bytes_sent < 400_000
 
 
 def test_ls_lists_a_folder_in_a_store(bucket: Bucket, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -431,36 +420,6 @@ def test_nothing_is_replaced_unasked(
     assert ours.read_bytes() == theirs.read_bytes() == before[not is_upload]
 
 
-def test_who_writes_the_same_name_meanwhile_wins(
-    bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log = write_log(tmp_path / "a.mcap", [0.1] * 5)
-
-    def somebody(handler: Any) -> bool:
-        if handler.command == "POST" and "a.mcap?uploadId" in handler.path:
-            (bucket.folder / "a.mcap").write_bytes(b"somebody else's")
-        return False
-
-    bucket.answer = somebody
-    assert call(main, "copy", log, "s3://logs") == 1
-    assert "exists already" in one_line_in(capsys)
-    assert [(path.name, path.read_bytes()) for path in bucket.folder.iterdir()] == [("a.mcap", b"somebody else's")]
-
-
-@pytest.mark.parametrize("is_same_log", [True, False])
-def test_two_machines_may_copy_to_one_name_at_once(bucket: Bucket, tmp_path: Path, is_same_log: bool) -> None:
-    logs = [write_log(tmp_path / f"{name}/a.mcap", [value] * 5) for name, value in (("one", 0.1), ("two", 0.2))]
-    if is_same_log:
-        shutil.copy(*logs)
-    bucket.delay_s = 0.02
-    with ThreadPoolExecutor() as machines:
-        copies = [machines.submit(copy_log, log, bucket.url("a.mcap")) for log in logs]
-        failures = [copy.exception() for copy in copies]
-    assert sum(isinstance(each, ObjectExistsError) for each in failures) == (0 if is_same_log else 1)
-    winner = logs[failures.index(None)]
-    assert {path.name: path.read_bytes() for path in bucket.folder.iterdir()} == {"a.mcap": winner.read_bytes()}
-
-
 def test_a_download_that_was_stopped_goes_on_where_it_was(
     bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -512,16 +471,6 @@ def test_nothing_is_kept_of_a_download_whose_object_is_replaced(bucket: Bucket, 
     with pytest.raises(ObjectChangedError):
         copy_log(bucket.url("large.mcap"), tmp_path / "here/large.mcap")
     assert list((tmp_path / "here").iterdir()) == []
-
-
-def test_an_upload_that_fails_leaves_nothing_of_that_name(
-    bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log = large_log(tmp_path)
-    bucket.answer = lambda handler: handler.command == "PUT" and bool(handler.fail(403, "AccessDenied"))
-    assert call(main, "copy", log, "s3://logs") == 1
-    assert "AccessDenied" in one_line_in(capsys)
-    assert list(bucket.folder.iterdir()) == []
 
 
 @pytest.mark.parametrize("is_upload", [True, False])
