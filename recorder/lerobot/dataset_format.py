@@ -43,8 +43,10 @@ LOG_FINGERPRINT: Final = "log_fingerprint"
 LOG_CAR: Final = "log_car"
 """A column of meta/episodes: the car of the episode's log, as JSON; empty if it is unknown."""
 LOG_NOT_RECORDED: Final = "log_not_recorded"
-"""A column of meta/episodes: the event at the first frame with the time before it that was not recorded, and why
+"""A column of meta/episodes: the event about the time before the first frame that was left out on purpose
 (`recorder.log.meant_gaps`); empty without one."""
+LOG_NOT_RECORDED_S: Final = "log_not_recorded_s"
+"""A column of meta/episodes: the seconds of that time; exports of version 0.3 and earlier have the event alone."""
 SPLIT: Final = "split"
 """A column of data files and of meta/episodes: the side of an index's split, `train` or `validation`."""
 REQUIRED: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index")

@@ -21,8 +21,8 @@ from common.progress import track
 from common.stretches import consecutive
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import LogError, RecordingError
-from recorder.lerobot.dataset_format import LOG_CAR, LOG_NOT_RECORDED, LOG_TIME
-from recorder.log.meant_gaps import is_not_recorded, not_recorded
+from recorder.lerobot.dataset_format import LOG_CAR, LOG_NOT_RECORDED, LOG_NOT_RECORDED_S, LOG_TIME
+from recorder.log.meant_gaps import MAX_S, MeantGap, earlier_seconds
 from recorder.log.session_car import CAR_KEY, Car, car_in, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.pictures.decoding import is_whole_picture
@@ -112,14 +112,22 @@ def _stored_car(dataset: LeRobotFolder) -> Car | None:
         raise RecordingError(str(error)) from None
 
 
-def _own_events(dataset: LeRobotFolder) -> dict[int, str]:
-    """The events about time that was not recorded, in an export of ours, by the episode behind it."""
-    try:
-        episodes = dataset.episode_table(["episode_index", LOG_NOT_RECORDED])
-    except RecordingError:  # of an earlier version
-        return {}
-    events = zip(*(episodes[name].to_pylist() for name in ("episode_index", LOG_NOT_RECORDED)), strict=True)
-    return {episode: event for episode, event in events if isinstance(event, str) and is_not_recorded(event)}
+def _own_gaps(dataset: LeRobotFolder) -> dict[int, MeantGap]:
+    """The times that were left out on purpose, in an export of ours, by the episode behind each."""
+    columns = ["episode_index", LOG_NOT_RECORDED, LOG_NOT_RECORDED_S]
+    for names in (columns, columns[:2]):
+        try:
+            rows = dataset.episode_table(names).to_pylist()
+        except RecordingError:  # of an earlier version
+            continue
+        gaps = {}
+        for row in rows:
+            why = str(row[LOG_NOT_RECORDED])
+            seconds = row.get(LOG_NOT_RECORDED_S, earlier_seconds(why))
+            if isinstance(seconds, float) and 0 < seconds < MAX_S:
+                gaps[row["episode_index"]] = MeantGap(seconds, why.partition(" s, ")[2] or why)
+        return gaps
+    return {}
 
 
 def _frames(
@@ -134,8 +142,8 @@ def _frames(
         )
     )
     clock, counts = _Clock(), dict[int, int]()
-    another_episode = not_recorded(APART_NS / 1e9, "another episode begins")
-    own_events = _own_events(dataset) if chosen.has_log_time else {}
+    another_episode = MeantGap(APART_NS / 1e9, "another episode begins")
+    own_gaps = _own_gaps(dataset) if chosen.has_log_time else {}
     last_episode: int | None = None
     bar = f"importing {dataset.root.name}"
     for path, batch in track(_with_paths(dataset, columns), bar, math.ceil(dataset.frames / BATCH_ROWS)):
@@ -165,10 +173,8 @@ def _frames(
                 continue
             if abs(state.steering) > 1:
                 skipped.add(STEERING_OUT_OF_RANGE, f"{name}: {state.steering:g}")
-            event = ""
-            if last_episode not in (None, episode):
-                event = own_events.get(episode, "") if chosen.has_log_time else another_episode
-            yield ImportedRow(time_ns, state, sound, event)
+            gap = own_gaps.get(episode) if chosen.has_log_time else another_episode
+            yield ImportedRow(time_ns, state, sound, gap if last_episode not in (None, episode) else None)
             last_episode = episode
     _skip_missing(dataset, counts, skipped)
 

@@ -8,6 +8,7 @@ from typing import Final
 
 from common.car import Camera
 from recorder.bc_pb2 import VehicleState
+from recorder.log.meant_gaps import MeantGap
 from recorder.log.writer import LogWriter
 from recorder.sources.import_result import SkippedEvents
 
@@ -24,7 +25,7 @@ class ImportedRow:
     time_ns: int
     state: VehicleState
     pictures: Mapping[Camera, bytes]  # JPEG or PNG, byte for byte
-    not_recorded: str = ""  # the event about the time between the row before and this one
+    gap: MeantGap | None = None  # before it
 
 
 def write_rows(writer: LogWriter, rows: Iterable[ImportedRow], events: SkippedEvents) -> tuple[int, int]:
@@ -34,9 +35,7 @@ def write_rows(writer: LogWriter, rows: Iterable[ImportedRow], events: SkippedEv
         events.at(writer, row.time_ns)
         for camera, picture in row.pictures.items():
             writer.picture(camera, row.time_ns, count, picture)
-        writer.vehicle(row.time_ns, count, row.state)
-        if row.not_recorded:
-            writer.event(row.time_ns, row.not_recorded)
+        writer.vehicle(row.time_ns, count, row.state, row.gap)
         count += 1
         pictures += len(row.pictures)
     return count, pictures

@@ -106,6 +106,7 @@ class Contents:
                 self._findings.append(Finding(_MISFIT, f"{topic} row {message.sequence}"))
             else:
                 self._states.add(message.sequence, message.log_time_ns, state)
+                self._not_recorded.add_row(message.log_time_ns, state.not_recorded_s)
         elif message.channel in self._images:
             self._add_picture(topic, records, message)
         elif message.channel in self._events:
@@ -129,7 +130,7 @@ class Contents:
         kind, count = read_event(event.message)
         if count:
             self._bad_telemetry[kind] += count
-        self._not_recorded.add(message.log_time_ns, event.message)
+        self._not_recorded.add_event(message.log_time_ns, event.message)
 
     def finish(self) -> None:
         """Add the findings that need all messages."""

@@ -222,10 +222,7 @@ def _quality(log: Log) -> dict[str, str]:
         return stored
     if (states := _states(log)) is None:
         return {}
-    not_recorded = NotRecorded()
-    for message, event in log.decoded(topics.EVENTS) if topics.EVENTS in log.counts else ():
-        not_recorded.add(message.log_time_ns, event.message)
-    return summary(states) | odd_summary(states) | not_recorded.summary(states)
+    return summary(states) | odd_summary(states) | NotRecorded.of(log).summary(states)
 
 
 def _odd(log: Log, quality: dict[str, str]) -> list[OddStretch] | None:
