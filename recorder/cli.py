@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import Annotated, ClassVar
 
 import tyro
 
@@ -13,9 +13,6 @@ from common.location_flag import LocationFlag
 from recorder.sources.gymnasium_flags import GymFlags
 from recorder.sources.simulated_drive import SimulatedDrive
 from recorder.sources.topic_flags import Topics
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)
@@ -30,7 +27,7 @@ class Record:
     RARE: ClassVar[str] = "idle host port topics columns all_catalogs udacity copy_to page wander"
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
     """Name of the session, without folder or ending."""
-    source: Annotated[LocationFlag | None, tyro.conf.arg(name="from", metavar="SOURCE")] = None
+    source: Annotated[Path | None, tyro.conf.arg(name="from", metavar="SOURCE")] = None
     """Import a Udacity folder, DonkeyCar tub, .mcap, ROS 2 bag, LeRobot dataset or csv."""
     watch: bool = False
     """Follow the folder of --from as it is written."""

@@ -15,7 +15,7 @@ from common.location import Location
 from common.output import print_result
 from recorder.errors import RecordingError
 from recorder.log_copy_cli import CopyLogs
-from recorder.log_edit_cli import Merge, Recover, Rewrite, Split, Trim, noted, remark_crcs, some_logs
+from recorder.log_edit_cli import Merge, Recover, Rewrite, Split, Trim, noted, refuse_fewer, remark_crcs
 from recorder.log_export_cli import ExportLogs
 from recorder.log_flag import LogFlag
 from recorder.log_list_cli import ListLogs
@@ -150,8 +150,9 @@ Command = (
 
 def _each(logs: tuple[Location, ...], action: Callable[[Location], int]) -> int:
     """Do it for every log, also behind one that cannot be read; the worst of the exit codes."""
+    refuse_fewer(logs)
     codes = []
-    for path in some_logs(logs):
+    for path in logs:
         try:
             codes.append(action(path))
         except Exception as error:

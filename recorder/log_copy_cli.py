@@ -61,7 +61,13 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
             of_many = f" ({number} of {len(pairs)})" if len(pairs) > 1 else ""
             task = progress.add_task(f"copying {log.name}{of_many}, bytes", total=size_of(log), note="")
             try:
-                done = copy_log(log, target, overwrite=overwrite, on_bytes=partial(progress.advance, task))
+                done = copy_log(
+                    log,
+                    target,
+                    overwrite=overwrite,
+                    keeps_damaged=True,
+                    on_bytes=partial(progress.advance, task),
+                )
             except OSError as error:
                 codes.append(print_error(prog, _unreadable_or_full(log, target, error)))
                 continue

@@ -1,8 +1,8 @@
 """Time that a log leaves out on purpose, so that a check does not take it for lost rows: a car is pushed off its
 line, a person pauses, or a human drives and the simulator sends nothing.
 
-The row behind it has its seconds (`VehicleState.not_recorded_s`), and an event says why. Rows of logs of version 0.3
-and earlier have no seconds: there the events are read.
+The row behind it has its seconds (`VehicleState.not_recorded_s`), and an event says why. Rows of logs of version
+0.3 and earlier have no seconds: there the events are read.
 """
 
 from __future__ import annotations
