@@ -106,7 +106,8 @@ def odd_stretches(states: States) -> list[OddStretch]:
             taken[rows] = True
             if not is_sure and states.time_ns[last] - states.time_ns[first] < CRUMB_S * 1e9:
                 continue  # the edge of what is odd for another cause
-            kind_of_it, why = cause(rows) if callable(cause) else (kind, cause)
+            why = cause(rows) if callable(cause) else cause
+            kind_of_it, why = why if isinstance(why, tuple) else (kind, why)
             found.append(stretch_of(states, first, last, kind_of_it, why, is_sure=is_sure))
     return sorted(found, key=lambda each: (each.first_row, each.last_row))
 
@@ -118,7 +119,8 @@ def stretch_of(states: States, first: int, last: int, kind: str, cause: str, *, 
     return OddStretch(kind, first_row, last_row, begin_s, end_s, cause, is_sure)
 
 
-_Cause = Callable[[slice], tuple[str, str]] | str
+_Cause = Callable[[slice], tuple[str, str] | str] | str
+"""In words, or the kind and that, of rows."""
 
 
 def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask, bool, _Cause]]:
@@ -143,62 +145,28 @@ def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask
         return "crash", how + (f", {counted(int(backwards.sum()), 'row')} backwards" if backwards.any() else "")
 
     yield "crash", flags["crash"] | flags["backwards"] | flags["manoeuvring"], True, manoeuvre
-    yield (
-        "parked",
-        flags["parked"],
-        True,
-        lambda rows: (
-            "parked",
-            f"stands for {time_s[rows][-1] - time_s[rows][0]:.0f} s",
-        ),
-    )
-    if states.beyond_m is not None:
-        beyond_m = states.beyond_m
-        yield (
-            "off_road",
-            off_road_rows(beyond_m, time_s, drive),
-            True,
-            lambda rows: ("off_road", f"its middle is up to {np.nanmax(beyond_m[rows]):.1f} m beyond the edge"),
-        )
+    yield "parked", flags["parked"], True, lambda rows: f"stands for {time_s[rows][-1] - time_s[rows][0]:.0f} s"
+    if (beyond_m := states.beyond_m) is not None:
+
+        def how_far(rows: slice) -> str:
+            return f"its middle is up to {np.nanmax(beyond_m[rows]):.1f} m beyond the edge"
+
+        yield "off_road", off_road_rows(beyond_m, time_s, drive), True, how_far
     yield "out_of_range", flags["out_of_range"], True, "steering, a pedal or a speed that no car has"
+
+    def from_a_stand(rows: slice) -> str:
+        return f"or downhill? Up to {fastest_mph(rows):.0f} mph from a stand, without throttle"
+
     perhaps = driven_backwards(speed_mph, states.throttle, states.brake, time_s, drive).perhaps
-    yield (
-        "backwards",
-        perhaps,
-        False,
-        lambda rows: (
-            "backwards",
-            f"or downhill? Up to {fastest_mph(rows):.0f} mph from a stand, without throttle",
-        ),
-    )
-    yield (
-        "stuck_steering",
-        flags["stuck_steering"],
-        False,
-        lambda rows: (
-            "stuck_steering",
-            f"at {states.steering[rows][0]:g}",
-        ),
-    )
+    yield "backwards", perhaps, False, from_a_stand
+    yield "stuck_steering", flags["stuck_steering"], False, lambda rows: f"at {states.steering[rows][0]:g}"
     coasting = coasting_rows(speed_mph, states.throttle, states.brake, standing, usual_mph, time_s, drive)
-    yield (
-        "coasting",
-        coasting,
-        False,
-        lambda rows: (
-            "coasting",
-            f"from {fastest_mph(rows):.0f} mph without a pedal",
-        ),
-    )
-    yield (
-        "creeping",
-        creeping_rows(speed_mph, standing, usual_mph, time_s, drive),
-        False,
-        lambda rows: (
-            "creeping",
-            f"at most {fastest_mph(rows):.1f} mph, where {usual_mph:.0f} mph is usual",
-        ),
-    )
+    yield "coasting", coasting, False, lambda rows: f"from {fastest_mph(rows):.0f} mph without a pedal"
+
+    def how_slow(rows: slice) -> str:
+        return f"at most {fastest_mph(rows):.1f} mph, where {usual_mph:.0f} mph is usual"
+
+    yield "creeping", creeping_rows(speed_mph, standing, usual_mph, time_s, drive), False, how_slow
 
 
 def odd_summary(states: States) -> dict[str, str]:

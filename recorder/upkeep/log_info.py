@@ -9,7 +9,6 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from common.location import Location
 from common.untrusted_json import json_as
@@ -146,7 +145,7 @@ def describe(
             lag=found.lag if found else None,
             lacks_lag=found is None and goes_by,
             labels=str(plan_labels(steering, found, driven_by(log))) if steering else "",
-            picture_sizes=_texts(quality.get("picture_sizes", "")),
+            picture_sizes=json_as(quality.get("picture_sizes", ""), dict[str, str]) or {},
             tags=tags,
             stale_tags=sum(len(tags) for content, tags in by_content.items() if content != fingerprint),
             notice=log.notice,
@@ -261,22 +260,6 @@ def _seconds(text: str | None) -> float | None:
     return seconds if math.isfinite(seconds) and seconds >= 0 else None
 
 
-def _texts(text: str) -> dict[str, str]:
-    """The texts by name in JSON, empty for anything else: somebody else may have written the log."""
-    try:
-        return {str(name): str(value) for name, value in json.loads(text or "{}").items()}
-    except (ValueError, AttributeError, RecursionError):
-        return {}
-
-
 def _stretches(text: str) -> list[FlaggedRows]:
     """The stretches in JSON, none for anything else: somebody else may have written the log."""
-    try:
-        entries: list[list[Any]] = json.loads(text or "[]")
-        return [
-            FlaggedRows(str(flag), int(first), int(last), float(begin_s), float(end_s))
-            for flag, first, last, begin_s, end_s in entries
-            if math.isfinite(begin_s) and math.isfinite(end_s)
-        ]
-    except (ValueError, TypeError, OverflowError, RecursionError):
-        return []
+    return [FlaggedRows(*entry) for entry in json_as(text, list[tuple[str, int, int, float, float]]) or ()]
