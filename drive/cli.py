@@ -187,7 +187,6 @@ def _load_named(config: Drive, run: Path) -> None:
 
 
 def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
-    """Drive a Gymnasium environment."""
     from drive.drive_server import drive_metadata
     from drive.drive_session import DriveSession
     from drive.gymnasium_drive import check_pedals, drive_gymnasium, mean_reward

@@ -29,8 +29,6 @@ _S_PER_MIN: Final = 60.0
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The state of a project."""
-
     here: list[str] = field(default_factory=list)  # a line for each folder
     odd: list[str] = field(default_factory=list)
     good: list[str] = field(default_factory=list)  # how good the newest run is

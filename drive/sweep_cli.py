@@ -25,7 +25,6 @@ from common.progress import track
 from common.random_access import is_there
 from common.ray_flag import RayAddress, tasks_of
 from common.steering_unit import DEGREES
-from drive.earlier_flags import understand_earlier
 from model.runs.run_files import without_nan
 
 if TYPE_CHECKING:
@@ -165,5 +164,4 @@ def _spread(values: Sequence[float], digits: int) -> str:
 
 
 def main() -> None:
-    understand_earlier("bc-sweep", {"--logs": "--drives"})
     run_command("bc-sweep", Sweep, sweep)

@@ -24,7 +24,7 @@ class Record:
     bc-record mine --from ~/beta_simulator/recording --watch
     """
 
-    RARE: ClassVar[str] = "idle host port topics columns all_catalogs udacity copy_to page wander"
+    RARE: ClassVar[str] = "idle host port topics columns udacity copy_to page wander"
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
     """Name of the session, without folder or ending."""
     source: Annotated[Path | None, tyro.conf.arg(name="from", metavar="SOURCE")] = None
@@ -46,8 +46,6 @@ class Record:
     topics: tyro.conf.OmitArgPrefixes[Topics] = field(default_factory=Topics)
     columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHAT=COLUMN [WHAT=COLUMN ...]")] = ()
     """Columns of a csv: image=frame steering=angle, and more."""
-    all_catalogs: bool = False
-    """Also import a tub's catalogues missing in its manifest."""
     rate: float | None = None
     """Rows a second; simulated: 10, or another divisor of 50."""
     udacity: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None

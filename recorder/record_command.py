@@ -107,7 +107,6 @@ def _record_to(config: Record, log: Path) -> Imported:
                 config.topics,
                 columns=config.columns,
                 rate_hz=config.rate,
-                all_catalogs=config.all_catalogs,
                 car=car,
                 overwrite=config.force,
             )
@@ -157,8 +156,6 @@ def _refuse_contradictions(config: Record) -> None:
         raise UsageError("--image, --steering and --steering-scale go with --from")
     if config.columns and (config.source is None or config.watch):
         raise UsageError("--columns goes with --from FOLDER, which has pictures and a csv")
-    if config.all_catalogs and (config.source is None or config.watch):
-        raise UsageError("--all-catalogs goes with --from ~/mycar/data")
     if config.idle is not None and not 0 <= config.idle < math.inf:
         raise UsageError(f"--idle {config.idle:g}: a number of seconds, 0 or more, was expected")
     if config.port:  # 0: a free one
@@ -189,7 +186,7 @@ def _refuse_contradictions(config: Record) -> None:
 def _refuse_beside_gym(config: Record) -> None:
     from recorder.sources.record_gymnasium import check_recording
 
-    if flags := flags_given(config, "source", "watch", "listen", "udacity", "all_catalogs"):
+    if flags := flags_given(config, "source", "watch", "listen", "udacity"):
         raise UsageError(f"{flags.replace('--source', '--from')}: not with --gym, which is recorded itself")
     if replace(config.drive, seed=0) != SimulatedDrive():
         raise UsageError("--track, --driver and their like are the built-in simulator's: not with --gym")

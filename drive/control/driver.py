@@ -69,8 +69,6 @@ class Decision:
 
 
 class Driver:
-    """Drives one connected simulator."""
-
     def __init__(
         self,
         pilot: Pilot,

@@ -26,7 +26,6 @@ from common.location import Location, absolute
 from common.output import print_message, print_next, print_result
 from common.progress import track
 from common.ray_flag import tasks_of
-from drive.earlier_flags import understand_earlier
 from drive.evaluation.eval_flags import Eval, refuse_contradictions
 
 if TYPE_CHECKING:
@@ -60,7 +59,6 @@ def _found_runs(config: Eval, *names: str | None) -> list[Path]:
 
 
 def _measure(config: Eval) -> int:
-    """Measure on recorded frames."""
     from drive.kept_drive import keep
     from model.worst_moments import worst_frames
 
@@ -198,7 +196,6 @@ def _compare_by_driving(config: Eval, a: Path, b: Path, names: tuple[str, str]) 
 
 
 def _drive(config: Eval) -> int:
-    """Let the network drive."""
     from drive.evaluation.closed_loop import DRIVES, LogFolder
     from drive.evaluation.eval_report import print_drives
     from drive.kept_drive import keep
@@ -303,7 +300,6 @@ def _driven_on_cluster(
 
 
 def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
-    """Let the network drive recordings."""
     from dataset import find_logs
     from dataset.loader.log_views import LogViews
     from drive.kept_drive import keep
@@ -344,5 +340,4 @@ def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
 
 
 def main() -> None:
-    understand_earlier("bc-eval", {"--logs": "--drives"})
     run_command("bc-eval", Eval, evaluate)

@@ -52,7 +52,6 @@ def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame], *, bin
 
 
 def print_drives(results: Sequence[DriveResult]) -> None:
-    """Print the table of drives; then the command that shows the last one."""
     # narrow enough for a terminal of 80 columns
     title = "distances from the centre line are shares of the road's half width"
     table = Table(title=title, box=None, pad_edge=False)

@@ -35,8 +35,6 @@ _MAX_OVERSHOOT_LAPS: Final = 0.05
 
 @dataclass(frozen=True)
 class Swept:
-    """The outcome of one training of a sweep."""
-
     training: Training
     summary: RunSummary | None  # as far as it came; None where there is no run
     failure: str = ""  # why it did not come to its end

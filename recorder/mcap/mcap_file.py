@@ -91,8 +91,6 @@ class StoredMessage(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """The records of a chunk, by kind."""
-
     messages: array[int]  # where each begins
     definitions: list[tuple[int, int, int]]  # opcode, start and end of schemas and channels
 
@@ -264,7 +262,6 @@ class McapFile(Closeable):
         return (stored_message(records, start) for start in self.parts(records).messages)
 
     def metadata(self, offset: int) -> MetadataRecord:
-        """The metadata record that begins at `offset`."""
         content = self._content(offset, Opcode.METADATA)
         try:
             record: MetadataRecord = MetadataRecord.read(ReadDataStream(io.BytesIO(content)))
@@ -273,7 +270,6 @@ class McapFile(Closeable):
         return record
 
     def attachment(self, offset: int) -> Attachment:
-        """The attachment that begins at `offset`."""
         content = self._content(offset, Opcode.ATTACHMENT)
         if not self.may_have_crc(int.from_bytes(content[-4:], "little"), content[:-4]):
             raise self.damaged("an attachment has another content than its CRC says")

@@ -28,8 +28,6 @@ KEYS: Final = ("image", *CAMERAS, *_NUMBERS, *_TIMES)
 
 @dataclass(frozen=True)
 class CsvRow:
-    """One row of a csv."""
-
     line: int
     index: int  # among the rows of the file, those that cannot be used too
     pictures: Mapping[Camera, str]  # as the csv names them; only those that it names

@@ -38,21 +38,19 @@ def import_tub(
     log: Path,
     *,
     rate_hz: float | None = None,
-    all_catalogs: bool = False,
     car: Car | None = None,
     overwrite: bool = False,
 ) -> Imported:
     """Write the DonkeyCar tub in `folder` to `log`; its pictures byte for byte, its records in their order.
 
     DonkeyCar's angle is our steering. Its throttle is -1..1: what is below 0 becomes the brake. Speed is NaN.
-    `rate_hz` is for a tub whose records have no times: 20 without it. `all_catalogs` takes those catalogues, too,
-    that the manifest does not name; DonkeyCar does not read them. `car` is the one that was recorded.
+    `rate_hz` is for a tub whose records have no times: 20 without it. `car` is the one that was recorded.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     check_rate(rate_hz)
     events = SkippedEvents()
     skipped = events.skipped
-    tub = open_tub(folder, all_catalogs, skipped)
+    tub = open_tub(folder, skipped)
     is_timed = any(finite(record.values.get(tub.time_field)) is not None for record in tub.records(Skipped()))
     if is_timed and rate_hz is not None:
         raise RecordingError(f"{folder}: --rate: the tub's records have their times; leave it out")

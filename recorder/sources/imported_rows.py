@@ -20,8 +20,6 @@ STEERING_OUT_OF_RANGE: Final = (
 
 @dataclass(frozen=True)
 class ImportedRow:
-    """A row that can be used."""
-
     time_ns: int
     state: VehicleState
     pictures: Mapping[Camera, bytes]  # JPEG or PNG, byte for byte

@@ -28,8 +28,6 @@ _TICK_S: Final = 0.1
 
 @dataclass(frozen=True)
 class PersonRow:
-    """One row of a person's drive."""
-
     time_ns: int
     pose: Pose
     state: VehicleState

@@ -49,8 +49,6 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SideCameras:
-    """The measured distances."""
-
     left: float  # distance from the centre camera, as a share of the cameras' height above the road
     right: float
     moments: int  # how many had all three pictures

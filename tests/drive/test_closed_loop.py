@@ -271,14 +271,6 @@ def test_an_unknown_track_ends_an_evaluation_in_a_line_and_leaves_no_log(
     assert list(tmp_path.rglob("*.*")) == []
 
 
-def test_the_earlier_name_of_a_flag_is_understood(
-    pilot_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call(eval_main, pilot_run, "--simulator", "lake", "--laps", 0.002, f"--logs={tmp_path / 'logs'}") == 0
-    assert "--logs is called --drives now" in capsys.readouterr().err
-    assert len(list((tmp_path / "logs").glob("*.mcap"))) == 1
-
-
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
