@@ -14,7 +14,7 @@ import shlex
 import shutil
 import sys
 import sysconfig
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Final
 
@@ -83,6 +83,16 @@ def print_table(*parts: RenderableType) -> None:
             for column in part.columns:
                 column.overflow, column.no_wrap = "fold", column.no_wrap and fits
         console.print(part, soft_wrap=is_free and isinstance(part, str))
+
+
+def plain_table(title: str | None, *headings: str, text: Collection[str] = ()) -> Table:
+    """An empty table, narrow enough for a terminal of 80 columns: numbers to the right, and never folded; what is
+    under the first heading, and those of `text`, to the left."""
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for number, heading in enumerate(headings):
+        is_text = not number or heading in text
+        table.add_column(heading, justify="left" if is_text else "right", no_wrap=not is_text)
+    return table
 
 
 def _least_width(table: Table, console: Console) -> int:

@@ -19,7 +19,7 @@ from common.errors import UsageError, counted, printable
 from common.files import refuse_existing
 from common.interrupts import stop_signals
 from common.location import Url
-from common.output import print_message, print_next, print_result, print_table
+from common.output import plain_table, print_message, print_next, print_result, print_table
 from common.preview import has_display, preview
 from common.progress import StatusLine
 from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
@@ -316,9 +316,7 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
 
 
 def _rounds_table(rounds: Sequence[AggregationRound]) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for heading in ("run", "laps", "interventions", "autonomy", "log"):
-        table.add_column(heading, justify="left" if heading in ("run", "log") else "right")
+    table = plain_table(None, "run", "laps", "interventions", "autonomy", "log", text={"log"})
     for each in rounds:
         percent = each.autonomy_percent
         table.add_row(

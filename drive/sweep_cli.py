@@ -20,7 +20,7 @@ from common.command import DONE, DONE_BUT_SKIPPED, FAILED, run_command, warn
 from common.errors import UsageError, counted, printable
 from common.location import Location
 from common.location_flag import LocationFlag
-from common.output import print_message, print_next, print_result, print_table
+from common.output import plain_table, print_message, print_next, print_result, print_table
 from common.progress import track
 from common.random_access import is_there
 from common.ray_flag import RayAddress, tasks_of
@@ -127,9 +127,7 @@ def _table(name: str, done: Sequence[Swept]) -> Table:
     """A row for each setting: the mean over its seeds, and the least and the largest."""
     unit = next((swept.summary.unit for swept in done if swept.summary is not None), DEGREES)
     title = f"{printable(name)}: means over the seeds (least to largest); RMSE of frames held out, in {unit.name}"
-    table = Table(title=title, box=None, pad_edge=False)
-    for heading in ("settings", "seeds", "failed", "RMSE", "interventions/km", "autonomy, %"):
-        table.add_column(heading, justify="left" if heading == "settings" else "right")
+    table = plain_table(title, "settings", "seeds", "failed", "RMSE", "interventions/km", "autonomy, %")
     ordered = sorted(done, key=lambda swept: swept.training.varied)
     for varied, members in groupby(ordered, key=lambda swept: swept.training.varied):
         of_setting = list(members)

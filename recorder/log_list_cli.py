@@ -13,7 +13,7 @@ from common import UserError
 from common.command import DONE, print_error, warn
 from common.errors import as_user_error
 from common.location import Location, Url, location
-from common.output import print_result, print_table
+from common.output import plain_table, print_result, print_table
 from recorder.log.logs_in_folder import logs_in
 from recorder.log_flag import FOLDERS, LogFlag
 from recorder.log_next import print_first, step_of_list
@@ -79,11 +79,8 @@ def _is_folder(place: Location) -> bool:
 
 
 def _table(infos: Sequence[LogInfo]) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for heading in ("log", "begun, UTC", "min", "rows", "MB", "driven by", "odd", "tags"):
-        is_number = heading in ("min", "rows", "MB")
-        no_wrap = is_number or heading == "begun, UTC"
-        table.add_column(heading, justify="right" if is_number else "left", no_wrap=no_wrap, overflow="fold")
+    headings = ("log", "begun, UTC", "min", "rows", "MB", "driven by", "odd", "tags")
+    table = plain_table(None, *headings, text={"driven by", "odd", "tags"})
     for info in infos:
         odd = ", ".join(f"{rows:,} {kind.replace('_', ' ')}" for kind, rows in info.odd_rows.items())
         table.add_row(

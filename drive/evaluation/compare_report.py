@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from rich.markup import escape
 from rich.table import Table
 
 from common.errors import counted, decimal, printable
-from common.output import print_message, print_result, print_table
+from common.output import plain_table, print_message, print_result, print_table
 from common.steering_unit import DEGREES, SteeringUnit
 from model.evaluation.differences import CONFIDENCE, FEWEST_BLOCKS, Difference, Verdict, overall
 from model.evaluation.run_comparison import BLOCK_S, Comparison
@@ -39,9 +39,8 @@ def print_comparison(comparison: Comparison, names: Sequence[str]) -> None:
 
 def print_drive_comparison(comparison: DriveComparison, names: Sequence[str]) -> None:
     """Print the tables of a comparison by driving, and its verdict."""
-    drives = Table(title="each drive, A then B", title_justify="left", box=None, pad_edge=False)
-    for heading in ("track", "set mph", "interventions", "", "autonomy", "", "mean offset", ""):
-        drives.add_column(heading, justify="left" if heading == "track" else "right", no_wrap=True)
+    headings = ("track", "set mph", "interventions", "", "autonomy", "", "mean offset", "")
+    drives = plain_table("each drive, A then B", *headings)
     for a, b in zip(comparison.a, comparison.b, strict=True):
         drives.add_row(
             a.simulator.track,
@@ -81,11 +80,8 @@ def _table(
     title: str, differences: Sequence[Difference], names: Sequence[str], unit: SteeringUnit = DEGREES
 ) -> Table:
     name_a, name_b = (escape(printable(name)) for name in names)
-    table = Table(title=f"A: {name_a}\nB: {name_b}\n{title}", title_justify="left", box=None, pad_edge=False)
     headings = ("", "A", "B", "B - A", f"{CONFIDENCE:.0%} of all", "B is")
-    for number, heading in enumerate(headings):
-        justify: Literal["left", "right"] = "right" if 0 < number < len(headings) - 1 else "left"
-        table.add_column(heading, justify=justify, no_wrap=True)
+    table = plain_table(f"A: {name_a}\nB: {name_b}\n{title}", *headings, text={"B is"})
     for each in differences:
         is_count = each.measure.name == "interventions"
         digits = 0 if is_count else 3 if each.measure.scale == 1.0 else 2

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from common.errors import counted, printable
 from common.files import short_path
-from common.output import print_result, print_table
+from common.output import plain_table, print_result, print_table
 from common.steering_unit import SteeringUnit
 from dataset.prediction_targets import TARGETS
 from model.evaluation.evaluate import Evaluation
@@ -52,11 +52,10 @@ def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame], *, bin
 
 
 def print_drives(results: Sequence[DriveResult]) -> None:
-    # narrow enough for a terminal of 80 columns
-    title = "distances from the centre line are shares of the road's half width"
-    table = Table(title=title, box=None, pad_edge=False)
-    for heading in ("track", "set mph", "mph", "laps", "interventions", "autonomy", "mean", "largest", "steer/s"):
-        table.add_column(heading, justify="left" if heading == "track" else "right", no_wrap=True)
+    table = plain_table(
+        "distances from the centre line are shares of the road's half width",
+        *("track", "set mph", "mph", "laps", "interventions", "autonomy", "mean", "largest", "steer/s"),
+    )
     for result in results:
         report = result.report
         table.add_row(
@@ -77,7 +76,7 @@ def print_drives(results: Sequence[DriveResult]) -> None:
 def print_recorded_drives(run: str, drives: Sequence[RecordedDrive]) -> None:
     """Print the table of drives of recordings."""
     put_back = f"put back from {drives[0].departure_m:g} m on"
-    table = _table(
+    table = plain_table(
         f"{escape(printable(run))} on recordings; metres from the recorded line, {put_back}",
         *("session", "rows", "left out", "km", "interventions", "autonomy", "mean", "max", "known"),
     )
@@ -112,7 +111,7 @@ def _measures_table(evaluation: Evaluation) -> Table:
     name = escape(printable(run_name(evaluation.run)))
     title = f"{name}: {counted(measures.frames, 'frame')}; errors in {measures.unit.name}"
     as_learnt = ("as learnt",) if is_scaled else ()
-    table = _table(title, "", "network", "always zero", "always the mean", *as_learnt)
+    table = plain_table(title, "", "network", "always zero", "always the mean", *as_learnt)
     columns = [*of.values(), evaluation.as_learnt] if is_scaled else [*of.values()]
     for heading, name in (("MAE", "mae_deg"), ("RMSE", "rmse_deg"), ("MAE on turns", "turning_mae_deg")):
         table.add_row(heading, *(_number(shown(getattr(errors, name))) for errors in columns))
@@ -130,7 +129,7 @@ def _measures_table(evaluation: Evaluation) -> Table:
 
 def _targets_table(targets: Sequence[TargetErrors]) -> Table:
     headings = ("other targets", "frames", "MAE", "RMSE", "always the mean", "bias", "correlation")
-    table = _table("what else it answers, and what was recorded", *headings)
+    table = plain_table("what else it answers, and what was recorded", *headings)
     for of in targets:
         unit = TARGETS[of.target].unit
         numbers = (of.mae, of.rmse, of.mean_rmse, of.bias, of.correlation)
@@ -140,7 +139,7 @@ def _targets_table(targets: Sequence[TargetErrors]) -> Table:
 
 def _bins_table(measures: Measures) -> Table:
     title = "by recorded steering; bias above 0: too far right"
-    table = _table(title, "steering", "frames", "MAE", "bias", "RMSE", "")
+    table = plain_table(title, "steering", "frames", "MAE", "bias", "RMSE", "")
     shown = measures.unit.of
     widest = max(part.rmse_deg for part in measures.bins)
     for part in measures.bins:
@@ -157,7 +156,7 @@ def _bins_table(measures: Measures) -> Table:
 
 def _sessions_table(sessions: dict[str, Measures]) -> Table:
     title = "by session; mean: always predicting it"
-    table = _table(title, "session", "frames", "MAE", "RMSE", "mean RMSE", "on turns", "correlation")
+    table = plain_table(title, "session", "frames", "MAE", "RMSE", "mean RMSE", "on turns", "correlation")
     for session, measures in sessions.items():
         errors, shown = measures.network, measures.unit.of
         table.add_row(
@@ -173,7 +172,7 @@ def _sessions_table(sessions: dict[str, Measures]) -> Table:
 
 
 def _worst_table(worst: Sequence[WorstFrame], unit: SteeringUnit) -> Table:
-    table = _table(
+    table = plain_table(
         f"worst frames, in {unit.name}", "session", "row", "log time (UTC)", "predicted", "recorded", "error"
     )
     for frame in worst:
@@ -185,14 +184,6 @@ def _worst_table(worst: Sequence[WorstFrame], unit: SteeringUnit) -> Table:
             f"{unit.of(frame.recorded_deg):+.2f}",
             f"{unit.of(frame.error_deg):+.2f}",
         )
-    return table
-
-
-def _table(title: str, *headings: str) -> Table:
-    """An empty table, narrow enough for a terminal of 80 columns."""
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for number, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if number else "left", no_wrap=number > 0)
     return table
 
 

@@ -7,15 +7,14 @@ import contextlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
-from typing import Final, Literal, overload
+from typing import Final, Literal
 
 import msgspec
 
 from common import atomic_file
 from common.errors import UserError
 from common.location import Location, Url
-from common.untrusted import read_bounded
+from common.random_access import read_bytes
 from common.untrusted_json import json_as
 from recorder import topics
 from recorder.log.reader import Log
@@ -41,14 +40,6 @@ def noted_lag(quality: Mapping[str, str]) -> LagFinding | None:
     return json_as(f'{{"lag":{quality.get(_KEY, "")}}}', LagFinding)
 
 
-@overload
-def lag_path(log: Path) -> Path: ...
-
-
-@overload
-def lag_path(log: Url) -> Url: ...
-
-
 def lag_path(log: Location) -> Location:
     return log.with_name(f"{log.name.removesuffix('.mcap')}.lag.json")
 
@@ -60,19 +51,12 @@ def known_lag(log: Log) -> LagFinding | None:
 
 def kept_lag(log: Log) -> LagFinding | None:
     """The lag kept beside a log for this content of it; None without, or if the file is damaged."""
-    data = _beside(lag_path(log.path))
-    kept = json_as(data, _Kept) if data else None
+    path = lag_path(log.path)
+    kept: _Kept | None = None
+    if isinstance(path, Url) or (path.is_file() and not path.is_symlink()):
+        with contextlib.suppress(OSError):
+            kept = json_as(read_bytes(path, _MAX_BYTES) or b"", _Kept)
     return LagFinding(kept.lag) if kept is not None and kept.log == log.fingerprint else None
-
-
-def _beside(path: Location) -> bytes | None:
-    if isinstance(path, Url):
-        from common.object_store import read_object  # an extra
-
-        return read_object(path, _MAX_BYTES)
-    with contextlib.suppress(OSError):
-        return None if path.is_symlink() else read_bounded(path, _MAX_BYTES)
-    return None
 
 
 def keep_lag(log: Log, found: LagFinding) -> bool:

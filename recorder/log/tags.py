@@ -98,24 +98,17 @@ def _names_in(path: Location) -> set[str]:
     return {tag.name for tags in tagged.values() for tag in tags}
 
 
-def add_tag(log: Location, fingerprint: str, tag: Tag) -> None:
-    """Raises LogError for a name or rows that no tag can have, or if the file cannot be written; StoreError, also
-    where somebody else has tagged that log in the store at this moment."""
-    add_tags(log, fingerprint, [tag])
-
-
 def add_tags(log: Location, fingerprint: str, tags: Sequence[Tag]) -> None:
-    """Add all of them or, where anything is raised, none. Raises what `add_tag` does."""
+    """Add all of them or, where anything is raised, none.
+
+    Raises LogError for a name or rows that no tag can have, or if the file cannot be written; StoreError, also
+    where somebody else has tagged that log in the store at this moment.
+    """
     _append(log, "add", fingerprint, tags)
 
 
-def remove_tag(log: Location, fingerprint: str, tag: Tag) -> None:
-    """Raises what `add_tag` does; removing a tag that is not there changes nothing."""
-    remove_tags(log, fingerprint, [tag])
-
-
 def remove_tags(log: Location, fingerprint: str, tags: Sequence[Tag]) -> None:
-    """Remove all of them or, where anything is raised, none. Raises what `add_tag` does."""
+    """Remove all of them, if they are there. Raises what `add_tags` does."""
     _append(log, "remove", fingerprint, tags)
 
 
@@ -126,16 +119,10 @@ def check_name(name: object) -> str:
     return name
 
 
-def _row(value: object) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < _MAX_ROWS:
-        raise ValueError(f"{value!r} is not a row")
-    return value
-
-
 def _checked(tag: Tag) -> Tag:
     check_name(tag.name)
-    if _row(tag.first_row) > _row(tag.last_row):
-        raise ValueError(f"rows {tag.first_row} to {tag.last_row} are not a stretch")
+    if not 0 <= tag.first_row <= tag.last_row < _MAX_ROWS:
+        raise ValueError(f"no rows {tag.first_row} to {tag.last_row}")
     return tag
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -16,13 +15,12 @@ from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.session_car import Car, metadata_of
-from recorder.log.writer import LogWriter
 from recorder.pictures.decoding import is_whole_picture
 from recorder.sources.csv_columns import CsvColumns, CsvRow
 from recorder.sources.frame_rate import check_rate, describe_clock
 from recorder.sources.import_mcap import check_scale
 from recorder.sources.import_result import Imported, SkippedEvents
-from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_rows
+from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_log
 from recorder.sources.picture_folder import PictureFolder
 from recorder.sources.udacity_recording import MAX_CSV_BYTES, MAX_PICTURE_BYTES
 
@@ -58,9 +56,6 @@ def import_csv(
     folder = PictureFolder(csv.parent)
     events = SkippedEvents()
     rows = _rows(csv, chosen, folder, rate_hz, steering_scale, events.skipped)
-    first = next(rows, None)
-    if first is None:
-        raise RecordingError(f"{csv}: no row of it can be used{events.skipped.error_suffix()}")
     metadata = {
         "source": "csv",
         "recording": Path(os.path.realpath(csv.parent)).name,
@@ -69,9 +64,8 @@ def import_csv(
         "clock": "recorded" if rate_hz is None else describe_clock(rate_hz),
         **({} if rate_hz is None else {"start": "1970, because the recording does not tell it"}),
     }
-    with LogWriter(log, metadata | metadata_of(car), overwrite=overwrite) as writer:
-        count, pictures = write_rows(writer, itertools.chain([first], rows), events)
-    return Imported(log, count, pictures, events.skipped, writer.notices)
+    without_rows = f"{csv}: no row of it can be used"
+    return write_log(log, metadata | metadata_of(car), rows, events, without_rows, overwrite=overwrite)
 
 
 def has_csv(source: Path) -> bool:

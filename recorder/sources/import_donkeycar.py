@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import os
 import re
@@ -16,12 +15,11 @@ from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.session_car import Car, metadata_of
-from recorder.log.writer import LogWriter
 from recorder.pictures.jpeg import is_whole_jpeg
 from recorder.sources.donkeycar_tub import TIME_END_NS, Tub, TubRecord, finite, open_tub
 from recorder.sources.frame_rate import check_rate, describe_clock
 from recorder.sources.import_result import Imported, SkippedEvents
-from recorder.sources.imported_rows import ImportedRow, write_rows
+from recorder.sources.imported_rows import ImportedRow, write_log
 from recorder.sources.udacity_recording import MAX_PICTURE_BYTES
 
 DEFAULT_RATE_HZ: Final = 20  # of DonkeyCar's loop, unless it is configured otherwise
@@ -56,9 +54,6 @@ def import_tub(
         raise RecordingError(f"{folder}: --rate: the tub's records have their times; leave it out")
     step_ms = None if is_timed else 1000 / (rate_hz or DEFAULT_RATE_HZ)
     frames = _frames(tub, step_ms, f"importing {folder.name}", skipped)
-    first = next(frames, None)
-    if first is None:
-        raise RecordingError(f"{folder}: no usable record in this DonkeyCar tub{skipped.error_suffix()}")
     metadata = {
         "source": "donkeycar",
         "recording": Path(os.path.realpath(folder)).name,
@@ -69,9 +64,8 @@ def import_tub(
         metadata["clock"] = describe_clock(rate_hz)
     if tub.start_ns is None and (tub.is_time_from_start or not is_timed):
         metadata["start"] = "1970, because the tub does not tell it"
-    with LogWriter(log, metadata | metadata_of(car), overwrite=overwrite) as writer:
-        rows, pictures = write_rows(writer, itertools.chain([first], frames), events)
-    return Imported(log, rows, pictures, skipped, writer.notices)
+    without_rows = f"{folder}: no usable record in this DonkeyCar tub"
+    return write_log(log, metadata | metadata_of(car), frames, events, without_rows, overwrite=overwrite)
 
 
 def _frames(tub: Tub, step_ms: float | None, what: str, skipped: Skipped) -> Iterator[ImportedRow]:

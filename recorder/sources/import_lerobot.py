@@ -7,6 +7,7 @@ import itertools
 import math
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,11 +25,10 @@ from recorder.errors import LogError, RecordingError
 from recorder.lerobot.dataset_format import LOG_CAR, LOG_NOT_RECORDED, LOG_NOT_RECORDED_S, LOG_TIME
 from recorder.log.meant_gaps import MAX_S, MeantGap, earlier_seconds
 from recorder.log.session_car import CAR_KEY, Car, car_in, metadata_of
-from recorder.log.writer import LogWriter
 from recorder.pictures.decoding import is_whole_picture
 from recorder.sources.import_mcap import check_scale
 from recorder.sources.import_result import Imported, SkippedEvents
-from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_rows
+from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_log
 from recorder.sources.lerobot_dataset import BATCH_ROWS, LeRobotFolder, open_dataset
 from recorder.sources.lerobot_features import LeRobotFeatures, choose_features
 from recorder.sources.lerobot_videos import CameraVideos
@@ -69,19 +69,16 @@ def import_lerobot(
             if dataset.features[key].dtype == "video"
         }
         frames = _frames(dataset, chosen, videos, events.skipped)
-        first = next(frames, None)
-        if first is None:
-            raise RecordingError(f"{folder}: no frame of it can be used{events.skipped.error_suffix()}")
         log_car = _stored_car(dataset) if car is None and chosen.is_own else car
         metadata = _metadata(dataset, chosen, steering_scale) | metadata_of(log_car)
-        with LogWriter(log, metadata, overwrite=overwrite) as writer:
-            rows, pictures = write_rows(writer, itertools.chain([first], frames), events)
+        without_rows = f"{folder}: no frame of it can be used"
+        imported = write_log(log, metadata, frames, events, without_rows, overwrite=overwrite)
     notices = []
     if steering is None and not chosen.is_own:
         notices.append(f"steering is the dataset's {printable(chosen.steering.label)} (--steering names another)")
     if videos:
         notices.append("decoded from videos and encoded anew: these are not the camera's original pictures")
-    return Imported(log, rows, pictures, events.skipped, [*notices, *writer.notices])
+    return replace(imported, notices=[*notices, *imported.notices])
 
 
 def _metadata(dataset: LeRobotFolder, chosen: LeRobotFeatures, steering_scale: float) -> dict[str, str]:

@@ -28,7 +28,7 @@ from long_log import lengthened
 from mcap_patch import patched
 from recorder import Log, LogError
 from recorder.cli import main as bc_record
-from recorder.log.tags import Tag, add_tag
+from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main
 from recorder.upkeep.check import check
 from recorder.upkeep.copy_log import copy_log
@@ -61,7 +61,7 @@ def large_log(folder: Path, name: str = "large.mcap") -> Path:
 
 def tag(path: Path, name: str) -> None:
     with Log(path) as log:
-        add_tag(path, log.fingerprint, Tag(1, 2, name))
+        add_tags(path, log.fingerprint, [Tag(1, 2, name)])
 
 
 # places
