@@ -54,9 +54,9 @@ def drive(config: Drive) -> int:
     from recorder.log_copy_cli import copy_recording, refuse_taken_name
 
     refuse_taken_name(path, config.force)
-    here = Path("drives") / path.name
-    code = _drive_to(here, config, settings)
-    return max(code, copy_recording(here, path.parent, config.force, prog="bc-drive"))
+    local = Path("drives") / path.name
+    code = _drive_to(local, config, settings)
+    return max(code, copy_recording(local, path.parent, config.force, prog="bc-drive"))
 
 
 def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
@@ -263,13 +263,13 @@ def _print_next(sessions: Sequence[DriveSession], config: Drive, run: Path) -> N
     else the one that shows the last drive."""
     from model.runs.run_arguments import run_argument
 
-    taken = [each for each in sessions if each.summary.takeovers + each.summary.manual_stretches]
+    taken = [session for session in sessions if session.summary.takeovers + session.summary.manual_stretches]
     if config.takeover is not None and taken:
-        logs = " ".join(shlex.quote(str(each.writer.path)) for each in taken)
-        times = sum(each.summary.takeovers + each.summary.manual_stretches for each in taken)
+        logs = " ".join(shlex.quote(str(session.writer.path)) for session in taken)
+        times = sum(session.summary.takeovers + session.summary.manual_stretches for session in taken)
         command = f"bc-train --init {run_argument(run)} --takeovers {logs}"
         print_next(command, f"it learns from {counted(times, 'takeover')}")
-    elif driven := [each for each in sessions if each.log.frames]:
+    elif driven := [session for session in sessions if session.log.frames]:
         print_next(f"bc-play {shlex.quote(str(driven[-1].writer.path))}")
 
 
@@ -317,14 +317,14 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
 
 def _rounds_table(rounds: Sequence[AggregationRound]) -> Table:
     table = plain_table(None, "run", "laps", "interventions", "autonomy", "log", text={"log"})
-    for each in rounds:
-        percent = each.autonomy_percent
+    for driven in rounds:
+        percent = driven.autonomy_percent
         table.add_row(
-            escape(printable(each.run)),
-            "unknown" if each.laps is None else f"{each.laps:.2f}",
-            f"{each.interventions:,}",
+            escape(printable(driven.run)),
+            "unknown" if driven.laps is None else f"{driven.laps:.2f}",
+            f"{driven.interventions:,}",
             "unknown" if percent is None else f"{percent:.1f} %",
-            escape(printable(str(each.log))),
+            escape(printable(str(driven.log))),
         )
     return table
 

@@ -86,9 +86,9 @@ def sweep(config: Sweep) -> int:
     done: list[Swept] = []
     try:
         with tasks_of(config.ray, num_cpus=config.cpus, num_gpus=config.gpus) as tasks:
-            found = run_sweep(plan, config.index, config.runs, config.drives, tasks)
+            trainings = run_sweep(plan, config.index, config.runs, config.drives, tasks)
             # one by one, each training has a bar of its own
-            shown = found if config.ray is None else track(found, "training", len(plan.trainings))
+            shown = trainings if config.ray is None else track(trainings, "training", len(plan.trainings))
             for swept in shown:
                 done.append(swept)
                 _print_one(swept, as_json=config.json)
@@ -114,8 +114,8 @@ def _print_one(swept: Swept, *, as_json: bool) -> None:
     if as_json:
         summary = None if swept.summary is None else {**asdict(swept.summary), "results": swept.summary.drives}
         settings = asdict(swept.training.config)
-        found = {"run": run, "settings": settings, "failure": swept.failure, "summary": summary}
-        print_result(json.dumps(without_nan(found)))
+        entry = {"run": run, "settings": settings, "failure": swept.failure, "summary": summary}
+        print_result(json.dumps(without_nan(entry)))
     elif not swept.failure and swept.summary is not None:
         drives = swept.summary.drives
         driven = f", autonomy {_mean(swept.summary):.1f} % in {counted(len(drives), 'drive')}" if drives else ""
@@ -154,11 +154,11 @@ def _mean(summary: RunSummary) -> float:
 
 
 def _spread(values: Sequence[float], digits: int) -> str:
-    known = [value for value in values if math.isfinite(value)]
-    if not known:
+    finite = [value for value in values if math.isfinite(value)]
+    if not finite:
         return "-"
-    mean = f"{statistics.fmean(known):.{digits}f}"
-    return mean if len(known) == 1 else f"{mean} ({min(known):.{digits}f} to {max(known):.{digits}f})"
+    mean = f"{statistics.fmean(finite):.{digits}f}"
+    return mean if len(finite) == 1 else f"{mean} ({min(finite):.{digits}f} to {max(finite):.{digits}f})"
 
 
 def main() -> None:

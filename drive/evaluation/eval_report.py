@@ -106,17 +106,17 @@ def _play(evaluation: Evaluation, frame: WorstFrame) -> str:
 def _measures_table(evaluation: Evaluation) -> Table:
     measures, balanced = evaluation.measures, evaluation.balanced_rmse_deg
     shown = measures.unit.of
-    of = {"network": measures.network, "zero": measures.zero, "mean": measures.mean}
+    predictors = {"network": measures.network, "zero": measures.zero, "mean": measures.mean}
     is_scaled = evaluation.answers != AnswerScale()
     name = escape(printable(run_name(evaluation.run)))
     title = f"{name}: {counted(measures.frames, 'frame')}; errors in {measures.unit.name}"
     as_learnt = ("as learnt",) if is_scaled else ()
     table = plain_table(title, "", "network", "always zero", "always the mean", *as_learnt)
-    columns = [*of.values(), evaluation.as_learnt] if is_scaled else [*of.values()]
+    columns = [*predictors.values(), evaluation.as_learnt] if is_scaled else [*predictors.values()]
     for heading, name in (("MAE", "mae_deg"), ("RMSE", "rmse_deg"), ("MAE on turns", "turning_mae_deg")):
         table.add_row(heading, *(_number(shown(getattr(errors, name))) for errors in columns))
-    table.add_row("balanced RMSE", *(_number(shown(balanced[name])) for name in of))
-    table.add_row("correlation", *(_number(errors.correlation) for errors in of.values()))
+    table.add_row("balanced RMSE", *(_number(shown(balanced[name])) for name in predictors))
+    table.add_row("correlation", *(_number(errors.correlation) for errors in predictors.values()))
     if (others := evaluation.without_crashes) is not None:
         heading = f"RMSE without crashes ({evaluation.crashes:,})"
         table.add_row(
@@ -130,10 +130,12 @@ def _measures_table(evaluation: Evaluation) -> Table:
 def _targets_table(targets: Sequence[TargetErrors]) -> Table:
     headings = ("other targets", "frames", "MAE", "RMSE", "always the mean", "bias", "correlation")
     table = plain_table("what else it answers, and what was recorded", *headings)
-    for of in targets:
-        unit = TARGETS[of.target].unit
-        numbers = (of.mae, of.rmse, of.mean_rmse, of.bias, of.correlation)
-        table.add_row(f"{of.target}{f', {unit}' if unit else ''}", f"{of.frames:,}", *map(_number, numbers))
+    for errors in targets:
+        unit = TARGETS[errors.target].unit
+        numbers = (errors.mae, errors.rmse, errors.mean_rmse, errors.bias, errors.correlation)
+        table.add_row(
+            f"{errors.target}{f', {unit}' if unit else ''}", f"{errors.frames:,}", *map(_number, numbers)
+        )
     return table
 
 

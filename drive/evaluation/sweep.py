@@ -120,10 +120,10 @@ def _done_elsewhere(
 ) -> RunSummary | None:
     """The summary of a run in a store that has learnt all its epochs and was driven then: nothing else of it has
     to be fetched. None for all others."""
-    found = run_at(url)
-    if found is None or not found.has_weights or not drives:
+    run = run_at(url)
+    if run is None or not run.has_weights or not drives:
         return None
-    summary = summarize_run(bring_summary(found))
+    summary = summarize_run(bring_summary(run))
     is_trained = not summary.problem and summary.epochs >= training.config.epochs
     is_done = is_trained and all(_is_driven(summary, *drive) for drive in drives)
     return replace(summary, folder=str(url)) if is_done else None

@@ -108,7 +108,7 @@ def features(
 
 
 def info(
-    of: Mapping[str, Feature], *, fps: int, episodes: int, frames: int, robot: str, is_video: bool
+    features: Mapping[str, Feature], *, fps: int, episodes: int, frames: int, robot: str, is_video: bool
 ) -> dict[str, Any]:
     """The content of `meta/info.json`."""
     return {
@@ -124,13 +124,13 @@ def info(
         "data_path": DATA_PATH,
         "video_path": VIDEO_PATH if is_video else None,
         "splits": {"train": f"0:{episodes}"},
-        "features": {name: asdict(feature) for name, feature in of.items()},
+        "features": {name: asdict(feature) for name, feature in features.items()},
     }
 
 
-def data_schema(of: Mapping[str, Feature]) -> pa.Schema:
+def data_schema(features: Mapping[str, Feature]) -> pa.Schema:
     """The schema of the data files, with the description of their columns that the library `datasets` reads."""
-    columns = {name: feature for name, feature in of.items() if feature.dtype != "video"}
+    columns = {name: feature for name, feature in features.items() if feature.dtype != "video"}
     described = {name: _as_datasets_has_it(feature) for name, feature in columns.items()}
     fields = [pa.field(name, _arrow_type(feature)) for name, feature in columns.items()]
     return pa.schema(fields, {"huggingface": json.dumps({"info": {"features": described}})})

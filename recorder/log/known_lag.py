@@ -30,9 +30,9 @@ class _Kept(msgspec.Struct):
     lag: SteeringLag | None
 
 
-def lag_note(found: LagFinding) -> dict[str, str]:
+def lag_note(finding: LagFinding) -> dict[str, str]:
     """What a log's writer notes of the lag in the summary of its rows."""
-    return {_KEY: json.dumps(found.lag and asdict(found.lag), allow_nan=False)}
+    return {_KEY: json.dumps(finding.lag and asdict(finding.lag), allow_nan=False)}
 
 
 def noted_lag(quality: Mapping[str, str]) -> LagFinding | None:
@@ -59,12 +59,12 @@ def kept_lag(log: Log) -> LagFinding | None:
     return LagFinding(kept.lag) if kept is not None and kept.log == log.fingerprint else None
 
 
-def keep_lag(log: Log, found: LagFinding) -> bool:
+def keep_lag(log: Log, finding: LagFinding) -> bool:
     """Keep the lag beside a log that has its name; False where nothing can be written."""
     path = lag_path(log.path)
     if log.path.suffix != ".mcap":
         return False  # it still grows, or is recovered: then it is measured again
-    data = msgspec.json.encode(_Kept(1, log.fingerprint, found.lag)) + b"\n"
+    data = msgspec.json.encode(_Kept(1, log.fingerprint, finding.lag)) + b"\n"
     try:
         if isinstance(path, Url):
             from common.object_store import put_over  # an extra

@@ -78,8 +78,8 @@ def read_tags(log: Location, fingerprint: str) -> list[Tag]:
 def names_used(folder: Location) -> set[str]:
     """The names of the tags of all logs in a folder; EXCLUDE and FINE are always among them. Raises StoreError."""
     with ThreadPoolExecutor() as pool:  # each file of a store is a request
-        found = list(pool.map(_names_in, _tag_files(folder)))
-    return {EXCLUDE, FINE}.union(*found)
+        names = list(pool.map(_names_in, _tag_files(folder)))
+    return {EXCLUDE, FINE}.union(*names)
 
 
 def _tag_files(folder: Location) -> list[Path] | list[Url]:
@@ -87,7 +87,7 @@ def _tag_files(folder: Location) -> list[Path] | list[Url]:
         return list(folder.glob(f"*{_ENDING}"))
     from common.object_store import list_objects  # an extra
 
-    return [each.url for each in list_objects(folder) if each.url.name.endswith(_ENDING)]
+    return [entry.url for entry in list_objects(folder) if entry.url.name.endswith(_ENDING)]
 
 
 def _names_in(path: Location) -> set[str]:
@@ -128,7 +128,7 @@ def _checked(tag: Tag) -> Tag:
 
 def tags_by_content(log: Location) -> defaultdict[str, set[Tag]]:
     """The tags by the fingerprint that they are for. Raises LogError for a damaged file."""
-    found: defaultdict[str, set[Tag]] = defaultdict(set)
+    tags: defaultdict[str, set[Tag]] = defaultdict(set)
     names = set[str]()  # that are some
     for number, line in enumerate(_lines(log), start=1):
         try:
@@ -145,10 +145,10 @@ def tags_by_content(log: Location) -> defaultdict[str, set[Tag]]:
             raise LogError(f"{tags_path(log)}: line {number} is not a tag; mend or remove it") from None
         tag = Tag(*entry.rows, name)
         if is_added:
-            found[entry.log].add(tag)
+            tags[entry.log].add(tag)
         else:
-            found[entry.log].discard(tag)
-    return found
+            tags[entry.log].discard(tag)
+    return tags
 
 
 def _lines(log: Location) -> list[str]:
@@ -188,9 +188,9 @@ def _append_there(url: Url, lines: bytes) -> None:
 
     before = b""
     replaces: ObjectVersion | None = None
-    with contextlib.suppress(NoSuchObjectError), ObjectFile(url) as there:
-        replaces = there.object_version
-        before = there.read(0, there.size)
+    with contextlib.suppress(NoSuchObjectError), ObjectFile(url) as journal:
+        replaces = journal.object_version
+        before = journal.read(0, journal.size)
     with tempfile.TemporaryDirectory(prefix="bc-tags-") as folder:
         file = Path(folder) / url.name
         file.write_bytes(before[: before.rfind(b"\n") + 1] + lines)

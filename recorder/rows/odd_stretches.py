@@ -99,7 +99,7 @@ def odd_stretches(states: States) -> list[OddStretch]:
         return []
     drive = drive_numbers(states.time_ns)
     taken = np.zeros(len(drive), np.bool_)
-    found = []
+    odd = []
     for kind, mask, is_sure, cause in _kinds(states, drive):
         for first, last in stretches_within(mask & ~taken, drive):
             rows = slice(first, last + 1)
@@ -108,8 +108,8 @@ def odd_stretches(states: States) -> list[OddStretch]:
                 continue  # the edge of what is odd for another cause
             why = cause(rows) if callable(cause) else cause
             kind_of_it, why = why if isinstance(why, tuple) else (kind, why)
-            found.append(stretch_of(states, first, last, kind_of_it, why, is_sure=is_sure))
-    return sorted(found, key=lambda each: (each.first_row, each.last_row))
+            odd.append(stretch_of(states, first, last, kind_of_it, why, is_sure=is_sure))
+    return sorted(odd, key=lambda stretch: (stretch.first_row, stretch.last_row))
 
 
 def stretch_of(states: States, first: int, last: int, kind: str, cause: str, *, is_sure: bool) -> OddStretch:
@@ -171,7 +171,7 @@ def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask
 
 def odd_summary(states: States) -> dict[str, str]:
     """A log's note of the first of them, beside `row_quality.summary`."""
-    return {ODD: json.dumps([asdict(each) for each in odd_stretches(states)[:MAX_KEPT]])}
+    return {ODD: json.dumps([asdict(stretch) for stretch in odd_stretches(states)[:MAX_KEPT]])}
 
 
 def odd_in(quality: Mapping[str, str]) -> list[OddStretch] | None:
@@ -181,7 +181,7 @@ def odd_in(quality: Mapping[str, str]) -> list[OddStretch] | None:
 
 def odd_lines(odd: Sequence[OddStretch]) -> list[str]:
     """What is odd in a log, in words."""
-    lines = [str(each) for each in odd[:MAX_NAMED]]
+    lines = [str(stretch) for stretch in odd[:MAX_NAMED]]
     if len(odd) > MAX_NAMED:
         lines.append(f"and {counted(len(odd) - MAX_NAMED, 'more stretch', 'more stretches')}")
     return lines
@@ -189,18 +189,18 @@ def odd_lines(odd: Sequence[OddStretch]) -> list[str]:
 
 def exclude_command(odd: Sequence[OddStretch], log: Location) -> str:
     """The command that excludes all that is sure."""
-    look = " --look" * any(each.is_sure and each.is_shown for each in odd)
+    look = " --look" * any(stretch.is_sure and stretch.is_shown for stretch in odd)
     return f"bc-log tag {shlex.quote(str(log))} exclude --odd{look}"
 
 
 def odd_advice(odd: Sequence[OddStretch], log: Location) -> list[str]:
     """What becomes of what is odd in a log, and what to do about it; nothing where nothing is."""
     lines, place = [], shlex.quote(str(log))
-    if any(not each.is_learnt and each.kind in NOT_LEARNT for each in odd):
+    if any(not stretch.is_learnt and stretch.kind in NOT_LEARNT for stretch in odd):
         lines.append("crashes, driving backwards and parked cars are not learnt by default, if a person drove")
-    if any(each.is_sure for each in odd):
+    if any(stretch.is_sure for stretch in odd):
         lines.append(f"`{exclude_command(odd, log)}` excludes all that is sure")
-    if unsure := next((each for each in odd if not each.is_sure), None):
+    if unsure := next((stretch for stretch in odd if not stretch.is_sure), None):
         look = f"`bc-play {place}`, or let `bc-log check {place}` look at its pictures"
         lines.append(f"look at what is perhaps odd, {look}; `{unsure.command(log)}` excludes it")
     return lines

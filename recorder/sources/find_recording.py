@@ -35,9 +35,9 @@ def recordings_in(folder: Path, levels: int = 2) -> list[Path]:
     if _is_recording(folder):
         return [folder]
     folders = [folder, *(inner for level in islice(_levels_below(folder), levels) for inner in level)]
-    recordings = [each for each in folders if _is_recording(each)]
-    others = [each for each in folders if not any(each.is_relative_to(one) for one in recordings)]
-    return [*recordings, *(path for each in others for path in _files_in(each))]
+    recordings = [place for place in folders if _is_recording(place)]
+    others = [place for place in folders if not any(place.is_relative_to(recording) for recording in recordings)]
+    return [*recordings, *(path for place in others for path in _files_in(place))]
 
 
 def _search(source: Path) -> Iterator[Path]:
@@ -54,7 +54,7 @@ def _levels_below(folder: Path) -> Iterator[list[Path]]:
     """The folders in a folder, then those in these."""
     folders = [folder]
     for _ in range(2):
-        folders = list(islice((inner for each in folders for inner in folders_in(each)), _MAX_FOLDERS))
+        folders = list(islice((inner for place in folders for inner in folders_in(place)), _MAX_FOLDERS))
         yield folders
 
 

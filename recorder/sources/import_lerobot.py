@@ -203,8 +203,8 @@ def _rows(
     if any(episode is None or time_s is None for episode, time_s in zip(episodes, times, strict=True)):
         raise ValueError("a frame without an episode or a timestamp")
     for at, (episode, time_s) in enumerate(zip(episodes, times, strict=True)):
-        found = {camera: column[at] for camera, column in pictures.items() if column[at] is not None}
-        yield episode, time_s, log_times[at], values[at], found
+        row_pictures = {camera: column[at] for camera, column in pictures.items() if column[at] is not None}
+        yield episode, time_s, log_times[at], values[at], row_pictures
 
 
 class _Clock:
@@ -242,8 +242,8 @@ def _is_sound(picture: object) -> bool:
 
 def _skip_missing(dataset: LeRobotFolder, counts: dict[int, int], skipped: Skipped) -> None:
     """Count as skipped what meta/info.json counts, and no data file has."""
-    there = sorted(counts)
-    stretches = [(-1, -1), *consecutive(there), (dataset.episodes, dataset.episodes)]
+    episodes = sorted(counts)
+    stretches = [(-1, -1), *consecutive(episodes), (dataset.episodes, dataset.episodes)]
     for (_, end), (start, _) in itertools.pairwise(stretches):
         if start > end + 1:
             name = f"episode {end + 1}" if start == end + 2 else f"episodes {end + 1} to {start - 1}"

@@ -156,10 +156,10 @@ class Contents:
 
     def _cameras(self, *, has_rows: bool) -> frozenset[str]:
         """Topics on which every row should have a picture: also a camera that has none at all."""
-        known = CAMERA_TOPICS.intersection(self._topics.values())
+        recorded = CAMERA_TOPICS.intersection(self._topics.values())
         expected = {camera_topic("center")} if has_rows else set()
         others = topics.PICTURE_TOPICS - CAMERA_TOPICS
-        return (known | expected | self._image_check.pictures.keys()) - others
+        return (recorded | expected | self._image_check.pictures.keys()) - others
 
     def _check_pictures(
         self, topic: str, pictures: TopicPictures, speed_mph: dict[tuple[int, int], float]
@@ -179,9 +179,11 @@ class Contents:
                 self._findings.append(Finding("stretches of frozen pictures", f"{topic} {rows_named(*rows)}"))
 
 
-def odd_findings(found: Iterable[OddStretch]) -> list[Finding]:
+def odd_findings(odd: Iterable[OddStretch]) -> list[Finding]:
     """Those of the odd stretches that are findings."""
-    named = [(ODD_FINDINGS.get(each.kind, ""), rows_named(each.first_row, each.last_row)) for each in found]
+    named = [
+        (ODD_FINDINGS.get(stretch.kind, ""), rows_named(stretch.first_row, stretch.last_row)) for stretch in odd
+    ]
     return [Finding(kind, where) for kind, where in named if kind]
 
 

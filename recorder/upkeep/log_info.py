@@ -81,8 +81,8 @@ class LogInfo:
     def odd_rows(self) -> dict[str, int]:
         """The rows of the odd stretches, by their kind: most first."""
         rows = Counter[str]()
-        for each in self.odd or ():
-            rows[each.kind] += each.last_row - each.first_row + 1
+        for stretch in self.odd or ():
+            rows[stretch.kind] += stretch.last_row - stretch.first_row + 1
         return dict(rows.most_common())
 
     @property
@@ -122,10 +122,10 @@ def describe(
         rate_s = duration_s if driven_s is None else driven_s
         tags = sorted(by_content.get(fingerprint, ()))
         odd = _odd(log, quality)
-        steering, found = _steering(log, quality), noted_lag(quality)
+        steering, finding = _steering(log, quality), noted_lag(quality)
         goes_by = steering is not None and goes_by_lag(steering, driven_by(log))
-        if found is None and goes_by:
-            found = (kept_lag(log) if with_kept_lag else None) or (_measured(log)[0] if look else None)
+        if finding is None and goes_by:
+            finding = (kept_lag(log) if with_kept_lag else None) or (_measured(log)[0] if look else None)
         return LogInfo(
             path=str(log.path),
             size_bytes=log.size,
@@ -142,9 +142,9 @@ def describe(
             stretches=_stretches(quality.get("stretches", "")),
             odd=TaggedRows(tags).left(odd) if odd is not None else None,
             steering=steering,
-            lag=found.lag if found else None,
-            lacks_lag=found is None and goes_by,
-            labels=str(plan_labels(steering, found, driven_by(log))) if steering else "",
+            lag=finding.lag if finding else None,
+            lacks_lag=finding is None and goes_by,
+            labels=str(plan_labels(steering, finding, driven_by(log))) if steering else "",
             picture_sizes=json_as(quality.get("picture_sizes", ""), dict[str, str]) or {},
             tags=tags,
             stale_tags=sum(len(tags) for content, tags in by_content.items() if content != fingerprint),
@@ -192,8 +192,8 @@ def _goes_by_lag(log: Log) -> bool:
 def _measured(log: Log) -> tuple[LagFinding, bool]:
     from recorder.seen.steering_lag import measure_lag  # OpenCV
 
-    found = LagFinding(measure_lag(log, States.of(log.vehicle())))
-    return found, keep_lag(log, found)
+    finding = LagFinding(measure_lag(log, States.of(log.vehicle())))
+    return finding, keep_lag(log, finding)
 
 
 def set_speeds_mph(log: Log) -> tuple[float, ...]:
@@ -201,10 +201,10 @@ def set_speeds_mph(log: Log) -> tuple[float, ...]:
     for people."""
     stored = f"{log.metadata.get('drive.speed', '')} {log.metadata.get('set_speed_mph', '')}".split()
     try:
-        speeds = [float(each) for each in stored]
+        speeds = [float(speed) for speed in stored]
     except ValueError:
         return ()
-    return tuple(sorted({each for each in speeds if 0 < each < math.inf}))
+    return tuple(sorted({speed for speed in speeds if 0 < speed < math.inf}))
 
 
 def first_picture_sizes(log: Log) -> dict[str, tuple[int, int]] | None:
