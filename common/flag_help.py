@@ -51,7 +51,9 @@ def shown_by_help(config: Any, with_rare: bool) -> Any:
         elif dataclasses.is_dataclass(kind):
             factory = shown_by_help(kind, with_rare)
             hint = Annotated[(factory, *notes)]
-        elif (default is None or isinstance(default, bool)) and not _has_hint(notes):
+        elif (default is None or isinstance(default, bool)) and not any(
+            getattr(note, "help_behavior_hint", None) for note in notes
+        ):
             hint = Annotated[hint, tyro.conf.arg(help_behavior_hint="")]
         if hint is not hints[flag.name]:
             default_of = {"default": default, "default_factory": factory}
@@ -81,7 +83,3 @@ def _converted(values: Any, kind: Any) -> Any:
         name: _converted(value, hints[name]) for name, value in fields.items() if dataclasses.is_dataclass(value)
     }
     return kind(**fields | converted)
-
-
-def _has_hint(notes: Sequence[Any]) -> bool:
-    return any(getattr(note, "help_behavior_hint", None) for note in notes)

@@ -97,7 +97,8 @@ class StoredFolder(Closeable):
         listed = list_below(self.url) if objects is None else objects
         objects_by_name = {entry.url.name_in(self.url): entry for entry in listed}
         record = objects_by_name.get(RECORD_NAME)
-        stored = {name: entry for name, entry in objects_by_name.items() if not _is_hidden(name)}
+        # without locks and the like, which other programs may have copied there
+        stored = {name: entry for name, entry in objects_by_name.items() if not f"/{name}".count("/.")}
         differ = [name for name, entry in stored.items() if self._differs(name, entry, keeps_ours=keeps_ours)]
         for name in self._copies.keys() - stored.keys():
             is_ours = keeps_ours or name in self._lines
@@ -279,11 +280,6 @@ def _do_at_once(do: Callable[[str], None], names: Sequence[str]) -> None:
 
 def _is_it_or_in_it(name: str, file_or_folder: str) -> bool:
     return name == file_or_folder or (file_or_folder.endswith("/") and name.startswith(file_or_folder))
-
-
-def _is_hidden(name: str) -> bool:
-    """True for names of locks and the like, which other programs may have copied there."""
-    return any(part.startswith(".") for part in name.split("/"))
 
 
 @contextlib.contextmanager

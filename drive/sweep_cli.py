@@ -18,7 +18,6 @@ from rich.table import Table
 
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, run_command, warn
 from common.errors import UsageError, counted, printable
-from common.location import Location
 from common.location_flag import LocationFlag
 from common.output import plain_table, print_message, print_next, print_result, print_table
 from common.progress import track
@@ -98,7 +97,8 @@ def sweep(config: Sweep) -> int:
     finally:
         if done and not config.json:
             print_table(_table(plan.name, done))
-            print_next(f"bc-runs --sort interventions{_runs_flag(config.runs)}")
+            flag = "" if config.runs == Sweep.runs else f" --runs {shlex.quote(str(config.runs))}"
+            print_next(f"bc-runs --sort interventions{flag}")
     failed = [swept for swept in done if swept.failure]
     if failed:
         warn(f"{counted(len(failed), 'training')} of {len(done):,} failed; the same command tries them again")
@@ -141,10 +141,6 @@ def _table(name: str, done: Sequence[Swept]) -> Table:
             _spread([_mean(summary) for summary in whole], 1),
         )
     return table
-
-
-def _runs_flag(runs: Location) -> str:
-    return "" if runs == Sweep.runs else f" --runs {shlex.quote(str(runs))}"
 
 
 def _mean(summary: RunSummary) -> float:

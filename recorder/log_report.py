@@ -113,7 +113,9 @@ def _print_drives(info: LogInfo) -> None:
     if info.drives is None or info.flags is None:
         if not info.is_ours:
             print_table("  written by another program: `bc-log check` looks at what is in it")
-        elif info.session.get("source") != "prediction" and not _has_rows(info):
+        elif info.session.get("source") != "prediction" and not any(
+            topic.topic == VEHICLE and topic.messages for topic in info.topics
+        ):
             print_table("  no rows: nothing was driven")
     elif info.drives:
         print_table(f"  {counted(info.drives, 'drive')}; {'odd:' if info.odd else 'no odd rows'}")
@@ -140,10 +142,6 @@ def _odd_lines(odd: Sequence[OddStretch], tags: Sequence[Tag], log: Location) ->
     excluded = len(odd) - len(left)
     lines = [f"{counted(excluded, 'odd stretch is', 'odd stretches are')} excluded"] if excluded else []
     return [*odd_lines(left), *lines, *odd_advice(left, log)]
-
-
-def _has_rows(info: LogInfo) -> bool:
-    return any(topic.topic == VEHICLE and topic.messages for topic in info.topics)
 
 
 def _in_short(value: str) -> str:

@@ -181,7 +181,7 @@ def _worst_table(worst: Sequence[WorstFrame], unit: SteeringUnit) -> Table:
         table.add_row(
             escape(printable(frame.session)),
             f"{frame.row:,}",
-            _clock(frame),
+            frame.log_time_utc.removesuffix("+00:00").replace("T", " "),
             f"{unit.of(frame.predicted_deg):+.2f}",
             f"{unit.of(frame.recorded_deg):+.2f}",
             f"{unit.of(frame.error_deg):+.2f}",
@@ -191,8 +191,3 @@ def _worst_table(worst: Sequence[WorstFrame], unit: SteeringUnit) -> Table:
 
 def _number(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.2f}"
-
-
-def _clock(frame: WorstFrame) -> str:
-    """The frame's time, UTC, as people write it."""
-    return frame.log_time_utc.removesuffix("+00:00").replace("T", " ")

@@ -136,7 +136,8 @@ class McapFile(Closeable):
         try:
             data = self._bytes.read(offset, length)
         except OSError as error:  # a failing disk
-            raise self._unreadable(offset, length, error) from None
+            where = f"bytes {offset:,} to {offset + length:,}"
+            raise self.damaged(f"{where} cannot be read ({error.strerror})") from None
         if len(data) != length:
             raise self.damaged("it has become shorter while it was read")
         return data
@@ -176,9 +177,6 @@ class McapFile(Closeable):
             raise self.damaged(f"bytes {offset:,} to {offset + length:,} lie outside the file")
         if length > MAX_RECORD_BYTES:
             raise self.damaged(f"a record of {length:,} bytes")
-
-    def _unreadable(self, offset: int, length: int, error: OSError) -> LogError:
-        return self.damaged(f"bytes {offset:,} to {offset + length:,} cannot be read ({error.strerror})")
 
     @cached_property
     def profile_and_library(self) -> tuple[bytes, bytes]:

@@ -44,7 +44,7 @@ def _search(source: Path) -> Iterator[Path]:
     """The recording that `source` is a part of; else those in it, and in the folders in it."""
     for folder in list(source.absolute().parents)[:2]:
         if _is_recording(folder) and source.exists():
-            yield _as_given(folder, source)
+            yield folder if source.is_absolute() else Path(os.path.relpath(folder))
             return
     for level in _levels_below(source):
         yield from filter(_is_recording, level)
@@ -80,8 +80,3 @@ def folders_in(folder: Path) -> list[Path]:
             return sorted(path for entry in some if (path := folder / entry.name).is_dir())
     except OSError:
         return []
-
-
-def _as_given(folder: Path, source: Path) -> Path:
-    """An absolute folder above `source`, written as `source` is."""
-    return folder if source.is_absolute() else Path(os.path.relpath(folder))

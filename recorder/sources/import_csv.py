@@ -12,11 +12,10 @@ from common.car import Camera
 from common.files import refuse_existing
 from common.progress import track
 from common.untrusted import read_bounded
-from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.session_car import Car, metadata_of
 from recorder.pictures.decoding import is_whole_picture
-from recorder.sources.csv_columns import CsvColumns, CsvRow
+from recorder.sources.csv_columns import CsvColumns
 from recorder.sources.frame_rate import check_rate, describe_clock
 from recorder.sources.import_mcap import check_scale
 from recorder.sources.import_result import Imported, SkippedEvents
@@ -122,17 +121,13 @@ def _rows(
                 named.add(path)
         if not pictures:
             continue
-        if abs(row.steering) > 1:
-            skipped.add(STEERING_OUT_OF_RANGE, f"line {row.line}: {row.steering:g}")
+        if abs(row.state.steering) > 1:
+            skipped.add(STEERING_OUT_OF_RANGE, f"line {row.line}: {row.state.steering:g}")
         if time_ns is not None:
-            yield ImportedRow(time_ns, _state(row), pictures)
+            yield ImportedRow(time_ns, row.state, pictures)
     for within, path in folder.paths.items():
         if path not in named:
             skipped.add("pictures without a row", within)
-
-
-def _state(row: CsvRow) -> VehicleState:
-    return VehicleState(steering=row.steering, throttle=row.throttle, brake=row.brake, speed_mph=row.speed_mph)
 
 
 def _read(path: str) -> bytes | None:

@@ -97,7 +97,8 @@ def _put_and_name(log: Path, url: Url, size: int, fingerprint: str, overwrite: b
         except StoreError:  # it is there all the same, if nothing but the answer was lost
             if not _is_there(made, size, fingerprint):
                 raise
-        _refuse_other(made, log, fingerprint)
+        if _fingerprint(made) != fingerprint:
+            raise LogError(f"{made}: is not what {log} is; it may have changed meanwhile: give the command again")
         if made != url:
             try:
                 name_new(made, url)
@@ -110,12 +111,6 @@ def _put_and_name(log: Path, url: Url, size: int, fingerprint: str, overwrite: b
             with uninterrupted(), contextlib.suppress(StoreError):  # the first error says more
                 remove(made)
         raise
-
-
-def _refuse_other(made: Url, log: Path, fingerprint: str) -> None:
-    """Raise LogError if what has come is not what was sent."""
-    if _fingerprint(made) != fingerprint:
-        raise LogError(f"{made}: is not what {log} is; it may have changed meanwhile: give the command again")
 
 
 def _is_there(url: Url, size: int, fingerprint: str) -> bool:

@@ -126,6 +126,7 @@ def describe(
         goes_by = steering is not None and goes_by_lag(steering, driven_by(log))
         if finding is None and goes_by:
             finding = (kept_lag(log) if with_kept_lag else None) or (_measured(log)[0] if look else None)
+        stretches = json_as(quality.get("stretches", ""), list[tuple[str, int, int, float, float]])
         return LogInfo(
             path=str(log.path),
             size_bytes=log.size,
@@ -139,7 +140,7 @@ def describe(
             session=log.metadata,
             drives=_count(quality.get("drives")) if quality else None,
             flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS} if quality else None,
-            stretches=_stretches(quality.get("stretches", "")),
+            stretches=[FlaggedRows(*values) for values in stretches or ()],
             odd=TaggedRows(tags).left(odd) if odd is not None else None,
             steering=steering,
             lag=finding.lag if finding else None,
@@ -258,8 +259,3 @@ def _seconds(text: str | None) -> float | None:
     except ValueError:
         return None
     return seconds if math.isfinite(seconds) and seconds >= 0 else None
-
-
-def _stretches(text: str) -> list[FlaggedRows]:
-    """The stretches in JSON, none for anything else: somebody else may have written the log."""
-    return [FlaggedRows(*entry) for entry in json_as(text, list[tuple[str, int, int, float, float]]) or ()]
