@@ -170,7 +170,6 @@ FORMS: Final[Sequence[JobForm]] = (
             Field("columns", "columns of a csv", hint="image=frame steering=angle", is_several=True, is_more=True),
             Field("rate", "rows a second", hint="as recorded", is_more=True),
             Field("car", "car", hint="Udacity's; or built-in", is_more=True),
-            Field("all_catalogs", "all catalogues of a tub", is_switch=True, is_more=True),
         ),
         ("sessions",),
         _session,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 from common.errors import printable
@@ -38,7 +39,7 @@ class LogJob:
 
     name: str
     about: str
-    made: Callable[[Location], Location] | None = None  # the log that it makes by default, or the first one
+    made: Callable[[Path], Path] | None = None  # the log that it makes by default, or the first one
     is_named: bool = True  # by the form; else by the command
     has_rows: bool = False
     has_others: bool = False
@@ -64,7 +65,7 @@ class LogJob:
         return [*words, f"--to={new}"] if self.made and self.is_named else words
 
 
-def _beside(word: str) -> Callable[[Location], Location]:
+def _beside(word: str) -> Callable[[Path], Path]:
     return lambda log: log.with_name(f"{final_name(log.name).removesuffix(_SUFFIX)}{word}{_SUFFIX}")
 
 
@@ -96,6 +97,11 @@ LOG_JOBS: Final = (
 )
 
 
+def jobs_for(log: Location) -> list[LogJob]:
+    """The jobs of a log: of one in a store, no new logs are made."""
+    return [job for job in LOG_JOBS if isinstance(log, Path) or not job.made]
+
+
 def log_job(name: str) -> LogJob:
     """Raises WebError if there is none of that name."""
     for job in LOG_JOBS:
@@ -114,9 +120,11 @@ def command_line(
     """
     if log.name.endswith(PART_SUFFIX) and is_being_written(log):
         raise WebError("it is being recorded: when that has ended, new logs can be made of it", 409)
-    made = job.made(log) if job.made else None
+    if job not in jobs_for(log):
+        raise WebError(f"{log}: is needed on this machine; `bc-log copy {log} FOLDER` brings it here", 422)
+    made = job.made(log) if job.made and isinstance(log, Path) else None
     if made is not None and form.new and job.is_named:
-        made = log.with_name(_name(form.new))
+        made = made.with_name(_name(form.new))
     words = ["bc-log", job.name, str(log), *job.words(made or log, form, logs)]
     if made is not None and folders.is_there(made):
         raise WebError(f"{printable(str(made))}: exists already; give another name, or remove it", 409)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
@@ -15,7 +16,7 @@ from common import UserError
 from common.errors import printable
 from common.location import Location
 from web.folders.project_folders import Place, key_of, shown_name
-from web.jobs.log_jobs import LOG_JOBS, NewLogForm, command_line, log_job
+from web.jobs.log_jobs import NewLogForm, command_line, jobs_for, log_job
 from web.pages.request_values import form_pairs
 from web.pages.workbench import Workbench
 
@@ -48,8 +49,13 @@ def log_job_routes(bench: Workbench, place: Place) -> list[Route]:
 
 def shown_log_jobs(log: Location) -> list[dict[str, Any]]:
     """The jobs that the page of a log offers, with the default names of new logs."""
-    named = {job.name: shown_name(job.made(log)) for job in LOG_JOBS if job.made}
-    return [{"job": job, "new": named.get(job.name, "") if job.is_named else ""} for job in LOG_JOBS]
+    return [
+        {
+            "job": job,
+            "new": shown_name(job.made(log)) if job.made and job.is_named and isinstance(log, Path) else "",
+        }
+        for job in jobs_for(log)
+    ]
 
 
 def _form_of(pairs: Iterable[tuple[str, str]]) -> NewLogForm:
