@@ -128,14 +128,6 @@ def bring_summary(run: RunInStore) -> Path:
     return here
 
 
-def bring_curves(url: str) -> Path:
-    """All of a run, named by its URL, but its weights and checkpoints. Raises RunError if there is none;
-    StoreError."""
-    run = find_in_store(url, Path())
-    assert run is not None  # noqa: S101
-    return bring_run(run, [name for name in run.files if name != WEIGHTS and "/" not in name])
-
-
 def send_results(run: Path) -> bool:
     """Where `run` is a copy in the user's cache, add the results that were added to it to those in the store, also
     if other machines have added some meanwhile; True if any were. Raises StoreError."""

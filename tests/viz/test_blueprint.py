@@ -91,9 +91,7 @@ def test_whatever_a_log_holds_every_view_has_a_name_of_its_own() -> None:
 
 def test_beside_each_other_every_view_has_a_name_of_its_own() -> None:
     for topics in (TOPICS, TOPICS[:1], (VEHICLE,), ()):
-        names = [
-            view.name for view in views_of(comparison_layout({"a": topics, "b": TOPICS, "c/d": ()}, "since start"))
-        ]
+        names = [view.name for view in views_of(comparison_layout({"a": topics, "b": TOPICS, "c/d": ()}))]
         assert None not in names
         assert len(set(names)) == len(names)
 

@@ -32,6 +32,7 @@ from udacity import call
 from viz.cli import main
 from viz.live.live_messages import LiveMessage
 from viz.live.picture_rate import PictureRate
+from viz.playback.blueprint import log_layout
 from viz.playback.rerun_recording import PreparedRecording
 from viz.targets import Destination, FinishedContent
 from viz.viewer_connection import viewer_url
@@ -122,7 +123,9 @@ def test_a_viewer_that_is_closed_too_early_is_not_called_complete(
         raise ViewerGoneError
 
     with running_viewer() as ports:
-        shown = FinishedContent(lambda: contextlib.nullcontext(PreparedRecording("a.mcap", None, send, [])))
+        shown = FinishedContent(
+            lambda: contextlib.nullcontext(PreparedRecording("a.mcap", log_layout(()), send, []))
+        )
         assert shown.show(Destination(web=False, connect=str(ports.data), ports=ports)) == 1
     said = capsys.readouterr()
     assert "the viewer has lost its connection" in said.err.splitlines()[-1]

@@ -82,7 +82,7 @@ class PreparedRecording:
     are sent."""
 
     name: str
-    layout: rrb.Blueprint | None  # None: `send` sends one
+    layout: rrb.Blueprint
     send: Callable[[rr.RecordingStream, Callable[[], object]], object]
     """Sends to a recording. The second argument waits until what was sent is taken, and may raise to end it."""
     notices: Sequence[str]  # of logs that were never finished
