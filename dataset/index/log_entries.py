@@ -96,11 +96,6 @@ def _unchanged(
         or entry.lag_file != stats(lag_path(log))
     ):
         return None
-    if not entry.file:  # as an earlier version left it, to which a rewritten log was another one, without its tags
-        with Log(log) as opened:
-            if opened.fingerprint != entry.fingerprint:
-                return None
-        entry = msgspec.structs.replace(entry, file=entry.fingerprint)
     expected = {
         "format": FRAMES_FORMAT,
         "settings": frames_settings(config, name),
@@ -149,7 +144,7 @@ def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Pa
             source=foreign_source(log),
             car=metadata_of(car).get(CAR_KEY, ""),
             implied_car=_implied_car(log) if car is None else "",
-            has_several_sizes=_has_several_sizes(log),
+            has_several_sizes="picture_sizes" in log.read_metadata(QUALITY_METADATA),
             lag=_lag(log, index, name, has_file=lag_file is not None),
             lag_file=lag_file,
             is_mixed=isinstance(path, Url) and log.is_mixed,
@@ -176,18 +171,16 @@ def car_to_warp(path: Location, entry: BuiltLog) -> Car:
     """The car of a session; its log is opened again only if the car is unknown. Raises DatasetError for one whose
     pictures cannot be warped: the places of its cameras are unknown, or how much their crops show to either
     side."""
-    has_several_sizes = entry.has_several_sizes
     car = car_in({CAR_KEY: entry.car}, path) if entry.car else None
     if car is None and entry.implied_car:
         car = named_car(entry.implied_car)
-    if car is None or has_several_sizes is None:
+    if car is None:
         with Log(path) as log:
-            has_several_sizes = _has_several_sizes(log)
             try:
-                car = car or car_of(log)
+                car = car_of(log)
             except RecordingError as error:
                 raise DatasetError(f"--viewpoints: {error}") from None
-    if has_several_sizes:
+    if entry.has_several_sizes:
         raise DatasetError(
             f"--viewpoints: {path}: a camera's pictures are of several sizes; views are warped only from pictures"
             " of one (`bc-log trim`, `bc-log split`)"
@@ -201,10 +194,6 @@ def _implied_car(log: Log) -> str:
         return "udacity" if car_of(log) == UDACITY else "built-in"
     except RecordingError:
         return ""
-
-
-def _has_several_sizes(log: Log) -> bool:
-    return "picture_sizes" in log.read_metadata(QUALITY_METADATA)
 
 
 def _sizes_px(log: Log) -> list[tuple[int, int]]:

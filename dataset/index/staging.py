@@ -29,7 +29,6 @@ from dataset.samples.samples_format import SAMPLES_FOLDER, SAMPLES_NAME, Divisio
 
 _STAGE: Final = "new"
 _OLD: Final = "old"
-_LEFT_BY_OLDER_VERSIONS: Final = (SAMPLES_NAME, STATE_NAME)  # they wrote parts of these into the index itself
 
 
 @contextlib.contextmanager
@@ -56,16 +55,12 @@ def finish_interrupted_build(index: Path) -> None:
     """Carry through what a killed build had decided on, and remove the rest. Call it with the index locked."""
     for path in sorted(index.iterdir()):
         name = final_path(path).name
-        if path.name == name or path.is_symlink():
-            continue
-        if name == _STAGE and path.is_dir():
+        if name == _STAGE and path.name != name and path.is_dir() and not path.is_symlink():
             folders = (path / _OLD, path / FRAMES_FOLDER)
             with uninterrupted():
                 if all(folder.is_dir() and not folder.is_symlink() for folder in folders):
                     _publish_all(path, index)
                 shutil.rmtree(path, ignore_errors=True)
-        elif name in _LEFT_BY_OLDER_VERSIONS and path.is_file():
-            path.unlink()
 
 
 def stale_frames_files(sessions: set[str], index: Path) -> list[Path]:
