@@ -23,7 +23,8 @@ from model.runs.run_files import append_json_line
 _MAX_BYTES: Final = 64 << 20  # a hundred thousand results
 
 Way = Literal["frames", "recording", "simulator", "supervised"]
-"""Of "supervised", a person took over from the network (`bc-drive --takeover me`)."""
+"""Of "supervised", a person took over from the network (`bc-drive --takeover me`). Earlier versions let a network
+drive a recording, too."""
 
 
 class KeptResult(msgspec.Struct, frozen=True):
