@@ -8,8 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import msgspec
-
 from common.errors import printable
 from common.markdown import as_markdown, rendered, shown_number
 from common.steering_unit import assumed_deg
@@ -17,6 +15,7 @@ from common.versions import TOOLKIT, version_of
 from dataset.prediction_targets import TARGETS, TargetName
 from model.metrics import Measures
 from model.runs.kept_results import KeptResult
+from model.runs.run_numbers import StoredCounts, StoredIndex, StoredLabels, index_of_config
 from model.runs.training_progress import Epoch
 
 
@@ -37,30 +36,12 @@ class ModelCard:
     pictures: Sequence[str]  # of how it was learnt, by file name
 
 
-class _Counts(msgspec.Struct):
-    training: int = 0
-    validation: int = 0
-
-
-class _Plan(msgspec.Struct):
-    why: str = ""
-
-
-class _Labels(msgspec.Struct):
-    plan: _Plan = msgspec.field(default_factory=_Plan)
-
-
-class _Data(msgspec.Struct):
-    """The data of a run's config.json, as far as a card lists them."""
-
-    logs: dict[str, Any] = {}
-    counts: dict[str, _Counts] = {}
-    labels: dict[str, _Labels] = {}
-
-
 def card(of: ModelCard) -> str:
     """The text of a card: the hub's YAML, then Markdown."""
-    data, measures = _data(of), of.epoch.measures if of.epoch and of.epoch.measures.frames else None
+    data, measures = (
+        index_of_config(of.config),
+        of.epoch.measures if of.epoch and of.epoch.measures.frames else None,
+    )
     drives = [kept for kept in of.results if kept.way != "frames"]
     places = [
         (heading, [_place(of, kept) for kept in drives if (kept.result.get("interventions") == 0) is is_clean])
@@ -111,20 +92,13 @@ def _answers(of: ModelCard) -> str:
     return f"It answers the {answers}; nothing is clamped."
 
 
-def _data(of: ModelCard) -> _Data:
-    try:
-        return msgspec.convert(of.config.get("data", {}), _Data)
-    except msgspec.ValidationError:
-        return _Data()
-
-
-def _session(name: str, log: object, data: _Data) -> dict[str, object]:
-    counts = data.counts.get(name, _Counts())
+def _session(name: str, log: object, data: StoredIndex) -> dict[str, object]:
+    counts = data.counts.get(name, StoredCounts())
     return {
         "name": name,
         "training": counts.training,
         "validation": counts.validation,
-        "why": data.labels.get(name, _Labels()).plan.why,
+        "why": data.labels.get(name, StoredLabels()).plan.why,
         "fingerprint": str(log.get("fingerprint", ""))[:16] if isinstance(log, dict) else "",
     }
 
@@ -167,7 +141,7 @@ def _place(of: ModelCard, kept: KeptResult) -> str:
     found = kept.result
     if kept.way == "recording":
         session = str(found.get("session", "?"))
-        learnt = ", which it has learnt from" if session in _data(of).logs else ""
+        learnt = ", which it has learnt from" if session in index_of_config(of.config).logs else ""
         return f"the recording {as_markdown(session)}{learnt}"
     laps = f"{shown_number(found.get('laps'))} laps at {shown_number(found.get('set_speed_mph'), 0)} mph"
     supervised = ", supervised by a person" if kept.way == "supervised" else ""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -19,13 +20,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from common import atomic_file
 from common.car import CAMERAS, Camera
 from common.location import Location
 from common.progress import progress_bar
 from common.stretches import consecutive, stretches
 from common.tasks import Tasks, one_by_one
-from dataset.errors import log_problem
-from dataset.findings_file import read_findings, write_findings
+from dataset.errors import index_write_errors, log_problem
 from dataset.frames.frame_flags import ImageFindings, Position, Stretches
 from recorder import Log, LogError
 from recorder.mcap.message_index import UNCOMPRESSED
@@ -137,13 +138,19 @@ def write_image_check(index: Path, session: str, fingerprint: str, found: ImageF
     """Keep what was found in the log with this fingerprint."""
     broken, frozen = (dict[str, Stretches](each.items()) for each in (found.broken, found.frozen))
     stored = _Stored(1, fingerprint, found.pictures, broken, frozen, found.against, found.lag)
-    write_findings(image_check_path(index, session), stored)
+    path = image_check_path(index, session)
+    with index_write_errors(path), atomic_file(path, overwrite=True) as part:
+        part.write_text(json.dumps(msgspec.to_builtins(stored)) + "\n", encoding="utf-8")
 
 
 def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindings | None:
-    """The findings in the log with this fingerprint; None if it was not checked, or the file is damaged."""
-    stored = read_findings(image_check_path(index, session), _Stored, _MAX_BYTES)
-    if stored is None:
+    """The findings in the log with this fingerprint; None without a sound file of them."""
+    path = image_check_path(index, session)
+    try:
+        if path.is_symlink() or path.stat().st_size > _MAX_BYTES:
+            return None
+        stored = msgspec.convert(json.loads(path.read_bytes()), _Stored)
+    except (OSError, ValueError, RecursionError):
         return None
     of_all = itertools.chain(stored.broken.values(), stored.frozen.values(), [stored.against or ()])
     if stored.fingerprint != fingerprint or not all(map(_are_ascending, of_all)):
