@@ -143,8 +143,8 @@ def _play_predicted(config: Play) -> int:
     runs = [find_run(name, config.runs) for name in config.run]
     load_named(config.network, [load_config(run) for run in runs] if config.network else [])
     if is_only_written:
-        found = predict_log(config.log, runs)
-        code = max(_report_predictions(config, found), _warn_unfinished(found.notice))
+        predictions = predict_log(config.log, runs)
+        code = max(_report_predictions(config, predictions), _warn_unfinished(predictions.notice))
         print_next(f"bc-play {shlex.quote(str(config.write))}")
         return code
     codes = [DONE]
@@ -152,7 +152,7 @@ def _play_predicted(config: Play) -> int:
         lambda: prepare_predictions(
             config.log,
             runs,
-            lambda found: codes.append(_report_predictions(config, found)),
+            lambda predictions: codes.append(_report_predictions(config, predictions)),
             attention=config.attention,
             at_s=config.at,
         ),
@@ -161,16 +161,16 @@ def _play_predicted(config: Play) -> int:
     return max(_show_or_save(config, whole), *codes)
 
 
-def _report_predictions(config: Play, found: LogPredictions) -> int:
+def _report_predictions(config: Play, predictions: LogPredictions) -> int:
     """Write predictions to --write, if given, and print their summaries; return the exit code."""
     from viz.playback.prediction_log import write_predictions
 
     if config.write is not None:
-        write_predictions(found, config.write, overwrite=config.force)
+        write_predictions(predictions, config.write, overwrite=config.force)
         print_result(f"{config.write}: written")
-    for run in found.predicted:
-        print_result(found.summary(run))
-    return warn_skipped(found.skipped)
+    for run in predictions.predicted:
+        print_result(predictions.summary(run))
+    return warn_skipped(predictions.skipped)
 
 
 def _warn_unfinished(notice: str) -> int:

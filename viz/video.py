@@ -168,8 +168,8 @@ class _Pictures:
         )
 
     def _decoded(self, number: int) -> Image | None:
-        found = self._found
-        place = int(found.offset[number]), int(found.length[number]), int(found.chunk[number])
+        pictures = self._found
+        place = int(pictures.offset[number]), int(pictures.length[number]), int(pictures.chunk[number])
         try:
             return decode(self._log.read(*place))
         except (LogError, ValueError):  # its chunk is damaged, or it is no picture

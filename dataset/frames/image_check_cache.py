@@ -90,8 +90,8 @@ def check_all_images(
     pictures: dict[str, int] = {}
     for session, path in logs.items():
         with contextlib.suppress(*unreadable), Log(path) as log:
-            found = read_image_check(index, session, log.fingerprint)
-            if found is None or found.against is None or (found.lag is None and lacks_lag(log)):
+            findings = read_image_check(index, session, log.fingerprint)
+            if findings is None or findings.against is None or (findings.lag is None and lacks_lag(log)):
                 counts = log.counts
                 pictures[session] = sum(counts.get(camera_topic(camera), 0) for camera in CAMERAS)
     names, checked = list(pictures), []
@@ -134,10 +134,10 @@ class _Stored(msgspec.Struct):
     lag: LagFinding | None = None
 
 
-def write_image_check(index: Path, session: str, fingerprint: str, found: ImageFindings) -> None:
+def write_image_check(index: Path, session: str, fingerprint: str, findings: ImageFindings) -> None:
     """Keep what was found in the log with this fingerprint."""
-    broken, frozen = (dict[str, Stretches](each.items()) for each in (found.broken, found.frozen))
-    stored = _Stored(1, fingerprint, found.pictures, broken, frozen, found.against, found.lag)
+    broken, frozen = (dict[str, Stretches](each.items()) for each in (findings.broken, findings.frozen))
+    stored = _Stored(1, fingerprint, findings.pictures, broken, frozen, findings.against, findings.lag)
     path = image_check_path(index, session)
     with index_write_errors(path), atomic_file(path, overwrite=True) as part:
         part.write_text(json.dumps(msgspec.to_builtins(stored)) + "\n", encoding="utf-8")
@@ -172,9 +172,11 @@ def _in_order_of_the_file(log: Log) -> Iterator[tuple[Camera, int, int, int, int
     """Camera, row, log time, offset, length and chunk of each picture: a compressed chunk is unpacked once."""
     parts: list[tuple[NDArray[np.int64], ...]] = []
     for number, camera in enumerate(CAMERAS):
-        found = log.pictures(camera_topic(camera))
-        numbers = np.full(len(found.sequence), number, np.int64)
-        parts.append((numbers, found.sequence, found.log_time_ns, found.offset, found.length, found.chunk))
+        pictures = log.pictures(camera_topic(camera))
+        numbers = np.full(len(pictures.sequence), number, np.int64)
+        parts.append(
+            (numbers, pictures.sequence, pictures.log_time_ns, pictures.offset, pictures.length, pictures.chunk)
+        )
     columns = [np.concatenate(part) for part in zip(*parts, strict=True)]
     offsets, chunks = columns[3], columns[5]
     order = np.lexsort((offsets, np.where(chunks == UNCOMPRESSED, offsets, chunks)))

@@ -242,8 +242,8 @@ class _Build:
     def _entries(self, state: BuildState, damaged: Mapping[str, str], stage: Path) -> dict[str, BuiltLog]:
         """The entry of each session; without a fingerprint where its log cannot be read, and may be left out."""
         entries: dict[str, BuiltLog] = {}
-        found = log_entries(self.by_name, self.index, self.config, state, damaged, stage, self.tasks)
-        for name, entry in track(found, "indexing", len(self.by_name)):
+        read = log_entries(self.by_name, self.index, self.config, state, damaged, stage, self.tasks)
+        for name, entry in track(read, "indexing", len(self.by_name)):
             if isinstance(entry, LogError):
                 if not self.leave_out_unreadable or name in self.config.validation:
                     raise entry

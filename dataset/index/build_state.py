@@ -73,8 +73,8 @@ class Stats:
         if place.parent not in self._listed:
             from common.object_store import list_objects  # an extra
 
-            found = list_objects(place.parent)
-            self._listed[place.parent] = {each.url: (each.size, each.version) for each in found}
+            objects = list_objects(place.parent)
+            self._listed[place.parent] = {each.url: (each.size, each.version) for each in objects}
         return self._listed[place.parent].get(place)
 
 
@@ -91,8 +91,8 @@ def stat_of(path: Location) -> Stat:
     if isinstance(path, Url):
         from common.object_store import find_object  # an extra
 
-        found = find_object(path)
-        return None if found is None else (found.size, found.version)
+        stored = find_object(path)
+        return None if stored is None else (stored.size, stored.version)
     try:
         status = path.stat()
     except OSError:

@@ -161,10 +161,10 @@ def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Pa
 
 def _lag(log: Log, index: Path, session: str, *, has_file: bool) -> LagFinding | None:
     """The lag of a log's steering as it is known; no picture is looked at."""
-    found = noted_lag(log.read_metadata(QUALITY_METADATA)) or (kept_lag(log) if has_file else None)
-    if found is None and (images := read_image_check(index, session, log.fingerprint)) is not None:
+    lag = noted_lag(log.read_metadata(QUALITY_METADATA)) or (kept_lag(log) if has_file else None)
+    if lag is None and (images := read_image_check(index, session, log.fingerprint)) is not None:
         return images.lag
-    return found
+    return lag
 
 
 def car_to_warp(path: Location, entry: BuiltLog) -> Car:
@@ -201,13 +201,13 @@ def _sizes_px(log: Log) -> list[tuple[int, int]]:
 
     A log's summary of its rows has them; those of earlier versions do not.
     """
-    if (known := first_picture_sizes(log)) is not None:
-        return [known[topic] for topic in map(camera_topic, CAMERAS) if topic in known]
+    if (noted := first_picture_sizes(log)) is not None:
+        return [noted[topic] for topic in map(camera_topic, CAMERAS) if topic in noted]
     sizes = []
     for camera in CAMERAS:
-        found = log.pictures(camera_topic(camera))
-        if len(found.sequence):
-            data = log.read(int(found.offset[0]), int(found.length[0]), int(found.chunk[0]))
+        pictures = log.pictures(camera_topic(camera))
+        if len(pictures.sequence):
+            data = log.read(int(pictures.offset[0]), int(pictures.length[0]), int(pictures.chunk[0]))
             sizes += [size for size in [width_and_height(data)] if size]
     return sizes
 

@@ -40,7 +40,9 @@ def labels_of_sessions(
     steered = tasks(
         habits_of_frames, [(frames[name], assumed_deg(built[name].max_steering_deg)) for name in names]
     )
-    habits = {names[number]: found for number, found in track(steered, "looking at the steering", len(names))}
+    habits = {
+        names[number]: of_session for number, of_session in track(steered, "looking at the steering", len(names))
+    }
     lagging = [name for name in frames if goes_by_lag(habits[name], built[name].driven_by)]
     lags = {name: built[name].lag for name in lagging}
     return {
@@ -52,13 +54,13 @@ def labels_of_sessions(
     }
 
 
-def _labels(config: IndexConfig, habits: SteeringHabits, found: LagFinding | None, driver: str) -> SessionLabels:
-    plan = AS_RECORDED if config.labels == "as-recorded" else plan_labels(habits, found, driver)
+def _labels(config: IndexConfig, habits: SteeringHabits, lag: LagFinding | None, driver: str) -> SessionLabels:
+    plan = AS_RECORDED if config.labels == "as-recorded" else plan_labels(habits, lag, driver)
     if config.label_smooth_s is not None:
         plan = replace(plan, smooth_s=config.label_smooth_s, why=AS_RECORDED.why)
     if config.label_shift_s is not None:
         plan = replace(plan, shift_s=config.label_shift_s, why=AS_RECORDED.why)
-    return SessionLabels(habits, found.lag if found else None, plan)
+    return SessionLabels(habits, lag.lag if lag else None, plan)
 
 
 def habits_of_frames(file: Path, max_steering_deg: float = MAX_STEERING_DEG) -> SteeringHabits:

@@ -108,23 +108,23 @@ def _publish_all(stage: Path, index: Path) -> None:
 def _bring_parts(stage: Path, index: Path) -> None:
     """Give new divided samples their names; where some were lost, the others have the same bytes."""
     for folder in folders_of_parts(stage):
-        there = index / SAMPLES_FOLDER / folder.name
-        there.mkdir(parents=True, exist_ok=True)
+        target = index / SAMPLES_FOLDER / folder.name
+        target.mkdir(parents=True, exist_ok=True)
         for file in folder.iterdir():
-            file.replace(there / file.name)
+            file.replace(target / file.name)
 
 
 def _remove_other_parts(index: Path) -> None:
     """Remove divided samples that samples.parquet does not name."""
-    there = folders_of_parts(index)
+    folders = folders_of_parts(index)
     try:
-        parts = Division.of(read_metadata(index / SAMPLES_NAME) or {}) if there else None
+        parts = Division.of(read_metadata(index / SAMPLES_NAME) or {}) if folders else None
     except (KeyError, TypeError, ValueError):  # damaged: which of them are its own nobody knows
         return
-    for folder in there:
+    for folder in folders:
         if parts is None or folder != parts.folder(index):
             shutil.rmtree(folder, ignore_errors=True)
-    if there:
+    if folders:
         with contextlib.suppress(OSError):
             (index / SAMPLES_FOLDER).rmdir()
 

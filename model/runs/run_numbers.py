@@ -143,10 +143,10 @@ class RunNumbers:
     def of_rows(self, measured: Measures | None, sessions: Sequence[str]) -> RunNumbers:
         """The same with the errors on rows of these sessions."""
         hands = [self.data.labels.get(name, StoredLabels()).hand for name in sessions]
-        known = frozenset(hand for hand in hands if hand) if all(hands) else frozenset()
+        sure_hands = frozenset(hand for hand in hands if hand) if all(hands) else frozenset()
         counts = [self.data.counts.get(name, StoredCounts()) for name in sessions]
         is_unseen = bool(counts) and not any(count.training for count in counts)
-        return replace(self, measured=measured, hands=known, is_unseen=is_unseen, has_crashes=False)
+        return replace(self, measured=measured, hands=sure_hands, is_unseen=is_unseen, has_crashes=False)
 
 
 def run_numbers(

@@ -126,11 +126,11 @@ def _beside_the_mean(measured: Measures) -> tuple[BesideTheMean, ...]:
     unit = measured.unit
     name = f" {unit.name}"
     turns = (unit.of(network.turning_mae_deg), unit.of(mean.turning_mae_deg))
-    found = [BesideTheMean("on turns", *turns, name)]
+    pairs = [BesideTheMean("on turns", *turns, name)]
     if measured.mean_balanced_rmse_deg > 0:
-        found.append(BesideTheMean("driving error", measured.driving_error, OF_THE_MEAN))
-    found.append(BesideTheMean("RMSE", unit.of(network.rmse_deg), unit.of(mean.rmse_deg), name))
-    return tuple(error for error in found if error.mean > 0)
+        pairs.append(BesideTheMean("driving error", measured.driving_error, OF_THE_MEAN))
+    pairs.append(BesideTheMean("RMSE", unit.of(network.rmse_deg), unit.of(mean.rmse_deg), name))
+    return tuple(error for error in pairs if error.mean > 0)
 
 
 def _joined(errors: list[BesideTheMean]) -> str:
