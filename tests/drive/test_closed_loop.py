@@ -237,14 +237,6 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
         assert car_in(log.metadata, log.path) == built_in()  # where its cameras stand, and how it turns
 
 
-def test_the_earlier_name_of_a_flag_is_understood(
-    pilot_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call(eval_main, pilot_run, "--simulator", "lake", "--laps", 0.002, f"--logs={tmp_path / 'logs'}") == 0
-    assert "--logs is called --drives now" in capsys.readouterr().err
-    assert len(list((tmp_path / "logs").glob("*.mcap"))) == 1
-
-
 @pytest.mark.parametrize(
     ("flags", "says"),
     [

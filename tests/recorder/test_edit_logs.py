@@ -24,7 +24,7 @@ from logs import START_NS, STEP_NS, not_a_picture, write_log
 from plain_mcap import Contents, Stored, by_topic, contents, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.tags import Tag, add_tag, read_tags, tags_path
+from recorder.log.tags import Tag, add_tags, read_tags, tags_path
 from recorder.topics import ROW_TOPICS
 from recorder.upkeep.check import check
 from recorder.upkeep.edit import merge, rows_between, split, trim, trim_times
@@ -76,7 +76,7 @@ def numbered_on(messages: list[Stored], first: int) -> list[Stored]:
 def tag(path: Path, *tags: tuple[int, int, str]) -> Path:
     with Log(path) as log:
         for one in tags:
-            add_tag(path, log.fingerprint, Tag(*one))
+            add_tags(path, log.fingerprint, [Tag(*one)])
     return path
 
 

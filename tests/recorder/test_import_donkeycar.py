@@ -291,7 +291,7 @@ def test_catalogues_that_are_missing_or_not_listed_are_named(tmp_path: Path) -> 
     assert kept(done.path) == [0, 1, 2]
     assert list(done.skipped) == [
         ("catalogues that are not there", "'catalog_1.catalog'"),
-        ("catalogues that the manifest does not name (--all-catalogs takes them)", "catalog_7.catalog"),
+        ("catalogues that the manifest does not name (without manifest.json, all are read)", "catalog_7.catalog"),
     ]
 
 

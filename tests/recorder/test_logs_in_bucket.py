@@ -7,7 +7,6 @@ import os
 import re
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from long_log import lengthened
 from mcap_patch import patched
 from recorder import Log, LogError
 from recorder.cli import main as bc_record
-from recorder.log.tags import Tag, add_tag
+from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main
 from recorder.upkeep.check import check
 from recorder.upkeep.copy_log import copy_log
@@ -60,7 +59,7 @@ def large_log(folder: Path, name: str = "large.mcap") -> Path:
 
 def tag(path: Path, name: str) -> None:
     with Log(path) as log:
-        add_tag(path, log.fingerprint, Tag(1, 2, name))
+        add_tags(path, log.fingerprint, [Tag(1, 2, name)])
 
 
 # places
@@ -366,15 +365,17 @@ def test_without_obstore_a_url_says_what_to_install(tmp_path: Path) -> None:
 # copying
 
 
-def test_a_log_and_its_tags_go_to_a_store_and_back(
+def test_a_log_its_tags_and_its_lag_go_to_a_store_and_back(
     bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = large_log(tmp_path)
     tag(log, "recovery")
+    beside = tmp_path / "large.tags.jsonl", tmp_path / "large.lag.json"
+    beside[1].write_text("{}")
     assert call(main, "copy", log, "s3://logs/sessions") == 0
     assert capsys.readouterr().out == f"s3://logs/sessions/large.mcap: {log.stat().st_size / 1e6:,.1f} MB\n"
     files = {path.name: path.read_bytes() for path in (bucket.folder / "sessions").iterdir()}
-    assert files == {path.name: path.read_bytes() for path in (log, tmp_path / "large.tags.jsonl")}
+    assert files == {path.name: path.read_bytes() for path in (log, *beside)}
     assert call(main, "copy", "s3://logs/sessions", tmp_path / "back") == 0
     assert {path.name: path.read_bytes() for path in (tmp_path / "back").iterdir()} == files
 
@@ -473,8 +474,11 @@ def test_what_is_not_whole_is_not_copied(
     places = (log, bucket.url()) if is_upload else (bucket.url("a.mcap"), tmp_path / "here")
     assert call(main, "copy", *places) == 1
     assert "damaged" in one_line_in(capsys)
-    assert not list((tmp_path / "here").glob("*"))
     assert len(list(bucket.folder.iterdir())) == (0 if is_upload else 1)
+    if not is_upload:
+        (part,) = (tmp_path / "here").iterdir()
+        assert call(main, "recover", part) == 3
+        assert (tmp_path / "here/a.mcap").is_file()
 
 
 def test_other_tags_than_ours_stay(bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -496,73 +500,14 @@ def test_copies_are_between_this_machine_and_a_store(tmp_path: Path, bucket: Buc
 # new logs, and tags, of what lies there
 
 
-@pytest.fixture
-def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder for what is here only while a command runs."""
-    (tmp_path / "temporary").mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
-    return tmp_path / "temporary"
-
-
-def test_a_new_log_replaces_nothing_unasked_and_never_its_original(
-    bucket: Bucket, log: Path, temporary: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("command", ["trim", "merge", "rewrite", "recover", "split"])
+def test_new_logs_are_made_on_this_machine(
+    bucket: Bucket, log: Path, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    before = log.read_bytes()
-    theirs = write_log(bucket.folder / "c.mcap", [0.2] * 5)
-    trim = ("trim", bucket.url("b.mcap"), "--rows", 3, 5, "--to")
-    assert call(main, *trim, bucket.url("c.mcap")) == 1
-    assert "s3://logs/c.mcap exists already" in one_line_in(capsys)
-    assert call(main, *trim, bucket.url("b.mcap"), "--force") == 1
-    assert "the log itself" in one_line_in(capsys)
-    assert call(main, *trim, bucket.url("c.mcap"), "--force") == 0
-    with Log(theirs) as made:
-        assert made.vehicle()["row"].to_pylist() == [3, 4, 5]
-    assert log.read_bytes() == before
-    assert list(temporary.iterdir()) == []
-
-
-def test_a_new_log_that_cannot_be_copied_there_is_kept_here(
-    bucket: Bucket, log: Path, temporary: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    bucket.answer = lambda passing: passing.command == "PUT" and passing.fail(403, "AccessDenied")
-    assert call(main, "trim", bucket.url("b.mcap"), "--rows", 3, 5, "--to", bucket.url("c.mcap")) == 1
-    (kept,) = temporary.iterdir()
-    told = " ".join(capsys.readouterr().err.split())
-    assert f"what was made is in {kept}: `bc-log copy {kept} s3://logs/c.mcap` copies it" in told
-    bucket.pass_all()
-    assert call(main, "copy", kept, bucket.url("c.mcap")) == 0
-    assert check(bucket.folder / "c.mcap").findings == []
-
-
-def test_damage_is_told_by_the_name_in_the_store(
-    bucket: Bucket, log: Path, temporary: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    data = bytearray(log.read_bytes())
-    data[len(data) // 2] ^= 1
-    log.write_bytes(data)
-    assert call(main, "merge", bucket.url("b.mcap"), bucket.url("b.mcap"), "--to", temporary / "c.mcap") == 1
-    line = one_line_in(capsys)
-    assert "s3://logs/b.mcap: " in line
-    assert str(temporary) not in line
-    assert call(main, "recover", bucket.url("b.mcap")) == 3
-    assert check(bucket.folder / "b.recovered.mcap", look=False).findings != []  # what was lost
-    assert "s3://logs/b.mcap is as it was; once b.recovered.mcap is checked" in capsys.readouterr().err
-    assert list(temporary.iterdir()) == []
-
-
-def test_another_programs_log_is_imported_from_there(
-    bucket: Bucket, log: Path, temporary: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    record = ("new", "--sessions", tmp_path, "--from")
-    assert call(bc_record, *record, bucket.url("b.mcap")) == 1
-    assert "s3://logs/b.mcap: a log of this toolkit" in one_line_in(capsys)
-    topics = ("--image", "/camera/center", "--steering", "/vehicle.steering")
-    assert call(bc_record, *record, bucket.url("b.mcap"), *topics) == 0
-    with Log(tmp_path / "new.mcap") as made, Log(log) as there:
-        assert made.vehicle()["steering"].equals(there.vehicle()["steering"])
-        assert made.metadata["recording"] == "b.mcap"
-    assert list(temporary.iterdir()) == []
-    assert call(bc_record, *record, bucket.url("folder")) == 2
+    assert call(main, command, bucket.url("b.mcap"), "--to", "new.mcap") == 1
+    assert "`bc-log copy s3://logs/b.mcap FOLDER`" in one_line_in(capsys)
+    assert call(main, command, log, *([log] if command == "merge" else []), "--to", bucket.url("new.mcap")) == 2
+    assert "a place of this machine" in one_line_in(capsys)
 
 
 def test_who_tags_at_the_same_moment_is_told_and_nobodys_tags_are_lost(
