@@ -140,18 +140,6 @@ def put(log: Path, bucket: Bucket) -> Url:
     return bucket.url(log.name)
 
 
-def test_info_of_8_gb_moves_no_pictures(bucket: Bucket, longest: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    url = put(longest, bucket)
-    assert call(main, "info", longest, "--json") == 0
-    here = json.loads(capsys.readouterr().out)
-    bucket.requests.clear()
-    assert call(main, "info", url, "--json") == 0
-    assert json.loads(capsys.readouterr().out) == {**here, "path": str(url)}
-    assert here["size_bytes"] > 8e9
-    assert bucket.bytes_sent < 4_500_000
-    assert bucket.count() <= 6
-
-
 def test_tags_of_a_long_log_are_told_too(
     bucket: Bucket, longest: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
