@@ -1,6 +1,7 @@
 """What `--help` shows: the flags that most people need, on one screen. `--help-all` shows the others too.
 
-A configuration lists its rare flags in `RARE: ClassVar[str]`. Parsing treats them as any other flag.
+A configuration lists its rare flags in `RARE: ClassVar[str]`, and in `EARLIER_FLAGS` those of the version before,
+which no help shows. Parsing treats them as any other flag.
 """
 
 from __future__ import annotations
@@ -39,12 +40,13 @@ def shown_by_help(config: Any, with_rare: bool) -> Any:
         kinds = [(each.__origin__, each.__metadata__) for each in get_args(config)]
         return Union[tuple(Annotated[(shown_by_help(kind, with_rare), *notes)] for kind, notes in kinds)]  # noqa: UP007
     hints = get_type_hints(config, include_extras=True)
+    hidden = [*getattr(config, "EARLIER_FLAGS", "").split(), *([] if with_rare else _rare(config))]
     changed = []
     for each in dataclasses.fields(config):
         hint = hints[each.name]
         kind, notes = getattr(hint, "__origin__", hint), getattr(hint, "__metadata__", ())
         default, factory = each.default, each.default_factory
-        if each.name in _rare(config) and not with_rare:
+        if each.name in hidden:
             hint = Annotated[(hint, tyro.conf.Suppress)]
         elif dataclasses.is_dataclass(kind):
             factory = shown_by_help(kind, with_rare)

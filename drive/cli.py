@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
@@ -202,7 +203,7 @@ def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
         settings = _with_car(config, settings, run)
         pilot = load_pilot(run, config.precision)
         pilot.warm_up()
-        source = {"simulator": car.name, "gym.args": config.environment.gym_args, "gym.action": car.actions.text}
+        source = {"simulator": car.name, "gym.args": json.dumps(car.settings.args), "gym.action": car.actions.text}
         metadata = drive_metadata(pilot, settings) | source
         writer = LogWriter(path, metadata, overwrite=config.force, live=True)
         session = after.enter_context(DriveSession(pilot, settings, writer, _notify))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,7 +127,7 @@ def _metadata(recording: GymRecording, car: GymnasiumCar) -> dict[str, str]:
         "simulator": car.name,
         "driver": str(recording.environment.expert),
         "clock": f"{car.rate_hz:g} steps a second of the environment's own time",
-        "gym.args": recording.environment.gym_args,
+        "gym.args": json.dumps(car.settings.args),
         "gym.action": car.actions.text,
         "gym.seed": str(recording.seed),
         "gym.wander": f"{recording.wander:g}",

@@ -242,12 +242,9 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
     import_csv(folder / "pictures", path["csv"], ["image=frame", "steering=angle"], rate_hz=20.0)
     export_lerobot([path["udacity"]], folder / "dataset")
     import_lerobot(folder / "dataset", path["lerobot"])
-    bar = GymFlags(
-        "toy_environment:toy/Bar-v0",
-        gym_args='{"max_episode_steps": 3}',
-        gym_action="steering,throttle",
-        expert="toy_environment:centre",
-    )
+    settings = 'id = "toy_environment:toy/Bar-v0"\naction = "steering,throttle"\nargs.max_episode_steps = 3'
+    (folder / "bar.toml").write_text(settings)
+    bar = GymFlags(str(folder / "bar.toml"), expert="toy_environment:centre")
     record_gymnasium(GymRecording(bar), path["gym"])
 
     evaluated = run(
