@@ -34,7 +34,7 @@ class Demo:
     """
 
     folder: Path | None = None
-    """Folder to work in, without a project; by default demo/DATE."""
+    """Folder to work in, which must not hold a project; by default demo/DATE."""
     quick: bool = False
     """Only a seventh of a lap and a small network: two minutes."""
     epochs: int = 4

@@ -47,11 +47,11 @@ class Drive:
     real_time: bool = False
     """Run --simulator no faster than the clock."""
     takeover: Annotated[Literal["expert", "me"] | None, tyro.conf.arg(metavar="[expert|me]")] = None
-    """The expert takes over outside the lane, or you in a browser."""
+    """Let the expert take over outside the lane, or you in a browser (me)."""
     open: bool = False
     """With --takeover me: open the browser."""
     page: bool = True
-    """With --takeover me: serve no page; a running bc-web does."""
+    """With --takeover me: serve no page, but use that of a running bc-web."""
     aggregate: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: not)")] = None
     """Drive, train on the expert's takeovers, drive again: N times."""
     epochs: int = 5
@@ -69,7 +69,7 @@ class Drive:
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Arithmetic; auto: the fastest."""
     viewer: Annotated[str, tyro.conf.arg(metavar="auto|window|web|ADDRESS|FILE.rrd|off")] = "auto"
-    """Show the drive in Rerun; auto: a window, with a display."""
+    """Show the drive in Rerun; auto: a window if there is a display."""
     server: Literal["eventlet", "threading"] = "eventlet"
     """The Socket.IO server."""
     host: str = "127.0.0.1"

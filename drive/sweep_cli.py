@@ -54,7 +54,7 @@ class Sweep:
     index: LocationFlag = Path("index")
     """The index."""
     runs: LocationFlag = Path("runs")
-    """Folder of the runs; copied to a URL, which several machines may share."""
+    """Folder of the runs; copied to a URL, which machines may share."""
     drives: LocationFlag = Path("drives")
     """Folder of the drives' logs; finished logs are copied to a URL."""
     ray: RayAddress = None

@@ -38,15 +38,15 @@ class Train:
     init: str | None = None
     """Start from this run's weights."""
     on: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SESSION [SESSION ...]")] = ()
-    """Train on these sessions alone; builds index-NAME."""
+    """Train only on these sessions; builds index-NAME."""
     takeovers: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = ()
     """Add these drives' takeovers to the samples of --init."""
     like: str | None = None
-    """Repeat this run's settings and index, except other flags."""
+    """Use this run's settings and index, except for flags that you give."""
     tensorboard: bool = False
     """Also write the curves for TensorBoard."""
     listener: str | None = None
-    """Your code for the progress: FILE.py:CLASS or MODULE:CLASS."""
+    """Your code that receives the progress: FILE.py:CLASS or MODULE:CLASS."""
     viewer: bool = False
     """Show the curves in Rerun."""
     ray: Annotated[

@@ -28,8 +28,8 @@ _MAX_NAMED: Final = 8
 
 @dataclass(frozen=True)
 class CopyLogs:
-    """Copy logs and tags to or from a store, whole or not at all, with every CRC compared. The same command
-    continues a stopped download, and skips what is there."""
+    """Copy logs and tags to or from a bucket, and compare every CRC. The same command
+    continues a stopped download, and skips logs that are there."""
 
     places: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...] TO")]
     """Logs or folders of logs, then the target: a folder, a URL, or a new name."""

@@ -114,7 +114,7 @@ class Merge(MakesLogs):
 
 @dataclass(frozen=True)
 class Rewrite(MakesLogsOfOne):
-    """Rewrite an old log so that numbers are read without pictures. Content, tags and fingerprint stay."""
+    """Rewrite an old log so that its numbers can be read without its pictures. Content, tags and fingerprint stay."""
 
     log: LogPlace
     """The log to rewrite."""

@@ -27,7 +27,7 @@ class Web:
     port: int = 8080
     """Port of the workbench."""
     host: str = "127.0.0.1"
-    """Address to listen on; beyond this machine, a token is needed (no encryption)."""
+    """Address to listen on; other machines need a token; nothing is encrypted."""
     open: bool = False
     """Open the browser."""
     sessions: LocationFlag = Path("sessions")

@@ -49,19 +49,19 @@ class Eval:
     session: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
     """Measure on these whole sessions, without an index."""
     sessions: Annotated[LocationFlag | None, _default("PATH|URL", "sessions")] = None
-    """The logs, for --session, --on and foreign indexes."""
+    """The logs, for --session, --on and indexes built elsewhere."""
     bins: bool = False
     """Also show the errors in each steering bin."""
     worst: Annotated[int | None, _default("INT", "none; 10 with --json")] = None
     """Worst frames to list, at most one a second."""
     on: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
-    """Drive these recordings, in warped pictures."""
+    """Drive these recordings, with warped pictures."""
     departure: Annotated[float | None, _default("METRES", "1")] = None
     """Distance from the recorded line that is an intervention."""
     car: Annotated[str | None, _default("udacity|built-in|FILE.toml", "the one in the log")] = None
-    """The recording's car: cameras and turning."""
+    """The recording's car: cameras and steering."""
     simulator: Annotated[tuple[str, ...] | None, _default("TRACK [TRACK ...]", "none")] = None
-    """Drive these: lake, mountain, random:SEED, hairpins:SEED."""
+    """Drive these tracks: lake, mountain, random:SEED, hairpins:SEED."""
     laps: Annotated[float | None, _default("FLOAT", "1")] = None
     """Laps on each track."""
     speed: Annotated[tuple[float, ...] | None, _default("MPH [MPH ...]", "10")] = None
