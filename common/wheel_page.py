@@ -26,7 +26,7 @@ def check_wheel_page() -> None:
     """Raise UserError if bc-web is not installed, without which nobody can steer."""
     if missing := [name for name in ("starlette", "uvicorn", "jinja2") if find_spec(name) is None]:
         raise UserError(
-            f"{missing[0]} is not installed, and the wheel is a page: `{install_line('web')}` brings it"
+            f"{missing[0]} is not installed, but --driver me needs a page: `{install_line('web')}` brings it"
         )
 
 

@@ -96,7 +96,7 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
 def _refuse_contradictions(config: Index) -> None:
     """Raise UsageError for flags that would be passed over, and for a condition that is none."""
     if config.force and config.figures is None:
-        raise UsageError("--force: only of figures: give --figures FOLDER as well")
+        raise UsageError("--force only replaces figures: give --figures FOLDER as well")
     if config.ray not in (None, ("local",)) and isinstance(config.index, Url):
         raise UsageError(
             f"--index {config.index}: nodes of a cluster write into a folder that all of them see; without --ray"

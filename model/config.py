@@ -119,12 +119,12 @@ class TrainConfig:
         if not all(0 <= each < math.inf for each in self.target_weights) or sum(self.target_weights or (1,)) <= 0:
             raise ValueError("--target-weights: numbers of 0 or more, not all 0, were expected")
         if self.keep == "last" and self.patience:
-            raise ValueError(f"--patience {self.patience}: with --keep last no epoch is better than a later one")
+            raise ValueError(
+                f"--patience {self.patience}: cannot be used with --keep last, which always prefers the last epoch"
+            )
         names = self.alter_each_epoch
         if len(set(names)) < len(names) or (len(names) > 1 and {"all", "none"}.intersection(names)):
-            raise ValueError(
-                f"--alter-each-epoch {' '.join(names)}: each once, or all or none alone, was expected"
-            )
+            raise ValueError(f"--alter-each-epoch {' '.join(names)}: give each once, or only all or none")
         if not 0 < self.rate < math.inf:
             raise ValueError(f"--rate {self.rate:g}: a number above 0 was expected")
         if not 0 <= self.dropout < 1:

@@ -61,9 +61,9 @@ def _refuse_contradictions(config: Export) -> None:
     if [config.onnx, config.donkeycar, config.hub].count(None) != 2:
         raise UsageError("give --onnx for a file, --donkeycar FOLDER for a DonkeyCar, or --hub FOLDER for the hub")
     if config.hub is None and config.license is not None:
-        raise UsageError("--license: only of a folder for the hub: give --hub FOLDER as well")
+        raise UsageError("--license is only for a folder for the hub: give --hub FOLDER as well")
     if config.hub is not None and config.force:
-        raise UsageError("--force: only of a file: a folder is never replaced")
+        raise UsageError("--force is only for a file: a folder is never replaced")
 
 
 def _export_onnx(run: Path, config: Export) -> int:

@@ -157,7 +157,7 @@ def _pairs(places: Sequence[Location], to: Location) -> list[tuple[Location, Loc
         raise UsageError(f"{to}: one log, but {len(logs):,} are given; give a folder")
     names = [target.name for _, target in pairs]
     if twice := {name for name in names if names.count(name) > 1}:
-        raise UsageError(f"{min(twice)}: two logs of one name; copy them to different folders")
+        raise UsageError(f"{min(twice)}: two logs have this name; copy them to different folders")
     return pairs
 
 

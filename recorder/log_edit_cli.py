@@ -114,7 +114,7 @@ class Merge(MakesLogs):
 
 @dataclass(frozen=True)
 class Rewrite(MakesLogsOfOne):
-    """Rewrite an old log so that its numbers can be read without its pictures. Content, tags and fingerprint stay."""
+    """Rewrite an old log so that numbers can be read without pictures. Content, tags and fingerprint stay."""
 
     log: LogPlace
     """The log to rewrite."""
@@ -166,7 +166,7 @@ def some_logs(logs: tuple[Location, ...], least: int = 1) -> tuple[Location, ...
 
 def _named(to: Location) -> Location:
     if to.suffix != ".mcap":
-        raise UsageError(f"{to}: a log ends in .mcap, or no other command finds it; give {to}.mcap")
+        raise UsageError(f"{to}: the name of a log ends in .mcap; give {to}.mcap")
     return to
 
 

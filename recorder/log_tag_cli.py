@@ -158,7 +158,7 @@ class NameRows:
             chosen = self._chosen(name)
         if not chosen and not self.remove:
             if self.where is not None:
-                raise UserError(f"{self.log}: no row for which that holds; nothing was tagged")
+                raise UserError(f"{self.log}: no row meets this condition; nothing was tagged")
             print_message(f"{self.log}: nothing that is surely odd; nothing was tagged")
             return tags
         if self.remove and not set(chosen) & set(tags):

@@ -82,7 +82,7 @@ def _content(config: Play) -> Content:
     if len(config.logs) > 1:
         folders = [path for path in config.logs if path.is_dir()]
         if folders:
-            raise UserError(f"{folders[0]} is a folder: logs are compared; a run's training is shown alone")
+            raise UserError(f"{folders[0]} is a folder: only logs can be compared; show a training by itself")
         _check_logs(config.logs)
         size = sum(path.stat().st_size for path in config.logs if path.is_file())
         return FinishedContent(lambda: prepare_comparison(config.logs, config.by, config.at), size)
@@ -158,7 +158,7 @@ def _play_predicted(config: Play) -> int:
     if config.log.is_dir():
         raise UserError(f"{config.log} is a folder: --run shows a network's predictions for a log; give one")
     if config.follow:
-        raise UsageError("--run: predictions are made for a log that does not grow: give it without --follow")
+        raise UsageError("--run: a growing log cannot be predicted: give it without --follow")
     is_only_written = config.write is not None and config.save is None
     if is_only_written and (flags := flags_given(config, "attention", "web", "connect", "at")):
         raise UsageError(f"--write opens nothing: give it without {flags}")

@@ -111,16 +111,16 @@ def refuse_contradictions(config: Eval) -> None:
     if config.session == ():
         raise UsageError("nothing to measure: give --session at least one session")
     if config.session is not None and (config.index is not None or config.split is not None):
-        raise UsageError("--session measures whole sessions, of no index: leave out --index and --split")
+        raise UsageError("--session measures whole sessions without an index: leave out --index and --split")
     if config.compare is None:
         if config.tolerance is not None:
-            raise UsageError("--tolerance is how much worse B may be, of --compare A B: give it too")
+            raise UsageError("--tolerance is for --compare A B: give that, too")
         if config.gate:
-            raise UsageError("--gate fails if B is worse, of --compare A B: give it too")
+            raise UsageError("--gate is for --compare A B: give that, too")
     elif config.run is not None:
         raise UsageError(f"{config.run}: --compare names its two runs itself: leave it out")
     elif flags := flags_given(config, "bins", "worst"):
-        raise UsageError(f"{flags}: of one run, and --compare of two: give one or the other")
+        raise UsageError(f"{flags}: only for one run, but --compare takes two: give one or the other")
     elif config.on is not None:
         raise UsageError("--on drives with one run, and --compare takes two: give one or the other")
     if config.tolerance is not None and not 0 <= config.tolerance < 1:

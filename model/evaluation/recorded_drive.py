@@ -167,7 +167,7 @@ class _Drive:
             crop, known = view
             answer = self._predict(crop)
             if not math.isfinite(answer):
-                raise RunError("the network predicts what is no number; train it again")
+                raise RunError("the network predicts something that is not a number; train it again")
             answer = min(1.0, max(-1.0, answer))
             row = int(states.row[stretch.first + here])
             self.moments.append(DrivenRow(row, answer, car.left_m, car.turn_rad, known))

@@ -96,7 +96,7 @@ def choice_of(config: dict[str, Any], folder: Path) -> NetworkChoice:
             f" {network_flag(stored, folder)}"
         )
     raise RunError(
-        f"{folder}: its network is {name}, code that is only run if you name it: {network_flag(stored, folder)}"
+        f"{folder}: its network is {name}, code that runs only if you name it: {network_flag(stored, folder)}"
     )
 
 

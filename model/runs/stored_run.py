@@ -44,7 +44,7 @@ def copy_of_run(url: Url, here: Path) -> RunCopy:
 def _bring_to(here: Path, found: RunInStore) -> None:
     if here.exists() and read_record(here).url != str(found.url):
         raise RunError(
-            f"{here}: is here already, and no copy of {found.url}; move it away, or give another --runs"
+            f"{here}: exists here, but is not a copy of {found.url}; move it away, or give another --runs"
         )
     with stored_run_folder(found.url, here) as folder, progress_bar() as progress:
         folder.bring(keeps_ours=True, objects=found.files.values(), progress=progress)
@@ -60,7 +60,7 @@ def place_of_copies(to: Location, run: Path, *, is_new: bool) -> Url:
 
     url = to / run.name
     if is_new and find_object(url / CONFIG) is not None:
-        raise RunError(f"{url}: exists already; give another --name, or go on with it: `bc-train --resume {url}`")
+        raise RunError(f"{url}: exists already; give another --name, or continue it: `bc-train --resume {url}`")
     return url
 
 

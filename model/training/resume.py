@@ -40,7 +40,7 @@ def resumed_settings(run: Path, stored: dict[str, Any], config: TrainConfig | No
         if name not in MAY_CHANGE and wanted[name] != value:
             flag = f"--{name.replace('_', '-')}"
             raise RunError(
-                f"{run}: was begun with {flag} {value} and can only go on so; for {flag} {wanted[name]} train"
+                f"{run}: was begun with {flag} {value} and can continue only so; for {flag} {wanted[name]} train"
                 f" another run from its weights: --init {run_argument(run)}"
             )
     return config

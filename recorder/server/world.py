@@ -129,6 +129,6 @@ def _member(name: str, value: object, decimal: str) -> float | int:
         raise ValueError(f"is beyond {most:g}, or no number")
     if name == "interventions":
         if number != int(number) or number < 0:
-            raise ValueError("is no count: a whole number from 0 on was expected")
+            raise ValueError("is not a whole number from 0 on")
         return int(number)
     return min(max(float(number), -1.0), 1.0) if name in _GROUPS[1] else float(number)

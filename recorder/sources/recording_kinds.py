@@ -42,7 +42,7 @@ def import_recording(
     if columns:
         if topics.image is not None or topics.steering is not None or all_catalogs:
             raise RecordingError(
-                "--columns names all that is imported: leave out --image, --steering, --all-catalogs"
+                "--columns already names everything to import: leave out --image, --steering, --all-catalogs"
             )
         return import_csv(
             source,
@@ -57,14 +57,14 @@ def import_recording(
     is_dataset = not is_log and is_lerobot(source)
     is_donkeycar = not (is_log or is_dataset) and is_tub(source)
     if not (is_log or is_dataset or is_donkeycar or is_udacity(source)) and (hint := recordings_near(source)):
-        raise RecordingError(f"{source}: no recording itself;{hint}")
+        raise RecordingError(f"{source}: not a recording;{hint}")
     if not (is_log or is_dataset or is_donkeycar or is_udacity(source)) and has_csv(source):
         raise RecordingError(
             f"{source}: pictures with a csv? Say what its columns are: --columns image=COLUMN steering=COLUMN"
             " --rate ROWS_A_SECOND"
         )
     if all_catalogs and not is_donkeycar:
-        raise RecordingError(f"{source}: --all-catalogs is for DonkeyCar tubs, which this is not")
+        raise RecordingError(f"{source}: this is not a DonkeyCar tub: leave out --all-catalogs")
     if topics != Topics() and not (is_log or is_dataset):
         raise RecordingError(
             f"{source}: --image and --steering are for other programs' logs and LeRobot datasets; this is neither"

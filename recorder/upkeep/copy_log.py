@@ -68,7 +68,7 @@ def copy_log(
         return _download(log, to, overwrite, on_bytes)
     if isinstance(log, Url):
         raise UserError(f"{log} and {to}: both in a store; copy it to this machine first")
-    raise UserError(f"{log} and {to}: both on this machine; `cp` copies logs there")
+    raise UserError(f"{log} and {to}: both are on this machine; copy logs with `cp`")
 
 
 def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
@@ -81,7 +81,7 @@ def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
         if not overwrite:
             raise ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
     if not is_whole(log):
-        raise LogError(f"{log}: not finished, or damaged; `bc-log recover {log}` makes a whole one of it")
+        raise LogError(f"{log}: unfinished or damaged; run `bc-log recover {log}` first")
     _put_and_name(log, url, size, fingerprint, overwrite, on_bytes)
     return Copied(url, size, True, _upload_tags(log, url, overwrite))
 
@@ -113,7 +113,7 @@ def _put_and_name(log: Path, url: Url, size: int, fingerprint: str, overwrite: b
 def _refuse_other(made: Url, log: Path, fingerprint: str) -> None:
     """Raise LogError if what has come is not what was sent."""
     if _fingerprint(made) != fingerprint:
-        raise LogError(f"{made}: is not what {log} is; it may have changed meanwhile: give the command again")
+        raise LogError(f"{made}: differs from {log}, which may have changed; give the command again")
 
 
 def _is_there(url: Url, size: int, fingerprint: str) -> bool:
@@ -133,7 +133,7 @@ def _parts(log: Path, on_bytes: OnBytes, free: Url | None) -> Iterator[bytes]:
     with ThreadPoolExecutor(1) as other_thread:  # in this one, obstore waits for the parts
         is_taken = other_thread.submit(find_object, free).result() is not None
     if is_taken:
-        raise ObjectExistsError(f"{free} was written by someone else meanwhile; nothing was changed")
+        raise ObjectExistsError(f"{free} was written by another process at the same time; nothing was changed")
 
 
 def _download(url: Url, path: Path, overwrite: bool, on_bytes: OnBytes) -> Copied:
@@ -165,7 +165,9 @@ def _download(url: Url, path: Path, overwrite: bool, on_bytes: OnBytes) -> Copie
             stream.flush()
         if not is_whole(part) or _fingerprint(part) != fingerprint:
             part.unlink()
-            raise LogError(f"{url}: damaged there, or on its way; what came was removed: give the command again")
+            raise LogError(
+                f"{url}: damaged in the bucket or during the download, which was removed; give the command again"
+            )
         with uninterrupted():
             publish(part, path, overwrite)
     return Copied(path, source.size, True, _download_tags(url, path, overwrite))

@@ -39,7 +39,7 @@ def refuse_taken(to: Path, originals: Sequence[Path], overwrite: bool) -> None:
     """Raise UserError for a file that exists, and LogError for one of the originals even if it may be replaced."""
     refuse_existing(to, overwrite)
     if to.exists() and any(path.exists() and to.samefile(path) for path in originals):
-        raise LogError(f"{to}: the log itself, which stays as it is; give another name")
+        raise LogError(f"{to}: is the log itself, which is not changed; give another name")
 
 
 def new_log(log: Log, to: Path, session: dict[str, str], about: dict[str, str], overwrite: bool) -> LogWriter:

@@ -62,7 +62,7 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     refuse_taken(to, [path], overwrite)  # before a long log is read
     goes_on = is_being_written(path)
     if goes_on and real_path(to) == final_path(real_path(path)):
-        raise LogError(f"{to}: the name that the recording will take, which still goes on; give another by --to")
+        raise LogError(f"{to}: the running recording will get this name; give another one with --to")
     with Log(path, salvages=True) as log:
         lost = lost_rows(log, skipped, out_of_order)
         records = _sound_metadata(log, skipped)
@@ -84,7 +84,7 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
                 except LogError:
                     skipped.add("damaged chunks", f"bytes {chunk.start:,} to {chunk.end:,}")
             if not count:
-                raise LogError(f"{path}: not one whole message in it: there is nothing to recover")
+                raise LogError(f"{path}: no complete message in it: there is nothing to recover")
             copy_rest(log, records, writer, skipped)
             tags += _bad_rows(log)
             close_with_tags(writer, tags_of_rows(tags, rows))

@@ -183,7 +183,7 @@ def test_what_cannot_be_driven_is_refused_with_what_was_expected(tmp_path: Path)
         "unknown speed": record(tmp_path / "unknown.mcap", [0.0] * 30, math.nan),
         "other camera": record(tmp_path / "other.mcap", [0.0] * 30, source="donkeycar"),
     }.items():
-        says = "does not say where its cameras stand" if name == "other camera" else "nothing in it can be driven"
+        says = "does not describe its cameras" if name == "other camera" else "nothing in it can be driven"
         with pytest.raises(UserError, match=says) as caught:
             drive_recording(always(0.0), log)
         assert str(log) in str(caught.value), name
@@ -200,7 +200,7 @@ def test_a_merged_log_is_of_the_car_that_all_its_logs_are_of(tmp_path: Path) -> 
     assert drive_recording(always(0.0), tmp_path / "both.mcap").rows == 60
     assert drive_recording(always(0.0), tmp_path / "again.mcap").rows == 90
     merge([one, tub], tmp_path / "mixed.mcap")
-    with pytest.raises(UserError, match="does not say where its cameras stand"):
+    with pytest.raises(UserError, match="does not describe its cameras"):
         drive_recording(always(0.0), tmp_path / "mixed.mcap")
 
 

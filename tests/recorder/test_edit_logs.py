@@ -370,7 +370,7 @@ def test_what_was_merged_is_split_again_where_time_goes_back(tmp_path: Path) -> 
 
 
 def test_a_single_drive_and_too_many_are_not_split(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"a\.mcap: a single drive"):
+    with pytest.raises(LogError, match=r"a\.mcap: has a single drive"):
         split(drive(tmp_path / "a.mcap", range(5)), tmp_path / "drives")
     path = write_log(tmp_path / "b.mcap", [0.0] * 600, cameras=(), step_ns=-1)
     with pytest.raises(LogError, match=r"b\.mcap: 600 drives are too many"):

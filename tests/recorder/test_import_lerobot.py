@@ -323,8 +323,8 @@ def a_link_out_of_it(folder: Path) -> None:
         (steering_of_another_shape, r"which number is the steering\? Give --steering, one of none"),
         (a_shape_that_is_not_true, r"file-000.parquet: not of the shapes that meta/info.json promises"),
         (a_column_that_is_not_there, r"no column 'act', which meta/info.json promises"),
-        (no_pictures, r"no feature of it is pictures in colour"),
-        (a_link_out_of_it, r"a link out of the dataset, which is not followed"),
+        (no_pictures, r"it has no colour pictures"),
+        (a_link_out_of_it, r"a link out of the dataset is not followed"),
     ],
 )
 def test_what_cannot_be_read_is_one_line(tmp_path: Path, spoil: Callable[[Path], None], why: str) -> None:

@@ -172,5 +172,5 @@ def test_without_any_row_the_pictures_are_kept_and_the_rows_are_named(whole: Pat
 
 
 def test_without_any_chunk_nothing_is_recovered(whole: Path) -> None:
-    with pytest.raises(LogError, match="not one whole message"):
+    with pytest.raises(LogError, match="no complete message"):
         recover(without(whole, contents(whole).chunks), whole.with_name("recovered.mcap"))

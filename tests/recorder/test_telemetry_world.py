@@ -97,8 +97,8 @@ def test_strings_have_the_decimal_point_of_the_telemetry() -> None:
         ("laps", 10**400, "laps is beyond 1e+09, or no number"),
         ("laps", "9e99", "laps is beyond 1e+09, or no number"),
         ("offset", 2 * MAX_WORLD_NUMBER, "offset is beyond 1e+09, or no number"),
-        ("interventions", -1, "interventions is no count: a whole number from 0 on was expected"),
-        ("interventions", 0.5, "interventions is no count: a whole number from 0 on was expected"),
+        ("interventions", -1, "interventions is not a whole number from 0 on"),
+        ("interventions", 0.5, "interventions is not a whole number from 0 on"),
     ],
 )
 def test_what_cannot_be_used_is_named_and_the_rest_is_used(name: str, value: object, said: str) -> None:
