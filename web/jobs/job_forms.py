@@ -321,4 +321,4 @@ def form_of(name: str) -> JobForm:
     for form in FORMS:
         if form.name == name:
             return form
-    raise WebError(f"{name!r}: nothing of that name can be started", 404)
+    raise WebError(f"{name!r}: no job has this name", 404)

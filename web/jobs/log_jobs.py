@@ -122,7 +122,7 @@ def log_job(name: str) -> LogJob:
     for job in LOG_JOBS:
         if job.name == name:
             return job
-    raise WebError(f"{name!r}: nothing of that name is made of a log", 404)
+    raise WebError(f"{name!r}: no job on a log has this name", 404)
 
 
 def command_line(
@@ -134,7 +134,7 @@ def command_line(
     Raises WebError for what cannot be one, and where a log of the new name is there already.
     """
     if log.name.endswith(PART_SUFFIX) and is_being_written(log):
-        raise WebError("it is being recorded: when that has ended, new logs can be made of it", 409)
+        raise WebError("this log is being recorded: new logs can be made from it when that has ended", 409)
     new = log.with_name(_name(form.new) if form.new else job.new(log).name) if job.new else log
     words = ["bc-log", job.name, str(log), *job.words(log, new, form, logs)]
     made = new if job.new else job.first_made(log) if job.first_made else None
@@ -143,7 +143,9 @@ def command_line(
     try:
         "".join(words).encode()
     except UnicodeEncodeError:
-        raise WebError(f"{printable(log.name)}: a name that is no text; rename it, or use bc-log", 422) from None
+        raise WebError(
+            f"{printable(log.name)}: this name is not valid UTF-8; rename the log, or use bc-log", 422
+        ) from None
     return words, made
 
 
