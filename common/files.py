@@ -28,7 +28,7 @@ _REMEDIES: Final = {
 
 def write_remedy(error: OSError) -> str:
     """The next step of somebody whose file could not be written."""
-    return _REMEDIES.get(error.errno or 0, "look at what lies there")
+    return _REMEDIES.get(error.errno or 0, "look at what is there")
 
 
 def part_path(path: Path) -> Path:

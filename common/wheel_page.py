@@ -64,6 +64,6 @@ def wheel_page(key: str, folders: Mapping[str, Location], *, opens: bool) -> Ite
 def wait_until_left(log: Path) -> None:
     """Wait for Ctrl-C when a drive was ended on its page, which has buttons for what comes next."""
     if GracefulStop.current is None or not GracefulStop.current.is_requested:
-        print_message(f"{log} is finished; the page goes on until Ctrl-C")
+        print_message(f"{log} is finished; the page stays until Ctrl-C")
         with stop_signals() as stopped:
             stopped.wait()

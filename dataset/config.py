@@ -118,7 +118,7 @@ class IndexConfig:
                 "--alter",
                 " ".join(self.alter),
                 len(set(self.alter)) == len(self.alter) and is_none_alone,
-                "each alteration once, or none alone",
+                "each alteration once, or only none",
             ),
         )
         for flag, value, holds, what in expected:

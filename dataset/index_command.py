@@ -118,7 +118,7 @@ def _one_sided(indexed: Indexed, config: Index) -> list[str]:
         ]
     if config.config.validation_share > 0 and not any(count.validation for count in counts):
         return [
-            f"{config.index}: no sample for validation, the drives are too short; give a smaller --block-s, or"
+            f"{config.index}: no sample for validation: the drives are too short; give a smaller --block-s, or"
             " hold out whole sessions with --validation SESSION"
         ]
     return []

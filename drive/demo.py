@@ -132,7 +132,7 @@ def demo(config: Demo) -> int:
             if any((folder / name).exists() for name in _MADE):
                 there = f"`cd {shlex.quote(str(folder))}`"
                 print_message(
-                    f"bc-demo: what was made is in {folder}; the same command goes on there, or type its commands"
+                    f"bc-demo: its files are in {folder}; the same command continues there, or type its commands"
                     f" yourself: {there}"
                 )
             elif is_new:

@@ -94,7 +94,7 @@ def sweep(config: Sweep) -> int:
                 done.append(swept)
                 _print_one(swept, as_json=config.json)
     except KeyboardInterrupt:
-        print_message("bc-sweep: what is learnt and driven is kept; the same command goes on")
+        print_message("bc-sweep: finished trainings and drives are kept; the same command continues")
         raise
     finally:
         if done and not config.json:

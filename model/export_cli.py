@@ -75,7 +75,7 @@ def _export_onnx(run: Path, config: Export) -> int:
     difference = export_onnx(run, path, overwrite=config.force)
     picture = picture_of_run(run)
     print_result(_written(path, difference), f"input {input_line(picture)}")
-    print_message("to run it with onnxruntime and opencv-python-headless alone:")
+    print_message("to run it with only onnxruntime and opencv-python-headless:")
     _print_code(example(picture, json.dumps(str(path)), '"picture.jpg"'))
     print_next("python -m pip install onnxruntime opencv-python-headless", "where it is to run")
     return DONE

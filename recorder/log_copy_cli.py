@@ -83,7 +83,7 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
 def _unreadable_or_full(log: Location, target: Location, error: OSError) -> UserError:
     """The error to raise where the system refuses to read a file of this machine, or to write any more to it."""
     if error.filename is None and isinstance(target, Path):
-        return UserError(f"{target}: {error.strerror}; the same command goes on where this one has ended")
+        return UserError(f"{target}: {error.strerror}; the same command continues")
     return UserError(f"{error.filename or log}: {error.strerror}")
 
 

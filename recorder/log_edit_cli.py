@@ -45,15 +45,15 @@ class Recover(MakesLogsOfOne):
         from recorder.upkeep.recover import recover
 
         if final_path(path) == path and is_whole(path):
-            print_result(f"{path}: whole, nothing to recover{'' if self.to else '; nothing was written'}")
+            print_result(f"{path}: complete, nothing to recover{'' if self.to else '; nothing was written'}")
             if self.to is None:
                 return DONE
         with Log(path) as log:
             if log.problem:
-                print_message(f"{path}: {log.problem}; all that is whole in it is recovered")
+                print_message(f"{path}: {log.problem}; everything complete in it is recovered")
             remark_crcs(path, log.has_crcs)
         code = print_written(recover(path, to, overwrite=self.force))
-        print_message(f"{path} is as it was; once {to} is checked it can be removed")
+        print_message(f"{path} is unchanged; check {to}, then you can remove it")
         return code
 
 
@@ -130,7 +130,7 @@ class Rewrite(MakesLogsOfOne):
         from recorder.upkeep.edit import rewrite
 
         code = print_written(rewrite(path, to, overwrite=self.force))
-        print_message(f"{path} is as it was; once {to} is checked it can take its place")
+        print_message(f"{path} is unchanged; check {to}, then you can replace it")
         return code
 
 

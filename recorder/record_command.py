@@ -119,7 +119,7 @@ def _record_to(config: Record, log: Path) -> Imported:
         if config.drive == SimulatedDrive():  # nobody has asked for it: perhaps --from was forgotten
             print_message(
                 f"bc-record: the built-in simulator's expert drives {config.drive.track};"
-                " --from FOLDER takes what was recorded elsewhere"
+                " --from FOLDER imports a recording"
             )
         return record_simulated(_drive_of(config), log, udacity=config.udacity, overwrite=config.force)
 

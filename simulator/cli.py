@@ -101,8 +101,8 @@ def _run_drive(config: Sim, client: SimulatorClient) -> int:
         print_message(f"bc-sim: connecting to {client.url}")
     if not config.real_time and not config.tell_world:
         print_message(
-            "bc-sim: time passes faster here than by the clock, which bc-drive goes by: give --real-time or"
-            " --tell-world where distances and times of its log shall be right"
+            "bc-sim: this simulator runs faster than the clock that bc-drive uses: give --real-time or"
+            " --tell-world to get right distances and times in its log"
         )
     expert = Expert(simulation.track.line, config.expert_speed) if config.tell_world else None
     with progress_bar() as bar:

@@ -416,7 +416,7 @@ def test_a_training_on_a_cluster_that_is_stopped_keeps_what_it_has_learnt(tmp_pa
         wait_until((tmp_path / "runs" / "stopped" / "metrics.jsonl").exists)
         training.popen.send_signal(signal.SIGINT)
         assert training.join() == 130, training.stderr
-    assert "what is learnt is kept; go on with" in " ".join(training.stderr)
+    assert "the run is kept; continue with" in " ".join(training.stderr)
     assert 1 <= read_position(tmp_path / "runs" / "stopped").epoch < 1000
 
 

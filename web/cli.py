@@ -94,7 +94,7 @@ def _check_folders(config: Web) -> None:
         if folder.exists() and not folder.is_dir():
             raise UserError(f"--{name} {folder}: a file; a folder was expected")
         if not folder.exists() and folder != getattr(Web, name):
-            print_message(f"--{name} {folder}: no such folder yet; it is shown as soon as there is one")
+            print_message(f"--{name} {folder}: no such folder yet; it will be shown when it exists")
 
 
 def main() -> None:

@@ -143,8 +143,8 @@ def logs_not_indexed(index: Path, logs: Sequence[Location], stat: Callable[[Loca
 def unfinished_recordings(folder: Location, sessions: Sequence[str]) -> list[str]:
     """A line for each unfinished recording in `folder`; with `sessions`, only for those of their names."""
     return [
-        f"{part}: not indexed: a recording that goes on, or was killed; then give `bc-log recover {part}`, and"
-        " remove it"
+        f"{part}: not indexed: its recording is running or was killed; if killed, run `bc-log recover {part}`,"
+        " and remove it"
         for part in (sorted(folder.glob("*.mcap.*.part")) if isinstance(folder, Path) else ())
         if not sessions or session_name(part) in sessions
     ]

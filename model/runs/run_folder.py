@@ -71,7 +71,7 @@ def refuse_existing_run(folder: Path) -> None:
     """Raise RunError if the name of a new run is taken."""
     if (folder / CONFIG).is_file():
         raise RunError(
-            f"{folder}: exists already; give another --name, or go on with it:"
+            f"{folder}: exists already; give another --name, or continue it:"
             f" `bc-train --resume {run_argument(folder)}`"
         )
     if os.path.lexists(folder):

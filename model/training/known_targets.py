@@ -29,5 +29,5 @@ def target_notices(samples: Samples, targets: Sequence[TargetName]) -> list[str]
             raise RunError(f"{samples.path}: no session has a {name}; leave it out of --targets")
         if missing := sorted(set(session.tolist()) - known):
             others = ", ".join(other for other in targets if other != name)
-            notices.append(f"{samples.path}: no {name} in {', '.join(missing)}: {others} alone is learnt there")
+            notices.append(f"{samples.path}: no {name} in {', '.join(missing)}: {others} only are learnt there")
     return notices

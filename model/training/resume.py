@@ -66,7 +66,7 @@ def arithmetic_remarks(run: Path, stored: dict[str, Any], now: dict[str, Any]) -
     changed = [f"{name} {before.get(name)} to {now[name]}" for name in now if before.get(name) != now[name]]
     if not changed:
         return []
-    return [f"{run}: goes on with other arithmetic ({', '.join(changed)}): other weights come of it"]
+    return [f"{run}: goes on with other arithmetic ({', '.join(changed)}): the weights will differ"]
 
 
 def resumed_config(stored: dict[str, Any], now: dict[str, Any]) -> dict[str, Any]:

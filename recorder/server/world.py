@@ -104,7 +104,7 @@ def parse_world(value: object, decimal: str = POINT) -> tuple[World | None, tupl
         if present and len(present) < len(group):
             missing = [name for name in group if value.get(name) is None]
             if missing:
-                problems.append(f"{' and '.join(missing)} missing beside {present[0]}: they go together")
+                problems.append(f"{' and '.join(missing)} missing: they belong to {present[0]}")
             for name in present:
                 del members[name]
     return (World(**members) if members else None), tuple(problems)

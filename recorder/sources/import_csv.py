@@ -67,7 +67,7 @@ def import_csv(
         "columns": " ".join(f"{key}={name}" for key, name in chosen.names.items()),
         "steering_scale": repr(steering_scale),
         "clock": "recorded" if rate_hz is None else describe_clock(rate_hz),
-        **({} if rate_hz is None else {"start": "1970, because the recording does not tell it"}),
+        **({} if rate_hz is None else {"start": "1970, because the recording does not have it"}),
     }
     with LogWriter(log, metadata | metadata_of(car), overwrite=overwrite) as writer:
         count, pictures = write_rows(writer, itertools.chain([first], rows), events)

@@ -65,12 +65,12 @@ def import_tub(
         "source": "donkeycar",
         "recording": Path(os.path.realpath(folder)).name,
         "tub_version": tub.version,
-        "clock": "recorded" if is_timed else f"{DEFAULT_RATE_HZ} Hz, because no record tells its time",
+        "clock": "recorded" if is_timed else f"{DEFAULT_RATE_HZ} Hz, because no record has a time",
     }
     if rate_hz is not None:
         metadata["clock"] = describe_clock(rate_hz)
     if tub.start_ns is None and (tub.is_time_from_start or not is_timed):
-        metadata["start"] = "1970, because the tub does not tell it"
+        metadata["start"] = "1970, because the tub does not have it"
     with LogWriter(log, metadata | metadata_of(car), overwrite=overwrite) as writer:
         rows, pictures = write_rows(writer, itertools.chain([first], frames), events)
     return Imported(log, rows, pictures, skipped, writer.notices)

@@ -113,7 +113,7 @@ def refuse_to_watch(source: Path) -> None:
 
 def _what_to_do_instead(source: Path, log: Path) -> str:
     if source.suffix == PART_SUFFIX:
-        return f"still unfinished: `bc-log recover {source}` makes a whole one of it"
+        return f"still unfinished: finish it with `bc-log recover {source}`"
     if real_path(source).parent == real_path(log).parent:
         return "and a session already: `bc-index` takes it in"
     return f"which is a session without being imported: copy it into {log.parent}/"

@@ -98,8 +98,8 @@ def publish_all(path: Path, writers: Sequence[LogWriter], tags: Sequence[Sequenc
                         other.unlink(missing_ok=True)
                 stays = ", ".join(map(str, published)) if overwrite and published else "nothing"
                 raise LogError(
-                    f"{path}: not split: somebody else wrote {writer.path} meanwhile, or it cannot be written; of"
-                    f" the drives {stays} was kept"
+                    f"{path}: not split: {writer.path} exists now, or cannot be written; of the drives"
+                    f" {stays} was kept"
                 ) from None
             published.append(writer.path)
         for target, its_tags in zip(published, tags, strict=True):

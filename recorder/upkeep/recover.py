@@ -98,14 +98,14 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     if lost_count > 0:
         notices.append(f"{path}: lost in all: {lost_count:,} of {counted(log.message_count or 0, 'message')}")
     if log.is_ours and not rows and len(skipped):
-        notices.append(f"{path}: no row is whole in it: what is kept has no rows")
+        notices.append(f"{path}: no complete row in it: the new log has no rows")
     if not len(skipped) and is_damaged_beside_chunks(path):
         notices.append(
-            f"{path}: metadata, or what describes topics, may be wrong: the CRC of all data does not hold,"
-            " and every chunk is whole"
+            f"{path}: metadata or descriptions of topics may be wrong: every chunk is sound, but not the"
+            " CRC of all data"
         )
     if goes_on:
-        notices.append(f"{path}: its recording still goes on, and its end is not in {to.name}")
+        notices.append(f"{path}: it is still being recorded; {to.name} lacks its end")
     return Written(to, count, len(rows), skipped, notices)
 
 

@@ -81,7 +81,7 @@ def test_where_its_commands_are_typed_is_said_when_it_is_stopped(installed: Path
     with Process([str(installed), *command("bc-demo", "--folder", folder)[1:]]) as process:
         wait_until((folder / "index").exists)
         assert process.end() == 130
-        process.wait_for(rf"^bc-demo: what was made is in {folder}; the same command goes on .*`cd {folder}`$")
+        process.wait_for(rf"^bc-demo: its files are in {folder}; the same command continues .*`cd {folder}`$")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="programs of Unix")

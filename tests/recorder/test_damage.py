@@ -271,7 +271,7 @@ def test_damage_that_only_the_crc_of_all_data_shows_is_told(whole: Path) -> None
     written = recover(path, whole.with_name("recovered.mcap"))
     assert contents(written.path).by_topic == contents(whole).by_topic
     assert not len(written.skipped)
-    assert ["metadata, or what describes topics, may be wrong" in notice for notice in written.notices] == [True]
+    assert ["metadata or descriptions of topics may be wrong" in notice for notice in written.notices] == [True]
     assert not len(recover(whole, whole.with_name("copy.mcap")).skipped)
 
 

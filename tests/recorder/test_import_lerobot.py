@@ -230,8 +230,8 @@ def test_episodes_that_are_not_there_are_named(tmp_path: Path, capsys: pytest.Ca
     )
     assert call(bc_record, "gaps", "--from", theirs, "--sessions", tmp_path) == 3
     said = capsys.readouterr()
-    assert "episodes that are counted and not there: 2 (episodes 1 to 2, episodes 4 to 5)" in said.err
-    assert "frames that are counted and not there: 1 (5 of 9)" in said.err
+    assert "episodes that are counted but missing: 2 (episodes 1 to 2, episodes 4 to 5)" in said.err
+    assert "frames that are counted but missing: 1 (5 of 9)" in said.err
     assert "4 rows, 4 pictures" in said.out
 
 

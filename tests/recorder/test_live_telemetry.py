@@ -331,7 +331,7 @@ def test_broken_packets_cost_no_traceback_and_others_are_served_on(tmp_path: Pat
     assert len(messages["/camera/center"]) == 3
     events = [decoded.message for _, decoded in messages["/events"]]
     assert events.count("disconnected: broken packet") >= len(NOTICE_BROKEN)
-    assert sum(event.startswith("hung up on a client") for event in events) == 1
+    assert sum(event.startswith("disconnected a client") for event in events) == 1
     assert events.count("connected") == sum(event.startswith("disconnected: ") for event in events)
 
 

@@ -111,8 +111,8 @@ def test_half_a_pose_and_half_an_expert_are_none_and_named() -> None:
     parsed, problems = parse_world(world(pitch_rad=..., roll_rad=..., expert_throttle=...))
     assert parsed == World(time_s=12.5, offset=-1.25, laps=0.75, interventions=2)
     assert problems == (
-        "pitch_rad and roll_rad missing beside x_m: they go together",
-        "expert_throttle missing beside expert_steering: they go together",
+        "pitch_rad and roll_rad missing: they belong to x_m",
+        "expert_throttle missing: they belong to expert_steering",
     )
     # one that is there and wrong is not missing as well
     parsed, problems = parse_world(world(x_m="far"))

@@ -243,7 +243,7 @@ def test_a_log_that_still_grows_is_told_from_one_that_was_killed(tmp_path: Path)
                 recover(part, name)
         written = recover(part, recovered_name(part))
         assert (written.path, written.rows) == (tmp_path / "lake.recovered.mcap", 5)
-        told = "its recording still goes on, and its end is not in lake.recovered.mcap"
+        told = "it is still being recorded; lake.recovered.mcap lacks its end"
         assert written.notices == [f"{part}: {told}"]
         recorder.end(signal.SIGKILL)
     assert not is_being_written(part)

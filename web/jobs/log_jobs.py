@@ -64,7 +64,7 @@ def _merge(log: Location, new: Location, form: NewLogForm, logs: Mapping[str, Lo
     others = []
     for key in form.others:
         if key not in logs:
-            raise WebError(f"no log {key!r} beside this one; it may have been deleted, renamed or moved", 404)
+            raise WebError(f"no log {key!r} next to this one; it may have been deleted, renamed or moved", 404)
         others.append(str(logs[key]))
     return [*others, f"--to={new}"]
 
@@ -110,7 +110,7 @@ LOG_JOBS: Final = (
     LogJob(
         "recover",
         "Recover",
-        "All that is whole in a log that is unfinished or damaged becomes a finished one.",
+        "Makes a finished log of everything complete in an unfinished or damaged one.",
         _recover,
         recovered_name,
     ),
