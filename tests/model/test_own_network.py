@@ -192,7 +192,9 @@ def test_what_its_layers_cannot_do_is_said(index: Path, tmp_path: Path) -> None:
     assert said[0] == pytest.approx(said[1], abs=0.02)
     with pytest.raises(RunError, match=r"no nn\.ReLU after a convolution"):
         visual_backprop(load_network(done.run), as_input(pilots[0].crop(picture)[None]))
-    with pytest.raises(RunError, match="cannot be written as ONNX: its way depends on what it sees"):
+    with pytest.raises(
+        RunError, match="cannot be written as ONNX: its path through the layers depends on the picture"
+    ):
         export_onnx(done.run, tmp_path / "mine.onnx")
 
 
@@ -234,7 +236,7 @@ def body(made: str = "pass", answer: str = "return self.one(x.mean((2, 3)))") ->
             r"net\.py:Net gives an answer that is not a number",
         ),
         (body("self.one = nn.Linear(7, 1)"), r"cannot take pictures of 128 x 128 px \(RuntimeError"),
-        (body("self.two = self.one"), r"network\.one\.weight and network\.two\.weight share their numbers"),
+        (body("self.two = self.one"), r"network\.one\.weight and network\.two\.weight share their weights"),
         (body("self.one = nn.Identity()"), "has no parameters"),
         (body("self.one = nn.LazyLinear(1)"), r"network\.one\.weight has no size yet"),
     ],

@@ -157,7 +157,7 @@ def test_a_failure_nobody_expects_keeps_no_log_from_being_copied(
     assert call(main, "copy", "sessions", "elsewhere") == 1
     printed = capsys.readouterr().err
     assert "sessions/monday.mcap: cannot be looked at (ZeroDivisionError of a library)" in printed
-    assert "sessions/tuesday.mcap and elsewhere/tuesday.mcap: both on this machine" in printed
+    assert "sessions/tuesday.mcap and elsewhere/tuesday.mcap: both are on this machine" in printed
 
 
 def test_a_recording_of_simulated_time_has_the_date_of_its_file(here: Path) -> None:
