@@ -22,8 +22,6 @@ EPISODES_METADATA: Final = "bc.gymnasium"
 
 @dataclass(frozen=True)
 class Episode:
-    """An episode that was driven."""
-
     seed: int
     steps: int
     reward: float

@@ -29,7 +29,7 @@ from layouts import write_as_before
 from logs import write_log
 from plain_mcap import contents
 from recorder import Log
-from recorder.log.tags import Tag, add_tag
+from recorder.log.tags import Tag, add_tags
 from recorder.upkeep.edit import rewrite
 from udacity import call
 
@@ -91,7 +91,7 @@ def test_without_balance_every_frame_is_a_sample_once(tmp_path: Path) -> None:
 def test_a_condition_chooses_frames(tmp_path: Path, where: str, rows: set[int]) -> None:
     path = log_of(tmp_path / "a.mcap")
     with Log(path) as log:
-        add_tag(path, log.fingerprint, Tag(50, 79, "recovery"))
+        add_tags(path, log.fingerprint, [Tag(50, 79, "recovery")])
     config = IndexConfig(where=where, balance=False, gap_s=0)
     indexed = build_index([path], tmp_path / "index", config)
     assert set(indexed.samples["row"].to_pylist()) == rows
@@ -243,7 +243,7 @@ def test_an_excluded_row_in_use_is_a_leak(tmp_path: Path) -> None:
     index = build_index([path], tmp_path / "index", IndexConfig(block_s=3)).path
     before = (index / "samples.parquet").read_bytes()
     with Log(path) as log:
-        add_tag(path, log.fingerprint, Tag(0, 9, "exclude"))
+        add_tags(path, log.fingerprint, [Tag(0, 9, "exclude")])
     build_index([path], index, IndexConfig(block_s=3))
     (index / "samples.parquet").write_bytes(before)
     assert any("tagged `exclude` and used" in leak for leak in find_leaks(index))
@@ -301,7 +301,7 @@ def test_a_rewritten_log_that_was_taken_for_another_gets_its_tags(
 ) -> None:
     old = log_of(tmp_path / "a.mcap")
     with Log(old) as log:
-        add_tag(old, log.fingerprint, Tag(10, 20, "exclude"))
+        add_tags(old, log.fingerprint, [Tag(10, 20, "exclude")])
     new = rewrite(old, tmp_path / "b.mcap").path
     monkeypatch.setattr("recorder.topics.REWRITTEN_METADATA", "not known to the version before")
     assert 15 in build_index([new], tmp_path / "index").samples["row"].to_pylist()

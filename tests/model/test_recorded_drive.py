@@ -23,7 +23,7 @@ from painted_road import render
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.session_car import UDACITY
-from recorder.log.tags import Tag, add_tag
+from recorder.log.tags import Tag, add_tags
 from recorder.upkeep.edit import merge
 from udacity import call
 
@@ -101,12 +101,12 @@ def test_what_is_tagged_exclude_is_not_driven(tmp_path: Path) -> None:
     path = record(tmp_path / "tagged.mcap", [0.0] * 100)
     with Log(path) as log:
         fingerprint = log.fingerprint
-    add_tag(path, fingerprint, Tag(40, 49, "exclude"))
-    add_tag(path, fingerprint, Tag(70, 79, "fog"))
+    add_tags(path, fingerprint, [Tag(40, 49, "exclude")])
+    add_tags(path, fingerprint, [Tag(70, 79, "fog")])
     drive = drive_recording(always(0.0), path)
     assert [moment.row for moment in drive.moments] == [*range(40), *range(50, 100)]
     assert (drive.stretches, drive.rows_left_out) == (2, 10)
-    add_tag(path, fingerprint, Tag(0, 99, "exclude"))
+    add_tags(path, fingerprint, [Tag(0, 99, "exclude")])
     with pytest.raises(UserError, match="no tag exclude"):
         drive_recording(always(0.0), path)
 

@@ -27,7 +27,7 @@ from panorama import write_drive
 from recorder import Log, LogWriter, import_udacity
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.lerobot.export import export_lerobot
-from recorder.log.meant_gaps import not_recorded
+from recorder.log.meant_gaps import MeantGap
 from recorder.log.tags import Tag, read_tags
 from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.gymnasium_flags import GymFlags
@@ -262,9 +262,8 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
 
     path["paused"] = folder / "paused.mcap"
     with LogWriter(path["paused"], {"source": "simulator"}) as writer:
-        for time_ns in (0, 2 * 10**9):
-            writer.vehicle(time_ns, time_ns, VehicleState())
-        writer.event(time_ns, not_recorded(2.0, "another episode begins"))
+        writer.vehicle(0, 0, VehicleState())
+        writer.vehicle(2 * 10**9, 1, VehicleState(), MeantGap(2.0, "another episode begins"))
 
     path["two sizes"] = folder / "two sizes.mcap"
     with LogWriter(path["two sizes"], {"source": "udacity"}) as writer:

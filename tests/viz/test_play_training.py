@@ -134,16 +134,6 @@ def test_a_training_that_is_still_in_its_first_epoch_is_shown(tmp_path: Path) ->
     assert [at for at, _ in points(tmp_path / "first.rrd", "/loss/steps")] == [2560]
 
 
-def test_an_existing_file_is_kept_unless_it_is_forced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run, rrd = write_run(tmp_path / "first", 1), tmp_path / "a.rrd"
-    rrd.write_bytes(b"precious")
-    assert call(main, run, "--save", rrd) == 1
-    assert "--force" in capsys.readouterr().err
-    assert rrd.read_bytes() == b"precious"
-    assert call(main, run, "--save", rrd, "--force") == 0
-    assert len(points(rrd, "/loss/training")) == 1
-
-
 def test_it_is_shown_without_loading_torch(tmp_path: Path) -> None:
     code = "import sys, viz.training_curves, model.runs.history; print('torch' in sys.modules)"
     done = subprocess.run(
@@ -216,28 +206,6 @@ def test_fields_that_nobody_reads_may_hold_anything(tmp_path: Path) -> None:
     assert list(skipped) == []
     assert [epoch.epoch for epoch in history.epochs] == list(range(1, 2 + len(anything)))
     assert len(history.steps) == len(before.steps) + len(anything)
-
-
-def test_numbers_are_taken_as_any_json_has_them(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "first", 1)
-    wide: dict[str, Any] = {"training_loss": 10**30, "validation_loss": None, "is_best": 1, "bins": {}}
-    line = json.dumps({**epoch_line(2), **wide}).encode()
-    with (run / "metrics.jsonl").open("ab") as stream:
-        stream.write(b"\xef\xbb\xbf" + line + b"\n")  # a mark of its encoding, as some editors write it
-    history, skipped = read_history(run)
-    assert list(skipped) == []
-    epoch = history.epochs[-1]
-    assert (epoch.training_loss, epoch.is_best, epoch.measures.frames) == (1e30, False, 0)
-
-
-def test_steps_that_no_training_writes_are_named(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "first", 1)
-    good = step_lines(2)[0]
-    wrong: list[dict[str, Any]] = [{"samples": 1}, {"batch": 0}, {"batch": 26}, {"epoch": 0}]
-    write_lines(run / "steps.jsonl", [*({**good, **each} for each in wrong), good])
-    history, skipped = read_history(run)
-    assert [step.samples for step in history.steps][3:] == [good["samples"]]
-    assert [name for _, name in skipped] == [f"steps.jsonl line {number}" for number in range(4, 8)]
 
 
 def test_a_last_line_that_a_kill_has_cut_off_is_named(tmp_path: Path) -> None:
@@ -438,21 +406,4 @@ def test_a_run_is_shown_before_it_is_there_and_as_it_grows(tmp_path: Path) -> No
     assert [at for at, _ in points(rrd, "/loss/training")] == ends(2)
     assert len(points(rrd, "/loss/steps")) == 6
     assert any("skipped lines that no training writes: 1 (metrics.jsonl line 2)" in said for said in play.stderr)
-    assert not any("Traceback" in said for said in play.stderr), play.stderr
-
-
-@not_on_windows
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_viewer_that_dies_or_freezes_leaves_no_process(tmp_path: Path, number: signal.Signals) -> None:
-    run = write_run(tmp_path / "first", 1)
-    with Following(run) as play:
-        viewer = play.viewer()
-        viewer.send_signal(number)
-        write_lines(run / "steps.jsonl", step_lines(2))
-        if number == signal.SIGSTOP:
-            assert play.end(signal.SIGINT) == 130
-        else:
-            assert play.join() == 1
-            assert "the Rerun viewer" in play.stderr[-1]
-    assert not viewer.is_running()
     assert not any("Traceback" in said for said in play.stderr), play.stderr
