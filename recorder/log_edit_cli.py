@@ -103,7 +103,7 @@ class Merge:
 
 @dataclass(frozen=True)
 class Rewrite:
-    """Rewrite an old log so that its numbers can be read without its pictures. Content, tags and fingerprint stay."""
+    """Rewrite an old log so that numbers can be read without pictures. Content, tags and fingerprint stay."""
 
     log: LocalLog
     """The log to rewrite."""

@@ -34,7 +34,7 @@ NOTICE_SILENT: Final = (
     f"disconnected a client that sent nothing for {REQUEST_S:g} s: a simulator sends at once, start one"
 )
 NOTICE_SLOW: Final = (
-    f"hung up on somebody whose request took longer than {REQUEST_S:g} s: a simulator's comes at once"
+    f"disconnected a client whose request took longer than {REQUEST_S:g} s: a simulator's comes at once"
 )
 NOTICE_TOO_MANY: Final = f"{MAX_CONNECTIONS} connections at once: close some, further ones are not served"
 

@@ -452,11 +452,11 @@ def test_nothing_is_overwritten_and_the_original_never_changes(tmp_path: Path, e
     with pytest.raises(UserError, match=r"b\.mcap exists already.*--force"):
         edit(whole, other, False)
     assert other.read_bytes() == b"somebody's work"
-    with pytest.raises(LogError, match=r"a\.mcap: the log itself"):
+    with pytest.raises(LogError, match=r"a\.mcap: is the log itself"):
         edit(whole, whole, True)
     link = tmp_path / "link.mcap"
     link.symlink_to(whole)
-    with pytest.raises(LogError, match=r"link\.mcap: the log itself"):
+    with pytest.raises(LogError, match=r"link\.mcap: is the log itself"):
         edit(whole, link, True)
     edit(whole, other, True)
     assert contents(other).messages

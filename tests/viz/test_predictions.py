@@ -262,7 +262,7 @@ def test_a_log_is_never_written_over(
     (tmp_path / "link").symlink_to(log)
     for name in ("session.mcap", "link"):
         assert call(main, log, *flags, tmp_path / name, "--force") == 1
-        assert f"{flags[-1]} {tmp_path / name}: the log itself" in capsys.readouterr().err
+        assert f"{flags[-1]} {tmp_path / name}: is the log itself" in capsys.readouterr().err
     assert log.read_bytes() == (here / "session.mcap").read_bytes()
     both = tmp_path / "both"
     assert call(main, log, "--run", "first", "--save", both, "--write", both) == 2
