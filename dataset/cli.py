@@ -36,8 +36,6 @@ class Index:
     """Folder of the index, or a URL if the logs are in a bucket."""
     look: bool = False
     """Decode all pictures; flag broken and frozen ones, and those that contradict the steering."""
-    report: bool = False
-    """List stretches of odd frames."""
     check: bool = False
     """Check the split for leaks; exit code 1 if there is one."""
     figures: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None

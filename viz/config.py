@@ -7,7 +7,7 @@ import os
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
@@ -24,20 +24,17 @@ from recorder.log_flag import LogFlag
 class Play:
     """Show a log in the Rerun viewer, or compare several.
 
-    Given a run's folder, show its training: losses and errors.
     Without a display, the viewer is served to browsers on this machine.
     """
 
     places: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
-    """The log to show, by name or path, several to compare, or a run's folder."""
+    """The log to show, by name or path, or several to compare."""
     at: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: at its start)")] = (
         None
     )
     """Open at this time."""
-    by: Literal["time", "place"] = "time"
-    """Compare logs by time, or by place along the first one's path."""
     follow: bool = False
-    """Show a growing log, or a run in training."""
+    """Show a growing log."""
     save: Path | None = None
     """Write an .rrd file for Rerun; open nothing."""
     connect: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[ADDRESS]")] = None
@@ -52,8 +49,6 @@ class Play:
     """Write an .mp4 of the centre camera; open nothing."""
     speed: float = 1.0
     """Speed of the video, as a multiple of the drive's."""
-    overlay: bool = False
-    """Draw instruments below the video: wheel, speed, pedals, clock, driver."""
     run: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="RUN")] = ()
     """Show what this run's network would have steered."""
     network: tuple[str, ...] = ()
@@ -77,17 +72,11 @@ class Play:
         """The only log, or the first of several."""
         return self.logs[0]
 
-    @property
-    def is_run(self) -> bool:
-        """True for a run's folder, existing or to come: --follow waits for a run, but not for a log."""
-        if self.log.is_dir():
-            return True
-        is_awaited = self.follow and self.save is None and not os.path.lexists(self.log)
-        return is_awaited and ".mcap" not in self.log.suffixes
-
 
 def check_files(config: Play) -> None:
-    """Raise UserError or UsageError for files that may not be written, and for logs taken for addresses."""
+    """Raise UserError or UsageError for folders, files that may not be written, and logs taken for addresses."""
+    if folder := next((log for log in config.logs if log.is_dir()), None):
+        raise UserError(f"{folder} is a folder: give a log; `bc-web --open` shows how runs were trained")
     _refuse_overwriting_logs(config)
     _refuse_other_suffixes(config)
     _refuse_logs_as_addresses(config)
@@ -97,25 +86,21 @@ def check_video_flags(config: Play) -> None:
     """Raise UsageError for flags that do not go together with --video."""
     if len(config.places) != 1:
         raise UsageError("--video is made of one log: give one")
-    unfit = flags_given(
-        config, "save", "follow", "web", "connect", "run", "network", "attention", "write", "by", "at"
-    )
+    unfit = flags_given(config, "save", "follow", "web", "connect", "run", "network", "attention", "write", "at")
     if unfit:
         raise UsageError(f"--video writes a file and opens nothing: give it without {unfit}")
 
 
 def check_viewer_flags(config: Play) -> None:
-    """Raise UsageError for flags that do not go together where logs or a run are shown, or written by --save."""
+    """Raise UsageError for flags that do not go together where logs are shown, or written by --save."""
     if not config.run and (flags := flags_given(config, "network", "attention", "write")):
         raise UsageError(f"{flags}: only for networks: give --run NAME as well")
-    if flags := flags_given(config, "speed", "overlay"):
+    if flags := flags_given(config, "speed"):
         raise UsageError(f"{flags}: only for a video: give --video FILE.mp4 as well")
     if not config.places:
         raise UsageError("no log is given: bc-play LOG, or bc-play LOG LOG to compare")
     if len(config.places) > 1 and (flags := flags_given(config, "follow", "run")):
         raise UsageError(f"{flags}: only with one log")
-    if len(config.places) == 1 and config.by != "time":
-        raise UsageError("--by place compares several logs: give more than one")
     if config.connect is not None and (config.web or config.save is not None):
         raise UsageError("--connect uses an open viewer: give it without --web, --save")
     if config.at is not None:
@@ -130,10 +115,8 @@ def _check_moment(config: Play) -> None:
     """Raise UsageError for an impossible --at."""
     if not 0 <= (config.at or 0) < math.inf:
         raise UsageError(f"--at {config.at}: seconds since the log's start, from 0 on")
-    if config.follow or config.by != "time":
-        raise UsageError("--at is a time in finished logs: give it without --follow, --by place")
-    if config.is_run:
-        raise UserError(f"--at is a moment of a log, and {config.log} is a folder: give a log, or leave it out")
+    if config.follow:
+        raise UsageError("--at is a moment of finished logs: give it without --follow")
 
 
 def _refuse_overwriting_logs(config: Play) -> None:
