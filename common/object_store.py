@@ -79,12 +79,8 @@ def find_object(url: Url) -> StoredObject | None:
 def _stored_object(place: Url, meta: ObjectMeta) -> StoredObject:
     """An object in the bucket of `place`."""
     written_ns = int(meta["last_modified"].timestamp()) * 1_000_000_000
-    return StoredObject(Url(place.scheme, place.bucket, meta["path"]), meta["size"], _version(meta), written_ns)
-
-
-def _version(meta: ObjectMeta) -> str:
-    """An object's ETag, without the quotation marks, which Azure leaves out in listings."""
-    return (meta["e_tag"] or "").strip('"')
+    version = (meta["e_tag"] or "").strip('"')  # Azure leaves the quotation marks out in listings
+    return StoredObject(Url(place.scheme, place.bucket, meta["path"]), meta["size"], version, written_ns)
 
 
 def read_object(url: Url, max_bytes: int) -> bytes | None:

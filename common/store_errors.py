@@ -102,8 +102,8 @@ def store_error(url: Url, error: Exception, text: str) -> StoreError:
 
 
 def _code(text: str) -> str:
-    found = re.search(r"<Code>(\w+)</Code>", text)
-    return f" ({found[1]})" if found else ""
+    code = re.search(r"<Code>(\w+)</Code>", text)
+    return f" ({code[1]})" if code else ""
 
 
 def _endpoint(url: Url) -> str:
@@ -117,7 +117,7 @@ def _reason(text: str) -> str:
         message = re.search(r"<Message>(.+?)</Message>", text)
         return f"the store answers {status[1]}{_code(text)}" + (f": {message[1][:200]}" if message else "")
     unreachable = ("refused", "error trying to connect", "dns", "could not connect", "connect timeout")
-    if "onnect" in text and any(each in text.lower() for each in unreachable):
+    if "onnect" in text and any(words in text.lower() for words in unreachable):
         return "the store cannot be reached"
     if is_cut_off(text) or "Connection was closed" in text:
         return "the connection to the store was cut, again and again; give the command again"

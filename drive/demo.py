@@ -130,10 +130,10 @@ def demo(config: Demo) -> int:
             code = max(code, _run(command, folder))
         except KeyboardInterrupt:
             if any((folder / name).exists() for name in _MADE):
-                there = f"`cd {shlex.quote(str(folder))}`"
+                cd = f"`cd {shlex.quote(str(folder))}`"
                 print_message(
                     f"bc-demo: what was made is in {folder}; the same command goes on there, or type its commands"
-                    f" yourself: {there}"
+                    f" yourself: {cd}"
                 )
             elif is_new:
                 (folder / _STATE).unlink()
@@ -180,8 +180,8 @@ def _refuse_unusable_settings(config: Demo, folder: Path, *, is_begun: bool) -> 
     """Raise UserError, or UsageError, now for settings that a later step would refuse, after minutes."""
     if config.quick and (flags := flags_given(config, "epochs", "laps", "share")):
         raise UsageError(f"{flags}: --quick has its own: give one or the other")
-    if not is_begun and (there := [name for name in _MADE if (folder / name).exists()]):
-        raise UserError(f"{folder}: has {', '.join(there)} already; give another --folder")
+    if not is_begun and (existing := [name for name in _MADE if (folder / name).exists()]):
+        raise UserError(f"{folder}: has {', '.join(existing)} already; give another --folder")
     if folder.exists() and not folder.is_dir():
         raise UserError(f"{folder}: a file, no folder to work in; give another --folder")
     if not 1 <= config.epochs <= 10**6:
@@ -206,10 +206,10 @@ def _activation_command() -> str | None:
 
 def _program(name: str) -> str:
     # beside this Python first: its virtual environment need not be active
-    found = shutil.which(name, path=sysconfig.get_path("scripts")) or shutil.which(name)
-    if found is None:
+    program = shutil.which(name, path=sysconfig.get_path("scripts")) or shutil.which(name)
+    if program is None:
         raise UserError(f"{name}: not beside {sys.executable}; install the toolkit again")
-    return found
+    return program
 
 
 def _run(command: str, folder: Path) -> int:

@@ -20,7 +20,7 @@ from common.location import Location, Url
 from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result
 from common.progress import progress_bar
-from recorder.log.logs_in_folder import logs_in
+from recorder.log.logs_in_folder import logs_at, logs_in
 from recorder.log_flag import named_log
 
 _MAX_NAMED: Final = 8
@@ -61,7 +61,13 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
             of_many = f" ({number} of {len(pairs)})" if len(pairs) > 1 else ""
             task = progress.add_task(f"copying {log.name}{of_many}, bytes", total=size_of(log), note="")
             try:
-                done = copy_log(log, target, overwrite=overwrite, on_bytes=partial(progress.advance, task))
+                done = copy_log(
+                    log,
+                    target,
+                    overwrite=overwrite,
+                    keeps_damaged=True,
+                    on_bytes=partial(progress.advance, task),
+                )
             except OSError as error:
                 codes.append(print_error(prog, _unreadable_or_full(log, target, error)))
                 continue
@@ -144,8 +150,7 @@ def _pairs(places: Sequence[Location], to: Location) -> list[tuple[Location, Loc
     """Each log, and the place of its copy."""
     logs: list[Location] = []
     for place in places:
-        is_folder = place.suffix != ".mcap" if isinstance(place, Url) else place.is_dir()
-        inside = [log for log in logs_in(place) if log.suffix == ".mcap"] if is_folder else [place]
+        inside = [log for log in logs_at(place) if log.suffix == ".mcap" or log == place]
         if not inside:
             raise UserError(f"{place}: no finished log in it")
         logs += inside

@@ -111,11 +111,11 @@ class NameRows:
             chosen = [Tag(int(states.row[first]), int(states.row[last]), name) for first, last in edges]
             words = [rows_of(tag) for tag in chosen]
         else:
-            found = [each for each in odd if each.is_sure]
+            sure = [stretch for stretch in odd if stretch.is_sure]
             if not self.remove:
-                found = tagged_rows(self.log).left(found)
-            chosen = [Tag(each.first_row, each.last_row, name) for each in found]
-            words = [str(each) for each in found]
+                sure = tagged_rows(self.log).left(sure)
+            chosen = [Tag(stretch.first_row, stretch.last_row, name) for stretch in sure]
+            words = [str(stretch) for stretch in sure]
         for line in words[:MAX_LINES]:
             print_message(line)
         if len(words) > MAX_LINES:

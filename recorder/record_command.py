@@ -11,14 +11,12 @@ from typing import TYPE_CHECKING
 
 from common.command import check_port, flags_given, usage_errors, warn_skipped
 from common.errors import UsageError, counted, printable
-from common.files import refuse_existing
 from common.location import Url, local_path
 from common.output import print_message, print_next, print_result
 from common.preview import preview
 from recorder.errors import RecordingError
 from recorder.log.session_car import named_car
 from recorder.log_copy_cli import copy_recording, refuse_copying, refuse_taken_name
-from recorder.log_made_cli import brought_as_they_are
 from recorder.person_cli import AtTheWheel, check_at_the_wheel, listen_at_the_wheel, record_at_the_wheel
 from recorder.rows.odd_stretches import odd_advice, odd_lines
 from recorder.sources.built_in_simulator import check_drive, record_simulated
@@ -70,9 +68,6 @@ def _record_to(config: Record, log: Path) -> Imported:
     car = None if config.car is None else named_car(config.car)
     source = config.source
     with contextlib.ExitStack() as stack:
-        if isinstance(source, Url):
-            refuse_existing(log, config.force)  # before gigabytes are brought
-            (source,) = stack.enter_context(brought_as_they_are([source]))
 
         def show(growing: Path) -> None:
             if config.viewer:
@@ -112,7 +107,6 @@ def _record_to(config: Record, log: Path) -> Imported:
                 config.topics,
                 columns=config.columns,
                 rate_hz=config.rate,
-                all_catalogs=config.all_catalogs,
                 car=car,
                 overwrite=config.force,
             )
@@ -144,11 +138,6 @@ def _refuse_contradictions(config: Record) -> None:
         raise UsageError(f"{name}: give the name without its ending: `bc-record {name.removesuffix('.mcap')}`")
     if config.source is not None and config.listen:
         raise UsageError("--from and --listen: give one of them")
-    if isinstance(config.source, Url) and (config.watch or config.source.suffix != ".mcap"):
-        raise UsageError(
-            f"--from {config.source}: of what is in a store, another program's log (.mcap) is expected, without"
-            " --watch; copy a folder here first"
-        )
     if config.watch and config.source is None:
         raise UsageError("--watch follows a folder: give it with --from FOLDER")
     if (
@@ -167,8 +156,6 @@ def _refuse_contradictions(config: Record) -> None:
         raise UsageError("--image, --steering and --steering-scale go with --from")
     if config.columns and (config.source is None or config.watch):
         raise UsageError("--columns goes with --from FOLDER, which has pictures and a csv")
-    if config.all_catalogs and (config.source is None or config.watch):
-        raise UsageError("--all-catalogs goes with --from ~/mycar/data")
     if config.idle is not None and not 0 <= config.idle < math.inf:
         raise UsageError(f"--idle {config.idle:g}: a number of seconds, 0 or more, was expected")
     if config.port:  # 0: a free one
@@ -199,7 +186,7 @@ def _refuse_contradictions(config: Record) -> None:
 def _refuse_beside_gym(config: Record) -> None:
     from recorder.sources.record_gymnasium import check_recording
 
-    if flags := flags_given(config, "source", "watch", "listen", "udacity", "all_catalogs"):
+    if flags := flags_given(config, "source", "watch", "listen", "udacity"):
         raise UsageError(f"{flags.replace('--source', '--from')}: not with --gym, which is recorded itself")
     if replace(config.drive, seed=0) != SimulatedDrive():
         raise UsageError("--track, --driver and their like are the built-in simulator's: not with --gym")

@@ -45,8 +45,6 @@ _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9.+-]+")
 
 @dataclass(frozen=True)
 class Training:
-    """One training of a sweep."""
-
     run: str  # its folder's name
     varied: str  # what it does not share with all others, but for the seed: "rate 0.0003, network pilotnet"
     config: TrainConfig

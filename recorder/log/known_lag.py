@@ -7,15 +7,14 @@ import contextlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
-from typing import Final, Literal, overload
+from typing import Final, Literal
 
 import msgspec
 
 from common import atomic_file
 from common.errors import UserError
 from common.location import Location, Url
-from common.untrusted import read_bounded
+from common.random_access import read_bytes
 from common.untrusted_json import json_as
 from recorder import topics
 from recorder.log.reader import Log
@@ -31,22 +30,14 @@ class _Kept(msgspec.Struct):
     lag: SteeringLag | None
 
 
-def lag_note(found: LagFinding) -> dict[str, str]:
+def lag_note(finding: LagFinding) -> dict[str, str]:
     """What a log's writer notes of the lag in the summary of its rows."""
-    return {_KEY: json.dumps(found.lag and asdict(found.lag), allow_nan=False)}
+    return {_KEY: json.dumps(finding.lag and asdict(finding.lag), allow_nan=False)}
 
 
 def noted_lag(quality: Mapping[str, str]) -> LagFinding | None:
     """The lag in a log's summary of its rows; None where its writer did not measure it."""
     return json_as(f'{{"lag":{quality.get(_KEY, "")}}}', LagFinding)
-
-
-@overload
-def lag_path(log: Path) -> Path: ...
-
-
-@overload
-def lag_path(log: Url) -> Url: ...
 
 
 def lag_path(log: Location) -> Location:
@@ -60,27 +51,20 @@ def known_lag(log: Log) -> LagFinding | None:
 
 def kept_lag(log: Log) -> LagFinding | None:
     """The lag kept beside a log for this content of it; None without, or if the file is damaged."""
-    data = _beside(lag_path(log.path))
-    kept = json_as(data, _Kept) if data else None
+    path = lag_path(log.path)
+    kept: _Kept | None = None
+    if isinstance(path, Url) or (path.is_file() and not path.is_symlink()):
+        with contextlib.suppress(OSError):
+            kept = json_as(read_bytes(path, _MAX_BYTES) or b"", _Kept)
     return LagFinding(kept.lag) if kept is not None and kept.log == log.fingerprint else None
 
 
-def _beside(path: Location) -> bytes | None:
-    if isinstance(path, Url):
-        from common.object_store import read_object  # an extra
-
-        return read_object(path, _MAX_BYTES)
-    with contextlib.suppress(OSError):
-        return None if path.is_symlink() else read_bounded(path, _MAX_BYTES)
-    return None
-
-
-def keep_lag(log: Log, found: LagFinding) -> bool:
+def keep_lag(log: Log, finding: LagFinding) -> bool:
     """Keep the lag beside a log that has its name; False where nothing can be written."""
     path = lag_path(log.path)
     if log.path.suffix != ".mcap":
         return False  # it still grows, or is recovered: then it is measured again
-    data = msgspec.json.encode(_Kept(1, log.fingerprint, found.lag)) + b"\n"
+    data = msgspec.json.encode(_Kept(1, log.fingerprint, finding.lag)) + b"\n"
     try:
         if isinstance(path, Url):
             from common.object_store import put_over  # an extra

@@ -91,8 +91,6 @@ class StoredMessage(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """The records of a chunk, by kind."""
-
     messages: array[int]  # where each begins
     definitions: list[tuple[int, int, int]]  # opcode, start and end of schemas and channels
 
@@ -138,7 +136,8 @@ class McapFile(Closeable):
         try:
             data = self._bytes.read(offset, length)
         except OSError as error:  # a failing disk
-            raise self._unreadable(offset, length, error) from None
+            where = f"bytes {offset:,} to {offset + length:,}"
+            raise self.damaged(f"{where} cannot be read ({error.strerror})") from None
         if len(data) != length:
             raise self.damaged("it has become shorter while it was read")
         return data
@@ -178,9 +177,6 @@ class McapFile(Closeable):
             raise self.damaged(f"bytes {offset:,} to {offset + length:,} lie outside the file")
         if length > MAX_RECORD_BYTES:
             raise self.damaged(f"a record of {length:,} bytes")
-
-    def _unreadable(self, offset: int, length: int, error: OSError) -> LogError:
-        return self.damaged(f"bytes {offset:,} to {offset + length:,} cannot be read ({error.strerror})")
 
     @cached_property
     def profile_and_library(self) -> tuple[bytes, bytes]:
@@ -264,7 +260,6 @@ class McapFile(Closeable):
         return (stored_message(records, start) for start in self.parts(records).messages)
 
     def metadata(self, offset: int) -> MetadataRecord:
-        """The metadata record that begins at `offset`."""
         content = self._content(offset, Opcode.METADATA)
         try:
             record: MetadataRecord = MetadataRecord.read(ReadDataStream(io.BytesIO(content)))
@@ -273,7 +268,6 @@ class McapFile(Closeable):
         return record
 
     def attachment(self, offset: int) -> Attachment:
-        """The attachment that begins at `offset`."""
         content = self._content(offset, Opcode.ATTACHMENT)
         if not self.may_have_crc(int.from_bytes(content[-4:], "little"), content[:-4]):
             raise self.damaged("an attachment has another content than its CRC says")

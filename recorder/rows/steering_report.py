@@ -33,7 +33,9 @@ def steering_cells(habits: SteeringHabits, lag: SteeringLag | None) -> list[str]
 
 def steering_line(habits: SteeringHabits, lag: SteeringLag | None, unit: SteeringUnit = DEGREES) -> str:
     """All of it in a line."""
-    spread, largest = (None if each is None else unit.of(each) for each in (habits.spread_deg, habits.largest_deg))
+    spread, largest = (
+        None if angle_deg is None else unit.of(angle_deg) for angle_deg in (habits.spread_deg, habits.largest_deg)
+    )
     parts = [
         f"steered: {_how(habits)}",
         f"{_formatted(habits.zeros, '{:.0%}')} zeros, {_formatted(habits.left, '{:.0%}')} left,"

@@ -76,9 +76,7 @@ class ServerHost(Protocol):
         """Wait until the connections that were closed have ended, and cut the others."""
         ...
 
-    def close(self) -> None:
-        """Stop listening."""
-        ...
+    def close(self) -> None: ...
 
 
 class Connection(Socket):  # type: ignore[misc]

@@ -27,23 +27,20 @@ def import_recording(
     *,
     columns: Sequence[str] = (),
     rate_hz: float | None = None,
-    all_catalogs: bool = False,
     car: Car | None = None,
     overwrite: bool = False,
 ) -> Imported:
     """Write what is at `source` to `log`: a Udacity recording, a DonkeyCar tub, another program's MCAP log or a
     ROS 2 bag (which need `topics`), a LeRobot dataset (which may), or pictures with a csv (whose `columns` are as
-    for `import_csv`). `rate_hz` and `all_catalogs` are as for `import_tub`; `car` is what was driven.
+    for `import_csv`). `rate_hz` is as for `import_tub`; `car` is what was driven.
 
     Raises RecordingError if it is none of them or nothing in it can be used, and UserError if `log` exists and
     `overwrite` is off.
     """
     topics = topics or Topics()
     if columns:
-        if topics.image is not None or topics.steering is not None or all_catalogs:
-            raise RecordingError(
-                "--columns names all that is imported: leave out --image, --steering, --all-catalogs"
-            )
+        if topics.image is not None or topics.steering is not None:
+            raise RecordingError("--columns names all that is imported: leave out --image, --steering")
         return import_csv(
             source,
             log,
@@ -63,8 +60,6 @@ def import_recording(
             f"{source}: pictures with a csv? Say what its columns are: --columns image=COLUMN steering=COLUMN"
             " --rate ROWS_A_SECOND"
         )
-    if all_catalogs and not is_donkeycar:
-        raise RecordingError(f"{source}: --all-catalogs is for DonkeyCar tubs, which this is not")
     if topics != Topics() and not (is_log or is_dataset):
         raise RecordingError(
             f"{source}: --image and --steering are for other programs' logs and LeRobot datasets; this is neither"
@@ -87,7 +82,7 @@ def import_recording(
             overwrite=overwrite,
         )
     if is_donkeycar:
-        return import_tub(source, log, rate_hz=rate_hz, all_catalogs=all_catalogs, car=car, overwrite=overwrite)
+        return import_tub(source, log, rate_hz=rate_hz, car=car, overwrite=overwrite)
     return import_udacity(source, log, rate_hz=rate_hz, car=car, overwrite=overwrite)
 
 

@@ -55,17 +55,19 @@ def copy_log(
     to: Location,
     *,
     overwrite: bool = False,
+    keeps_damaged: bool = False,
     on_bytes: OnBytes = lambda more: None,
 ) -> Copied:
     """Copy a finished log, and its tags, between this machine and a store; one that is there is left alone.
 
-    Raises LogError for a log that is unfinished or damaged, UserError where something else has the name (unless
-    `overwrite`), or one of the places is of the wrong kind; StoreError.
+    Raises LogError for a log that is unfinished or damaged: with `keeps_damaged`, what came of one from a store
+    stays, for a recovery. Raises UserError where something else has the name (unless `overwrite`), or one of the
+    places is of the wrong kind; StoreError.
     """
     if isinstance(log, Path) and isinstance(to, Url):
         return _upload(log, to, overwrite, on_bytes)
     if isinstance(log, Url) and isinstance(to, Path):
-        return _download(log, to, overwrite, on_bytes)
+        return _download(log, to, overwrite, keeps_damaged, on_bytes)
     if isinstance(log, Url):
         raise UserError(f"{log} and {to}: both in a store; copy it to this machine first")
     raise UserError(f"{log} and {to}: both on this machine; `cp` copies logs there")
@@ -95,7 +97,8 @@ def _put_and_name(log: Path, url: Url, size: int, fingerprint: str, overwrite: b
         except StoreError:  # it is there all the same, if nothing but the answer was lost
             if not _is_there(made, size, fingerprint):
                 raise
-        _refuse_other(made, log, fingerprint)
+        if _fingerprint(made) != fingerprint:
+            raise LogError(f"{made}: is not what {log} is; it may have changed meanwhile: give the command again")
         if made != url:
             try:
                 name_new(made, url)
@@ -108,12 +111,6 @@ def _put_and_name(log: Path, url: Url, size: int, fingerprint: str, overwrite: b
             with uninterrupted(), contextlib.suppress(StoreError):  # the first error says more
                 remove(made)
         raise
-
-
-def _refuse_other(made: Url, log: Path, fingerprint: str) -> None:
-    """Raise LogError if what has come is not what was sent."""
-    if _fingerprint(made) != fingerprint:
-        raise LogError(f"{made}: is not what {log} is; it may have changed meanwhile: give the command again")
 
 
 def _is_there(url: Url, size: int, fingerprint: str) -> bool:
@@ -136,10 +133,8 @@ def _parts(log: Path, on_bytes: OnBytes, free: Url | None) -> Iterator[bytes]:
         raise ObjectExistsError(f"{free} was written by someone else meanwhile; nothing was changed")
 
 
-def _download(url: Url, path: Path, overwrite: bool, on_bytes: OnBytes) -> Copied:
+def _download(url: Url, path: Path, overwrite: bool, keeps_damaged: bool, on_bytes: OnBytes) -> Copied:
     with Log(url) as opened:
-        if opened.problem:
-            raise LogError(opened.notice)
         fingerprint = opened.file_fingerprint
     with ObjectFile(url) as source:
         if path.is_file() and path.stat().st_size == source.size and _fingerprint(path) == fingerprint:
@@ -164,22 +159,13 @@ def _download(url: Url, path: Path, overwrite: bool, on_bytes: OnBytes) -> Copie
                 raise
             stream.flush()
         if not is_whole(part) or _fingerprint(part) != fingerprint:
+            if keeps_damaged:
+                raise LogError(f"{url}: unfinished or damaged; `bc-log recover {part}` makes a log of what came")
             part.unlink()
-            raise LogError(f"{url}: damaged there, or on its way; what came was removed: give the command again")
+            raise LogError(f"{url}: unfinished or damaged; `bc-log copy {url} FOLDER` brings what there is")
         with uninterrupted():
             publish(part, path, overwrite)
     return Copied(path, source.size, True, _download_tags(url, path, overwrite))
-
-
-def bring_log(url: Url, path: Path, on_bytes: OnBytes = lambda more: None) -> None:
-    """Write a log of a store to the new file `path` as it is, finished or not, and its tags beside it. Raises
-    StoreError."""
-    with ObjectFile(url) as source, path.open("xb") as stream:
-        for data in source.read_from():
-            stream.write(data)
-            on_bytes(len(data))
-    if (tags := read_object(tags_path(url), MAX_BYTES)) is not None:
-        tags_path(path).write_bytes(tags)
 
 
 def _fingerprint(place: Location) -> str:

@@ -73,9 +73,9 @@ def tags_of_rows(tags: Sequence[Tag], rows: Sequence[int]) -> list[Tag]:
     number = np.array(rows, np.int64)
     clipped = []
     for tag in tags:
-        its = number[(number >= tag.first_row) & (number <= tag.last_row)]
-        if len(its):
-            clipped.append(Tag(int(its.min()), int(its.max()), tag.name))
+        rows_within = number[(number >= tag.first_row) & (number <= tag.last_row)]
+        if len(rows_within):
+            clipped.append(Tag(int(rows_within.min()), int(rows_within.max()), tag.name))
     return clipped
 
 

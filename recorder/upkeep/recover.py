@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import overload
 
 from common import Skipped
 from common.errors import counted
-from common.files import final_name, final_path
-from common.location import Location
+from common.files import final_path
 from common.locks import is_being_written
 from common.progress import track
-from common.random_access import is_there
 from common.untrusted import real_path
 from recorder import topics
 from recorder.errors import LogError
@@ -32,19 +29,11 @@ from recorder.upkeep.derived_log import (
 from recorder.upkeep.lost_rows import lost_rows
 
 
-@overload
-def recovered_name(path: Path) -> Path: ...
-
-
-@overload
-def recovered_name(path: Location) -> Location: ...
-
-
-def recovered_name(path: Location) -> Location:
+def recovered_name(path: Path) -> Path:
     """The default place of a recovered log: what was being written gets the name it would have had,
     unless its recording still goes on, and will take that name itself."""
-    meant = path.with_name(final_name(path.name))
-    if meant != path and not is_there(meant) and not is_being_written(path):
+    meant = final_path(path)
+    if meant != path and not meant.is_file() and not is_being_written(path):
         return meant
     return meant.with_name(f"{meant.name.removesuffix('.mcap')}.recovered.mcap")
 

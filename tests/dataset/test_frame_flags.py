@@ -106,11 +106,6 @@ def test_lists_hold_each_flag_of_their_frame_once_and_in_one_order(odd: list[lis
     ]
 
 
-def test_a_log_without_frames_has_no_flags() -> None:
-    assert len(frame_flags(states(0), {}, None)) == 0
-    assert len(frame_flags(states(3), {"center": only()}, NOTHING_FOUND)) == 0
-
-
 def test_only_steering_out_of_range_and_broken_pictures_cannot_be_used() -> None:
     told = ["gap", "frozen_picture", "missing_picture", "stuck_steering", "standing_still"]
     flags = [["out_of_range"], ["out_of_range"], ["broken_picture"], told, []]

@@ -27,7 +27,7 @@ from dataset.samples.balance import balance
 from dataset.samples.filter import Condition
 from logs import write_log
 from recorder import Log
-from recorder.log.tags import Tag, add_tag
+from recorder.log.tags import Tag, add_tags
 from udacity import call
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s
@@ -88,7 +88,7 @@ def test_without_balance_every_frame_is_a_sample_once(tmp_path: Path) -> None:
 def test_a_condition_chooses_frames(tmp_path: Path, where: str, rows: set[int]) -> None:
     path = log_of(tmp_path / "a.mcap")
     with Log(path) as log:
-        add_tag(path, log.fingerprint, Tag(50, 79, "recovery"))
+        add_tags(path, log.fingerprint, [Tag(50, 79, "recovery")])
     config = IndexConfig(where=where, balance=False, gap_s=0)
     indexed = build_index([path], tmp_path / "index", config)
     assert set(indexed.samples["row"].to_pylist()) == rows
@@ -240,7 +240,7 @@ def test_an_excluded_row_in_use_is_a_leak(tmp_path: Path) -> None:
     index = build_index([path], tmp_path / "index", IndexConfig(block_s=3)).path
     before = (index / "samples.parquet").read_bytes()
     with Log(path) as log:
-        add_tag(path, log.fingerprint, Tag(0, 9, "exclude"))
+        add_tags(path, log.fingerprint, [Tag(0, 9, "exclude")])
     build_index([path], index, IndexConfig(block_s=3))
     (index / "samples.parquet").write_bytes(before)
     assert any("tagged `exclude` and used" in leak for leak in find_leaks(index))

@@ -24,7 +24,7 @@ from logs import write_log
 from mcap_patch import without_lag
 from panorama import hand, of_size, pressed, views, write_drive
 from recorder import Log
-from recorder.log.tags import Tag, add_tag
+from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main as bc_log
 from udacity import call
 
@@ -296,7 +296,7 @@ def test_nothing_comes_out_of_no_steering(tmp_path: Path) -> None:
 def test_a_tagged_crash_stays_out_as_before(tmp_path: Path) -> None:
     log = write_drive(tmp_path / "a.mcap", NO_PICTURES, keys, crashing)
     with Log(log) as opened:
-        add_tag(log, opened.fingerprint, Tag(300, 320, "exclude"))
+        add_tags(log, opened.fingerprint, [Tag(300, 320, "exclude")])
     counts = indexed(tmp_path, log, validation_share=0.0).counts["a"]
     assert counts.excluded == 21
     assert 59 < counts.not_driven < 59 + 40

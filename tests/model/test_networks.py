@@ -50,7 +50,10 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return toy_index(tmp_path_factory.mktemp("toy"))
 
 
-@pytest.fixture(scope="module", params=["pilotnet", "small", pytest.param("resnet18", marks=pytest.mark.long)])
+@pytest.fixture(
+    scope="module",
+    params=["small", *(pytest.param(name, marks=pytest.mark.long) for name in ("pilotnet", "resnet18"))],
+)
 def run(request: pytest.FixtureRequest, index: Path) -> Path:
     """Trained for an epoch, and then for another."""
     run: Path = index.parent / "runs" / request.param

@@ -358,13 +358,6 @@ def test_who_shows_such_a_log_says_so(tmp_path: Path, capsys: pytest.CaptureFixt
     assert WITHOUT not in capsys.readouterr().err
 
 
-def test_who_makes_a_video_of_such_a_log_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("av")
-    path = without_crcs(tmp_path / "other.mcap")
-    assert call(bc_play, path, "--video", tmp_path / "a.mp4") == 0
-    assert capsys.readouterr().err == f"{path}: {WITHOUT}\n"
-
-
 def test_who_follows_such_a_log_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Once, at its end, whatever was found until then."""
     part = tmp_path / "other.mcap.ab12cd.part"

@@ -25,10 +25,10 @@ from logs import START_NS, STEP_NS, not_a_picture, write_log
 from plain_mcap import Contents, Stored, by_topic, contents, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.tags import Tag, add_tag, read_tags, tags_path
+from recorder.log.tags import Tag, add_tags, read_tags, tags_path
 from recorder.topics import ROW_TOPICS
 from recorder.upkeep.check import check
-from recorder.upkeep.edit import check_rows, merge, rows_between, split, trim, trim_times
+from recorder.upkeep.edit import merge, rows_between, split, trim, trim_times
 from recorder.upkeep.recover import recover
 from udacity import jpeg
 from waiting import PATIENCE_S
@@ -77,7 +77,7 @@ def numbered_on(messages: list[Stored], first: int) -> list[Stored]:
 def tag(path: Path, *tags: tuple[int, int, str]) -> Path:
     with Log(path) as log:
         for one in tags:
-            add_tag(path, log.fingerprint, Tag(*one))
+            add_tags(path, log.fingerprint, [Tag(*one)])
     return path
 
 
@@ -295,14 +295,6 @@ def test_seconds_of_a_log_with_rows_are_those_of_its_rows(tmp_path: Path) -> Non
     by_rows = trim(whole, tmp_path / "c.mcap", (8, 13))
     assert contents(by_time.path).by_topic == contents(by_rows.path).by_topic
     assert (by_time.rows, by_time.messages) == (by_rows.rows, by_rows.messages)
-
-
-def test_rows_that_a_log_does_not_have_are_refused(tmp_path: Path) -> None:
-    with Log(drive(tmp_path / "a.mcap", range(3, 9))) as log:
-        check_rows(log, (3, 8))
-        for rows in ((2, 8), (3, 9), (20, 30)):
-            with pytest.raises(LogError, match=rf"rows from {rows[0]} to {rows[1]}.*its rows are 3 to 8"):
-                check_rows(log, rows)
 
 
 # Merge

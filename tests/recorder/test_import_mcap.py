@@ -348,12 +348,6 @@ def test_an_existing_log_is_kept(tmp_path: Path) -> None:
     assert rows_of(log) == ROWS
 
 
-def test_the_same_file_gives_the_same_bytes(tmp_path: Path) -> None:
-    source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    logs = [import_mcap(source, tmp_path / name, TOPICS).path.read_bytes() for name in ("1.mcap", "2.mcap")]
-    assert logs[0] == logs[1]
-
-
 # ROS 2
 
 STORAGES = pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3], ids=["mcap", "sqlite3"])

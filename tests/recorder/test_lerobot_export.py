@@ -26,7 +26,7 @@ from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.lerobot.data_files import DataFiles
 from recorder.lerobot.export import Exported, export_lerobot
-from recorder.log.tags import Tag, add_tag
+from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main as bc_log
 from udacity import call
 
@@ -151,8 +151,8 @@ def test_excluded_rows_stay_out_and_what_they_leave_is_two_episodes(
 ) -> None:
     log = write_drives(tmp_path / "long.mcap", times_ns=[TIMES_NS[0] + 100_000_000 * row for row in range(25)])
     with Log(log) as opened:
-        add_tag(log, opened.fingerprint, Tag(5, 16, "exclude"))
-        add_tag(log, opened.fingerprint, Tag(0, 24, "sunny"))
+        add_tags(log, opened.fingerprint, [Tag(5, 16, "exclude")])
+        add_tags(log, opened.fingerprint, [Tag(0, 24, "sunny")])
     assert call(bc_log, "export", place(log), "--lerobot", tmp_path / "out", "--license", "mit") == 0
     assert exported_rows(tmp_path / "out") == [*range(5), *range(17, 25)]
     assert lengths(tmp_path / "out") == [5, 8]
@@ -257,7 +257,7 @@ def test_a_state_is_of_the_row_before_and_0_where_a_drive_begins(tmp_path: Path)
     times_s = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 2.5, 2.6, 1.0, 1.1]
     log = written(tmp_path / "odd.mcap", steering_of_rows, times_s)
     with Log(log) as opened:
-        add_tag(log, opened.fingerprint, Tag(1, 1, "exclude"))
+        add_tags(log, opened.fingerprint, [Tag(1, 1, "exclude")])
     export_lerobot([log], tmp_path / "out")
     assert state_steering(tmp_path / "out") == {
         0: 0.0,

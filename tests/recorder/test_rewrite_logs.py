@@ -15,7 +15,7 @@ from layouts import write_as_before
 from logs import write_log
 from plain_mcap import contents, write_plain
 from recorder import Log, LogError
-from recorder.log.tags import Tag, add_tag, read_tags
+from recorder.log.tags import Tag, add_tags, read_tags
 from recorder.upkeep.check import check
 from recorder.upkeep.edit import rewrite, trim
 from recorder.upkeep.recover import recover
@@ -32,7 +32,7 @@ def old(tmp_path: Path) -> Path:
     path = write_as_before(new, tmp_path / "old.mcap", chunk_bytes=20_000)
     new.unlink()
     with Log(path) as log:
-        add_tag(path, log.fingerprint, Tag(10, 20, "exclude"))
+        add_tags(path, log.fingerprint, [Tag(10, 20, "exclude")])
     return path
 
 

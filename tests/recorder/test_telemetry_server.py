@@ -123,14 +123,6 @@ def test_what_comes_is_acknowledged_at_once_and_answers_do_not_wait(kind: type) 
             assert client.recv(100) == b"steer"
 
 
-def test_manual_is_answered_by_manual(mode: ServerMode) -> None:
-    with Serving(mode, Book()) as serving:
-        client = RawClient(serving.port)
-        client.tell(None)
-        assert client.command() == ("manual", {})
-        client.close()
-
-
 def test_a_simulator_drives_on_with_a_server_that_comes_back(mode: ServerMode) -> None:
     answers: list[ServerCommand] = []
     first, second = Book(), Book()

@@ -21,7 +21,6 @@ import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 import pytest
 import rerun as rr
 
-from common import UserError
 from common.car import CAMERAS
 from driving import Process, command, command_with_viewer, environment
 from logs import START_NS, STEP_NS, read_messages
@@ -352,16 +351,6 @@ def test_an_error_is_one_line_and_leaves_nothing(tmp_path: Path, capsys: pytest.
         (line,) = capsys.readouterr().err.splitlines()
         assert f"{name}: {says}" in line
     assert [path.name for path in tmp_path.iterdir()] == ["b.mcap"]
-
-
-def test_an_existing_file_is_kept_unless_it_is_forced(tmp_path: Path) -> None:
-    rrd, log = tmp_path / "a.rrd", write_rows(tmp_path / "a.mcap", 1)
-    rrd.write_bytes(b"precious")
-    with pytest.raises(UserError, match="--force"):
-        save_growing(log, rrd)
-    assert rrd.read_bytes() == b"precious"
-    save_growing(log, rrd, overwrite=True)
-    assert len(contents(rrd)["/steering/recorded"]["Scalars:scalars"]) == 1
 
 
 def test_pictures_too_old_to_be_shown_are_told_once(

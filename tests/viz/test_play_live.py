@@ -21,7 +21,7 @@ import rerun as rr
 from common import UserError
 from common.car import CAMERAS, Camera
 from common.preview import preview
-from driving import Process, command, environment
+from driving import Process, environment
 from logs import START_NS, STEP_NS, write_log
 from ports import free_ports
 from recorder import LogWriter
@@ -146,23 +146,6 @@ def test_ctrl_c_waits_for_what_is_being_sent(monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(KeyboardInterrupt):
         feed_viewer(Slow(""), None)
     assert ended
-
-
-def test_a_page_gets_all_of_the_log(log: Path, tmp_path: Path) -> None:
-    ports = Ports(*free_ports(2))
-    flags = ("--web", "--web-port", ports.web, "--port", ports.data)
-    with Process(command("bc-play", log, *flags)) as play:
-        play.wait_for("open that address in a browser")
-        wait_until(lambda: is_open(ports.data))
-        with received(ports, tmp_path / "got.rrd"):
-            assert play.end(signal.SIGINT) == 130
-    assert holds_all(tmp_path / "got.rrd")
-
-
-def is_open(port: int) -> bool:
-    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), PATIENCE_S):
-        return True
-    return False
 
 
 def test_an_address_can_be_short() -> None:

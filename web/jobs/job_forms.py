@@ -190,7 +190,6 @@ FORMS: Final[Sequence[JobForm]] = (
             ),
             Field("rate", "rows a second", "--rate", hint="as recorded", is_more=True),
             Field("car", "car", "--car", hint="Udacity's; or built-in", is_more=True),
-            Field("all_catalogs", "all catalogues of a tub", "--all-catalogs", is_switch=True, is_more=True),
         ),
         (("--sessions", "sessions"),),
         _session,

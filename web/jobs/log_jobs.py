@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 from common.errors import printable
@@ -34,17 +35,17 @@ class NewLogForm:
 
 @dataclass(frozen=True)
 class LogJob:
-    """A command over one log. `new` gives the default name of the log that it makes."""
+    """A command over one log. `new` gives the default name of the log that it makes, on this machine."""
 
     name: str
     title: str
     about: str
     words: Callable[[Location, Location, NewLogForm, Mapping[str, Location]], Sequence[str]]
     """The words after `bc-log NAME LOG`, for a log, the new one, the form, and all logs by key."""
-    new: Callable[[Location], Location] | None = None
+    new: Callable[[Path], Path] | None = None
     has_rows: bool = False
     has_others: bool = False
-    first_made: Callable[[Location], Location] | None = None  # where the command gives the names
+    first_made: Callable[[Path], Path] | None = None  # where the command gives the names
 
 
 def _nothing(log: Location, new: Location, form: NewLogForm, logs: Mapping[str, Location]) -> list[str]:
@@ -73,7 +74,7 @@ def _recover(log: Location, new: Location, form: NewLogForm, logs: Mapping[str, 
     return [f"--to={new}"]
 
 
-def _beside(word: str) -> Callable[[Location], Location]:
+def _beside(word: str) -> Callable[[Path], Path]:
     return lambda log: log.with_name(f"{final_name(log.name).removesuffix(_SUFFIX)}{word}{_SUFFIX}")
 
 
@@ -117,6 +118,11 @@ LOG_JOBS: Final = (
 )
 
 
+def jobs_for(log: Location) -> list[LogJob]:
+    """The jobs of a log: of one in a store, no new logs are made."""
+    return [job for job in LOG_JOBS if isinstance(log, Path) or not (job.new or job.first_made)]
+
+
 def log_job(name: str) -> LogJob:
     """Raises WebError if there is none of that name."""
     for job in LOG_JOBS:
@@ -135,9 +141,15 @@ def command_line(
     """
     if log.name.endswith(PART_SUFFIX) and is_being_written(log):
         raise WebError("it is being recorded: when that has ended, new logs can be made of it", 409)
-    new = log.with_name(_name(form.new) if form.new else job.new(log).name) if job.new else log
+    if job not in jobs_for(log):
+        raise WebError(f"{log}: is needed on this machine; `bc-log copy {log} FOLDER` brings it here", 422)
+    new: Location = log
+    made: Location | None = None
+    if job.new and isinstance(log, Path):
+        new = made = log.with_name(_name(form.new) if form.new else job.new(log).name)
+    elif job.first_made and isinstance(log, Path):
+        made = job.first_made(log)
     words = ["bc-log", job.name, str(log), *job.words(log, new, form, logs)]
-    made = new if job.new else job.first_made(log) if job.first_made else None
     if made is not None and folders.is_there(made):
         raise WebError(f"{printable(str(made))}: exists already; give another name, or remove it", 409)
     try:
