@@ -11,7 +11,7 @@ import shutil
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, overload
 
 from common.errors import UserError
 from common.interrupts import uninterrupted
@@ -207,6 +207,14 @@ def _name_folder(part: Path, folder: Path) -> None:
         part.rename(folder)  # fails where somebody has made a folder of that name, unless it is empty
     except OSError as error:
         raise UserError(f"{folder} cannot get its name ({error.strerror}); nothing was kept of it") from None
+
+
+@overload
+def short_path(path: Path) -> Path: ...
+
+
+@overload
+def short_path(path: Location) -> Location: ...
 
 
 def short_path(path: Location) -> Location:

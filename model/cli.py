@@ -16,6 +16,7 @@ from common.command import DONE, FAILED, run_command, warn, warn_skipped
 from common.errors import counted, printable
 from common.files import refuse_existing
 from common.location import Location, Url, absolute, is_in_store, local_path, location
+from common.memory_allocator import use_large_pages
 from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
 from common.random_access import is_there
@@ -328,6 +329,7 @@ def main() -> None:
         from model.export_cli import main as export
 
         export()
+    use_large_pages()
     try:
         run_command("bc-train", Train, train, default=defaults)
     except SystemExit as ended:

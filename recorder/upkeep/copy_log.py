@@ -35,6 +35,7 @@ from common.object_store import (
     remove,
 )
 from recorder.errors import LogError
+from recorder.log.known_lag import copy_lag
 from recorder.log.reader import Log
 from recorder.log.tags import MAX_BYTES, tags_path
 from recorder.upkeep.check import is_whole
@@ -58,19 +59,22 @@ def copy_log(
     keeps_damaged: bool = False,
     on_bytes: OnBytes = lambda more: None,
 ) -> Copied:
-    """Copy a finished log, and its tags, between this machine and a store; one that is there is left alone.
+    """Copy a finished log, its tags and its lag between this machine and a store; one that is there is left alone.
 
     Raises LogError for a log that is unfinished or damaged: with `keeps_damaged`, what came of one from a store
     stays, for a recovery. Raises UserError where something else has the name (unless `overwrite`), or one of the
     places is of the wrong kind; StoreError.
     """
     if isinstance(log, Path) and isinstance(to, Url):
-        return _upload(log, to, overwrite, on_bytes)
-    if isinstance(log, Url) and isinstance(to, Path):
-        return _download(log, to, overwrite, keeps_damaged, on_bytes)
-    if isinstance(log, Url):
+        copied = _upload(log, to, overwrite, on_bytes)
+    elif isinstance(log, Url) and isinstance(to, Path):
+        copied = _download(log, to, overwrite, keeps_damaged, on_bytes)
+    elif isinstance(log, Url):
         raise UserError(f"{log} and {to}: both in a store; copy it to this machine first")
-    raise UserError(f"{log} and {to}: both on this machine; `cp` copies logs there")
+    else:
+        raise UserError(f"{log} and {to}: both on this machine; `cp` copies logs there")
+    copy_lag(log, to)
+    return copied
 
 
 def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:

@@ -255,32 +255,6 @@ def test_wherever_an_upload_is_cut_samples_that_are_named_are_there(
     assert all(table.equals(after if new else before) for table, new in zip(found, is_new, strict=True))
 
 
-def test_leftovers_of_divided_samples_go_with_the_next_index(
-    divided: Bucket, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    divided.answer = lambda handler: (
-        handler.command == "PUT" and handler.path.endswith("index/samples.parquet") and handler.fail(403, "No")
-    )
-    assert index() == 1
-    assert [name for name in files(divided) if name.startswith("samples/")]
-    divided.answer = lambda handler: False
-    drive(divided, 2)
-    use_machine("two", monkeypatch)
-    assert index() == 0
-    assert sessions() == ["0", "1", "2"]
-    assert sum(name.startswith("samples/") for name in files(divided)) == 3
-    other = let_another_machine_index(divided, monkeypatch)
-    use_machine("one", monkeypatch)
-    drive(divided, 3)
-    assert index() == 1
-    assert "written by another machine meanwhile" in " ".join(capsys.readouterr().err.split())
-    assert other.items() <= files(divided).items()
-    assert set(samples_in(INDEX)["session"].to_pylist()) == {"1"}
-    assert index() == 0
-    assert sessions() == ["0", "1", "2", "3"]
-    assert sum(name.startswith("samples/") for name in files(divided)) == 4
-
-
 def test_divided_samples_come_here_once_and_those_of_an_earlier_index_go(divided: Bucket, tmp_path: Path) -> None:
     assert index() == 0
     divided.requests.clear()

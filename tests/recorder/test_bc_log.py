@@ -567,7 +567,7 @@ def test_names_of_any_file_system_can_be_printed(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit addresses")
-@pytest.mark.parametrize("megabytes", [500, 600, 650])
+@pytest.mark.parametrize("megabytes", [600, *(pytest.param(size, marks=pytest.mark.long) for size in (500, 650))])
 def test_too_little_memory_is_told_in_a_line(tmp_path: Path, megabytes: int) -> None:
     """OpenCV would end the process without a word. Where it suffices, because processors are few, all is well."""
     path = write_log(tmp_path / "a.mcap", [0.1] * 5, picture)

@@ -194,7 +194,9 @@ def test_wherever_a_log_is_cut_all_complete_chunks_are_read(whole: Path, every: 
 
 
 @EVERY
-@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+@pytest.mark.parametrize(
+    "compression", [CompressionType.ZSTD, pytest.param(CompressionType.LZ4, marks=pytest.mark.long)]
+)
 def test_the_same_holds_for_compressed_logs(tmp_path: Path, compression: CompressionType, every: int) -> None:
     path = write_plain(tmp_path / "whole.mcap", compression, range(3))
     size = path.stat().st_size

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import subprocess
 import sys
@@ -102,7 +101,6 @@ def layout(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> s
 
 
 laid_out: Layout = two_kinds
-MIXED_ALONE = pytest.mark.parametrize("layout", ["mixed"], indirect=True)
 
 
 # Recover
@@ -146,25 +144,6 @@ def test_a_log_that_was_killed_at_any_chunk_is_sound_when_it_is_recovered(tmp_pa
         done = recover(part, to, overwrite=True)
         kinds = {kind for kind, _ in check(to, look=False).findings}
         assert kinds == (set() if done.rows else {"stretches of pictures without a row"}), chunk.start
-
-
-@MIXED_ALONE
-def test_a_log_that_lost_any_chunk_is_sound_when_it_is_recovered(tmp_path: Path) -> None:
-    """What is left at the edges of the hole, of rows whose pictures or steering were in it, is named as lost."""
-    whole = drive(tmp_path / "a.mcap", range(20))
-    original, data = contents(whole), whole.read_bytes()
-    rows = [{m.sequence for m in chunk.messages} for chunk in original.chunks]
-    assert all(one & other for one, other in itertools.pairwise(rows)), "rows lie across chunks"
-    damaged, to = tmp_path / "b.mcap", tmp_path / "c.mcap"
-    for chunk in original.chunks:
-        damaged.write_bytes(data[: chunk.end - 1] + bytes([data[chunk.end - 1] ^ 1]) + data[chunk.end :])
-        done = recover(damaged, to, overwrite=True)
-        assert [f for f in check(to, look=False).findings if "gap" not in f.kind] == [], chunk.start
-        lost = {m.sequence for m in chunk.messages if m.topic in ROW_TOPICS}
-        kept = [m for m in original.messages if m not in chunk.messages]
-        rest = [m for m in kept if m.topic not in ROW_TOPICS or m.sequence not in lost]
-        assert contents(to).by_topic == by_topic(rest)
-        assert done.skipped.counts["damaged chunks"] == 1
 
 
 def test_without_any_row_every_picture_is_kept(tmp_path: Path) -> None:

@@ -241,7 +241,7 @@ def test_the_web_viewer_is_local_only_and_ends_with_the_command(drive: Path) -> 
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no signals there")
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_a_viewer_that_dies_is_one_line_and_exit_code_1(drive: Path, number: signal.Signals) -> None:
     web_port, port = free_ports(2)
     flags = ("--web", "--web-port", web_port, "--port", port)
