@@ -155,10 +155,15 @@ def print_products(_: Path) -> None:
         for number, (layer, inputs) in enumerate(seen)
     }  # each with how often a batch needs it
     network.train()
-    options = {"dtype": machine.dtype, "micro_batch": machine.micro_batch}
-    parts["step"] = [(lambda: training_step(network, optimizer, pictures, steering, **options), 1)]
+
+    def step() -> float:
+        return training_step(
+            network, optimizer, pictures, steering, dtype=machine.dtype, micro_batch=machine.micro_batch
+        )
+
+    parts["step"] = [(step, 1)]
     seconds: dict[str, list[list[float]]] = {name: [[] for _ in jobs] for name, jobs in parts.items()}
-    for _ in range(ROUNDS):
+    for _round in range(ROUNDS):
         for name, jobs in parts.items():
             for (job, times), taken in zip(jobs, seconds[name], strict=True):
                 job()

@@ -64,9 +64,8 @@ class LogPredictions:
         measures = measure(self.predicted[run][is_recorded], self.recorded[is_recorded], max_deg=self.max_deg)
         unit = measures.unit
         return (
-            f"{run}: {counted(measures.frames, 'frame')},"
-            f" RMSE {unit.of(measures.network.rmse_deg):.2f} {unit.name} from what was recorded"
-            f" (always the mean: {unit.of(measures.mean.rmse_deg):.2f}),"
+            f"{run}: {counted(measures.frames, 'frame')}, RMSE {unit.of(measures.network.rmse_deg):.2f}"
+            f" {unit.name} from what was recorded (always the mean: {unit.of(measures.mean.rmse_deg):.2f}),"
             f" MAE {unit.of(measures.network.mae_deg):.2f}"
         )
 
