@@ -156,7 +156,7 @@ def print_products(_: Path) -> None:
     }  # each with how often a batch needs it
     network.train()
 
-    def step() -> float:
+    def step() -> torch.Tensor:
         return training_step(
             network, optimizer, pictures, steering, dtype=machine.dtype, micro_batch=machine.micro_batch
         )
