@@ -131,7 +131,7 @@ def _hidden_room_line(room: str) -> str | None:
 
 def _is_intact(room: Path) -> bool:
     """False if another package that was installed into the same folder has replaced the room's __init__.py, or has
-    taken it away when it was uninstalled. Ours import `refuse_hidden` from this module."""
+    taken it away when it was uninstalled. Ours name this module."""
     try:
         return __name__ in (room / "__init__.py").read_text(encoding="utf-8", errors="replace")
     except FileNotFoundError:

@@ -3,10 +3,6 @@
 It imports no other room, and every room may import it.
 """
 
-from behavioural_cloning_toolkit import refuse_hidden
-
-refuse_hidden(__name__)
-
 from common.errors import Skipped, UserError
 from common.files import atomic_file
 

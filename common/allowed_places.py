@@ -47,7 +47,7 @@ class AllowedPlaces:
 
     def __init__(self, holder: Location, *projects: Location) -> None:
         self._projects = [*map(absolute, projects)]
-        self._folders = [absolute(each) for each in (*_BY_DEFAULT, *_named, *map(location, _recorded(holder)))]
+        self._folders = [absolute(place) for place in (*_BY_DEFAULT, *_named, *map(location, _recorded(holder)))]
         self._holds: dict[Path, bool] = {}
 
     def __contains__(self, place: Location) -> bool:
@@ -111,7 +111,7 @@ def folders_of(files: Iterable[Location]) -> set[Location]:
 
 def places_of(*holders: Location) -> list[Location]:
     """All that is allowed to these besides their projects, for `allow_places` on another machine."""
-    return [*_named, *(location(each) for holder in holders for each in _recorded(holder))]
+    return [*_named, *(location(place) for holder in holders for place in _recorded(holder))]
 
 
 def _is_in_project(place: Location, project: Location) -> bool:

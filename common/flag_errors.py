@@ -49,7 +49,7 @@ def _line_of(event: Any, config: Any) -> str:
         case "MissingArgs":
             if event.unrecognized_tokens and event.unrecognized_tokens[0].startswith("-"):
                 return f"{_unknown(event.unrecognized_tokens, config)}; {help_line}"
-            names = " and ".join(_name_of(each.arg) for each in event.missing_arguments)
+            names = " and ".join(_name_of(missing.arg) for missing in event.missing_arguments)
             return f"{names} {'is' if len(event.missing_arguments) == 1 else 'are'} missing; {help_line}"
         case "MissingSubcommand":
             return f"which command? One of {', '.join(event.subcommand_spec.parser_from_name)}; {help_line}"
@@ -84,12 +84,12 @@ def _unknown(tokens: Sequence[str], config: Any) -> str:
 def _names_of(kind: Any) -> Iterator[str]:
     """All flags and subcommands of a command, by its dataclass or the union of those of its subcommands."""
     if get_origin(kind) in (Union, UnionType):
-        for each in get_args(kind):
-            yield from (note.name for note in each.__metadata__)
-            yield from _names_of(each.__origin__)
+        for variant in get_args(kind):
+            yield from (note.name for note in variant.__metadata__)
+            yield from _names_of(variant.__origin__)
         return
     hints = get_type_hints(kind, include_extras=True)
-    for name in (each.name for each in dataclasses.fields(kind)):
+    for name in (flag.name for flag in dataclasses.fields(kind)):
         notes = getattr(hints[name], "__metadata__", ())
         inner = getattr(hints[name], "__origin__", hints[name])
         if dataclasses.is_dataclass(inner):
@@ -112,7 +112,7 @@ def _given(argument: Any) -> list[str]:
             if equals:
                 return [value]
             behind = sys.argv[at:]
-            end = next((i for i, each in enumerate(behind) if each.startswith("--")), len(behind))
+            end = next((i for i, word in enumerate(behind) if word.startswith("--")), len(behind))
             return behind[:end]
     return []
 

@@ -1,6 +1,7 @@
 """What `--help` shows: the flags that most people need, on one screen. `--help-all` shows the others too.
 
-A configuration lists its rare flags in `RARE: ClassVar[str]`. Parsing treats them as any other flag.
+A configuration lists its rare flags in `RARE: ClassVar[str]`, and in `EARLIER_FLAGS` those of the version before,
+which no help shows. Parsing treats them as any other flag.
 """
 
 from __future__ import annotations
@@ -36,25 +37,28 @@ def shown_by_help(config: Any, with_rare: bool) -> Any:
     `config` is a dataclass, or the union of those of a command's subcommands.
     """
     if get_origin(config) in (Union, UnionType):
-        kinds = [(each.__origin__, each.__metadata__) for each in get_args(config)]
+        kinds = [(variant.__origin__, variant.__metadata__) for variant in get_args(config)]
         return Union[tuple(Annotated[(shown_by_help(kind, with_rare), *notes)] for kind, notes in kinds)]  # noqa: UP007
     hints = get_type_hints(config, include_extras=True)
+    hidden = [*getattr(config, "EARLIER_FLAGS", "").split(), *([] if with_rare else _rare(config))]
     changed = []
-    for each in dataclasses.fields(config):
-        hint = hints[each.name]
+    for flag in dataclasses.fields(config):
+        hint = hints[flag.name]
         kind, notes = getattr(hint, "__origin__", hint), getattr(hint, "__metadata__", ())
-        default, factory = each.default, each.default_factory
-        if each.name in _rare(config) and not with_rare:
+        default, factory = flag.default, flag.default_factory
+        if flag.name in hidden:
             hint = Annotated[(hint, tyro.conf.Suppress)]
         elif dataclasses.is_dataclass(kind):
             factory = shown_by_help(kind, with_rare)
             hint = Annotated[(factory, *notes)]
-        elif (default is None or isinstance(default, bool)) and not _has_hint(notes):
+        elif (default is None or isinstance(default, bool)) and not any(
+            getattr(note, "help_behavior_hint", None) for note in notes
+        ):
             hint = Annotated[hint, tyro.conf.arg(help_behavior_hint="")]
-        if hint is not hints[each.name]:
+        if hint is not hints[flag.name]:
             default_of = {"default": default, "default_factory": factory}
             given: dict[str, Any] = {name: it for name, it in default_of.items() if it is not dataclasses.MISSING}
-            changed.append((each.name, hint, dataclasses.field(**given)))
+            changed.append((flag.name, hint, dataclasses.field(**given)))
     shown = dataclasses.make_dataclass(config.__name__, changed, bases=(config,), frozen=True)
     shown.__doc__ = config.__doc__
     return shown
@@ -68,18 +72,14 @@ def _has_rare_flags(config: Any) -> bool:
     if not dataclasses.is_dataclass(config):
         return False
     hints = get_type_hints(config)
-    return bool(_rare(config)) or any(_has_rare_flags(hints[each.name]) for each in dataclasses.fields(config))
+    return bool(_rare(config)) or any(_has_rare_flags(hints[flag.name]) for flag in dataclasses.fields(config))
 
 
 def _converted(values: Any, kind: Any) -> Any:
     """The same values as an instance of `kind`, a variant of their class."""
     hints = get_type_hints(kind)
-    fields = {each.name: getattr(values, each.name) for each in dataclasses.fields(kind)}
+    fields = {flag.name: getattr(values, flag.name) for flag in dataclasses.fields(kind)}
     converted = {
         name: _converted(value, hints[name]) for name, value in fields.items() if dataclasses.is_dataclass(value)
     }
     return kind(**fields | converted)
-
-
-def _has_hint(notes: Sequence[Any]) -> bool:
-    return any(getattr(note, "help_behavior_hint", None) for note in notes)

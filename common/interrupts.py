@@ -43,8 +43,6 @@ def leave_signals_to_main_thread() -> None:
 
 
 class _Event(Enum):
-    """An event for the thread of a `GracefulStop`."""
-
     REQUESTED = "the first signal has come"
     ANNOUNCED = "how the command is ended at once was printed"
     LOST = "Python dropped what a handler raised"
@@ -196,7 +194,6 @@ class StopEvent(threading.Event):
         return self.is_set()
 
     def note(self, number: int, frame: FrameType | None) -> None:
-        """The handler of a signal."""
         (self.again if self.is_set() else self).set()
 
 

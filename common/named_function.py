@@ -24,12 +24,12 @@ def load_function(flag: str, name: str) -> Callable[..., Any]:
     names = (
         _names_of_file(flag, name, Path(place)) if place.endswith(".py") else _names_of_module(flag, name, place)
     )
-    found: Callable[..., Any] | None = names.get(function)
-    if not callable(found):
-        functions = [each for each, value in names.items() if callable(value) and not each.startswith("_")]
+    loaded: Callable[..., Any] | None = names.get(function)
+    if not callable(loaded):
+        functions = [other for other, value in names.items() if callable(value) and not other.startswith("_")]
         meant = did_you_mean(function, functions)
         raise UserError(f"{flag} {name}: no function {function} in {place}{f'; {meant}' if meant else ''}")
-    return found
+    return loaded
 
 
 def in_one_line(error: BaseException) -> str:
@@ -40,7 +40,7 @@ def in_one_line(error: BaseException) -> str:
 
 def _names_of_file(flag: str, name: str, path: Path) -> dict[str, Any]:
     if not path.is_file():
-        meant = did_you_mean(str(path), [str(path.with_name(each.name)) for each in path.parent.glob("*.py")])
+        meant = did_you_mean(str(path), [str(path.with_name(other.name)) for other in path.parent.glob("*.py")])
         raise UserError(f"{flag} {name}: there is no file {path}; {meant or f'give its path from {Path.cwd()}'}")
     try:
         return runpy.run_path(str(path))
@@ -51,8 +51,8 @@ def _names_of_file(flag: str, name: str, path: Path) -> dict[str, Any]:
 
 
 def _names_of_module(flag: str, name: str, place: str) -> dict[str, Any]:
-    if (here := str(Path.cwd())) not in sys.path:
-        sys.path.append(here)  # behind all others: it hides nothing
+    if (folder := str(Path.cwd())) not in sys.path:
+        sys.path.append(folder)  # behind all others: it hides nothing
     try:
         return vars(importlib.import_module(place))
     except ModuleNotFoundError as error:

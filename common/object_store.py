@@ -79,12 +79,8 @@ def find_object(url: Url) -> StoredObject | None:
 def _stored_object(place: Url, meta: ObjectMeta) -> StoredObject:
     """An object in the bucket of `place`."""
     written_ns = int(meta["last_modified"].timestamp()) * 1_000_000_000
-    return StoredObject(Url(place.scheme, place.bucket, meta["path"]), meta["size"], _version(meta), written_ns)
-
-
-def _version(meta: ObjectMeta) -> str:
-    """An object's ETag, without the quotation marks, which Azure leaves out in listings."""
-    return (meta["e_tag"] or "").strip('"')
+    version = (meta["e_tag"] or "").strip('"')  # Azure leaves the quotation marks out in listings
+    return StoredObject(Url(place.scheme, place.bucket, meta["path"]), meta["size"], version, written_ns)
 
 
 def read_object(url: Url, max_bytes: int) -> bytes | None:
@@ -135,7 +131,9 @@ def put_file(url: Url, file: Path, replaces: ObjectVersion | None) -> ObjectVers
         except (failures.PreconditionError, failures.AlreadyExistsError):
             if (version := _version_if_same(url, file)) is not None:  # by this very call, and the answer was lost
                 return version
-            raise ObjectChangedError(f"{url}: was written by another machine meanwhile; that stays") from None
+            raise ObjectChangedError(
+                f"{url}: another machine has changed it at the same time; its version stays"
+            ) from None
     return ObjectVersion(made["e_tag"] or "", made["version"])
 
 

@@ -7,7 +7,6 @@ that a line names in backquotes are spelled so that they can be typed here.
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 import re
@@ -15,7 +14,7 @@ import shlex
 import shutil
 import sys
 import sysconfig
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Final
 
@@ -27,7 +26,7 @@ from rich.segment import ControlType, Segment
 from rich.table import Table
 from rich.text import Text
 
-from common.errors import UserError, printable
+from common.errors import printable
 from common.streams import unescaped
 
 _COMMAND: Final = re.compile(
@@ -35,7 +34,6 @@ _COMMAND: Final = re.compile(
     r"(bc-(?:record|log|index|train|runs|drive|play|sim|eval|demo|sweep|doctor|web)|rerun|torchrun|pip)"
     r"(?![\w-])"
 )
-_shown_as: Final[dict[str, str]] = {}
 _live_displays: Final[list[Console]] = []  # those with a progress bar on the terminal; the last one is drawn now
 _UNLIMITED: Final = 100_000  # columns
 _WITHOUT_BAR: Final = Control(  # the line of a progress bar that was not ended, which has hidden the cursor
@@ -87,6 +85,16 @@ def print_table(*parts: RenderableType) -> None:
         console.print(part, soft_wrap=is_free and isinstance(part, str))
 
 
+def plain_table(title: str | None, *headings: str, text: Collection[str] = ()) -> Table:
+    """An empty table, narrow enough for a terminal of 80 columns: numbers to the right, and never folded; what is
+    under the first heading, and those of `text`, to the left."""
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for number, heading in enumerate(headings):
+        is_text = not number or heading in text
+        table.add_column(heading, justify="left" if is_text else "right", no_wrap=not is_text)
+    return table
+
+
 def _least_width(table: Table, console: Console) -> int:
     """The width of the columns that are not to be folded, and of one character for each other."""
     return sum(
@@ -94,27 +102,6 @@ def _least_width(table: Table, console: Console) -> int:
         + max([console.measure(cell).maximum for cell in (column.header, *column.cells) if column.no_wrap] or [1])
         for column in table.columns
     )
-
-
-@contextlib.contextmanager
-def shown_as(names: Mapping[str, str]) -> Iterator[None]:
-    """Print other texts in the place of these, also in errors that are raised in the block: a person knows a file
-    by the name that it was given, not by where a command has it for a while."""
-    _shown_as.update(names)
-    try:
-        yield
-    except UserError as error:
-        error.args = (_as_shown(str(error)),)
-        raise
-    finally:
-        for name in names:
-            del _shown_as[name]
-
-
-def _as_shown(text: str) -> str:
-    for name, shown in _shown_as.items():
-        text = text.replace(name, shown)
-    return text
 
 
 def message_console() -> Console:
@@ -172,4 +159,4 @@ class _SafeConsole(Console):
 
 def safe_line(text: str) -> str:
     """One line that can be printed, whatever is in `text`; `print_result` and `print_message` do it themselves."""
-    return printable(_COMMAND.sub(lambda match: match[1] + shell_command(match[2]), _as_shown(text)))
+    return printable(_COMMAND.sub(lambda match: match[1] + shell_command(match[2]), text))

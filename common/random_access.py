@@ -41,8 +41,6 @@ class RandomAccess(Protocol):
 
 
 class LocalFile(Closeable):
-    """A file of this machine."""
-
     version = ""
     is_remote = False
 

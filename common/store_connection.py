@@ -48,18 +48,14 @@ def forget_stores() -> None:
 
 
 def store_of(url: Url, is_patient: bool) -> ObjectStore:
+    global _used_by
     if _used_by not in (0, os.getpid()):  # obstore's threads are not in it: it would wait forever
         raise StoreError(
-            f"{url}: cannot be read in a process that was forked from one which has read from a store; start it"
+            f"{url}: cannot be read in this process, because its parent had read from a store; start it"
             ' anew (a DataLoader: multiprocessing_context="spawn")'
         )
-    _note_process()
-    return _bucket(url.scheme, url.bucket, is_patient and not _is_hurried, _HURRIED if _is_hurried else _TIMEOUT)
-
-
-def _note_process() -> None:
-    global _used_by
     _used_by = os.getpid()
+    return _bucket(url.scheme, url.bucket, is_patient and not _is_hurried, _HURRIED if _is_hurried else _TIMEOUT)
 
 
 @cache

@@ -41,7 +41,7 @@ _ENDPOINTS: Final = {
 }
 _NOT_VALID: Final = ("InvalidAccessKeyId", "SignatureDoesNotMatch", "ExpiredToken", "InvalidToken")
 _RIGHTS: Final = {
-    "s3": "the rights s3:GetObject and s3:ListBucket (without which S3 refuses what is not there), to write"
+    "s3": "the rights s3:GetObject and s3:ListBucket (without it, S3 refuses missing objects), to write"
     " s3:PutObject and s3:DeleteObject, too",
     "gs": "the role Storage Object User",
     "az": "the role Storage Blob Data Contributor",
@@ -79,7 +79,7 @@ def store_error(url: Url, error: Exception, text: str) -> StoreError:
     if isinstance(error, exceptions.AlreadyExistsError):
         return ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
     if is_no_bucket(text):
-        return NoSuchObjectError(f"{bucket}: no such bucket{_endpoint(url)}; give the name of one that is there")
+        return NoSuchObjectError(f"{bucket}: no such bucket{_endpoint(url)}; give the name of an existing one")
     if "NoSuchUpload" in text:
         return StoreError(f"{url}: the store has given the upload up{_endpoint(url)}; give the command again")
     if isinstance(error, FileNotFoundError):
@@ -97,13 +97,13 @@ def store_error(url: Url, error: Exception, text: str) -> StoreError:
         rights = f"; they need {_RIGHTS[url.scheme]}" if _code(text) in _NO_RIGHT else ""
         return StoreError(f"{url}: the store refuses that to these credentials{_code(text)}{rights}")
     if isinstance(error, exceptions.NotSupportedError) or "NotImplemented" in text:
-        return StoreError(f"{url}: the store does not know what was asked of it{_code(text)}")
+        return StoreError(f"{url}: the store does not support this request{_code(text)}")
     return StoreError(f"{url}: {_reason(text)}{_endpoint(url)}")
 
 
 def _code(text: str) -> str:
-    found = re.search(r"<Code>(\w+)</Code>", text)
-    return f" ({found[1]})" if found else ""
+    code = re.search(r"<Code>(\w+)</Code>", text)
+    return f" ({code[1]})" if code else ""
 
 
 def _endpoint(url: Url) -> str:
@@ -117,7 +117,7 @@ def _reason(text: str) -> str:
         message = re.search(r"<Message>(.+?)</Message>", text)
         return f"the store answers {status[1]}{_code(text)}" + (f": {message[1][:200]}" if message else "")
     unreachable = ("refused", "error trying to connect", "dns", "could not connect", "connect timeout")
-    if "onnect" in text and any(each in text.lower() for each in unreachable):
+    if "onnect" in text and any(words in text.lower() for words in unreachable):
         return "the store cannot be reached"
     if is_cut_off(text) or "Connection was closed" in text:
         return "the connection to the store was cut, again and again; give the command again"

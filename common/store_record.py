@@ -29,8 +29,6 @@ class Copy(msgspec.Struct, frozen=True):
 
 
 class StoreRecord(msgspec.Struct, frozen=True):
-    """The content of the file."""
-
     url: str = ""
     files: dict[str, Copy] = {}
     left: dict[str, Copy] = {}

@@ -70,7 +70,7 @@ class StoredFolder(Closeable):
             lock(self._stream)
         elif not try_lock(self._stream):
             self._stream.close()
-            raise UserError(f"{url}: another process of this machine works on it; wait until that is done")
+            raise UserError(f"{url}: another process on this machine is using it; wait until it has ended")
         record = read_record(self.here)
         self._record = record if record.url == str(url) else StoreRecord(str(url))
         self._copies = dict(self._record.files)
@@ -95,11 +95,12 @@ class StoredFolder(Closeable):
         Raises UserError for a file that was, or whose name cannot be here; StoreError.
         """
         listed = list_below(self.url) if objects is None else objects
-        objects_by_name = {each.url.name_in(self.url): each for each in listed}
+        objects_by_name = {entry.url.name_in(self.url): entry for entry in listed}
         record = objects_by_name.get(RECORD_NAME)
-        there = {name: each for name, each in objects_by_name.items() if not _is_hidden(name)}
-        differ = [name for name, each in there.items() if self._differs(name, each, keeps_ours=keeps_ours)]
-        for name in self._copies.keys() - there.keys():
+        # without locks and the like, which other programs may have copied there
+        stored = {name: entry for name, entry in objects_by_name.items() if not f"/{name}".count("/.")}
+        differ = [name for name, entry in stored.items() if self._differs(name, entry, keeps_ours=keeps_ours)]
+        for name in self._copies.keys() - stored.keys():
             is_ours = keeps_ours or name in self._lines
             if not (is_ours and self._is_changed(name)):
                 (self.here / name).unlink(missing_ok=True)
@@ -111,16 +112,16 @@ class StoredFolder(Closeable):
         elif not differ:
             record_version = self._record.record_version
         fetched = [name for name in differ if wanted is None or name in wanted]
-        size = sum(there[name].size for name in fetched)
+        size = sum(stored[name].size for name in fetched)
         bar = _line_of(progress, f"fetching {self.url.name}, bytes", size)
         with bar as on_bytes, ThreadPoolExecutor(_AT_ONCE) as pool:
             fetching = [
-                (name, pool.submit(self._fetch, name, there[name], recorded.get(name), on_bytes))
+                (name, pool.submit(self._fetch, name, stored[name], recorded.get(name), on_bytes))
                 for name in fetched
             ]
-            for name, each in fetching:
-                self._copies[name] = each.result()
-        left = {name: _unfetched(there[name], recorded.get(name)) for name in set(differ).difference(fetched)}
+            for name, fetch in fetching:
+                self._copies[name] = fetch.result()
+        left = {name: _unfetched(stored[name], recorded.get(name)) for name in set(differ).difference(fetched)}
         self._write_record(left, record_version)
 
     def forget(self, *names: str) -> None:
@@ -185,10 +186,10 @@ class StoredFolder(Closeable):
 
     def _put_record(self, changed: Sequence[str], gone: Sequence[str]) -> None:
         """Enter the files that were sent into the store's record; the entries of other machines stay."""
-        there = record_of(read_object(self.url / RECORD_NAME, _MAX_BYTES) or b"").files
+        entered = record_of(read_object(self.url / RECORD_NAME, _MAX_BYTES) or b"").files
         sent = {name: self._copies[name] for name in changed}
-        known = {**self._copies, **self._record.left, **there, **sent}
-        files = {name: copy for name, copy in known.items() if name not in gone}
+        copies = {**self._copies, **self._record.left, **entered, **sent}
+        files = {name: copy for name, copy in copies.items() if name not in gone}
         put_over(self.url / RECORD_NAME, bytes_of(StoreRecord(str(self.url), files)))
 
     def _files(self) -> list[Path]:
@@ -207,23 +208,23 @@ class StoredFolder(Closeable):
             return copy is not None
         return copy is None or (status.st_size, status.st_mtime_ns) != (copy.size, copy.mtime_ns)
 
-    def _differs(self, name: str, there: StoredObject, *, keeps_ours: bool) -> bool:
+    def _differs(self, name: str, stored: StoredObject, *, keeps_ours: bool) -> bool:
         """True if a file has to be fetched for the local folder to hold it. Raises UserError as `bring` does."""
         if not is_within(name):
-            raise UserError(f"{there.url}: a name that no file here may have; remove it there")
+            raise UserError(f"{stored.url}: no file on this machine can have this name; remove it there")
         ours = self._copies.get(name)
-        is_ours = ours is not None and _version_of(ours).name == there.version
+        is_ours = ours is not None and _version_of(ours).name == stored.version
         is_changed = self._is_changed(name)
         if name in self._lines:
             return not is_ours or not (self.here / name).exists()
         if keeps_ours and is_changed and ours is not None and not is_ours:
             raise UserError(
-                f"{there.url}: was changed there, and its copy {self.here / name} here; remove one of the two"
+                f"{stored.url}: was changed, and so was its copy {self.here / name}; remove one of the two"
             )
         return not is_ours or (is_changed and not keeps_ours)
 
     def _fetch(
-        self, name: str, there: StoredObject, recorded: Copy | None, on_bytes: OnBytes = lambda more: None
+        self, name: str, stored: StoredObject, recorded: Copy | None, on_bytes: OnBytes = lambda more: None
     ) -> Copy:
         """Fetch a file over what is here; of one of lines, those that were added here stay behind those there."""
         path = self.here / name
@@ -232,7 +233,7 @@ class StoredFolder(Closeable):
         ours = path.read_bytes() if is_added_to else b""
         content = hashlib.sha256()
         try:
-            with ObjectFile(there.url) as source, atomic_file(path, overwrite=True) as part:
+            with ObjectFile(stored.url) as source, atomic_file(path, overwrite=True) as part:
                 with part.open("wb") as stream:
                     for data in source.read_from():
                         content.update(data)
@@ -240,13 +241,13 @@ class StoredFolder(Closeable):
                         on_bytes(len(data))
                 if recorded is not None and _version_of(recorded).name == source.object_version.name:
                     os.utime(part, ns=(recorded.mtime_ns, recorded.mtime_ns))
-                elif there.written_ns:
-                    os.utime(part, ns=(there.written_ns, there.written_ns))
+                elif stored.written_ns:
+                    os.utime(part, ns=(stored.written_ns, stored.written_ns))
                 status = part.stat()
                 _add_lines(part, ours)  # before it has its name: a kill between the two would lose them
         except NoSuchObjectError:
             raise ObjectChangedError(
-                f"{there.url}: was removed while it was read; give the command again"
+                f"{stored.url}: was removed while it was read; give the command again"
             ) from None
         return Copy(
             status.st_size,
@@ -281,11 +282,6 @@ def _is_it_or_in_it(name: str, file_or_folder: str) -> bool:
     return name == file_or_folder or (file_or_folder.endswith("/") and name.startswith(file_or_folder))
 
 
-def _is_hidden(name: str) -> bool:
-    """True for names of locks and the like, which other programs may have copied there."""
-    return any(part.startswith(".") for part in name.split("/"))
-
-
 @contextlib.contextmanager
 def _line_of(progress: Progress | None, description: str, total: int) -> Iterator[OnBytes]:
     """Show a line of a progress bar while the block runs; yields the callback that advances it."""
@@ -303,11 +299,11 @@ def _version_of(copy: Copy) -> ObjectVersion:
     return ObjectVersion(copy.e_tag, copy.version)
 
 
-def _unfetched(there: StoredObject, recorded: Copy | None) -> Copy:
+def _unfetched(stored: StoredObject, recorded: Copy | None) -> Copy:
     """The record's entry of a file that was not fetched."""
-    if recorded is not None and _version_of(recorded).name == there.version:
+    if recorded is not None and _version_of(recorded).name == stored.version:
         return recorded
-    return Copy(there.size, there.written_ns, there.version)
+    return Copy(stored.size, stored.written_ns, stored.version)
 
 
 def _sha256_of(path: Path) -> str:

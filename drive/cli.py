@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
@@ -19,7 +20,7 @@ from common.errors import UsageError, counted, printable
 from common.files import refuse_existing
 from common.interrupts import stop_signals
 from common.location import Url
-from common.output import print_message, print_next, print_result, print_table
+from common.output import plain_table, print_message, print_next, print_result, print_table
 from common.preview import has_display, preview
 from common.progress import StatusLine
 from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
@@ -54,9 +55,9 @@ def drive(config: Drive) -> int:
     from recorder.log_copy_cli import copy_recording, refuse_taken_name
 
     refuse_taken_name(path, config.force)
-    here = Path("drives") / path.name
-    code = _drive_to(here, config, settings)
-    return max(code, copy_recording(here, path.parent, config.force, prog="bc-drive"))
+    local = Path("drives") / path.name
+    code = _drive_to(local, config, settings)
+    return max(code, copy_recording(local, path.parent, config.force, prog="bc-drive"))
 
 
 def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
@@ -187,7 +188,6 @@ def _load_named(config: Drive, run: Path) -> None:
 
 
 def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
-    """Drive a Gymnasium environment."""
     from drive.drive_server import drive_metadata
     from drive.drive_session import DriveSession
     from drive.gymnasium_drive import check_pedals, drive_gymnasium, mean_reward
@@ -202,7 +202,7 @@ def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
         settings = _with_car(config, settings, run)
         pilot = load_pilot(run, config.precision)
         pilot.warm_up()
-        source = {"simulator": car.name, "gym.args": config.environment.gym_args, "gym.action": car.actions.text}
+        source = {"simulator": car.name, "gym.args": json.dumps(car.settings.args), "gym.action": car.actions.text}
         metadata = drive_metadata(pilot, settings) | source
         writer = LogWriter(path, metadata, overwrite=config.force, live=True)
         session = after.enter_context(DriveSession(pilot, settings, writer, _notify))
@@ -264,13 +264,13 @@ def _print_next(sessions: Sequence[DriveSession], config: Drive, run: Path) -> N
     else the one that shows the last drive."""
     from model.runs.run_arguments import run_argument
 
-    taken = [each for each in sessions if each.summary.takeovers + each.summary.manual_stretches]
+    taken = [session for session in sessions if session.summary.takeovers + session.summary.manual_stretches]
     if config.takeover is not None and taken:
-        logs = " ".join(shlex.quote(str(each.writer.path)) for each in taken)
-        times = sum(each.summary.takeovers + each.summary.manual_stretches for each in taken)
+        logs = " ".join(shlex.quote(str(session.writer.path)) for session in taken)
+        times = sum(session.summary.takeovers + session.summary.manual_stretches for session in taken)
         command = f"bc-train --init {run_argument(run)} --takeovers {logs}"
         print_next(command, f"it learns from {counted(times, 'takeover')}")
-    elif driven := [each for each in sessions if each.log.frames]:
+    elif driven := [session for session in sessions if session.log.frames]:
         print_next(f"bc-play {shlex.quote(str(driven[-1].writer.path))}")
 
 
@@ -317,17 +317,15 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
 
 
 def _rounds_table(rounds: Sequence[AggregationRound]) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for heading in ("run", "laps", "interventions", "autonomy", "log"):
-        table.add_column(heading, justify="left" if heading in ("run", "log") else "right")
-    for each in rounds:
-        percent = each.autonomy_percent
+    table = plain_table(None, "run", "laps", "interventions", "autonomy", "log", text={"log"})
+    for driven in rounds:
+        percent = driven.autonomy_percent
         table.add_row(
-            escape(printable(each.run)),
-            "unknown" if each.laps is None else f"{each.laps:.2f}",
-            f"{each.interventions:,}",
+            escape(printable(driven.run)),
+            "unknown" if driven.laps is None else f"{driven.laps:.2f}",
+            f"{driven.interventions:,}",
             "unknown" if percent is None else f"{percent:.1f} %",
-            escape(printable(str(each.log))),
+            escape(printable(str(driven.log))),
         )
     return table
 

@@ -29,8 +29,6 @@ _S_PER_MIN: Final = 60.0
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The state of a project."""
-
     here: list[str] = field(default_factory=list)  # a line for each folder
     odd: list[str] = field(default_factory=list)
     good: list[str] = field(default_factory=list)  # how good the newest run is
@@ -41,20 +39,20 @@ class Diagnosis:
 def examine(project: Path | str = ".") -> Diagnosis:
     """Examine the folders sessions, index, runs and drives of a project; commands are to be typed in it. What
     cannot be read is a problem of its own, and hides nothing else."""
-    project, found, wanted = Path(project), Diagnosis(), _Wanted()
-    sessions = _logs(project, "sessions", found, wanted)
-    _index(project, found, wanted, has_sessions=bool(sessions))
-    _runs(project, found, wanted, has_sessions=bool(sessions))
-    drives = _logs(project, "drives", found, wanted)
+    project, diagnosis, wanted = Path(project), Diagnosis(), _Wanted()
+    sessions = _logs(project, "sessions", diagnosis, wanted)
+    _index(project, diagnosis, wanted, has_sessions=bool(sessions))
+    _runs(project, diagnosis, wanted, has_sessions=bool(sessions))
+    drives = _logs(project, "drives", diagnosis, wanted)
     if not sessions and not drives:
         wanted.begin.append(Advice("see all of it at work", "bc-demo"))
         wanted.begin.append(Advice("the built-in simulator's expert drives", "bc-record lake --track lake"))
-        wanted.begin.append(Advice("take what was driven elsewhere", "bc-record mine --from ~/recording"))
+        wanted.begin.append(Advice("import a drive from elsewhere", "bc-record mine --from ~/recording"))
     if drives:
         newest = max(drives, key=lambda info: info.start)
         wanted.last.append(Advice("the newest drive", f"bc-play {_shown(project, Path(newest.path))}"))
-    found.advice.extend(wanted.first(MAX_COMMANDS))
-    return found
+    diagnosis.advice.extend(wanted.first(MAX_COMMANDS))
+    return diagnosis
 
 
 @dataclass(frozen=True)
@@ -70,36 +68,38 @@ class _Wanted:
     def first(self, count: int) -> list[Advice]:
         always = [Advice("pages of all that is here", "bc-web --open"), Advice("what each log holds", "bc-log ls")]
         every = [*self.mend, *self.begin, *self.learn, *self.look, *self.last, *always]
-        return list({each.command: each for each in reversed(every)}.values())[::-1][:count]
+        return list({advice.command: advice for advice in reversed(every)}.values())[::-1][:count]
 
 
-def _logs(project: Path, name: str, found: Diagnosis, wanted: _Wanted) -> list[LogInfo]:
+def _logs(project: Path, name: str, diagnosis: Diagnosis, wanted: _Wanted) -> list[LogInfo]:
     """The logs of a folder that can be read."""
     logs = [path for path in logs_in(project / name) if not is_being_written(path)]
-    known: list[LogInfo] = []
+    infos: list[LogInfo] = []
     broken: list[Path] = []
     for path in logs:
-        info = _tried(partial(describe, path), path, found)
+        info = _tried(partial(describe, path), path, diagnosis)
         if info is not None:
-            known.append(info)
+            infos.append(info)
         if info is None or info.notice:
             broken.append(path)
-            found.odd.append(f"{_shown(project, path)}: {'cannot be read' if info is None else 'never finished'}")
+            diagnosis.odd.append(
+                f"{_shown(project, path)}: {'cannot be read' if info is None else 'never finished'}"
+            )
     if broken:
         others = f", and {counted(len(broken) - 1, 'other log')} of {name}" if len(broken) > 1 else ""
         first = _shown(project, broken[0])
         wanted.mend.append(Advice(f"it is damaged, or not finished{others}", f"bc-log recover {first}"))
     if not logs:
-        found.here.append(f"{name}: no logs")
+        diagnosis.here.append(f"{name}: no logs")
         return []
-    minutes = sum(info.length_s for info in known) / _S_PER_MIN
-    rows = counted(sum(info.rows for info in known), "row")
-    found.here.append(f"{name}: {counted(len(logs), 'log')}, {rows}, {minutes:,.1f} min")
-    _odd_rows(project, name, known, found, wanted)
-    return known
+    minutes = sum(info.length_s for info in infos) / _S_PER_MIN
+    rows = counted(sum(info.rows for info in infos), "row")
+    diagnosis.here.append(f"{name}: {counted(len(logs), 'log')}, {rows}, {minutes:,.1f} min")
+    _odd_rows(project, name, infos, diagnosis, wanted)
+    return infos
 
 
-def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], found: Diagnosis, wanted: _Wanted) -> None:
+def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], diagnosis: Diagnosis, wanted: _Wanted) -> None:
     """The logs with the most odd rows; what is tagged is known."""
     odd = sorted(
         (info for info in logs if info.odd and all(tag.name == FINE for tag in info.tags)),
@@ -109,17 +109,17 @@ def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], found: Diagnosi
         path = _shown(project, Path(info.path))
         stretches, rows = info.odd or [], sum(info.odd_rows.values())
         kinds = ", ".join(f"{ODD_KINDS.get(kind, kind)}: {count:,}" for kind, count in info.odd_rows.items())
-        longest = max(stretches, key=lambda each: each.last_row - each.first_row)
+        longest = max(stretches, key=lambda stretch: stretch.last_row - stretch.first_row)
         at = f"the longest stretch: rows {longest.first_row} to {longest.last_row}"
-        found.odd.append(printable(f"{path}: {counted(rows, 'odd row')} of {info.rows:,} ({kinds}); {at}"))
-        perhaps = sum(each.rows for each in stretches if each.is_learnt)  # the rest is left out by itself
+        diagnosis.odd.append(printable(f"{path}: {counted(rows, 'odd row')} of {info.rows:,} ({kinds}); {at}"))
+        perhaps = sum(stretch.rows for stretch in stretches if stretch.is_learnt)  # the rest is left out by itself
         if name == "sessions" and perhaps > _MUCH * info.rows:
             wanted.look.append(Advice(f"{counted(perhaps, 'odd row')} of {info.rows:,}", f"bc-log check {path}"))
     if len(odd) > _MAX_NAMED:
-        found.odd.append(f"and {counted(len(odd) - _MAX_NAMED, 'more log')} in {name}: `bc-log ls {name}`")
+        diagnosis.odd.append(f"and {counted(len(odd) - _MAX_NAMED, 'more log')} in {name}: `bc-log ls {name}`")
 
 
-def _index(project: Path, found: Diagnosis, wanted: _Wanted, *, has_sessions: bool) -> None:
+def _index(project: Path, diagnosis: Diagnosis, wanted: _Wanted, *, has_sessions: bool) -> None:
     from dataset import sessions_not_indexed
     from dataset.index.not_learnt import has_earlier_rules
     from dataset.parquet_file import read_metadata
@@ -128,7 +128,7 @@ def _index(project: Path, found: Diagnosis, wanted: _Wanted, *, has_sessions: bo
     index, sessions = project / "index", project / "sessions"
     if not (index / SAMPLES_NAME).exists():
         own = sorted(project.glob(f"index-*/{SAMPLES_NAME}"))  # of `bc-train --on`
-        found.here.append(
+        diagnosis.here.append(
             f"index: {counted(len(own), 'run has its own', 'runs have their own') if own else 'none'}"
         )
         if has_sessions and not own:
@@ -137,31 +137,33 @@ def _index(project: Path, found: Diagnosis, wanted: _Wanted, *, has_sessions: bo
     stored = read_metadata(index / SAMPLES_NAME) or {}
     counts = stored.get("counts")
     if not isinstance(counts, dict):
-        found.problems.append(f"{index / SAMPLES_NAME}: damaged, or of another version; `bc-index` makes it anew")
+        diagnosis.problems.append(
+            f"{index / SAMPLES_NAME}: damaged, or of another version; `bc-index` makes it anew"
+        )
         wanted.mend.append(Advice("the index cannot be read", "bc-index"))
         return
-    training = sum(_number(each, "training") for each in counts.values())
-    held_out = sum(_number(each, "validation") for each in counts.values())
+    training = sum(_number(of_session, "training") for of_session in counts.values())
+    held_out = sum(_number(of_session, "validation") for of_session in counts.values())
     sizes = f"{counted(training, 'frame')} for training, {held_out:,} held out"
-    found.here.append(f"index: {counted(len(counts), 'session')}, {sizes}")
+    diagnosis.here.append(f"index: {counted(len(counts), 'session')}, {sizes}")
     if has_earlier_rules(stored):
-        found.odd.append(
+        diagnosis.odd.append(
             "index: an earlier version made it, which held out crashes and did not know all that is odd"
         )
-        wanted.learn.append(Advice("what is odd is then neither learnt nor held out", "bc-index"))
+        wanted.learn.append(Advice("training and validation then leave out the odd rows", "bc-index"))
     tags = map(tags_path, logs_in(sessions)) if has_sessions else ()
     if any(_time_ns(path) > _time_ns(index / SAMPLES_NAME) for path in tags):
         wanted.learn.append(Advice("tags are newer than the index", "bc-index"))
-    absent = _tried(lambda: sessions_not_indexed(index, sessions), index, found) if has_sessions else []
+    absent = _tried(lambda: sessions_not_indexed(index, sessions), index, diagnosis) if has_sessions else []
     if absent:
         names = ", ".join(map(printable, absent[:_MAX_NAMED])) + (
             " and others" if len(absent) > _MAX_NAMED else ""
         )
-        found.odd.append(f"index: does not hold {names}")
+        diagnosis.odd.append(f"index: does not hold {names}")
         wanted.learn.append(Advice(f"{counted(len(absent), 'session')} not in the index", "bc-index"))
 
 
-def _runs(project: Path, found: Diagnosis, wanted: _Wanted, *, has_sessions: bool) -> None:
+def _runs(project: Path, diagnosis: Diagnosis, wanted: _Wanted, *, has_sessions: bool) -> None:
     from dataset.samples.samples_format import SAMPLES_NAME
     from model.runs.run_files import CONFIG, WEIGHTS
     from model.runs.run_summary import judge
@@ -169,31 +171,31 @@ def _runs(project: Path, found: Diagnosis, wanted: _Wanted, *, has_sessions: boo
     runs = [path.parent for path in (project / "runs").glob(f"*/{CONFIG}")]
     samples = project / "index" / SAMPLES_NAME
     if not runs:
-        found.here.append("runs: none")
+        diagnosis.here.append("runs: none")
         if has_sessions:
             wanted.learn.append(Advice("no run yet", "bc-train"))
             wanted.last.append(Advice("how good it is then", "bc-eval"))
         return
     newest = max(runs, key=lambda run: max(_time_ns(run / WEIGHTS), _time_ns(run / CONFIG)))
     name = printable(newest.name)
-    found.here.append(f"runs: {len(runs):,}, the newest is {name}")
+    diagnosis.here.append(f"runs: {len(runs):,}, the newest is {name}")
     if _time_ns(samples) > max(_time_ns(newest / WEIGHTS), _time_ns(newest / CONFIG)):
         wanted.learn.append(Advice(f"the index is newer than {name}", "bc-train"))
-    if (verdict := _tried(lambda: judge(newest), newest, found)) is not None:
-        found.good.append(f"{name}: {verdict.summary}")
+    if (verdict := _tried(lambda: judge(newest), newest, diagnosis)) is not None:
+        diagnosis.good.append(f"{name}: {verdict.summary}")
         wanted.learn.append(verdict.advice)
 
 
 _Result = TypeVar("_Result")
 
 
-def _tried(read: Callable[[], _Result], place: Path, found: Diagnosis) -> _Result | None:
+def _tried(read: Callable[[], _Result], place: Path, diagnosis: Diagnosis) -> _Result | None:
     """What `read` gives; None where it fails, which is a problem of that place."""
     try:
         return read()
     except Exception as error:
         problem: UserError = as_user_error(place, error)
-        found.problems.append(str(problem))
+        diagnosis.problems.append(str(problem))
         return None
 
 

@@ -35,21 +35,21 @@ class Doctor:
 def doctor(config: Doctor) -> int:
     if not config.project.is_dir():
         raise UserError(
-            f"{config.project}: no such folder; a project's was expected, which holds sessions/ or runs/"
+            f"{config.project}: no such folder; give the folder of a project, which has sessions/ or runs/"
         )
     from drive.doctor import examine  # NumPy, Arrow
 
     with contextlib.chdir(config.project):  # the commands are to be typed there
-        found = examine()
+        diagnosis = examine()
     if config.json:
-        print_result(json.dumps(asdict(found)))
+        print_result(json.dumps(asdict(diagnosis)))
     else:
-        print_result(*found.here)
-        _print_part("odd", found.odd)
-        _print_part("how good", found.good)
-        there = f"cd {shlex.quote(str(config.project))} && " if config.project != Path() else ""
-        print_result(*(f"next: `{there}{each.command}`: {each.why}" for each in found.advice))
-    return max([DONE, *map(warn, found.problems)])
+        print_result(*diagnosis.here)
+        _print_part("odd", diagnosis.odd)
+        _print_part("how good", diagnosis.good)
+        cd = f"cd {shlex.quote(str(config.project))} && " if config.project != Path() else ""
+        print_result(*(f"next: `{cd}{advice.command}`: {advice.why}" for advice in diagnosis.advice))
+    return max([DONE, *map(warn, diagnosis.problems)])
 
 
 def _print_part(title: str, lines: Sequence[str]) -> None:

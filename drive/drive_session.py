@@ -183,7 +183,6 @@ class DriveSession:
         return replace(_NEUTRAL, decimal_separator=self._last_steer.decimal_separator)
 
     def status(self, now_s: float) -> str:
-        """The status line of the drive."""
         if self.is_connected or self.is_empty:
             return self._status.line(now_s)
         return f"the simulator has gone: waiting, with {counted(self.log.frames, 'frame')} so far"

@@ -22,8 +22,6 @@ EPISODES_METADATA: Final = "bc.gymnasium"
 
 @dataclass(frozen=True)
 class Episode:
-    """An episode that was driven."""
-
     seed: int
     steps: int
     reward: float
@@ -34,8 +32,8 @@ def check_pedals(car: GymnasiumCar) -> None:
     """Raise DriveError if nothing can work the pedals: a network only steers."""
     if car.actions.has_pedals and not (car.has_speed or car.has_expert):
         raise DriveError(
-            f"--gym-action {car.actions.text}: the network steers; for the pedals give its speed, which is kept at"
-            " --speed, by --gym-speed KEY, give their driver by --expert MODULE:FUNCTION, or give"
+            f"--gym: action {car.actions.text}: the network steers; for the pedals give speed, the key of the"
+            " environment's, which is kept at --speed, their driver by --expert MODULE:FUNCTION, or"
             " constants in their place (steering,0.1,0)"
         )
 

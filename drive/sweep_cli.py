@@ -18,14 +18,12 @@ from rich.table import Table
 
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, run_command, warn
 from common.errors import UsageError, counted, printable
-from common.location import Location
 from common.location_flag import LocationFlag
-from common.output import print_message, print_next, print_result, print_table
+from common.output import plain_table, print_message, print_next, print_result, print_table
 from common.progress import track
 from common.random_access import is_there
 from common.ray_flag import RayAddress, tasks_of
 from common.steering_unit import DEGREES
-from drive.earlier_flags import understand_earlier
 from model.runs.run_files import without_nan
 
 if TYPE_CHECKING:
@@ -54,7 +52,7 @@ class Sweep:
     index: LocationFlag = Path("index")
     """The index."""
     runs: LocationFlag = Path("runs")
-    """Folder of the runs; copied to a URL, which several machines may share."""
+    """Folder of the runs; copied to a URL, which machines may share."""
     drives: LocationFlag = Path("drives")
     """Folder of the drives' logs; finished logs are copied to a URL."""
     ray: RayAddress = None
@@ -87,19 +85,20 @@ def sweep(config: Sweep) -> int:
     done: list[Swept] = []
     try:
         with tasks_of(config.ray, num_cpus=config.cpus, num_gpus=config.gpus) as tasks:
-            found = run_sweep(plan, config.index, config.runs, config.drives, tasks)
+            trainings = run_sweep(plan, config.index, config.runs, config.drives, tasks)
             # one by one, each training has a bar of its own
-            shown = found if config.ray is None else track(found, "training", len(plan.trainings))
+            shown = trainings if config.ray is None else track(trainings, "training", len(plan.trainings))
             for swept in shown:
                 done.append(swept)
                 _print_one(swept, as_json=config.json)
     except KeyboardInterrupt:
-        print_message("bc-sweep: what is learnt and driven is kept; the same command goes on")
+        print_message("bc-sweep: finished trainings and drives are kept; the same command continues")
         raise
     finally:
         if done and not config.json:
             print_table(_table(plan.name, done))
-            print_next(f"bc-runs --sort interventions{_runs_flag(config.runs)}")
+            flag = "" if config.runs == Sweep.runs else f" --runs {shlex.quote(str(config.runs))}"
+            print_next(f"bc-runs --sort interventions{flag}")
     failed = [swept for swept in done if swept.failure]
     if failed:
         warn(f"{counted(len(failed), 'training')} of {len(done):,} failed; the same command tries them again")
@@ -115,8 +114,8 @@ def _print_one(swept: Swept, *, as_json: bool) -> None:
     if as_json:
         summary = None if swept.summary is None else {**asdict(swept.summary), "results": swept.summary.drives}
         settings = asdict(swept.training.config)
-        found = {"run": run, "settings": settings, "failure": swept.failure, "summary": summary}
-        print_result(json.dumps(without_nan(found)))
+        entry = {"run": run, "settings": settings, "failure": swept.failure, "summary": summary}
+        print_result(json.dumps(without_nan(entry)))
     elif not swept.failure and swept.summary is not None:
         drives = swept.summary.drives
         driven = f", autonomy {_mean(swept.summary):.1f} % in {counted(len(drives), 'drive')}" if drives else ""
@@ -128,9 +127,7 @@ def _table(name: str, done: Sequence[Swept]) -> Table:
     """A row for each setting: the mean over its seeds, and the least and the largest."""
     unit = next((swept.summary.unit for swept in done if swept.summary is not None), DEGREES)
     title = f"{printable(name)}: means over the seeds (least to largest); RMSE of frames held out, in {unit.name}"
-    table = Table(title=title, box=None, pad_edge=False)
-    for heading in ("settings", "seeds", "failed", "RMSE", "interventions/km", "autonomy, %"):
-        table.add_column(heading, justify="left" if heading == "settings" else "right")
+    table = plain_table(title, "settings", "seeds", "failed", "RMSE", "interventions/km", "autonomy, %")
     ordered = sorted(done, key=lambda swept: swept.training.varied)
     for varied, members in groupby(ordered, key=lambda swept: swept.training.varied):
         of_setting = list(members)
@@ -146,10 +143,6 @@ def _table(name: str, done: Sequence[Swept]) -> Table:
     return table
 
 
-def _runs_flag(runs: Location) -> str:
-    return "" if runs == Sweep.runs else f" --runs {shlex.quote(str(runs))}"
-
-
 def _mean(summary: RunSummary) -> float:
     """Autonomy in percent, over all drives of a run."""
     drives = [float(drive["autonomy_percent"]) for drive in summary.drives if "autonomy_percent" in drive]
@@ -157,13 +150,12 @@ def _mean(summary: RunSummary) -> float:
 
 
 def _spread(values: Sequence[float], digits: int) -> str:
-    known = [value for value in values if math.isfinite(value)]
-    if not known:
+    finite = [value for value in values if math.isfinite(value)]
+    if not finite:
         return "-"
-    mean = f"{statistics.fmean(known):.{digits}f}"
-    return mean if len(known) == 1 else f"{mean} ({min(known):.{digits}f} to {max(known):.{digits}f})"
+    mean = f"{statistics.fmean(finite):.{digits}f}"
+    return mean if len(finite) == 1 else f"{mean} ({min(finite):.{digits}f} to {max(finite):.{digits}f})"
 
 
 def main() -> None:
-    understand_earlier("bc-sweep", {"--logs": "--drives"})
     run_command("bc-sweep", Sweep, sweep)

@@ -6,7 +6,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class VehicleState(_message.Message):
-    __slots__ = ("steering", "throttle", "brake", "speed_mph", "device")
+    __slots__ = ("steering", "throttle", "brake", "speed_mph", "device", "not_recorded_s")
     class Device(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         UNKNOWN: _ClassVar[VehicleState.Device]
@@ -24,12 +24,14 @@ class VehicleState(_message.Message):
     BRAKE_FIELD_NUMBER: _ClassVar[int]
     SPEED_MPH_FIELD_NUMBER: _ClassVar[int]
     DEVICE_FIELD_NUMBER: _ClassVar[int]
+    NOT_RECORDED_S_FIELD_NUMBER: _ClassVar[int]
     steering: float
     throttle: float
     brake: float
     speed_mph: float
     device: VehicleState.Device
-    def __init__(self, steering: _Optional[float] = ..., throttle: _Optional[float] = ..., brake: _Optional[float] = ..., speed_mph: _Optional[float] = ..., device: _Optional[_Union[VehicleState.Device, str]] = ...) -> None: ...
+    not_recorded_s: float
+    def __init__(self, steering: _Optional[float] = ..., throttle: _Optional[float] = ..., brake: _Optional[float] = ..., speed_mph: _Optional[float] = ..., device: _Optional[_Union[VehicleState.Device, str]] = ..., not_recorded_s: _Optional[float] = ...) -> None: ...
 
 class PilotCommand(_message.Message):
     __slots__ = ("predicted_steering", "steering", "throttle", "driver", "set_speed_mph", "decode_ms", "network_ms", "total_ms", "parse_ms", "expert_steering", "predicted_speed_mph", "predicted_throttle", "in_flight")

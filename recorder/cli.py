@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import Annotated, ClassVar
 
 import tyro
 
@@ -13,9 +13,6 @@ from common.location_flag import LocationFlag
 from recorder.sources.gymnasium_flags import GymFlags
 from recorder.sources.simulated_drive import SimulatedDrive
 from recorder.sources.topic_flags import Topics
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)
@@ -27,10 +24,10 @@ class Record:
     bc-record mine --from ~/beta_simulator/recording --watch
     """
 
-    RARE: ClassVar[str] = "idle host port topics columns all_catalogs udacity copy_to page wander"
+    RARE: ClassVar[str] = "idle host port topics columns udacity copy_to page wander"
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
     """Name of the session, without folder or ending."""
-    source: Annotated[LocationFlag | None, tyro.conf.arg(name="from", metavar="SOURCE")] = None
+    source: Annotated[Path | None, tyro.conf.arg(name="from", metavar="SOURCE")] = None
     """Import a Udacity folder, DonkeyCar tub, .mcap, ROS 2 bag, LeRobot dataset or csv."""
     watch: bool = False
     """Follow the folder of --from as it is written."""
@@ -45,14 +42,12 @@ class Record:
     port: int = 4567
     """Port for --listen."""
     car: Annotated[str | None, tyro.conf.arg(metavar="udacity|built-in|FILE.toml")] = None
-    """Angle, cameras, unit of speed; by default Udacity's."""
+    """The car: steering angle, cameras, unit of speed; by default Udacity's."""
     topics: tyro.conf.OmitArgPrefixes[Topics] = field(default_factory=Topics)
     columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHAT=COLUMN [WHAT=COLUMN ...]")] = ()
     """Columns of a csv: image=frame steering=angle, and more."""
-    all_catalogs: bool = False
-    """Also import a tub's catalogues missing in its manifest."""
     rate: float | None = None
-    """Rows a second; simulated: 10, or another divisor of 50."""
+    """Rows a second; in the built-in simulator 10, or another divisor of 50."""
     udacity: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Also write the simulated drive as a Udacity recording."""
     sessions: LocationFlag = Path("sessions")
@@ -64,7 +59,7 @@ class Record:
     open: bool = False
     """With --driver me: open the browser."""
     page: bool = True
-    """With --driver me: serve no page; a running bc-web does."""
+    """With --driver me: serve no page, but use that of a running bc-web."""
     drive: tyro.conf.OmitArgPrefixes[SimulatedDrive] = field(default_factory=SimulatedDrive)
     environment: tyro.conf.OmitArgPrefixes[GymFlags] = field(default_factory=GymFlags)
     wander: float = 0.0

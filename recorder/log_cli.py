@@ -15,7 +15,7 @@ from common.location import Location
 from common.output import print_result
 from recorder.errors import RecordingError
 from recorder.log_copy_cli import CopyLogs
-from recorder.log_edit_cli import Merge, Recover, Rewrite, Split, Trim, noted, remark_crcs, some_logs
+from recorder.log_edit_cli import Merge, Recover, Rewrite, Split, Trim, noted, refuse_fewer, remark_crcs
 from recorder.log_export_cli import ExportLogs
 from recorder.log_flag import LogFlag
 from recorder.log_list_cli import ListLogs
@@ -26,12 +26,12 @@ from recorder.log_tag_cli import NameRows, warn_stale
 
 @dataclass(frozen=True)
 class ShowInfo:
-    """Show what logs hold, their origin, and how they were steered. Reads only their ends."""
+    """Show what logs contain, their origin, and how they were steered. Reads only their ends."""
 
     logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to describe."""
     look: bool = False
-    """Also measure the lag of the steering, in up to 1,500 pictures, if it is not known; it is kept next to the
+    """If the steering's lag is unknown, measure it in up to 1,500 pictures, and keep it next to the
     log."""
     json: bool = False
     """Print one JSON object a log."""
@@ -57,13 +57,13 @@ class ShowInfo:
 
 @dataclass(frozen=True)
 class Check:
-    """Check whole logs: CRCs, indexes, order, gaps, broken or frozen pictures, rows without one, stuck or
-    contradicting steering, values out of range; measure the steering's lag. Exit code 3 if something is wrong."""
+    """Check whole logs: CRCs, indexes, order, gaps, broken, frozen or missing pictures, stuck or contradicting
+    steering, values out of range; measure the steering's lag. Exit code 3 if something is wrong."""
 
     logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to check."""
     look: bool = True
-    """Decode every picture; --no-look does not, and is several times faster."""
+    """Decode every picture; --no-look skips this and is several times faster."""
     json: bool = False
     """Print one JSON object a log, with every finding."""
 
@@ -79,11 +79,11 @@ class Check:
 
         checked = check(path, look=self.look)
         if self.json:
-            found = [finding._asdict() for finding in checked.findings]
+            findings = [finding._asdict() for finding in checked.findings]
             result = {"path": str(path), "messages": checked.messages, "pictures_decoded": checked.pictures}
             gaps = {"meant_gaps": checked.meant_gaps, "pauses": checked.pauses}
-            more = {"has_crcs": checked.has_crcs, **gaps, "findings": found}
-            more |= {"odd": [asdict(each) for each in checked.odd]}
+            more = {"has_crcs": checked.has_crcs, **gaps, "findings": findings}
+            more |= {"odd": [asdict(stretch) for stretch in checked.odd]}
             more |= {"lag": checked.lag and checked.lag.lag and asdict(checked.lag.lag)}
             print_result(json.dumps({**result, **more}))
         else:
@@ -96,7 +96,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Cameras:
-    """Measure the side cameras' distance and the `bc-index --side-correction` for it (Udacity's: 0.2)."""
+    """Measure the side cameras' distance, and the `bc-index --side-correction` that fits (Udacity's: 0.2)."""
 
     logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """Logs with pictures of all three cameras."""
@@ -116,17 +116,17 @@ class Cameras:
 
         code = noted(path)
         with Log(path) as log:
-            found = side_cameras(log)
+            cameras = side_cameras(log)
             speed_mph = usual_speed_mph(log) or UDACITY_MPH
             try:
                 car, assumed = car_of(log), ""
             except RecordingError:  # the log does not say it
                 car, assumed = UDACITY, ", if its car is as Udacity's (`bc-record --car` keeps it)"
-        slow = found.side_correction(car, UDACITY_MPH)
+        slow = cameras.side_correction(car, UDACITY_MPH)
         print_result(
-            f"{path}: each side camera is {found.spacing:.2f} of its height above the road from the centre one"
-            f" (Udacity's: {UDACITY_SPACING:g}), in {counted(found.moments, 'moment')}:"
-            f" `bc-index --side-correction {found.side_correction(car, speed_mph):g}` leads back at"
+            f"{path}: each side camera is {cameras.spacing:.2f} of its height above the road from the centre one"
+            f" (Udacity's: {UDACITY_SPACING:g}), in {counted(cameras.moments, 'moment')}:"
+            f" `bc-index --side-correction {cameras.side_correction(car, speed_mph):g}` leads back at"
             f" {speed_mph:.0f} mph, this log's usual speed, {slow:g} at {UDACITY_MPH:g} mph{assumed}"
         )
         return code
@@ -150,8 +150,9 @@ Command = (
 
 def _each(logs: tuple[Location, ...], action: Callable[[Location], int]) -> int:
     """Do it for every log, also behind one that cannot be read; the worst of the exit codes."""
+    refuse_fewer(logs)
     codes = []
-    for path in some_logs(logs):
+    for path in logs:
         try:
             codes.append(action(path))
         except Exception as error:

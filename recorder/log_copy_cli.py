@@ -20,7 +20,7 @@ from common.location import Location, Url
 from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result
 from common.progress import progress_bar
-from recorder.log.logs_in_folder import logs_in
+from recorder.log.logs_in_folder import logs_at, logs_in
 from recorder.log_flag import named_log
 
 _MAX_NAMED: Final = 8
@@ -28,8 +28,8 @@ _MAX_NAMED: Final = 8
 
 @dataclass(frozen=True)
 class CopyLogs:
-    """Copy logs and tags to or from a store, whole or not at all, with every CRC compared. The same command
-    continues a stopped download, and skips what is there."""
+    """Copy logs and tags to or from a bucket, and compare every CRC. The same command
+    continues a stopped download, and skips logs that are there."""
 
     places: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...] TO")]
     """Logs or folders of logs, then the target: a folder, a URL, or a new name."""
@@ -61,7 +61,13 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
             of_many = f" ({number} of {len(pairs)})" if len(pairs) > 1 else ""
             task = progress.add_task(f"copying {log.name}{of_many}, bytes", total=size_of(log), note="")
             try:
-                done = copy_log(log, target, overwrite=overwrite, on_bytes=partial(progress.advance, task))
+                done = copy_log(
+                    log,
+                    target,
+                    overwrite=overwrite,
+                    keeps_damaged=True,
+                    on_bytes=partial(progress.advance, task),
+                )
             except OSError as error:
                 codes.append(print_error(prog, _unreadable_or_full(log, target, error)))
                 continue
@@ -83,7 +89,7 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
 def _unreadable_or_full(log: Location, target: Location, error: OSError) -> UserError:
     """The error to raise where the system refuses to read a file of this machine, or to write any more to it."""
     if error.filename is None and isinstance(target, Path):
-        return UserError(f"{target}: {error.strerror}; the same command goes on where this one has ended")
+        return UserError(f"{target}: {error.strerror}; the same command continues")
     return UserError(f"{error.filename or log}: {error.strerror}")
 
 
@@ -144,8 +150,7 @@ def _pairs(places: Sequence[Location], to: Location) -> list[tuple[Location, Loc
     """Each log, and the place of its copy."""
     logs: list[Location] = []
     for place in places:
-        is_folder = place.suffix != ".mcap" if isinstance(place, Url) else place.is_dir()
-        inside = [log for log in logs_in(place) if log.suffix == ".mcap"] if is_folder else [place]
+        inside = [log for log in logs_at(place) if log.suffix == ".mcap" or log == place]
         if not inside:
             raise UserError(f"{place}: no finished log in it")
         logs += inside
@@ -157,7 +162,7 @@ def _pairs(places: Sequence[Location], to: Location) -> list[tuple[Location, Loc
         raise UsageError(f"{to}: one log, but {len(logs):,} are given; give a folder")
     names = [target.name for _, target in pairs]
     if twice := {name for name in names if names.count(name) > 1}:
-        raise UsageError(f"{min(twice)}: two logs of one name; copy them to different folders")
+        raise UsageError(f"{min(twice)}: two logs have this name; copy them to different folders")
     return pairs
 
 

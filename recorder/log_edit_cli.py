@@ -1,8 +1,8 @@
-"""`bc-log recover`, `trim`, `merge`, `rewrite`, `split`: new logs made of logs."""
+"""`bc-log recover`, `trim`, `merge`, `rewrite`, `split`: new logs made of logs of this machine."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -13,57 +13,52 @@ from common.command import DONE, warn
 from common.errors import UsageError, counted
 from common.files import final_path
 from common.location import Location
-from common.location_flag import LocationFlag
-from common.output import print_message, print_result
-from recorder.log_flag import LogFlag
-from recorder.log_made_cli import MakesLogs, MakesLogsOfOne
+from common.output import print_message, print_next, print_result
+from recorder.log_flag import LocalLogFlag
 from recorder.log_report import print_written
 from recorder.log_row_flags import rows_of_flags, times_of_flags
-from recorder.log_tag_cli import LogPlace
+
+LocalLog = Annotated[LocalLogFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 
 
 @dataclass(frozen=True)
-class Recover(MakesLogsOfOne):
+class Recover:
     """Make a finished log from an unfinished or damaged one. Keeps everything with a correct CRC; names what is
     lost (exit code 3). The original stays."""
 
-    log: LogPlace
+    log: LocalLog
     """The unfinished or damaged log."""
-    to: LocationFlag | None = None
+    to: Path | None = None
     """The new log; by default NAME.mcap or NAME.recovered.mcap."""
     force: bool = False
     """Replace an existing file."""
 
-    def target(self) -> Location:
-        from recorder.upkeep.recover import recovered_name
-
-        return recovered_name(self.log) if self.to is None else _named(self.to)
-
-    def make_of(self, path: Path, to: Path) -> int:
+    def run(self) -> int:
         from recorder.log.reader import Log
         from recorder.upkeep.check import is_whole
-        from recorder.upkeep.recover import recover
+        from recorder.upkeep.recover import recover, recovered_name
 
+        path, to = self.log, recovered_name(self.log) if self.to is None else _named(self.to)
         if final_path(path) == path and is_whole(path):
-            print_result(f"{path}: whole, nothing to recover{'' if self.to else '; nothing was written'}")
+            print_result(f"{path}: complete, nothing to recover{'' if self.to else '; nothing was written'}")
             if self.to is None:
                 return DONE
         with Log(path) as log:
             if log.problem:
-                print_message(f"{path}: {log.problem}; all that is whole in it is recovered")
+                print_message(f"{path}: {log.problem}; everything complete in it is recovered")
             remark_crcs(path, log.has_crcs)
         code = print_written(recover(path, to, overwrite=self.force))
-        print_message(f"{path} is as it was; once {to} is checked it can be removed")
-        return code
+        print_message(f"{path} is unchanged; check {to}, then you can remove it")
+        return _made(to, code)
 
 
 @dataclass(frozen=True)
-class Trim(MakesLogsOfOne):
+class Trim:
     """Write a part of a log to a new one. Rows keep their numbers."""
 
-    log: LogPlace
+    log: LocalLog
     """The log to trim."""
-    to: LocationFlag
+    to: Path
     """The new log."""
     start: float | None = None
     """First second, counted from the log's first row."""
@@ -74,100 +69,81 @@ class Trim(MakesLogsOfOne):
     force: bool = False
     """Replace an existing file."""
 
-    def target(self) -> Location:
-        return _named(self.to)
-
-    def make_of(self, path: Path, to: Path) -> int:
+    def run(self) -> int:
         from recorder.upkeep.edit import trim, trim_times
 
-        code = noted(path)
+        to, code = _named(self.to), noted(self.log)
         if self.rows is not None:
-            rows = rows_of_flags(path, self.start, self.end, self.rows)
-            return max(code, print_written(trim(path, to, rows, overwrite=self.force)))
-        start_s, end_s = times_of_flags(self.start, self.end)
-        return max(code, print_written(trim_times(path, to, start_s, end_s, overwrite=self.force)))
+            rows = rows_of_flags(self.log, self.start, self.end, self.rows)
+            written = trim(self.log, to, rows, overwrite=self.force)
+        else:
+            written = trim_times(self.log, to, *times_of_flags(self.start, self.end), overwrite=self.force)
+        return _made(to, code, print_written(written))
 
 
 @dataclass(frozen=True)
-class Merge(MakesLogs):
+class Merge:
     """Join logs, in the order given, and renumber their rows."""
 
-    logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG LOG [LOG ...]")]
+    logs: Annotated[tuple[LocalLogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG LOG [LOG ...]")]
     """The logs to merge."""
-    to: LocationFlag
+    to: Path
     """The new log."""
     force: bool = False
     """Replace an existing file."""
 
-    def originals(self) -> Sequence[Location]:
-        return some_logs(self.logs, 2)
-
-    def target(self) -> Location:
-        return _named(self.to)
-
-    def make(self, logs: Sequence[Path], to: Path) -> int:
+    def run(self) -> int:
         from recorder.upkeep.edit import merge
 
-        code = max(map(noted, logs))
-        return max(code, print_written(merge(logs, to, overwrite=self.force)))
+        to = _named(self.to)
+        refuse_fewer(self.logs, 2)
+        codes = [*map(noted, self.logs)]
+        return _made(to, *codes, print_written(merge(self.logs, to, overwrite=self.force)))
 
 
 @dataclass(frozen=True)
-class Rewrite(MakesLogsOfOne):
-    """Rewrite an old log so that numbers are read without pictures. Content, tags and fingerprint stay."""
+class Rewrite:
+    """Rewrite an old log so that numbers can be read without pictures. Content, tags and fingerprint stay."""
 
-    log: LogPlace
+    log: LocalLog
     """The log to rewrite."""
-    to: LocationFlag
+    to: Path
     """The new log."""
     force: bool = False
     """Replace an existing file."""
 
-    def target(self) -> Location:
-        return _named(self.to)
-
-    def make_of(self, path: Path, to: Path) -> int:
+    def run(self) -> int:
         from recorder.upkeep.edit import rewrite
 
-        code = print_written(rewrite(path, to, overwrite=self.force))
-        print_message(f"{path} is as it was; once {to} is checked it can take its place")
-        return code
+        to = _named(self.to)
+        code = print_written(rewrite(self.log, to, overwrite=self.force))
+        print_message(f"{self.log} is unchanged; check {to}, then you can replace it")
+        return _made(to, code)
 
 
 @dataclass(frozen=True)
-class Split(MakesLogsOfOne):
+class Split:
     """Write each drive to a log of its own: NAME-1.mcap, NAME-2.mcap and so on. A new drive begins after a gap of
     more than a second, or where time goes back."""
 
-    log: LogPlace
+    log: LocalLog
     """The log to split."""
-    to: LocationFlag | None = None
+    to: Path | None = None
     """Folder of the new logs; by default that of the log."""
     force: bool = False
     """Replace existing files."""
 
-    def target(self) -> Location:
-        return self.log.parent if self.to is None else self.to
-
-    def make_of(self, path: Path, to: Path) -> int:
+    def run(self) -> int:
         from recorder.upkeep.edit import split
 
-        code = noted(path)
-        parts = split(path, to, overwrite=self.force)
-        return max(code, *map(print_written, parts))
+        folder, code = self.to or self.log.parent, noted(self.log)
+        return _made(folder, code, *map(print_written, split(self.log, folder, overwrite=self.force)))
 
 
-def some_logs(logs: tuple[Location, ...], least: int = 1) -> tuple[Location, ...]:
-    """The logs that were given. Raises UsageError for fewer than `least`."""
+def refuse_fewer(logs: tuple[Location, ...], least: int = 1) -> None:
+    """Raise UsageError for fewer logs than `least`."""
     if len(logs) < least:
         raise UsageError(f"give at least {counted(least, 'log')}, such as sessions/lake.mcap")
-    return logs
-
-
-def _named(to: Location) -> Location:
-    if to.suffix != ".mcap":
-        raise UsageError(f"{to}: a log ends in .mcap, or no other command finds it; give {to}.mcap")
-    return to
 
 
 def remark_crcs(path: Location, has_crcs: bool) -> None:
@@ -185,3 +161,15 @@ def noted(path: Location) -> int:
     with Log(path) as log:
         remark_crcs(path, log.has_crcs)
         return warn(log.notice) if log.notice else DONE
+
+
+def _named(to: Path) -> Path:
+    if to.suffix != ".mcap":
+        raise UsageError(f"{to}: the name of a log ends in .mcap; give {to}.mcap")
+    return to
+
+
+def _made(to: Path, *codes: int) -> int:
+    """Print what to do with a new log, or a folder of new logs; the worst of the exit codes."""
+    print_next(f"bc-log {'check' if to.suffix == '.mcap' else 'ls'} {shlex.quote(str(to))}")
+    return max(codes)

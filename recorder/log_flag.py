@@ -9,7 +9,7 @@ from typing import Annotated, Final, TypeAlias
 from tyro.constructors import PrimitiveConstructorSpec
 
 from common.errors import UserError
-from common.location import Location, Url, location
+from common.location import Location, Url, local_path, location
 
 SESSIONS: Final = Path("sessions")
 FOLDERS: Final = (SESSIONS, Path("drives"))
@@ -41,3 +41,15 @@ LogFlag: TypeAlias = Annotated[
         str_from_instance=lambda value: [str(value)],
     ),
 ]
+
+LocalLogFlag: TypeAlias = Annotated[
+    Path,
+    PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="LOG",
+        instance_from_str=lambda given: local_path(named_log(location(given[0]))),
+        is_instance=lambda value: isinstance(value, Path),
+        str_from_instance=lambda value: [str(value)],
+    ),
+]
+"""A log on this machine."""

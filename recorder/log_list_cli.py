@@ -12,9 +12,9 @@ from rich.table import Table
 from common import UserError
 from common.command import DONE, print_error, warn
 from common.errors import as_user_error
-from common.location import Location, Url, location
-from common.output import print_result, print_table
-from recorder.log.logs_in_folder import logs_in
+from common.location import Location, location
+from common.output import plain_table, print_result, print_table
+from recorder.log.logs_in_folder import logs_at
 from recorder.log_flag import FOLDERS, LogFlag
 from recorder.log_next import print_first, step_of_list
 from recorder.log_report import plain
@@ -65,25 +65,16 @@ class ListLogs:
         folders = [folder for folder in FOLDERS if folder.is_dir()]
         if not self.places and not folders:
             raise UserError("no sessions and no drives here; record one with `bc-record`, or name a folder")
-        logs = [
-            log for place in self.places or folders for log in (logs_in(place) if _is_folder(place) else [place])
-        ]
+        logs = [log for place in self.places or folders for log in logs_at(place)]
         if not logs:
             places = ", ".join(str(place) for place in self.places or folders)
             raise UserError(f"{places}: no log in it; record one with `bc-record`")
         return logs
 
 
-def _is_folder(place: Location) -> bool:
-    return place.suffix != ".mcap" if isinstance(place, Url) else place.is_dir()
-
-
 def _table(infos: Sequence[LogInfo]) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for heading in ("log", "begun, UTC", "min", "rows", "MB", "driven by", "odd", "tags"):
-        is_number = heading in ("min", "rows", "MB")
-        no_wrap = is_number or heading == "begun, UTC"
-        table.add_column(heading, justify="right" if is_number else "left", no_wrap=no_wrap, overflow="fold")
+    headings = ("log", "begun, UTC", "min", "rows", "MB", "driven by", "odd", "tags")
+    table = plain_table(None, *headings, text={"driven by", "odd", "tags"})
     for info in infos:
         odd = ", ".join(f"{rows:,} {kind.replace('_', ' ')}" for kind, rows in info.odd_rows.items())
         table.add_row(

@@ -75,7 +75,7 @@ def make_logs(command: MakesLogs) -> int:
     if to.suffix == ".mcap":
         refuse_taken_name(to, command.force)
         if to in originals:
-            raise LogError(f"{to}: the log itself, which stays as it is; give another name")
+            raise LogError(f"{to}: is the log itself, which is not changed; give another name")
     folder = Path(tempfile.mkdtemp(prefix="bc-new-logs-"))
     stays = False
     try:

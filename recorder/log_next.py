@@ -31,7 +31,7 @@ def step_of_info(info: LogInfo) -> NextStep:
     from recorder.rows.odd_stretches import exclude_command
 
     log, left = location(info.path), _left(info)
-    if any(each.is_sure for each in left):
+    if any(stretch.is_sure for stretch in left):
         return NextStep(1, exclude_command(left, log), _EXCLUDES)
     if left:
         return NextStep(2, _command("check", log), "it looks at the pictures of what is perhaps odd")
@@ -45,7 +45,7 @@ def step_of_check(info: LogInfo, odd: Sequence[OddStretch], *, is_damaged: bool)
     log = location(info.path)
     if is_damaged:
         return NextStep(0, _command("recover", log), "it writes what is sound to a new log")
-    left = [each for each in _left(info, odd) if each.is_sure]
+    left = [stretch for stretch in _left(info, odd) if stretch.is_sure]
     return NextStep(1, exclude_command(left, log), _EXCLUDES) if left else _go_on(log)
 
 
@@ -57,7 +57,7 @@ def print_first(steps: Sequence[NextStep]) -> None:
 
 def step_of_list(logs: Sequence[LogInfo]) -> NextStep:
     """What to do about one of these logs: that with most odd rows, else the newest."""
-    rows = {info.path: sum(each.rows for each in _left(info) if each.is_sure) for info in logs}
+    rows = {info.path: sum(stretch.rows for stretch in _left(info) if stretch.is_sure) for info in logs}
     odd = max(rows, key=lambda path: rows[path])
     if rows[odd]:
         return NextStep(1, _command("info", location(odd)), "what is odd in it")

@@ -74,11 +74,11 @@ def print_checked(checked: Checked, tags: Sequence[Tag]) -> None:
     decoded = f", {counted(checked.pictures, 'picture')} decoded" if checked.pictures else ""
     verdict = counted(len(checked.findings), "finding") if checked.findings else "nothing wrong"
     print_result(f"{checked.path}: {counted(checked.messages, 'message')}{decoded}: {verdict}")
-    found = Skipped()
+    places = Skipped()
     for finding in checked.findings:
         if finding.kind not in ODD_FINDINGS.values():  # those are named with their causes
-            found.add(finding.kind, finding.where)
-    for line in found.lines(MAX_PLACES):
+            places.add(finding.kind, finding.where)
+    for line in places.lines(MAX_PLACES):
         print_result(f"  {line}")
     if checked.lag is not None:
         words = lag_in_words(checked.lag.lag) if checked.lag.lag else "its pictures show no lag of the steering"
@@ -112,15 +112,19 @@ def _print_drives(info: LogInfo) -> None:
 
     if info.drives is None or info.flags is None:
         if not info.is_ours:
-            print_table("  written by another program: `bc-log check` looks at what is in it")
-        elif info.session.get("source") != "prediction" and not _has_rows(info):
+            print_table("  written by another program: `bc-log check` shows its content")
+        elif info.session.get("source") != "prediction" and not any(
+            topic.topic == VEHICLE and topic.messages for topic in info.topics
+        ):
             print_table("  no rows: nothing was driven")
     elif info.drives:
         print_table(f"  {counted(info.drives, 'drive')}; {'odd:' if info.odd else 'no odd rows'}")
         print_result(*(f"    {line}" for line in _odd_lines(info.odd or (), info.tags, location(info.path))))
     if info.meant_gaps:
         print_table(f"  {counted(len(info.meant_gaps), 'gap')} that its events explain, so nothing is lost there")
-    gaps = [each for each in info.stretches if each.flag == "gap" and each.last_row not in info.meant_gaps]
+    gaps = [
+        stretch for stretch in info.stretches if stretch.flag == "gap" and stretch.last_row not in info.meant_gaps
+    ]
     for gap in gaps[:MAX_PLACES]:
         goes_back = " (time goes back)" if gap.end_s < gap.begin_s else ""
         print_table(
@@ -138,10 +142,6 @@ def _odd_lines(odd: Sequence[OddStretch], tags: Sequence[Tag], log: Location) ->
     excluded = len(odd) - len(left)
     lines = [f"{counted(excluded, 'odd stretch is', 'odd stretches are')} excluded"] if excluded else []
     return [*odd_lines(left), *lines, *odd_advice(left, log)]
-
-
-def _has_rows(info: LogInfo) -> bool:
-    return any(topic.topic == VEHICLE and topic.messages for topic in info.topics)
 
 
 def _in_short(value: str) -> str:

@@ -39,7 +39,7 @@ class NameRows:
     log: LogPlace
     """The log to tag."""
     tag: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[TAG]")] = None
-    """The tag: `exclude`, `fine` (looked at, and not odd), or any name; none: list tags."""
+    """The tag: `exclude`, `fine` (not odd after all), or any name; without one, list the tags."""
     start: float | None = None
     """First second, counted from the log's first row."""
     end: float | None = None
@@ -53,7 +53,7 @@ class NameRows:
     where: Annotated[str | None, tyro.conf.arg(metavar="CONDITION")] = None
     """Tag all rows that meet this condition: "speed_mph < 2 and throttle = 0"."""
     yes: bool = False
-    """Tag what --odd or --where finds without asking."""
+    """Do not ask before tagging what --odd or --where finds."""
     remove: bool = False
     """Remove the tag from these rows, or from all."""
 
@@ -111,11 +111,11 @@ class NameRows:
             chosen = [Tag(int(states.row[first]), int(states.row[last]), name) for first, last in edges]
             words = [rows_of(tag) for tag in chosen]
         else:
-            found = [each for each in odd if each.is_sure]
+            sure = [stretch for stretch in odd if stretch.is_sure]
             if not self.remove:
-                found = tagged_rows(self.log).left(found)
-            chosen = [Tag(each.first_row, each.last_row, name) for each in found]
-            words = [str(each) for each in found]
+                sure = tagged_rows(self.log).left(sure)
+            chosen = [Tag(stretch.first_row, stretch.last_row, name) for stretch in sure]
+            words = [str(stretch) for stretch in sure]
         for line in words[:MAX_LINES]:
             print_message(line)
         if len(words) > MAX_LINES:
@@ -158,7 +158,7 @@ class NameRows:
             chosen = self._chosen(name)
         if not chosen and not self.remove:
             if self.where is not None:
-                raise UserError(f"{self.log}: no row for which that holds; nothing was tagged")
+                raise UserError(f"{self.log}: no row meets this condition; nothing was tagged")
             print_message(f"{self.log}: nothing that is surely odd; nothing was tagged")
             return tags
         if self.remove and not set(chosen) & set(tags):

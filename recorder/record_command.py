@@ -11,14 +11,12 @@ from typing import TYPE_CHECKING
 
 from common.command import check_port, flags_given, usage_errors, warn_skipped
 from common.errors import UsageError, counted, printable
-from common.files import refuse_existing
 from common.location import Url, local_path
 from common.output import print_message, print_next, print_result
 from common.preview import preview
 from recorder.errors import RecordingError
 from recorder.log.session_car import named_car
 from recorder.log_copy_cli import copy_recording, refuse_copying, refuse_taken_name
-from recorder.log_made_cli import brought_as_they_are
 from recorder.person_cli import AtTheWheel, check_at_the_wheel, listen_at_the_wheel, record_at_the_wheel
 from recorder.rows.odd_stretches import odd_advice, odd_lines
 from recorder.sources.built_in_simulator import check_drive, record_simulated
@@ -70,9 +68,6 @@ def _record_to(config: Record, log: Path) -> Imported:
     car = None if config.car is None else named_car(config.car)
     source = config.source
     with contextlib.ExitStack() as stack:
-        if isinstance(source, Url):
-            refuse_existing(log, config.force)  # before gigabytes are brought
-            (source,) = stack.enter_context(brought_as_they_are([source]))
 
         def show(growing: Path) -> None:
             if config.viewer:
@@ -112,14 +107,13 @@ def _record_to(config: Record, log: Path) -> Imported:
                 config.topics,
                 columns=config.columns,
                 rate_hz=config.rate,
-                all_catalogs=config.all_catalogs,
                 car=car,
                 overwrite=config.force,
             )
         if config.drive == SimulatedDrive():  # nobody has asked for it: perhaps --from was forgotten
             print_message(
                 f"bc-record: the built-in simulator's expert drives {config.drive.track};"
-                " --from FOLDER takes what was recorded elsewhere"
+                " --from FOLDER imports a recording"
             )
         return record_simulated(_drive_of(config), log, udacity=config.udacity, overwrite=config.force)
 
@@ -137,18 +131,13 @@ def _gym_recording(config: Record) -> GymRecording:
 def _refuse_contradictions(config: Record) -> None:
     name = config.name
     if isinstance(config.sessions, Url) and config.copy_to is not None:
-        raise UsageError(f"--sessions {config.sessions}: is where the log is copied to: leave out --copy-to")
+        raise UsageError(f"--sessions {config.sessions}: the log is already copied there: leave out --copy-to")
     if not name or name.startswith(".") or set(name) & set('/\\:*?"<>|') or printable(name) != name:
         raise UsageError(f"{name!r}: not a name for a session; give a plain one, such as `bc-record lake`")
     if name.endswith(".mcap"):
         raise UsageError(f"{name}: give the name without its ending: `bc-record {name.removesuffix('.mcap')}`")
     if config.source is not None and config.listen:
         raise UsageError("--from and --listen: give one of them")
-    if isinstance(config.source, Url) and (config.watch or config.source.suffix != ".mcap"):
-        raise UsageError(
-            f"--from {config.source}: of what is in a store, another program's log (.mcap) is expected, without"
-            " --watch; copy a folder here first"
-        )
     if config.watch and config.source is None:
         raise UsageError("--watch follows a folder: give it with --from FOLDER")
     if (
@@ -157,18 +146,16 @@ def _refuse_contradictions(config: Record) -> None:
         and not (config.listen and config.drive.driver == "me")
     ):
         raise UsageError(
-            "--from and --listen record what others drive; --udacity and --track and its like are the simulator's"
+            "--from and --listen record other drives; --udacity, --track and so on are for the built-in simulator"
         )
     if config.listen and config.rate is not None:
-        raise UsageError("--rate: telemetry has the time at which it comes; leave it out")
+        raise UsageError("--rate: telemetry is recorded when it comes; leave it out")
     if not (config.watch or config.listen) and (config.idle is not None or config.viewer):
         raise UsageError("--idle and --viewer go with --watch or --listen")
     if config.topics != Topics() and (config.source is None or config.watch):
         raise UsageError("--image, --steering and --steering-scale go with --from")
     if config.columns and (config.source is None or config.watch):
         raise UsageError("--columns goes with --from FOLDER, which has pictures and a csv")
-    if config.all_catalogs and (config.source is None or config.watch):
-        raise UsageError("--all-catalogs goes with --from ~/mycar/data")
     if config.idle is not None and not 0 <= config.idle < math.inf:
         raise UsageError(f"--idle {config.idle:g}: a number of seconds, 0 or more, was expected")
     if config.port:  # 0: a free one
@@ -177,7 +164,7 @@ def _refuse_contradictions(config: Record) -> None:
     if config.drive.driver != "me" and persons:
         raise UsageError(f"{persons}: only with --driver me")
     if config.drive.driver == "me" and config.udacity is not None:
-        raise UsageError("--udacity: a simulated driver's, not with --driver me")
+        raise UsageError("--udacity: only for a simulated driver, not with --driver me")
     if config.environment.gym is not None:
         _refuse_beside_gym(config)
         return
@@ -199,8 +186,8 @@ def _refuse_contradictions(config: Record) -> None:
 def _refuse_beside_gym(config: Record) -> None:
     from recorder.sources.record_gymnasium import check_recording
 
-    if flags := flags_given(config, "source", "watch", "listen", "udacity", "all_catalogs"):
+    if flags := flags_given(config, "source", "watch", "listen", "udacity"):
         raise UsageError(f"{flags.replace('--source', '--from')}: not with --gym, which is recorded itself")
     if replace(config.drive, seed=0) != SimulatedDrive():
-        raise UsageError("--track, --driver and their like are the built-in simulator's: not with --gym")
+        raise UsageError("--track, --driver and so on are for the built-in simulator, not for --gym")
     check_recording(_gym_recording(config))

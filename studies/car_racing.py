@@ -30,7 +30,7 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     pilot = load_pilot(parser.parse_args().run)
     pilot.warm_up()
-    flags = GymFlags("CarRacing-v3", gym_action="steering,throttle,brake", expert=f"{EXPERT}:drive")
+    flags = GymFlags(str(EXPERT.with_name("car_racing.toml")), expert=f"{EXPERT}:drive")
     rows = []
     print("| track | tiles | network's | reward | expert's | reward |")
     print("|---|---|---|---|---|---|", flush=True)

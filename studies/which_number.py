@@ -5,7 +5,7 @@ python studies/which_number.py FOLDER [--jobs 2] [--seeds 0 1 2] [--epochs 1 4] 
 
 Records half laps of both tracks by the expert and by someone at a keyboard, and other drives that no network
 learns from; trains each recipe with each seed, and takes the network of each of these epochs; lets each predict
-the recordings held out, drive those of the keyboard (`bc-eval --on`), and the simulator (`bc-eval --simulator`).
+the recordings held out, and drive the simulator (`bc-eval --simulator`).
 
 What FOLDER has already is not made again: stop it (Ctrl-C) and start it again as often as you like. Every job has
 one thread, and --jobs of them run at once. At the end, or at any time with --report alone, which_number_report.py
@@ -98,7 +98,7 @@ def main() -> None:
             jobs.each(study.index, arguments.recipes)
             trained = jobs.each(lambda one: study.train(*one), trainings)
             networks = [network for epoch in reversed(list(zip(*trained, strict=True))) for network in epoch]
-            steps = (study.predict, study.drive_recordings, study.drive)
+            steps = (study.predict, study.drive)
             jobs.each(lambda step: step[1](step[0]), list(itertools.product(networks, steps)))
     report.write(folder)
 
@@ -235,14 +235,6 @@ class Study:
             return
         logs = [self.folder / "sessions" / f"{session(*drive)}.mcap" for drive in self.held_out_drives()]
         self.jobs.run(self.folder, "predict", [str(PREDICT)], self.folder / "networks" / network, kept, *logs)
-
-    def drive_recordings(self, network: str) -> None:
-        kept = self.folder / "recordings_driven" / f"{network}.jsonl"
-        if not kept.exists():
-            sessions = [session(*drive) for drive in self.held_out_drives() if drive[1] == "keyboard"]
-            told = self.jobs.bc(self.folder, "eval", network, "--runs", "networks", "--on", *sessions, "--json")
-            with atomic_file(kept, overwrite=True) as part:
-                part.write_text(told)
 
     def drive(self, network: str) -> None:
         """Drive the simulator. The logs, 100 MB each, are not kept."""

@@ -46,9 +46,9 @@ def ros_2_bag(folder: Path) -> list[object]:
 
 
 def car_racing(folder: Path) -> list[object]:
-    actions = ["--gym-action", "steering,throttle,brake", "--gym-args", f'{{"max_episode_steps": {PICTURES}}}']
-    expert = ROOT / "examples" / "car_racing_expert.py"
-    return ["--gym", "CarRacing-v3", *actions, "--expert", f"{expert}:drive"]
+    settings = f"{(ROOT / 'examples/car_racing.toml').read_text()}args.max_episode_steps = {PICTURES}"
+    (race := folder.with_suffix(".toml")).write_text(settings)
+    return ["--gym", race, "--expert", f"{ROOT / 'examples' / 'car_racing_expert.py'}:drive"]
 
 
 def pictures_with_a_csv(folder: Path) -> list[object]:

@@ -19,7 +19,7 @@ from faulty_proxy import FAULTS
 from logs import write_log
 from recorder import Log
 from recorder.log.logs_in_folder import logs_in
-from recorder.log.tags import Tag, add_tag, read_tags
+from recorder.log.tags import Tag, add_tags, read_tags
 from recorder.upkeep.check import check
 from recorder.upkeep.copy_log import copy_log
 from udacity import jpeg
@@ -49,7 +49,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Store]:
     steering = [math.sin(row / 7) for row in range(60)]
     log = write_log(folder / "here/a.mcap", steering, lambda camera, row: jpeg(50 + row))
     with Log(log) as opened:
-        add_tag(log, opened.fingerprint, TAG)
+        add_tags(log, opened.fingerprint, [TAG])
     index = build_index([log], folder / "index", SETTINGS).path
     with pytest.MonkeyPatch.context() as patch, serving_bucket(folder / "server", patch) as bucket:
         yield Store(bucket, log.parent, index, folder / "made")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import importlib
 import itertools
 import re
@@ -45,8 +46,13 @@ def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"), str(path))
 
 
-def imported(path: Path) -> Iterator[tuple[int, str]]:
+@functools.cache
+def imported(path: Path) -> list[tuple[int, str]]:
     """Line and full name of every import in a file, also of those within functions."""
+    return list(_imported(path))
+
+
+def _imported(path: Path) -> Iterator[tuple[int, str]]:
     for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name) for alias in node.names)
@@ -55,8 +61,13 @@ def imported(path: Path) -> Iterator[tuple[int, str]]:
             yield node.lineno, node.module or ""
 
 
-def started(path: Path) -> Iterator[tuple[int, str]]:
+@functools.cache
+def started(path: Path) -> list[tuple[int, str]]:
     """Line and full name of every module of ours that a file names in a string, to be imported or run."""
+    return list(_started(path))
+
+
+def _started(path: Path) -> Iterator[tuple[int, str]]:
     for node in ast.walk(parsed(path)):
         match node:
             case ast.Constant(value=str(name)) if "." in name and name in MODULES:

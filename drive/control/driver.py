@@ -69,8 +69,6 @@ class Decision:
 
 
 class Driver:
-    """Drives one connected simulator."""
-
     def __init__(
         self,
         pilot: Pilot,
@@ -206,7 +204,8 @@ class Driver:
         else:
             steering = self._filter.apply(time_s, wanted)
             throttle = self._throttle(telemetry, answer, steering, time_s)
-        return self._decision(steering, throttle, events=events, target_mph=_target_mph(answer))
+        target_mph = math.inf if answer.speed_mph is None else answer.speed_mph
+        return self._decision(steering, throttle, events=events, target_mph=target_mph)
 
     def _with_person(self, decision: Decision, person: PersonTakeover, time_s: float) -> Decision:
         """The decision, or in its place the command of the person at the wheel."""
@@ -282,11 +281,6 @@ class Driver:
             kind=kind,
             events=tuple(events or ()),
         )
-
-
-def _target_mph(answer: NetworkAnswer) -> float:
-    """The network's target speed; infinite where it has no such output."""
-    return math.inf if answer.speed_mph is None else answer.speed_mph
 
 
 def _braking_text(speed_mph: float | None) -> str:

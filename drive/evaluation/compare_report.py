@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from rich.markup import escape
 from rich.table import Table
 
 from common.errors import counted, decimal, printable
-from common.output import print_message, print_result, print_table
+from common.output import plain_table, print_message, print_result, print_table
 from common.steering_unit import DEGREES, SteeringUnit
 from model.evaluation.differences import CONFIDENCE, FEWEST_BLOCKS, Difference, Verdict, overall
 from model.evaluation.run_comparison import BLOCK_S, Comparison
@@ -39,16 +39,15 @@ def print_comparison(comparison: Comparison, names: Sequence[str]) -> None:
 
 def print_drive_comparison(comparison: DriveComparison, names: Sequence[str]) -> None:
     """Print the tables of a comparison by driving, and its verdict."""
-    drives = Table(title="each drive, A then B", title_justify="left", box=None, pad_edge=False)
-    for heading in ("track", "set mph", "interventions", "", "autonomy", "", "mean offset", ""):
-        drives.add_column(heading, justify="left" if heading == "track" else "right", no_wrap=True)
+    headings = ("track", "set mph", "interventions", "", "autonomy", "", "mean offset", "")
+    drives = plain_table("each drive, A then B", *headings)
     for a, b in zip(comparison.a, comparison.b, strict=True):
         drives.add_row(
             a.simulator.track,
             f"{a.config.set_speed_mph:g}",
-            *(f"{each.report['interventions']:,}" for each in (a, b)),
-            *(f"{each.report['autonomy_percent']:.1f} %" for each in (a, b)),
-            *(f"{each.report['mean_offset']:.3f}" for each in (a, b)),
+            *(f"{drive.report['interventions']:,}" for drive in (a, b)),
+            *(f"{drive.report['autonomy_percent']:.1f} %" for drive in (a, b)),
+            *(f"{drive.report['mean_offset']:.3f}" for drive in (a, b)),
         )
     title = (
         f"{counted(len(comparison.a), 'drive')}, {counted(comparison.stretches, 'stretch', 'stretches')} of road"
@@ -62,15 +61,15 @@ def print_drive_comparison(comparison: DriveComparison, names: Sequence[str]) ->
 
 def _print_verdict(verdict: Verdict, differences: Sequence[Difference], tolerance: float, units: str) -> None:
     """Print the line with the verdict, and the measures that it rests on."""
-    of = {
-        each: ", ".join(found.measure.heading for found in differences if found.verdict == each)
-        for each in ("worse", "better")
+    headings = {
+        kind: ", ".join(difference.measure.heading for difference in differences if difference.verdict == kind)
+        for kind in ("worse", "better")
     }
     beyond = f", beyond the tolerance of {tolerance:.0%}" if tolerance else ""
     if verdict == "worse":
-        print_result(f"B is worse than A: {of['worse']}{beyond}")
+        print_result(f"B is worse than A: {headings['worse']}{beyond}")
     elif verdict == "better":
-        print_result(f"B is better than A: {of['better']}; it is not shown to be worse in anything{beyond}")
+        print_result(f"B is better than A: {headings['better']}; it is not shown to be worse in anything{beyond}")
     elif verdict == "not told apart":
         print_result(f"B is not shown to be worse than A{beyond}")
     else:
@@ -81,23 +80,22 @@ def _table(
     title: str, differences: Sequence[Difference], names: Sequence[str], unit: SteeringUnit = DEGREES
 ) -> Table:
     name_a, name_b = (escape(printable(name)) for name in names)
-    table = Table(title=f"A: {name_a}\nB: {name_b}\n{title}", title_justify="left", box=None, pad_edge=False)
     headings = ("", "A", "B", "B - A", f"{CONFIDENCE:.0%} of all", "B is")
-    for number, heading in enumerate(headings):
-        justify: Literal["left", "right"] = "right" if 0 < number < len(headings) - 1 else "left"
-        table.add_column(heading, justify=justify, no_wrap=True)
-    for each in differences:
-        is_count = each.measure.name == "interventions"
-        digits = 0 if is_count else 3 if each.measure.scale == 1.0 else 2
-        per_deg = unit.per_deg if each.measure.name.endswith("_deg") else 1.0
-        a, b, low, high = (per_deg * value for value in (each.a, each.b, each.low, each.high))
+    table = plain_table(f"A: {name_a}\nB: {name_b}\n{title}", *headings, text={"B is"})
+    for difference in differences:
+        is_count = difference.measure.name == "interventions"
+        digits = 0 if is_count else 3 if difference.measure.scale == 1.0 else 2
+        per_deg = unit.per_deg if difference.measure.name.endswith("_deg") else 1.0
+        a, b, low, high = (
+            per_deg * value for value in (difference.a, difference.b, difference.low, difference.high)
+        )
         table.add_row(
-            each.measure.heading,
+            difference.measure.heading,
             decimal(a, digits),
             decimal(b, digits),
             _signed(b - a, digits),
             "-" if math.isnan(low) else f"{_signed(low, digits)} .. {_signed(high, digits)}",
-            each.verdict,
+            difference.verdict,
         )
     return table
 

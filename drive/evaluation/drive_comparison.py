@@ -80,7 +80,6 @@ class DriveComparison:
         return "worse" if self.gave_up else overall(self.differences)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
         pairs = zip(self.a, self.b, strict=True)
         return {
             "a": self.run_a,

@@ -1,4 +1,4 @@
-"""`bc-eval`: measures a trained network on recorded frames, driving a recording, or driving the simulator."""
+"""`bc-eval`: measures a trained network on recorded frames, or driving the simulator."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ from common.location import Location, absolute
 from common.output import print_message, print_next, print_result
 from common.progress import track
 from common.ray_flag import tasks_of
-from drive.earlier_flags import understand_earlier
 from drive.evaluation.eval_flags import Eval, refuse_contradictions
 
 if TYPE_CHECKING:
@@ -43,8 +42,6 @@ def evaluate(config: Eval) -> int:
         allow_places(config.sessions)
     if config.compare is not None:
         return _compare(config, config.compare)
-    if config.on is not None:
-        return _drive_recordings(config, config.on)
     return _measure(config) if config.simulator is None else _drive(config)
 
 
@@ -60,24 +57,25 @@ def _found_runs(config: Eval, *names: str | None) -> list[Path]:
 
 
 def _measure(config: Eval) -> int:
-    """Measure on recorded frames."""
     from drive.kept_drive import keep
     from model.worst_moments import worst_frames
 
     (run,) = _found_runs(config, config.run)
-    measured_on, (found,) = _evaluations(config, [run])
-    code = keep(run, "frames", {**measured_on, **found.as_dict()})
+    measured_on, (evaluation,) = _evaluations(config, [run])
+    code = keep(run, "frames", {**measured_on, **evaluation.as_dict()})
     asked = 10 * config.json if config.worst is None else config.worst
-    worst = worst_frames(found.frames, asked, found.max_deg)
+    worst = worst_frames(evaluation.frames, asked, evaluation.max_deg)
     if config.json:
-        print_result(json.dumps({**measured_on, **found.as_dict(), "worst": [asdict(frame) for frame in worst]}))
+        print_result(
+            json.dumps({**measured_on, **evaluation.as_dict(), "worst": [asdict(frame) for frame in worst]})
+        )
     else:
         from drive.evaluation.eval_report import print_evaluation
 
-        print_evaluation(found, worst, bins=config.bins)
+        print_evaluation(evaluation, worst, bins=config.bins)
         _print_measured_on(measured_on)
-    code = max(code, _print_notices(found, measured_on))
-    _print_verdict(config, run, found)
+    code = max(code, _print_notices(evaluation, measured_on))
+    _print_verdict(config, run, evaluation)
     return code
 
 
@@ -109,31 +107,31 @@ def _index_of(run: Path) -> Location:
         return Path("index")
     if isinstance(index, Path) and not index.is_dir():
         raise UserError(
-            f"{index}: the index that {run} was trained on is not there any more; give --index INDEX, or measure"
+            f"{index}: the index that {run} was trained on is missing; give --index INDEX, or measure"
             " whole sessions: --session NAME"
         )
     return allowed_index_of(run) or index
 
 
-def _print_notices(found: Evaluation, measured_on: dict[str, str | None]) -> int:
+def _print_notices(evaluation: Evaluation, measured_on: dict[str, str | None]) -> int:
     """Print what a person should know before the numbers are used; the exit code."""
-    code = warn_skipped(found.skipped)
-    for notice in found.notices:
+    code = warn_skipped(evaluation.skipped)
+    for notice in evaluation.notices:
         code = warn(notice)
-    for remark in found.remarks:
+    for remark in evaluation.remarks:
         print_message(remark)
-    return max(code, _print_learnt(found, measured_on))
+    return max(code, _print_learnt(evaluation, measured_on))
 
 
-def _print_learnt(found: Evaluation, measured_on: dict[str, str | None]) -> int:
+def _print_learnt(evaluation: Evaluation, measured_on: dict[str, str | None]) -> int:
     """Print whether the run has learnt from the frames that it is measured by; the exit code."""
     from model.runs.run_folder import run_name
 
-    run, count = run_name(found.run), found.measures.frames
-    if found.trained_on is None:
-        return warn(f"{found.run}: does not say what it was trained on; it may have learnt from these frames")
-    elif found.trained_on:
-        line = f"{run} has learnt from {found.trained_on:,} of these {counted(count, 'frame')}"
+    run, count = run_name(evaluation.run), evaluation.measures.frames
+    if evaluation.trained_on is None:
+        return warn(f"{evaluation.run}: does not say what it was trained on; it may have learnt from these frames")
+    elif evaluation.trained_on:
+        line = f"{run} has learnt from {evaluation.trained_on:,} of these {counted(count, 'frame')}"
         if measured_on["split"] != "train":
             return warn(f"{line}: on others it may be worse; measure frames that its own index holds out")
         print_message(f"bc-eval: {line}")
@@ -161,13 +159,13 @@ def _compare_on_frames(config: Eval, a: Path, b: Path, names: tuple[str, str]) -
     from model.runs.run_arguments import run_argument
 
     measured_on, (of_a, of_b) = _evaluations(config, [a, b])
-    found = Comparison(of_a.driving, of_b.driving, config.tolerance or 0.0)
+    comparison = Comparison(of_a.driving, of_b.driving, config.tolerance or 0.0)
     if config.json:
-        print_result(json.dumps({**measured_on, **found.as_dict()}))
+        print_result(json.dumps({**measured_on, **comparison.as_dict()}))
     else:
         from drive.evaluation.compare_report import print_comparison
 
-        print_comparison(found, names)
+        print_comparison(comparison, names)
         _print_measured_on(measured_on)
         if of_a.without_crashes is not None:
             print_result(f"compared without {counted(of_a.crashes, 'frame')} of crashes and the like")
@@ -175,7 +173,7 @@ def _compare_on_frames(config: Eval, a: Path, b: Path, names: tuple[str, str]) -
     if not config.json:
         runs = f"{run_argument(a)} {run_argument(b)}"
         print_next(f"bc-eval --compare {runs} --simulator lake", "what errors on frames mean for driving")
-    return overall(found.differences), code
+    return overall(comparison.differences), code
 
 
 def _compare_by_driving(config: Eval, a: Path, b: Path, names: tuple[str, str]) -> tuple[Verdict, int]:
@@ -188,17 +186,16 @@ def _compare_by_driving(config: Eval, a: Path, b: Path, names: tuple[str, str]) 
     results = dict(_driven(config, [(a, logs / "a"), (b, logs / "b")], drives))
     code = max(DONE, *(_warn_problem(result) for result in results.values()))
     of_a, of_b = ([results[first + n] for n in range(len(drives))] for first in (0, len(drives)))
-    found = DriveComparison(*names, of_a, of_b, TOLERANCE if config.tolerance is None else config.tolerance)
+    comparison = DriveComparison(*names, of_a, of_b, TOLERANCE if config.tolerance is None else config.tolerance)
     if config.json:
-        print_result(json.dumps(found.as_dict()))
+        print_result(json.dumps(comparison.as_dict()))
     else:
-        print_drive_comparison(found, names)
+        print_drive_comparison(comparison, names)
         print_next(f"bc-play {shlex.join(str(drives[0].log) for drives in (of_a, of_b))} --by place")
-    return found.verdict, code
+    return comparison.verdict, code
 
 
 def _drive(config: Eval) -> int:
-    """Let the network drive."""
     from drive.evaluation.closed_loop import DRIVES, LogFolder
     from drive.evaluation.eval_report import print_drives
     from drive.kept_drive import keep
@@ -220,20 +217,22 @@ def _drive(config: Eval) -> int:
     return max(codes)
 
 
-def _print_verdict(config: Eval, run: Path, found: Evaluation | None = None) -> None:
-    """Print the verdict on a run: by the errors that were `found`, else by those that it keeps."""
+def _print_verdict(config: Eval, run: Path, evaluation: Evaluation | None = None) -> None:
+    """Print the verdict on a run: by the errors of an `evaluation`, else by those that it keeps."""
     if config.json:
         return
     from model import judge
 
     try:
-        if found is None:
+        if evaluation is None:
             verdict = judge(run)
         else:
-            sessions = [*found.driving.sessions] if found.trained_on == 0 else ()
-            verdict = judge(run, found.driving.measures, sessions)
-            if found.without_crashes is not None:
-                print_result(f"the verdict is without {counted(found.crashes, 'frame')} of crashes and the like")
+            sessions = [*evaluation.driving.sessions] if evaluation.trained_on == 0 else ()
+            verdict = judge(run, evaluation.driving.measures, sessions)
+            if evaluation.without_crashes is not None:
+                print_result(
+                    f"the verdict is without {counted(evaluation.crashes, 'frame')} of crashes and the like"
+                )
         print_result(*verdict.lines)
     except UserError as error:  # what was measured is shown all the same
         warn(str(error))
@@ -253,7 +252,7 @@ def _drives(config: Eval) -> list[tuple[BuiltInSimulator, DriveConfig]]:
     with usage_errors(DriveError):
         check_laps(laps)
         configs = [DriveConfig(set_speed_mph=speed) for speed in config.speed or (10.0,)]
-    return [(BuiltInSimulator(track, laps), each) for each in configs for track in config.simulator or ()]
+    return [(BuiltInSimulator(track, laps), settings) for settings in configs for track in config.simulator or ()]
 
 
 def _driven(
@@ -291,7 +290,7 @@ def _driven_on_cluster(
     from drive.evaluation.closed_loop import drive_runs
 
     with tasks_of(config.ray) as tasks:
-        found = drive_runs(
+        results = drive_runs(
             runs,
             drives,
             tasks,
@@ -299,50 +298,8 @@ def _driven_on_cluster(
             precision=config.precision or "auto",
             overwrite=config.force,
         )
-        yield from track(found, "driving", len(runs) * len(drives))
-
-
-def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
-    """Let the network drive recordings."""
-    from dataset import find_logs
-    from dataset.loader.log_views import LogViews
-    from drive.kept_drive import keep
-    from model import load_pilot
-    from model.evaluation.recorded_drive import DEPARTURE_M, drive_views
-    from model.runs.car_of_run import refuse_other_steering
-    from recorder import RecordingError
-
-    logs = find_logs(sessions, config.sessions or Path("sessions"))
-    (run,) = _found_runs(config, config.run)
-    pilot = load_pilot(run, config.precision or "auto")
-    pilot.warm_up()
-    departure_m = DEPARTURE_M if config.departure is None else config.departure
-    drives, codes = [], [DONE]
-    try:
-        for log in logs:
-            try:
-                with LogViews(log, config.car or "auto", pilot.picture) as views:
-                    refuse_other_steering(run, views.geometry.max_steering_deg, str(log))
-                    drive = drive_views(pilot.predict, views, departure_m)
-            except RecordingError as error:
-                raise UserError(f"{error}; else name it with --car") from None
-            drives.append(drive)
-            codes.append(keep(run, "recording", drive.as_dict()))
-            if config.json:
-                print_result(json.dumps({"run": pilot.run, **drive.as_dict()}))
-    finally:  # what was measured is shown, whatever stops the rest
-        if drives and not config.json:
-            from drive.evaluation.eval_report import print_recorded_drives
-
-            print_recorded_drives(pilot.run, drives)
-    for drive in drives:
-        codes.append(warn_skipped(drive.skipped))
-        if drive.notice:
-            codes.append(warn(drive.notice))
-    _print_verdict(config, run)
-    return max(codes)
+        yield from track(results, "driving", len(runs) * len(drives))
 
 
 def main() -> None:
-    understand_earlier("bc-eval", {"--logs": "--drives"})
     run_command("bc-eval", Eval, evaluate)

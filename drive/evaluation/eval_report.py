@@ -13,11 +13,10 @@ from rich.table import Table
 
 from common.errors import counted, printable
 from common.files import short_path
-from common.output import print_result, print_table
+from common.output import plain_table, print_result, print_table
 from common.steering_unit import SteeringUnit
 from dataset.prediction_targets import TARGETS
 from model.evaluation.evaluate import Evaluation
-from model.evaluation.recorded_drive import RecordedDrive
 from model.metrics import Measures
 from model.runs.answer_scale import AnswerScale
 from model.runs.run_arguments import run_argument
@@ -52,12 +51,10 @@ def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame], *, bin
 
 
 def print_drives(results: Sequence[DriveResult]) -> None:
-    """Print the table of drives; then the command that shows the last one."""
-    # narrow enough for a terminal of 80 columns
-    title = "distances from the centre line are shares of the road's half width"
-    table = Table(title=title, box=None, pad_edge=False)
-    for heading in ("track", "set mph", "mph", "laps", "interventions", "autonomy", "mean", "largest", "steer/s"):
-        table.add_column(heading, justify="left" if heading == "track" else "right", no_wrap=True)
+    table = plain_table(
+        "distances from the centre line are shares of the road's half width",
+        *("track", "set mph", "mph", "laps", "interventions", "autonomy", "mean", "largest", "steer/s"),
+    )
     for result in results:
         report = result.report
         table.add_row(
@@ -75,28 +72,6 @@ def print_drives(results: Sequence[DriveResult]) -> None:
     print_result(f"look at a drive with `bc-play {shlex.quote(str(results[-1].log))}`")
 
 
-def print_recorded_drives(run: str, drives: Sequence[RecordedDrive]) -> None:
-    """Print the table of drives of recordings."""
-    put_back = f"put back from {drives[0].departure_m:g} m on"
-    table = _table(
-        f"{escape(printable(run))} on recordings; metres from the recorded line, {put_back}",
-        *("session", "rows", "left out", "km", "interventions", "autonomy", "mean", "max", "known"),
-    )
-    for drive in drives:
-        table.add_row(
-            escape(printable(drive.session)),
-            f"{drive.rows:,}",
-            f"{drive.rows_left_out:,}",
-            f"{drive.distance_m / 1000:.2f}",
-            f"{drive.interventions:,}",
-            f"{drive.autonomy_percent:.1f} %",
-            f"{drive.mean_offset_m:.2f}",
-            f"{drive.max_offset_m:.2f}",
-            f"{100 * drive.known_share:.1f} %",
-        )
-    print_table(table)
-
-
 def _play(evaluation: Evaluation, frame: WorstFrame) -> str:
     """The command that shows a frame with the network's prediction."""
     log = shlex.quote(str(short_path(evaluation.logs[frame.session])))
@@ -108,17 +83,17 @@ def _play(evaluation: Evaluation, frame: WorstFrame) -> str:
 def _measures_table(evaluation: Evaluation) -> Table:
     measures, balanced = evaluation.measures, evaluation.balanced_rmse_deg
     shown = measures.unit.of
-    of = {"network": measures.network, "zero": measures.zero, "mean": measures.mean}
+    predictors = {"network": measures.network, "zero": measures.zero, "mean": measures.mean}
     is_scaled = evaluation.answers != AnswerScale()
     name = escape(printable(run_name(evaluation.run)))
     title = f"{name}: {counted(measures.frames, 'frame')}; errors in {measures.unit.name}"
     as_learnt = ("as learnt",) if is_scaled else ()
-    table = _table(title, "", "network", "always zero", "always the mean", *as_learnt)
-    columns = [*of.values(), evaluation.as_learnt] if is_scaled else [*of.values()]
+    table = plain_table(title, "", "network", "always zero", "always the mean", *as_learnt)
+    columns = [*predictors.values(), evaluation.as_learnt] if is_scaled else [*predictors.values()]
     for heading, name in (("MAE", "mae_deg"), ("RMSE", "rmse_deg"), ("MAE on turns", "turning_mae_deg")):
         table.add_row(heading, *(_number(shown(getattr(errors, name))) for errors in columns))
-    table.add_row("balanced RMSE", *(_number(shown(balanced[name])) for name in of))
-    table.add_row("correlation", *(_number(errors.correlation) for errors in of.values()))
+    table.add_row("balanced RMSE", *(_number(shown(balanced[name])) for name in predictors))
+    table.add_row("correlation", *(_number(errors.correlation) for errors in predictors.values()))
     if (others := evaluation.without_crashes) is not None:
         heading = f"RMSE without crashes ({evaluation.crashes:,})"
         table.add_row(
@@ -131,17 +106,19 @@ def _measures_table(evaluation: Evaluation) -> Table:
 
 def _targets_table(targets: Sequence[TargetErrors]) -> Table:
     headings = ("other targets", "frames", "MAE", "RMSE", "always the mean", "bias", "correlation")
-    table = _table("what else it answers, and what was recorded", *headings)
-    for of in targets:
-        unit = TARGETS[of.target].unit
-        numbers = (of.mae, of.rmse, of.mean_rmse, of.bias, of.correlation)
-        table.add_row(f"{of.target}{f', {unit}' if unit else ''}", f"{of.frames:,}", *map(_number, numbers))
+    table = plain_table("what else it answers, and what was recorded", *headings)
+    for errors in targets:
+        unit = TARGETS[errors.target].unit
+        numbers = (errors.mae, errors.rmse, errors.mean_rmse, errors.bias, errors.correlation)
+        table.add_row(
+            f"{errors.target}{f', {unit}' if unit else ''}", f"{errors.frames:,}", *map(_number, numbers)
+        )
     return table
 
 
 def _bins_table(measures: Measures) -> Table:
     title = "by recorded steering; bias above 0: too far right"
-    table = _table(title, "steering", "frames", "MAE", "bias", "RMSE", "")
+    table = plain_table(title, "steering", "frames", "MAE", "bias", "RMSE", "")
     shown = measures.unit.of
     widest = max(part.rmse_deg for part in measures.bins)
     for part in measures.bins:
@@ -158,7 +135,7 @@ def _bins_table(measures: Measures) -> Table:
 
 def _sessions_table(sessions: dict[str, Measures]) -> Table:
     title = "by session; mean: always predicting it"
-    table = _table(title, "session", "frames", "MAE", "RMSE", "mean RMSE", "on turns", "correlation")
+    table = plain_table(title, "session", "frames", "MAE", "RMSE", "mean RMSE", "on turns", "correlation")
     for session, measures in sessions.items():
         errors, shown = measures.network, measures.unit.of
         table.add_row(
@@ -174,14 +151,14 @@ def _sessions_table(sessions: dict[str, Measures]) -> Table:
 
 
 def _worst_table(worst: Sequence[WorstFrame], unit: SteeringUnit) -> Table:
-    table = _table(
+    table = plain_table(
         f"worst frames, in {unit.name}", "session", "row", "log time (UTC)", "predicted", "recorded", "error"
     )
     for frame in worst:
         table.add_row(
             escape(printable(frame.session)),
             f"{frame.row:,}",
-            _clock(frame),
+            frame.log_time_utc.removesuffix("+00:00").replace("T", " "),
             f"{unit.of(frame.predicted_deg):+.2f}",
             f"{unit.of(frame.recorded_deg):+.2f}",
             f"{unit.of(frame.error_deg):+.2f}",
@@ -189,18 +166,5 @@ def _worst_table(worst: Sequence[WorstFrame], unit: SteeringUnit) -> Table:
     return table
 
 
-def _table(title: str, *headings: str) -> Table:
-    """An empty table, narrow enough for a terminal of 80 columns."""
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for number, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if number else "left", no_wrap=number > 0)
-    return table
-
-
 def _number(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.2f}"
-
-
-def _clock(frame: WorstFrame) -> str:
-    """The frame's time, UTC, as people write it."""
-    return frame.log_time_utc.removesuffix("+00:00").replace("T", " ")

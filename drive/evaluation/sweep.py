@@ -35,8 +35,6 @@ _MAX_OVERSHOOT_LAPS: Final = 0.05
 
 @dataclass(frozen=True)
 class Swept:
-    """The outcome of one training of a sweep."""
-
     training: Training
     summary: RunSummary | None  # as far as it came; None where there is no run
     failure: str = ""  # why it did not come to its end
@@ -122,10 +120,10 @@ def _done_elsewhere(
 ) -> RunSummary | None:
     """The summary of a run in a store that has learnt all its epochs and was driven then: nothing else of it has
     to be fetched. None for all others."""
-    found = run_at(url)
-    if found is None or not found.has_weights or not drives:
+    run = run_at(url)
+    if run is None or not run.has_weights or not drives:
         return None
-    summary = summarize_run(bring_summary(found))
+    summary = summarize_run(bring_summary(run))
     is_trained = not summary.problem and summary.epochs >= training.config.epochs
     is_done = is_trained and all(_is_driven(summary, *drive) for drive in drives)
     return replace(summary, folder=str(url)) if is_done else None

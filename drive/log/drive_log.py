@@ -16,7 +16,7 @@ from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.bad_telemetry import BadTelemetry
 from recorder.log.log_time import LogClock
-from recorder.log.meant_gaps import DISCONNECTED, HUMAN_DRIVES, PILOT_DRIVES_AGAIN
+from recorder.log.meant_gaps import DISCONNECTED, HUMAN_DRIVES, PILOT_DRIVES_AGAIN, HumanDriving
 from recorder.log.writer import EventLevel
 from recorder.server.telemetry import Telemetry
 from recorder.server.telemetry_row import write_telemetry
@@ -53,6 +53,7 @@ class DriveLog(Closeable):
         self._clock = LogClock()
         self._thread = LogThread(writer.flush_if_due)
         self._is_manual = False
+        self._human_driving = HumanDriving()
         self._is_closed = False
         self._bad = BadTelemetry()
 
@@ -82,11 +83,11 @@ class DriveLog(Closeable):
         mark where a human begins to drive, and where the pilot does again."""
         if not self._is_manual:
             self._is_manual = True
-            self._event(_ago_ns(total_ms), HUMAN_DRIVES)
+            self._human_driving.begin(self._event(_ago_ns(total_ms), HUMAN_DRIVES))
 
     def disconnected(self, reason: str) -> None:
         self._is_manual = False
-        self.event(f"{DISCONNECTED}{reason}")
+        self._human_driving.end(self._event(time.perf_counter_ns(), f"{DISCONNECTED}{reason}"))
 
     def event(self, text: str, is_problem: bool = False) -> None:
         self._event(time.perf_counter_ns(), text, is_problem)
@@ -118,18 +119,25 @@ class DriveLog(Closeable):
             self.dropped_pictures += _PICTURES_OF_A_ROW + len(telemetry.side_pictures)
             size, telemetry = 0, replace(telemetry, picture=b"", side_pictures={})
             decision = replace(decision, telemetry=telemetry, crop=None)
-        self._thread.put(partial(self._write_row, time_ns, self.frames, decision, telemetry, total_ms), size)
+        if self._is_manual:
+            self._human_driving.end(time_ns)
+        left_out_s = self._human_driving.take_s()
+        write = partial(self._write_row, time_ns, self.frames, decision, telemetry, total_ms, left_out_s)
+        self._thread.put(write, size)
         self.frames += 1
         if self._is_manual:
             self._is_manual = False
             self._thread.put(partial(self._writer.event, time_ns, PILOT_DRIVES_AGAIN, "INFO", "drive"))
 
-    def _event(self, happened_ns: int, text: str, is_problem: bool = False) -> None:
+    def _event(self, happened_ns: int, text: str, is_problem: bool = False) -> int:
+        """Have an event written, if there is room; its log time."""
+        time_ns = self._clock.event(happened_ns)
         if self._thread.has_room:
             level: EventLevel = "WARNING" if is_problem else "INFO"
-            self._thread.put(partial(self._writer.event, self._clock.event(happened_ns), text, level, "drive"))
+            self._thread.put(partial(self._writer.event, time_ns, text, level, "drive"))
         else:
             self.dropped_rows += 1
+        return time_ns
 
     def _problem(self, text: str) -> None:
         """An event of the kind that is so rare that there is always room for it."""
@@ -139,7 +147,7 @@ class DriveLog(Closeable):
     # On the thread
 
     def _write_row(
-        self, time_ns: int, row: int, decision: Decision, telemetry: Telemetry, total_ms: float
+        self, time_ns: int, row: int, decision: Decision, telemetry: Telemetry, total_ms: float, left_out_s: float
     ) -> None:
         crop = None
         if decision.crop is not None:
@@ -149,7 +157,14 @@ class DriveLog(Closeable):
                 raise RuntimeError("OpenCV could not write a PNG of the crop")
             crop = png.tobytes()
         write_telemetry(
-            self._writer, time_ns, row, telemetry, decision.device, picture_size=decision.picture_size, crop=crop
+            self._writer,
+            time_ns,
+            row,
+            telemetry,
+            decision.device,
+            not_recorded_s=left_out_s,
+            picture_size=decision.picture_size,
+            crop=crop,
         )
         command = PilotCommand(
             predicted_steering=decision.predicted_steering,

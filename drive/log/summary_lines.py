@@ -51,11 +51,6 @@ def summary_lines(summary: DriveSummary) -> list[str]:
     if summary.without_number:
         frames = counted(summary.without_number, "frame")
         lines.append(f"the network gave no number for {frames}: the car was braked")
-    if summary.dropped_pictures or summary.dropped_rows:
-        lines.append(
-            f"the disk was too slow: {counted(summary.dropped_pictures, 'picture')} and"
-            f" {counted(summary.dropped_rows, 'row')} are not in the log"
-        )
     return lines
 
 

@@ -84,10 +84,10 @@ def parse_worst_pictures(line: bytes) -> WorstPictures:
 def _max_deg(values: Any) -> float | None:
     if values.get("max_deg", MAX_STEERING_DEG) is None:
         return None
-    found = _number(values.get("max_deg", MAX_STEERING_DEG))
-    if not 0 < found < 90:
+    angle_deg = _number(values.get("max_deg", MAX_STEERING_DEG))
+    if not 0 < angle_deg < 90:
         raise ValueError("no angle of the wheels")
-    return found
+    return angle_deg
 
 
 def _answers(values: Any) -> AnswerScale:

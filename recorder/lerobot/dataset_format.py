@@ -43,8 +43,10 @@ LOG_FINGERPRINT: Final = "log_fingerprint"
 LOG_CAR: Final = "log_car"
 """A column of meta/episodes: the car of the episode's log, as JSON; empty if it is unknown."""
 LOG_NOT_RECORDED: Final = "log_not_recorded"
-"""A column of meta/episodes: the event at the first frame with the time before it that was not recorded, and why
+"""A column of meta/episodes: the event about the time before the first frame that was left out on purpose
 (`recorder.log.meant_gaps`); empty without one."""
+LOG_NOT_RECORDED_S: Final = "log_not_recorded_s"
+"""A column of meta/episodes: the seconds of that time; exports of version 0.3 and earlier have the event alone."""
 SPLIT: Final = "split"
 """A column of data files and of meta/episodes: the side of an index's split, `train` or `validation`."""
 REQUIRED: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index")
@@ -106,7 +108,7 @@ def features(
 
 
 def info(
-    of: Mapping[str, Feature], *, fps: int, episodes: int, frames: int, robot: str, is_video: bool
+    features: Mapping[str, Feature], *, fps: int, episodes: int, frames: int, robot: str, is_video: bool
 ) -> dict[str, Any]:
     """The content of `meta/info.json`."""
     return {
@@ -122,13 +124,13 @@ def info(
         "data_path": DATA_PATH,
         "video_path": VIDEO_PATH if is_video else None,
         "splits": {"train": f"0:{episodes}"},
-        "features": {name: asdict(feature) for name, feature in of.items()},
+        "features": {name: asdict(feature) for name, feature in features.items()},
     }
 
 
-def data_schema(of: Mapping[str, Feature]) -> pa.Schema:
+def data_schema(features: Mapping[str, Feature]) -> pa.Schema:
     """The schema of the data files, with the description of their columns that the library `datasets` reads."""
-    columns = {name: feature for name, feature in of.items() if feature.dtype != "video"}
+    columns = {name: feature for name, feature in features.items() if feature.dtype != "video"}
     described = {name: _as_datasets_has_it(feature) for name, feature in columns.items()}
     fields = [pa.field(name, _arrow_type(feature)) for name, feature in columns.items()]
     return pa.schema(fields, {"huggingface": json.dumps({"info": {"features": described}})})

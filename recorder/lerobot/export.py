@@ -35,7 +35,7 @@ from recorder.lerobot.log_episodes import ChosenRows, LogEpisodes, log_episodes
 from recorder.lerobot.picture_spool import PictureSpool
 from recorder.lerobot.row_pictures import RowPictures, Sizes
 from recorder.lerobot.video_files import require_av, video_info
-from recorder.log.meant_gaps import NotRecorded, is_not_recorded, not_recorded
+from recorder.log.meant_gaps import NotRecorded
 from recorder.log.reader import Log
 from recorder.log.session_car import CAR_KEY, car_of, metadata_of
 from recorder.pictures.decoding import decode_picture
@@ -131,10 +131,10 @@ class _Export:
             self.skipped.add("parts of logs that are not finished", log.notice)
         taken = log_episodes(log, self._plan.cameras, self.skipped, chosen)
         frames_before, episodes_before = self.frames, self.episodes
-        not_recorded_before = _not_recorded(log)
+        left_out = _left_out(log)
         pictures = RowPictures(log, taken, self._sizes, self.skipped)
         for episode in taken.episodes:
-            self._add_episode(log, taken, range(episode.start, episode.stop), pictures, not_recorded_before)
+            self._add_episode(log, taken, range(episode.start, episode.stop), pictures, left_out)
         self.sessions.append(
             CardSession(
                 _name(log),
@@ -147,7 +147,12 @@ class _Export:
         )
 
     def _add_episode(
-        self, log: Log, taken: LogEpisodes, rows: range, pictures: RowPictures, not_recorded: Mapping[int, str]
+        self,
+        log: Log,
+        taken: LogEpisodes,
+        rows: range,
+        pictures: RowPictures,
+        left_out: Mapping[int, tuple[float, str]],
     ) -> None:
         cameras = () if self._files.is_video else self._plan.cameras
         with PictureSpool(self._files.root, len(cameras)) as spool:
@@ -163,7 +168,8 @@ class _Export:
                 **dict(zip(map(form.image_key, cameras), spool.columns(), strict=True)),
             }
             about = self._about(log, statistics, len(kept))
-            about[form.LOG_NOT_RECORDED] = not_recorded.get(int(states.time_ns[0]), "")
+            seconds, why = left_out.get(int(states.time_ns[0]), (0.0, ""))
+            about |= {form.LOG_NOT_RECORDED_S: seconds, form.LOG_NOT_RECORDED: why}
             if taken.split is not None:
                 columns[form.SPLIT] = pa.array(taken.split[kept])
                 about[form.SPLIT] = str(taken.split[kept[0]])
@@ -295,18 +301,16 @@ def _car(log: Log) -> str:
         return ""
 
 
-def _not_recorded(log: Log) -> dict[int, str]:
-    """The events about time before a row in which nothing was lost, by the row's log time."""
-    times, events = NotRecorded(), dict[int, str]()
-    for at, event in log.decoded(EVENTS) if EVENTS in log.counts else ():
-        times.add(at.log_time_ns, event.message)
-        if is_not_recorded(event.message):
-            events[at.log_time_ns] = event.message
+def _left_out(log: Log) -> dict[int, tuple[float, str]]:
+    """The seconds before a row that were left out on purpose, and the event there, by the row's log time."""
     states = States.of(log.vehicle())
-    for row in np.flatnonzero(times.gaps(states)).tolist():
-        step_s = int(states.time_ns[row] - states.time_ns[row - 1]) / 1e9
-        events.setdefault(int(states.time_ns[row]), not_recorded(step_s, "a human drove"))
-    return events
+    seconds = NotRecorded.of(log).seconds(states)
+    events = {at.log_time_ns: event.message for at, event in log.decoded(EVENTS)} if EVENTS in log.counts else {}
+    return {
+        time_ns: (left_out_s, events.get(time_ns, ""))
+        for time_ns, left_out_s in zip(states.time_ns.tolist(), seconds.tolist(), strict=True)
+        if left_out_s
+    }
 
 
 def _name(log: Log) -> str:

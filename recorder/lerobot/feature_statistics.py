@@ -65,7 +65,7 @@ class PictureStatistics:
         share = self._counts / self._counts.sum(axis=1, keepdims=True)
         below = np.cumsum(share, axis=1)
         mean = share @ level
-        found = {
+        channels = {
             "min": level[np.argmax(self._counts > 0, axis=1)],
             "max": level[255 - np.argmax(self._counts[:, ::-1] > 0, axis=1)],
             "mean": mean,
@@ -76,7 +76,7 @@ class PictureStatistics:
                 for name, share_below in QUANTILES.items()
             },
         }
-        shaped = {name: values.reshape(3, 1, 1) for name, values in found.items()}
+        shaped = {name: values.reshape(3, 1, 1) for name, values in channels.items()}
         return shaped | {"count": np.array([self.count], np.float64)}
 
 
@@ -87,25 +87,25 @@ class DatasetStatistics:
         self._sums: dict[str, Statistics] = {}
 
     def add(self, episode: Mapping[str, Statistics]) -> None:
-        for feature, of in episode.items():
-            count = of["count"][0]
-            weighted = {name: of[name] * count for name in ("mean", *QUANTILES)}
-            weighted["square"] = (of["std"] ** 2 + of["mean"] ** 2) * count
+        for feature, measured in episode.items():
+            count = measured["count"][0]
+            weighted = {name: measured[name] * count for name in ("mean", *QUANTILES)}
+            weighted["square"] = (measured["std"] ** 2 + measured["mean"] ** 2) * count
             sums = self._sums.setdefault(
                 feature, {name: np.zeros_like(values) for name, values in weighted.items()}
             )
             for name, values in weighted.items():
                 sums[name] = sums[name] + values
-            sums["count"] = sums.get("count", np.zeros(1)) + of["count"]
-            sums["min"] = np.minimum(sums.get("min", of["min"]), of["min"])
-            sums["max"] = np.maximum(sums.get("max", of["max"]), of["max"])
+            sums["count"] = sums.get("count", np.zeros(1)) + measured["count"]
+            sums["min"] = np.minimum(sums.get("min", measured["min"]), measured["min"])
+            sums["max"] = np.maximum(sums.get("max", measured["max"]), measured["max"])
 
     def statistics(self) -> dict[str, Statistics]:
-        found = {}
+        combined = {}
         for feature, sums in self._sums.items():
             count = sums["count"][0]
             mean = sums["mean"] / count
-            found[feature] = {
+            combined[feature] = {
                 "min": sums["min"],
                 "max": sums["max"],
                 "mean": mean,
@@ -113,7 +113,7 @@ class DatasetStatistics:
                 "count": sums["count"],
                 **{name: sums[name] / count for name in QUANTILES},
             }
-        return found
+        return combined
 
 
 def as_json(statistics: Mapping[str, Statistics]) -> dict[str, dict[str, list[object]]]:
@@ -121,7 +121,7 @@ def as_json(statistics: Mapping[str, Statistics]) -> dict[str, dict[str, list[ob
     return {
         feature: {
             name: values.astype(np.int64).tolist() if name == "count" else values.tolist()
-            for name, values in of.items()
+            for name, values in measured.items()
         }
-        for feature, of in statistics.items()
+        for feature, measured in statistics.items()
     }

@@ -68,7 +68,7 @@ def log_episodes(
     taken &= ~out_of_range
     previous = _previous(states, ~out_of_range)
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in cameras}
-    places = {camera: _first_of_each(found.sequence, states.row) for camera, found in pictures.items()}
+    places = {camera: _first_of_each(stored.sequence, states.row) for camera, stored in pictures.items()}
     for camera, place in places.items():
         is_missing = (place < 0) & taken
         _skip(skipped, f"rows of {name} without a picture of the {camera} camera", states.row[is_missing])
@@ -105,9 +105,9 @@ def _is_tagged(rows: NDArray[np.int64], log: Log) -> NDArray[np.bool_]:
     return mask
 
 
-def _first_of_each(of: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """For each of `rows` the first position of its number in `of`; -1 where it is not there."""
-    numbers, first = np.unique(of, return_index=True)
+def _first_of_each(sequence: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """For each of `rows` the first position of its number in `sequence`; -1 where it is not there."""
+    numbers, first = np.unique(sequence, return_index=True)
     if not len(numbers):
         return np.full(len(rows), -1, np.int64)
     at = np.searchsorted(numbers, rows).clip(max=len(numbers) - 1)

@@ -50,7 +50,6 @@ class PictureSpool:
 
     @property
     def size_bytes(self) -> int:
-        """The size of all pictures."""
         return sum(map(sum, self._lengths))
 
     def columns(self) -> list[pa.ChunkedArray]:

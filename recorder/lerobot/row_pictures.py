@@ -21,8 +21,10 @@ class RowPictures:
         """`sizes` are those of the dataset; the first pictures that are read set them."""
         self._log, self._rows, self._sizes, self._skipped = log, taken.states.row, sizes, skipped
         self._places = {
-            camera: [column[taken.places[camera]].tolist() for column in (found.offset, found.length, found.chunk)]
-            for camera, found in taken.pictures.items()
+            camera: [
+                column[taken.places[camera]].tolist() for column in (stored.offset, stored.length, stored.chunk)
+            ]
+            for camera, stored in taken.pictures.items()
         }
         self._size_readers = {camera: SizeReader() for camera in taken.pictures}
 

@@ -7,15 +7,14 @@ import contextlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
-from typing import Final, Literal, overload
+from typing import Final, Literal
 
 import msgspec
 
 from common import atomic_file
 from common.errors import UserError
 from common.location import Location, Url
-from common.untrusted import read_bounded
+from common.random_access import read_bytes
 from common.untrusted_json import json_as
 from recorder import topics
 from recorder.log.reader import Log
@@ -31,22 +30,14 @@ class _Kept(msgspec.Struct):
     lag: SteeringLag | None
 
 
-def lag_note(found: LagFinding) -> dict[str, str]:
+def lag_note(finding: LagFinding) -> dict[str, str]:
     """What a log's writer notes of the lag in the summary of its rows."""
-    return {_KEY: json.dumps(found.lag and asdict(found.lag), allow_nan=False)}
+    return {_KEY: json.dumps(finding.lag and asdict(finding.lag), allow_nan=False)}
 
 
 def noted_lag(quality: Mapping[str, str]) -> LagFinding | None:
     """The lag in a log's summary of its rows; None where its writer did not measure it."""
     return json_as(f'{{"lag":{quality.get(_KEY, "")}}}', LagFinding)
-
-
-@overload
-def lag_path(log: Path) -> Path: ...
-
-
-@overload
-def lag_path(log: Url) -> Url: ...
 
 
 def lag_path(log: Location) -> Location:
@@ -66,21 +57,28 @@ def kept_lag(log: Log) -> LagFinding | None:
 
 
 def _beside(path: Location) -> bytes | None:
-    if isinstance(path, Url):
-        from common.object_store import read_object  # an extra
-
-        return read_object(path, _MAX_BYTES)
-    with contextlib.suppress(OSError):
-        return None if path.is_symlink() else read_bounded(path, _MAX_BYTES)
+    if isinstance(path, Url) or (path.is_file() and not path.is_symlink()):
+        with contextlib.suppress(OSError):
+            return read_bytes(path, _MAX_BYTES)
     return None
 
 
-def keep_lag(log: Log, found: LagFinding) -> bool:
+def keep_lag(log: Log, finding: LagFinding) -> bool:
     """Keep the lag beside a log that has its name; False where nothing can be written."""
-    path = lag_path(log.path)
     if log.path.suffix != ".mcap":
         return False  # it still grows, or is recovered: then it is measured again
-    data = msgspec.json.encode(_Kept(1, log.fingerprint, found.lag)) + b"\n"
+    return _keep(lag_path(log.path), msgspec.json.encode(_Kept(1, log.fingerprint, finding.lag)) + b"\n")
+
+
+def copy_lag(log: Location, to: Location) -> None:
+    """Copy the lag kept beside a log to its copy. Where that fails, it is measured again there."""
+    with contextlib.suppress(UserError):
+        data = _beside(lag_path(log))
+        if data is not None and _beside(lag_path(to)) != data:
+            _keep(lag_path(to), data)
+
+
+def _keep(path: Location, data: bytes) -> bool:
     try:
         if isinstance(path, Url):
             from common.object_store import put_over  # an extra

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import overload
 
@@ -23,3 +24,9 @@ def logs_in(folder: Location) -> list[Path] | list[Url]:
 
         return [each.url for each in list_objects(folder) if each.url.suffix == ".mcap"]
     return sorted((*folder.glob("*.mcap"), *folder.glob("*.mcap.*.part")))
+
+
+def logs_at(place: Location) -> Sequence[Location]:
+    """The logs of a folder; anything else is a log itself. Raises StoreError for what cannot be listed."""
+    is_folder = place.suffix != ".mcap" if isinstance(place, Url) else place.is_dir()
+    return logs_in(place) if is_folder else [place]

@@ -1,6 +1,8 @@
-"""Gaps in time that events of the log explain, so that a check does not take them for lost rows: nothing was
-recorded on purpose, as of a car that is pushed off its line (an event at the first row behind such a gap has its
-length), or a human drove, and the simulator sent nothing.
+"""Time that a log leaves out on purpose, so that a check does not take it for lost rows: a car is pushed off its
+line, a person pauses, or a human drives and the simulator sends nothing.
+
+The row behind it has its seconds (`VehicleState.not_recorded_s`), and an event says why. Rows of logs of version
+0.3 and earlier have no seconds: there the events are read.
 """
 
 from __future__ import annotations
@@ -10,13 +12,15 @@ import re
 from array import array
 from collections import defaultdict
 from collections.abc import Mapping
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from common.untrusted_json import json_as
+from recorder.log.reader import Log
 from recorder.rows.row_quality import GAP_S, States, row_flags
+from recorder.topics import EVENTS, VEHICLE
 
 MEANT_GAPS: Final = "meant_gaps"
 HUMAN_DRIVES: Final = "manual: a human drives"
@@ -27,46 +31,94 @@ HUMAN_HAS_STOPPED: Final = "manual: telemetry comes again"
 DISCONNECTED: Final = "disconnected: "
 """The beginning of an event, which ends such a stretch too."""
 
-_EVENT: Final = re.compile(r"not recorded: ([0-9]{1,6}(?:\.[0-9]{1,3})?) s, ")
+MAX_S: Final = 1e6
+_EARLIER_EVENT: Final = re.compile(r"not recorded: ([0-9]{1,6}(?:\.[0-9]{1,3})?) s, ")
 
 
-def not_recorded(seconds: float, why: str) -> str:
-    """The text of the event: so many seconds lie between two rows, beside those that lie between any two."""
-    return f"not recorded: {seconds:.3f} s, {why}"
+class MeantGap(NamedTuple):
+    """Time before a row that was left out on purpose, besides the usual time between two rows."""
+
+    seconds: float
+    why: str
+
+    def __str__(self) -> str:
+        """The text of its event."""
+        return f"not recorded: {self.seconds:.3f} s, {self.why}"
 
 
-def is_not_recorded(event: str) -> bool:
-    """True for such a text."""
-    return bool(_EVENT.match(event))
+class HumanDriving:
+    """The time that a human has driven since the last row."""
+
+    def __init__(self) -> None:
+        self._since_ns: int | None = None
+        self._driven_ns = 0
+
+    def begin(self, time_ns: int) -> None:
+        self._since_ns = time_ns if self._since_ns is None else self._since_ns
+
+    def end(self, time_ns: int) -> None:
+        if self._since_ns is not None:
+            self._driven_ns += time_ns - self._since_ns
+            self._since_ns = None
+
+    def take_s(self) -> float:
+        """Its seconds, which are counted anew from here on."""
+        driven_ns, self._driven_ns = self._driven_ns, 0
+        return driven_ns / 1e9
 
 
 class NotRecorded:
-    """The times that were not recorded on purpose, from the events of a log."""
+    """The times that were left out of a log on purpose."""
 
     def __init__(self) -> None:
-        self._seconds = defaultdict[int, float](float)  # by log time
+        self._of_rows = dict[int, float]()  # seconds, by log time
+        self._of_events = defaultdict[int, float](float)
         self._human_since_ns: int | None = None
         self._human_ns = array("q")  # begin and end of each stretch that a human drove, one after the other
 
-    def add(self, time_ns: int, event: str) -> None:
-        """An event of the log; to be called in the order of the log."""
-        if event == HUMAN_DRIVES:
+    @classmethod
+    def of(cls, log: Log) -> NotRecorded:
+        """Those of a log that is read. Raises LogError for a damaged log."""
+        times = cls()
+        rows = log.numbers(VEHICLE, ["not_recorded_s"])
+        for time_ns, seconds in zip(
+            rows["log_time_ns"].to_pylist(), rows["not_recorded_s"].to_pylist(), strict=True
+        ):
+            times.add_row(time_ns, seconds)
+        for message, event in log.decoded(EVENTS) if EVENTS in log.counts else ():
+            times.add_event(message.log_time_ns, event.message)
+        return times
+
+    def add_row(self, time_ns: int, seconds: float) -> None:
+        if 0 < seconds < MAX_S:  # False for NaN
+            self._of_rows[time_ns] = seconds
+
+    def add_event(self, time_ns: int, text: str) -> None:
+        """An event, which counts in logs of earlier versions; to be called in the order of the log."""
+        if text == HUMAN_DRIVES:
             self._human_since_ns = time_ns if self._human_since_ns is None else self._human_since_ns
-        elif event in (PILOT_DRIVES_AGAIN, HUMAN_HAS_STOPPED) or event.startswith(DISCONNECTED):
+        elif text in (PILOT_DRIVES_AGAIN, HUMAN_HAS_STOPPED) or text.startswith(DISCONNECTED):
             if self._human_since_ns is not None:
                 self._human_ns.extend((self._human_since_ns, time_ns))
             self._human_since_ns = None
-        elif found := _EVENT.match(event):
-            self._seconds[time_ns] += float(found[1])
+        else:
+            self._of_events[time_ns] += earlier_seconds(text)
+
+    def seconds(self, states: States) -> NDArray[np.float64]:
+        """The time before each row (N,) that was left out."""
+        times_ns: list[int] = states.time_ns.tolist()
+        of_rows = np.array([self._of_rows.get(time_ns, 0.0) for time_ns in times_ns], np.float64)
+        of_events = np.array([self._of_events.get(time_ns, 0.0) for time_ns in times_ns], np.float64)
+        declared: NDArray[np.float64] = np.maximum(of_rows, of_events + self._human_s(states.time_ns))
+        return declared
 
     def gaps(self, states: States) -> NDArray[np.bool_]:
         """The rows (N,) behind a gap that was meant.
 
-        One that is longer than its events declare, by more than a gap takes, has lost rows as well.
+        One that is longer than it should be, by more than a gap takes, has lost rows as well.
         """
         step_s = np.diff(states.time_ns, prepend=states.time_ns[:1]) / 1e9
-        declared_s = np.array([self._seconds.get(time_ns, 0.0) for time_ns in states.time_ns.tolist()], np.float64)
-        declared_s += self._human_s(states.time_ns)
+        declared_s = self.seconds(states)
         meant: NDArray[np.bool_] = (step_s > 0) & (declared_s > 0) & (step_s - declared_s <= GAP_S)
         return row_flags(states)["gap"] & meant if meant.any() else meant
 
@@ -85,6 +137,12 @@ class NotRecorded:
         """The log's note of them, beside `row_quality.summary`; empty without any."""
         rows: list[int] = states.row[self.gaps(states)].tolist()
         return {MEANT_GAPS: json.dumps(rows)} if rows else {}
+
+
+def earlier_seconds(event: str) -> float:
+    """The seconds in the text of an event about a `MeantGap`, for logs and exports of version 0.3 and earlier."""
+    matched = _EARLIER_EVENT.match(event)
+    return float(matched[1]) if matched else 0.0
 
 
 def meant_rows(quality: Mapping[str, str]) -> list[int]:

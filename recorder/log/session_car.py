@@ -198,7 +198,7 @@ def max_steering_deg_of(log: Log) -> float:
     cars = (car_in(session, log.path) or UDACITY for session in _sessions(log))
     angles_deg = {car.max_steering_deg for car in cars} or {MAX_STEERING_DEG}
     if len(angles_deg) > 1:
-        degrees = " and ".join(f"{each:g}" for each in sorted(angles_deg))
+        degrees = " and ".join(f"{angle:g}" for angle in sorted(angles_deg))
         raise LogError(f"{log.path}: merged of sessions whose wheels turn by {degrees} degrees at steering 1")
     return angles_deg.pop()
 
@@ -217,8 +217,8 @@ def is_angle_unknown(session: Mapping[str, str]) -> bool:
 def foreign_source(log: Log) -> str:
     """The source of a log of others' data, such as a tub; of a merged one, if all of its logs have it. Else
     empty."""
-    found = {session.get("log_source", session.get("source", "")) for session in _sessions(log)}
-    source = found.pop() if len(found) == 1 else ""
+    sources = {session.get("log_source", session.get("source", "")) for session in _sessions(log)}
+    source = sources.pop() if len(sources) == 1 else ""
     return source if source in _OF_UNKNOWN_CARS else ""
 
 
@@ -231,10 +231,10 @@ def car_of(log: Log, car: str = "auto") -> Car:
         return named_car(car)
     has_poses = bool(log.counts.get(topics.POSE))
     cars = [car_in(session, log.path) or _implied(session, has_poses) for session in _sessions(log)]
-    if not cars or cars[0] is None or any(each != cars[0] for each in cars):
+    if not cars or cars[0] is None or any(other != cars[0] for other in cars):
         raise RecordingError(
-            f"{log.path}: it does not say where its cameras stand; that is known of Udacity's simulator, of"
-            " the built-in one, and of sessions that were recorded with --car"
+            f"{log.path}: it does not describe its cameras. They are known for Udacity's simulator,"
+            " the built-in one, and sessions that were recorded with --car"
         )
     return cars[0]
 

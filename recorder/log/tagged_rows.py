@@ -32,7 +32,7 @@ class TaggedRows:
 
     def left(self, odd: Iterable[OddStretch]) -> list[OddStretch]:
         """The stretches in which some row lacks it."""
-        return [each for each in odd if not self.hold(each.first_row, each.last_row)]
+        return [stretch for stretch in odd if not self.hold(stretch.first_row, stretch.last_row)]
 
 
 def tagged_rows(path: Location, name: str = FINE) -> TaggedRows:

@@ -78,8 +78,8 @@ def read_tags(log: Location, fingerprint: str) -> list[Tag]:
 def names_used(folder: Location) -> set[str]:
     """The names of the tags of all logs in a folder; EXCLUDE and FINE are always among them. Raises StoreError."""
     with ThreadPoolExecutor() as pool:  # each file of a store is a request
-        found = list(pool.map(_names_in, _tag_files(folder)))
-    return {EXCLUDE, FINE}.union(*found)
+        names = list(pool.map(_names_in, _tag_files(folder)))
+    return {EXCLUDE, FINE}.union(*names)
 
 
 def _tag_files(folder: Location) -> list[Path] | list[Url]:
@@ -87,7 +87,7 @@ def _tag_files(folder: Location) -> list[Path] | list[Url]:
         return list(folder.glob(f"*{_ENDING}"))
     from common.object_store import list_objects  # an extra
 
-    return [each.url for each in list_objects(folder) if each.url.name.endswith(_ENDING)]
+    return [entry.url for entry in list_objects(folder) if entry.url.name.endswith(_ENDING)]
 
 
 def _names_in(path: Location) -> set[str]:
@@ -98,24 +98,17 @@ def _names_in(path: Location) -> set[str]:
     return {tag.name for tags in tagged.values() for tag in tags}
 
 
-def add_tag(log: Location, fingerprint: str, tag: Tag) -> None:
-    """Raises LogError for a name or rows that no tag can have, or if the file cannot be written; StoreError, also
-    where somebody else has tagged that log in the store at this moment."""
-    add_tags(log, fingerprint, [tag])
-
-
 def add_tags(log: Location, fingerprint: str, tags: Sequence[Tag]) -> None:
-    """Add all of them or, where anything is raised, none. Raises what `add_tag` does."""
+    """Add all of them or, where anything is raised, none.
+
+    Raises LogError for a name or rows that no tag can have, or if the file cannot be written; StoreError, also
+    where somebody else has tagged that log in the store at this moment.
+    """
     _append(log, "add", fingerprint, tags)
 
 
-def remove_tag(log: Location, fingerprint: str, tag: Tag) -> None:
-    """Raises what `add_tag` does; removing a tag that is not there changes nothing."""
-    remove_tags(log, fingerprint, [tag])
-
-
 def remove_tags(log: Location, fingerprint: str, tags: Sequence[Tag]) -> None:
-    """Remove all of them or, where anything is raised, none. Raises what `add_tag` does."""
+    """Remove all of them, if they are there. Raises what `add_tags` does."""
     _append(log, "remove", fingerprint, tags)
 
 
@@ -126,22 +119,16 @@ def check_name(name: object) -> str:
     return name
 
 
-def _row(value: object) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < _MAX_ROWS:
-        raise ValueError(f"{value!r} is not a row")
-    return value
-
-
 def _checked(tag: Tag) -> Tag:
     check_name(tag.name)
-    if _row(tag.first_row) > _row(tag.last_row):
-        raise ValueError(f"rows {tag.first_row} to {tag.last_row} are not a stretch")
+    if not 0 <= tag.first_row <= tag.last_row < _MAX_ROWS:
+        raise ValueError(f"no rows {tag.first_row} to {tag.last_row}")
     return tag
 
 
 def tags_by_content(log: Location) -> defaultdict[str, set[Tag]]:
     """The tags by the fingerprint that they are for. Raises LogError for a damaged file."""
-    found: defaultdict[str, set[Tag]] = defaultdict(set)
+    tags: defaultdict[str, set[Tag]] = defaultdict(set)
     names = set[str]()  # that are some
     for number, line in enumerate(_lines(log), start=1):
         try:
@@ -155,13 +142,13 @@ def tags_by_content(log: Location) -> defaultdict[str, set[Tag]]:
             if entry.rows[0] > entry.rows[1]:
                 raise ValueError(entry.rows)
         except (ValueError, RecursionError):  # of msgspec, too
-            raise LogError(f"{tags_path(log)}: line {number} is not a tag; mend or remove it") from None
+            raise LogError(f"{tags_path(log)}: line {number} is not a tag; correct or remove it") from None
         tag = Tag(*entry.rows, name)
         if is_added:
-            found[entry.log].add(tag)
+            tags[entry.log].add(tag)
         else:
-            found[entry.log].discard(tag)
-    return found
+            tags[entry.log].discard(tag)
+    return tags
 
 
 def _lines(log: Location) -> list[str]:
@@ -173,7 +160,7 @@ def _lines(log: Location) -> list[str]:
     if data is None:
         return []
     if len(data) > MAX_BYTES:
-        raise LogError(f"{path}: larger than {MAX_BYTES:,} bytes, which no tags are")
+        raise LogError(f"{path}: larger than {MAX_BYTES:,} bytes, too large for tags")
     whole = data[: data.rfind(b"\n") + 1]
     return whole.decode("utf-8", "replace").splitlines()
 
@@ -201,9 +188,9 @@ def _append_there(url: Url, lines: bytes) -> None:
 
     before = b""
     replaces: ObjectVersion | None = None
-    with contextlib.suppress(NoSuchObjectError), ObjectFile(url) as there:
-        replaces = there.object_version
-        before = there.read(0, there.size)
+    with contextlib.suppress(NoSuchObjectError), ObjectFile(url) as journal:
+        replaces = journal.object_version
+        before = journal.read(0, journal.size)
     with tempfile.TemporaryDirectory(prefix="bc-tags-") as folder:
         file = Path(folder) / url.name
         file.write_bytes(before[: before.rfind(b"\n") + 1] + lines)

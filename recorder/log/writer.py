@@ -31,7 +31,7 @@ from recorder import topics
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.errors import LogError
 from recorder.log.known_lag import lag_note
-from recorder.log.meant_gaps import NotRecorded
+from recorder.log.meant_gaps import MeantGap, NotRecorded
 from recorder.log.road_places import CarPlaces
 from recorder.log.session_car import UDACITY, car_in
 from recorder.log.written_pictures import WrittenPictures
@@ -159,9 +159,18 @@ class LogWriter:
         """The picture that the network saw, as PNG (lossless)."""
         self._image(topics.PILOT_INPUT, time_ns, sequence, png, "png")
 
-    def vehicle(self, time_ns: int, sequence: int, state: VehicleState) -> None:
+    def vehicle(self, time_ns: int, sequence: int, state: VehicleState, gap: MeantGap | None = None) -> None:
+        """`gap`: time before this row that was left out on purpose; an event says why."""
+        if gap is not None:
+            state.not_recorded_s = gap.seconds
         self._write(topics.VEHICLE, state, time_ns, sequence)
+        self._note_row(sequence, time_ns, state)
+        if gap is not None:
+            self.event(time_ns, str(gap), name="recorder")
+
+    def _note_row(self, sequence: int, time_ns: int, state: VehicleState) -> None:
         self._states.add(sequence, time_ns, state)
+        self._not_recorded.add_row(time_ns, state.not_recorded_s)
 
     def command(self, time_ns: int, sequence: int, command: PilotCommand) -> None:
         self._write(topics.PILOT_COMMAND, command, time_ns, sequence)
@@ -189,7 +198,6 @@ class LogWriter:
             name=_utf8(name),
         )
         self._write(topics.EVENTS, message, time_ns, 0)
-        self._not_recorded.add(time_ns, text)
 
     def copy(self, schema: Schema | None, channel: Channel, message: McapMessage, sequence: int) -> None:
         """A message of another log, as it is but for its sequence number."""
@@ -198,7 +206,7 @@ class LogWriter:
         self._message(add, message.log_time, message.publish_time, sequence, message.data)
         if channel.topic == topics.VEHICLE and schema is not None and schema.name == VEHICLE_STATE.name:
             try:
-                self._states.add(sequence, message.log_time, VehicleState.FromString(message.data))
+                self._note_row(sequence, message.log_time, VehicleState.FromString(message.data))
             except DecodeError:
                 raise UserError(f"{self.path}: a message on {topics.VEHICLE} is not a vehicle state") from None
         elif channel.topic == topics.POSE and schema is not None and schema.name == POSE_IN_FRAME.name:
@@ -206,7 +214,7 @@ class LogWriter:
                 self._places.add(sequence, PoseInFrame.FromString(message.data).pose)
         elif channel.topic == topics.EVENTS and schema is not None and schema.name == LOG_MESSAGE.name:
             with contextlib.suppress(DecodeError):
-                self._not_recorded.add(message.log_time, LogMessage.FromString(message.data).message)
+                self._not_recorded.add_event(message.log_time, LogMessage.FromString(message.data).message)
         elif channel.topic == topics.PILOT_COMMAND:
             self._has_commands = True
         elif is_picture and channel.topic in CAMERA_TOPICS:
@@ -394,8 +402,8 @@ class LogWriter:
         if not self._live:
             return UserError(f"{self.path}: cannot be written ({error.strerror}); nothing was kept of it")
         return UserError(
-            f"{self.part}: cannot be written any further ({error.strerror}); what was recorded until now is in it:"
-            f" make room and give `bc-log recover {self.part}`"
+            f"{self.part}: cannot be written any further ({error.strerror}); it has all rows until now:"
+            f" make room and run `bc-log recover {self.part}`"
         )
 
     def _abandon(self) -> None:

@@ -91,8 +91,6 @@ class StoredMessage(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """The records of a chunk, by kind."""
-
     messages: array[int]  # where each begins
     definitions: list[tuple[int, int, int]]  # opcode, start and end of schemas and channels
 
@@ -138,7 +136,8 @@ class McapFile(Closeable):
         try:
             data = self._bytes.read(offset, length)
         except OSError as error:  # a failing disk
-            raise self._unreadable(offset, length, error) from None
+            where = f"bytes {offset:,} to {offset + length:,}"
+            raise self.damaged(f"{where} cannot be read ({error.strerror})") from None
         if len(data) != length:
             raise self.damaged("it has become shorter while it was read")
         return data
@@ -178,9 +177,6 @@ class McapFile(Closeable):
             raise self.damaged(f"bytes {offset:,} to {offset + length:,} lie outside the file")
         if length > MAX_RECORD_BYTES:
             raise self.damaged(f"a record of {length:,} bytes")
-
-    def _unreadable(self, offset: int, length: int, error: OSError) -> LogError:
-        return self.damaged(f"bytes {offset:,} to {offset + length:,} cannot be read ({error.strerror})")
 
     @cached_property
     def profile_and_library(self) -> tuple[bytes, bytes]:
@@ -236,7 +232,7 @@ class McapFile(Closeable):
         except struct.error:
             raise self.damaged(f"{where} is cut off") from None
         if opcode != Opcode.CHUNK or RECORD.size + length != len(record) or stored_at + stored_size != len(record):
-            raise self.damaged(f"{where} is not of the length that it declares")
+            raise self.damaged(f"{where} does not have its declared length")
         if size > MAX_CHUNK_BYTES:
             raise self.damaged(f"{where} would unpack to {size:,} bytes")
         if named and start not in self._unpacked_at:
@@ -252,7 +248,7 @@ class McapFile(Closeable):
         if len(records) != size:
             raise self.damaged(f"{where} does not unpack to the {size:,} bytes that it declares")
         if not self.may_have_crc(crc, records):
-            raise self.damaged(f"{where} has another content than its CRC says")
+            raise self.damaged(f"{where} does not match its CRC")
         return records
 
     def records_at(self, chunk: Chunk) -> int:
@@ -264,7 +260,6 @@ class McapFile(Closeable):
         return (stored_message(records, start) for start in self.parts(records).messages)
 
     def metadata(self, offset: int) -> MetadataRecord:
-        """The metadata record that begins at `offset`."""
         content = self._content(offset, Opcode.METADATA)
         try:
             record: MetadataRecord = MetadataRecord.read(ReadDataStream(io.BytesIO(content)))
@@ -273,10 +268,9 @@ class McapFile(Closeable):
         return record
 
     def attachment(self, offset: int) -> Attachment:
-        """The attachment that begins at `offset`."""
         content = self._content(offset, Opcode.ATTACHMENT)
         if not self.may_have_crc(int.from_bytes(content[-4:], "little"), content[:-4]):
-            raise self.damaged("an attachment has another content than its CRC says")
+            raise self.damaged("an attachment does not match its CRC")
         try:
             attachment: Attachment = Attachment.read(ReadDataStream(io.BytesIO(content)))
         except UNREADABLE:

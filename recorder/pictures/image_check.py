@@ -95,7 +95,6 @@ class ImageCheck:
                 self._settle()
 
     def finish(self) -> None:
-        """Wait until every picture is decoded."""
         if self._pool is not None:
             self._submit(self._pool)
         while self._waiting:

@@ -83,10 +83,10 @@ def _both(mask: Mask) -> Mask:
 
 
 def _reaching(signed_mph: Values, drive: NDArray[np.int64]) -> Mask:
-    found = np.zeros(len(signed_mph), np.bool_)
+    reaches = np.zeros(len(signed_mph), np.bool_)
     for first, last in stretches_within(signed_mph < SIGNED_MPH, drive):
-        found[first : last + 1] = signed_mph[first : last + 1].min() < SURELY_MPH
-    return found
+        reaches[first : last + 1] = signed_mph[first : last + 1].min() < SURELY_MPH
+    return reaches
 
 
 def _moves(mph: Values, is_joined: Mask) -> NDArray[np.int64]:

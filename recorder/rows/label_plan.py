@@ -55,10 +55,10 @@ NOT_MEASURED: Final = "lag not measured"
 """Why presses are taken to be in time, as those of all recordings that were measured are."""
 
 
-def plan_labels(habits: SteeringHabits, found: LagFinding | None, driven_by: str = "") -> LabelPlan:
-    """The plan of a session; `found` is None where its lag was never measured. `driven_by` names the machine that
-    drove it, if one did. The device that a person steered with goes before it: in a drive of both, the person's
-    rows are those to learn."""
+def plan_labels(habits: SteeringHabits, finding: LagFinding | None, driven_by: str = "") -> LabelPlan:
+    """The plan of a session; `finding` is None where its lag was never measured. `driven_by` names the machine
+    that drove it, if one did. The device that a person steered with goes before it: in a drive of both, the
+    person's rows are those to learn."""
     if habits.device:
         is_late = habits.device in LATE_DEVICES and (habits.rate_hz or 0.0) >= MIN_HZ
         return LabelPlan(SMOOTH_S * is_late, REACTION_S * is_late, True, habits.device)
@@ -66,12 +66,12 @@ def plan_labels(habits: SteeringHabits, found: LagFinding | None, driven_by: str
         return LabelPlan(0.0, 0.0, False, f"driven by {driven_by}")
     if habits.kind not in ("steps", "smooth"):
         return LabelPlan(0.0, 0.0, True, _WHY[habits.kind])
-    lag = found.lag if found else None
+    lag = finding.lag if finding else None
     if lag is not None and lag.correlation < 0:
         return LabelPlan(0.0, 0.0, True, "the pictures turn the other way: is left right?")
     if habits.kind == "smooth":
         return LabelPlan(0.0, 0.0, True, "smooth" + _of_smooth(lag))
-    late_s, why = _late(lag) if found else (0.0, NOT_MEASURED)
+    late_s, why = _late(lag) if finding else (0.0, NOT_MEASURED)
     if (habits.rate_hz or 0.0) < MIN_HZ:
         return LabelPlan(0.0, late_s, True, why or "too few rows a second to smooth")
     return LabelPlan(SMOOTH_S, round(REACTION_S + late_s, 2), True, why)

@@ -99,16 +99,17 @@ def odd_stretches(states: States) -> list[OddStretch]:
         return []
     drive = drive_numbers(states.time_ns)
     taken = np.zeros(len(drive), np.bool_)
-    found = []
+    odd = []
     for kind, mask, is_sure, cause in _kinds(states, drive):
         for first, last in stretches_within(mask & ~taken, drive):
             rows = slice(first, last + 1)
             taken[rows] = True
             if not is_sure and states.time_ns[last] - states.time_ns[first] < CRUMB_S * 1e9:
                 continue  # the edge of what is odd for another cause
-            kind_of_it, why = cause(rows) if callable(cause) else (kind, cause)
-            found.append(stretch_of(states, first, last, kind_of_it, why, is_sure=is_sure))
-    return sorted(found, key=lambda each: (each.first_row, each.last_row))
+            why = cause(rows) if callable(cause) else cause
+            kind_of_it, why = why if isinstance(why, tuple) else (kind, why)
+            odd.append(stretch_of(states, first, last, kind_of_it, why, is_sure=is_sure))
+    return sorted(odd, key=lambda stretch: (stretch.first_row, stretch.last_row))
 
 
 def stretch_of(states: States, first: int, last: int, kind: str, cause: str, *, is_sure: bool) -> OddStretch:
@@ -118,7 +119,8 @@ def stretch_of(states: States, first: int, last: int, kind: str, cause: str, *, 
     return OddStretch(kind, first_row, last_row, begin_s, end_s, cause, is_sure)
 
 
-_Cause = Callable[[slice], tuple[str, str]] | str
+_Cause = Callable[[slice], tuple[str, str] | str] | str
+"""In words, or the kind and that, of rows."""
 
 
 def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask, bool, _Cause]]:
@@ -143,67 +145,33 @@ def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask
         return "crash", how + (f", {counted(int(backwards.sum()), 'row')} backwards" if backwards.any() else "")
 
     yield "crash", flags["crash"] | flags["backwards"] | flags["manoeuvring"], True, manoeuvre
-    yield (
-        "parked",
-        flags["parked"],
-        True,
-        lambda rows: (
-            "parked",
-            f"stands for {time_s[rows][-1] - time_s[rows][0]:.0f} s",
-        ),
-    )
-    if states.beyond_m is not None:
-        beyond_m = states.beyond_m
-        yield (
-            "off_road",
-            off_road_rows(beyond_m, time_s, drive),
-            True,
-            lambda rows: ("off_road", f"its middle is up to {np.nanmax(beyond_m[rows]):.1f} m beyond the edge"),
-        )
+    yield "parked", flags["parked"], True, lambda rows: f"stands for {time_s[rows][-1] - time_s[rows][0]:.0f} s"
+    if (beyond_m := states.beyond_m) is not None:
+
+        def how_far(rows: slice) -> str:
+            return f"its middle is up to {np.nanmax(beyond_m[rows]):.1f} m beyond the edge"
+
+        yield "off_road", off_road_rows(beyond_m, time_s, drive), True, how_far
     yield "out_of_range", flags["out_of_range"], True, "steering, a pedal or a speed that no car has"
+
+    def from_a_stand(rows: slice) -> str:
+        return f"or downhill? Up to {fastest_mph(rows):.0f} mph from a stand, without throttle"
+
     perhaps = driven_backwards(speed_mph, states.throttle, states.brake, time_s, drive).perhaps
-    yield (
-        "backwards",
-        perhaps,
-        False,
-        lambda rows: (
-            "backwards",
-            f"or downhill? Up to {fastest_mph(rows):.0f} mph from a stand, without throttle",
-        ),
-    )
-    yield (
-        "stuck_steering",
-        flags["stuck_steering"],
-        False,
-        lambda rows: (
-            "stuck_steering",
-            f"at {states.steering[rows][0]:g}",
-        ),
-    )
+    yield "backwards", perhaps, False, from_a_stand
+    yield "stuck_steering", flags["stuck_steering"], False, lambda rows: f"at {states.steering[rows][0]:g}"
     coasting = coasting_rows(speed_mph, states.throttle, states.brake, standing, usual_mph, time_s, drive)
-    yield (
-        "coasting",
-        coasting,
-        False,
-        lambda rows: (
-            "coasting",
-            f"from {fastest_mph(rows):.0f} mph without a pedal",
-        ),
-    )
-    yield (
-        "creeping",
-        creeping_rows(speed_mph, standing, usual_mph, time_s, drive),
-        False,
-        lambda rows: (
-            "creeping",
-            f"at most {fastest_mph(rows):.1f} mph, where {usual_mph:.0f} mph is usual",
-        ),
-    )
+    yield "coasting", coasting, False, lambda rows: f"from {fastest_mph(rows):.0f} mph without a pedal"
+
+    def how_slow(rows: slice) -> str:
+        return f"at most {fastest_mph(rows):.1f} mph, where {usual_mph:.0f} mph is usual"
+
+    yield "creeping", creeping_rows(speed_mph, standing, usual_mph, time_s, drive), False, how_slow
 
 
 def odd_summary(states: States) -> dict[str, str]:
     """A log's note of the first of them, beside `row_quality.summary`."""
-    return {ODD: json.dumps([asdict(each) for each in odd_stretches(states)[:MAX_KEPT]])}
+    return {ODD: json.dumps([asdict(stretch) for stretch in odd_stretches(states)[:MAX_KEPT]])}
 
 
 def odd_in(quality: Mapping[str, str]) -> list[OddStretch] | None:
@@ -213,7 +181,7 @@ def odd_in(quality: Mapping[str, str]) -> list[OddStretch] | None:
 
 def odd_lines(odd: Sequence[OddStretch]) -> list[str]:
     """What is odd in a log, in words."""
-    lines = [str(each) for each in odd[:MAX_NAMED]]
+    lines = [str(stretch) for stretch in odd[:MAX_NAMED]]
     if len(odd) > MAX_NAMED:
         lines.append(f"and {counted(len(odd) - MAX_NAMED, 'more stretch', 'more stretches')}")
     return lines
@@ -221,18 +189,18 @@ def odd_lines(odd: Sequence[OddStretch]) -> list[str]:
 
 def exclude_command(odd: Sequence[OddStretch], log: Location) -> str:
     """The command that excludes all that is sure."""
-    look = " --look" * any(each.is_sure and each.is_shown for each in odd)
+    look = " --look" * any(stretch.is_sure and stretch.is_shown for stretch in odd)
     return f"bc-log tag {shlex.quote(str(log))} exclude --odd{look}"
 
 
 def odd_advice(odd: Sequence[OddStretch], log: Location) -> list[str]:
     """What becomes of what is odd in a log, and what to do about it; nothing where nothing is."""
     lines, place = [], shlex.quote(str(log))
-    if any(not each.is_learnt and each.kind in NOT_LEARNT for each in odd):
+    if any(not stretch.is_learnt and stretch.kind in NOT_LEARNT for stretch in odd):
         lines.append("crashes, driving backwards and parked cars are not learnt by default, if a person drove")
-    if any(each.is_sure for each in odd):
+    if any(stretch.is_sure for stretch in odd):
         lines.append(f"`{exclude_command(odd, log)}` excludes all that is sure")
-    if unsure := next((each for each in odd if not each.is_sure), None):
+    if unsure := next((stretch for stretch in odd if not stretch.is_sure), None):
         look = f"`bc-play {place}`, or let `bc-log check {place}` look at its pictures"
-        lines.append(f"look at what is perhaps odd, {look}; `{unsure.command(log)}` excludes it")
+        lines.append(f"look at the stretches that are perhaps odd, {look}; `{unsure.command(log)}` excludes it")
     return lines

@@ -35,7 +35,7 @@ def beyond_edge_m(track: str, fingerprint: str, x_m: Values, y_m: Values, headin
         return None
     if fingerprint not in ("", road.fingerprint()):
         return None
-    found = np.full(len(x_m), np.nan)
+    beyond_m = np.full(len(x_m), np.nan)
     with np.errstate(invalid="ignore"):
         places_m = np.stack([x_m, y_m]) + AXLE_TO_CENTRE_M * np.stack([np.cos(heading_rad), np.sin(heading_rad)])
         at = np.flatnonzero((np.abs(places_m) < _FARTHEST_M).all(axis=0))
@@ -43,8 +43,8 @@ def beyond_edge_m(track: str, fingerprint: str, x_m: Values, y_m: Values, headin
     for rows in np.split(at, range(_AT_ONCE, len(at), _AT_ONCE)):
         away_m = np.hypot(*(places_m[axis, rows, None] - points_m[None, :, axis] for axis in (0, 1)))
         nearest = away_m.argmin(axis=1)
-        found[rows] = away_m[np.arange(len(rows)), nearest] - road.half_width_m[nearest]
-    return found
+        beyond_m[rows] = away_m[np.arange(len(rows)), nearest] - road.half_width_m[nearest]
+    return beyond_m
 
 
 def off_road_rows(beyond_m: Values, time_s: Values, drive: NDArray[np.int64]) -> Mask:

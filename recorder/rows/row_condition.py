@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import operator
 import re
 from collections.abc import Callable, Mapping
@@ -18,94 +19,60 @@ COLUMNS: Final = ("row", "time_s", "steering", "throttle", "brake", "speed_mph")
 
 Mask = NDArray[np.bool_]
 
-_COMPARE: Final[Mapping[str, Callable[[Any, Any], Any]]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-    "=": operator.eq,
-    "==": operator.eq,
-    "!=": operator.ne,
+_COMPARE: Final[Mapping[type[ast.cmpop], Callable[[Any, Any], Any]]] = {
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
 }
-_NUMBER: Final = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
-_TOKEN: Final = re.compile(rf"{_NUMBER.pattern}|[A-Za-z_]\w*|[<>=!]=|\S", re.ASCII)
+_SINGLE_EQUALS: Final = re.compile(r"(?<![<>=!])=(?!=)")
+_AND_OR: Final = re.compile(r"\b(and|or)\b", re.IGNORECASE)
 _MAX_CHARACTERS: Final = 500
-_MAX_PARENTHESES: Final = 50
 
 
 def rows_where(states: States, condition: str) -> Mask:
-    """The rows (N,) for which a condition holds; no comparison with an unknown number does. Raises UsageError,
-    with what was expected where, for any other text."""
+    """The rows (N,) for which a condition holds; no comparison with an unknown number does. It is read as a Python
+    expression, and nothing of it is run. Raises UsageError for any other text."""
     if len(condition) > _MAX_CHARACTERS:
         raise UsageError(f"--where: {len(condition):,} characters; at most {_MAX_CHARACTERS} are taken")
-    return _Parser(states, condition).parsed()
+    text = _AND_OR.sub(lambda word: word[0].lower(), _SINGLE_EQUALS.sub("==", condition.strip()))
+    since_s = (states.time_ns - states.time_ns[:1]) / 1e9
+    columns = {name: since_s if name == "time_s" else getattr(states, name) for name in COLUMNS}
+    try:
+        return np.broadcast_to(_mask(ast.parse(text, mode="eval").body, columns), states.row.shape)
+    except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError) as error:
+        what = error.args[0] if isinstance(error, _ExpectedError) else "no comparisons joined by and, or"
+        raise UsageError(f"--where {condition!r}: {what}; columns are {', '.join(COLUMNS)}") from None
 
 
-class _Parser:
-    def __init__(self, states: States, text: str) -> None:
-        since_s = (states.time_ns - states.time_ns[:1]) / 1e9
-        self._columns = {name: since_s if name == "time_s" else getattr(states, name) for name in COLUMNS}
-        self._shape = states.row.shape
-        self._depth = 0
-        self._text = text
-        self._tokens: list[str] = _TOKEN.findall(text)
-        self._at = 0
+class _ExpectedError(ValueError):
+    """A condition lacks something."""
 
-    def parsed(self) -> Mask:
-        mask = self._any()
-        if self._at < len(self._tokens):
-            raise self._expected("and, or, or the end")
-        return mask
 
-    def _any(self) -> Mask:
-        mask = self._all()
-        while self._took("or"):
-            mask = mask | self._all()
-        return mask
+def _mask(node: ast.expr, columns: Mapping[str, NDArray[Any]]) -> Mask:
+    match node:
+        case ast.BoolOp(op=op, values=values):
+            join = np.logical_and if isinstance(op, ast.And) else np.logical_or
+            masks = [_mask(value, columns) for value in values]
+            joined: Mask = masks[0]
+            for mask in masks[1:]:
+                joined = join(joined, mask)
+            return joined
+        case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in _COMPARE:
+            one, other = _value(left, columns), _value(right, columns)
+            holds: Mask = np.asarray(_COMPARE[type(op)](one, other) & ~np.isnan(one) & ~np.isnan(other))
+            return holds
+    raise _ExpectedError(f"a comparison (<, <=, >, >=, =, !=) was expected, not {ast.unparse(node)}")
 
-    def _all(self) -> Mask:
-        mask = self._one()
-        while self._took("and"):
-            mask = mask & self._one()
-        return mask
 
-    def _one(self) -> Mask:
-        if self._took("("):
-            self._depth += 1
-            if self._depth > _MAX_PARENTHESES:
-                raise UsageError(f"--where: at most {_MAX_PARENTHESES} parentheses are taken")
-            mask = self._any()
-            if not self._took(")"):
-                raise self._expected("and, or, or )")
-            return mask
-        left = self._value()
-        compare = _COMPARE.get(self._next())
-        if compare is None:
-            raise self._expected("a comparison (<, <=, >, >=, =, !=)")
-        self._at += 1
-        right = self._value()
-        holds: Mask = compare(left, right) & ~np.isnan(left) & ~np.isnan(right)
-        return np.broadcast_to(holds, self._shape)
-
-    def _value(self) -> NDArray[Any] | float:
-        sign = -1.0 if self._took("-") else 1.0
-        token = self._next()
-        if token in self._columns:
-            self._at += 1
-            return self._columns[token] * sign
-        if not _NUMBER.fullmatch(token):
-            raise self._expected(f"a number, or one of {', '.join(COLUMNS)}")
-        self._at += 1
-        return float(token) * sign
-
-    def _next(self) -> str:
-        return self._tokens[self._at] if self._at < len(self._tokens) else ""
-
-    def _took(self, token: str) -> bool:
-        is_it = self._next().lower() == token
-        self._at += is_it
-        return is_it
-
-    def _expected(self, what: str) -> UsageError:
-        where = f"before {self._next()!r}" if self._next() else "at its end"
-        return UsageError(f"--where {self._text!r}: {what} was expected {where}")
+def _value(node: ast.expr, columns: Mapping[str, NDArray[Any]]) -> NDArray[Any] | float:
+    match node:
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            return -_value(operand, columns)
+        case ast.Name(id=name) if name in columns:
+            return columns[name]
+        case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
+            return float(number)
+    raise _ExpectedError(f"a number or a column was expected, not {ast.unparse(node)}")

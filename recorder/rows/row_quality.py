@@ -103,7 +103,7 @@ def summary(states: States) -> dict[str, str]:
     for, and the first stretches of them as JSON: [flag, first row, last row, begin and end in seconds from the
     log's first row]; a gap begins at the row before it."""
     flags = row_flags(states)
-    found = sorted((first, last, flag) for flag, mask in flags.items() for first, last in stretches(mask))
+    flagged = sorted((first, last, flag) for flag, mask in flags.items() for first, last in stretches(mask))
     since_s = (states.time_ns - states.time_ns[:1]) / 1e9
     listed = [
         [
@@ -113,7 +113,7 @@ def summary(states: States) -> dict[str, str]:
             float(since_s[first - (flag == "gap")]),
             float(since_s[last]),
         ]
-        for first, last, flag in found
+        for first, last, flag in flagged
     ]
     return {
         "rows": str(len(states.row)),

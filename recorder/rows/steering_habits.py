@@ -160,14 +160,14 @@ def neighbours_mean(steering: Values, time_s: Values, reach_s: float) -> Values:
 
 
 def _ceilings(steering: Values, time_s: Values) -> tuple[float | None, float | None, float | None]:
-    found = [_correlation(steering, neighbours_mean(steering, time_s, width_s / 2)) for width_s in CEILING_S]
-    return found[0], found[1], found[2]
+    ceilings = [_correlation(steering, neighbours_mean(steering, time_s, width_s / 2)) for width_s in CEILING_S]
+    return ceilings[0], ceilings[1], ceilings[2]
 
 
 def _correlation(a: Values, b: Values) -> float | None:
     """The correlation where both are finite; None where one of them does not vary."""
-    known = np.isfinite(a) & np.isfinite(b)
-    a, b = a[known], b[known]
+    both = np.isfinite(a) & np.isfinite(b)
+    a, b = a[both], b[both]
     if len(a) < 3 or a.std() < _NO_SPREAD or b.std() < _NO_SPREAD:
         return None
     return float(np.corrcoef(a, b)[0, 1])

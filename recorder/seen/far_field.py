@@ -42,9 +42,9 @@ def rows_apart(states: States, time_s: Values, most: int | None = None) -> NDArr
         at = max(later[at], at + 1)
     rows = np.array(chain, np.int64)
     if most is not None and len(rows) > most:
-        each = most // _PARTS
-        starts = np.linspace(0, len(rows) - each, _PARTS).astype(np.int64)
-        taken = (starts[:, None] + np.arange(each)).ravel()
+        part_rows = most // _PARTS
+        starts = np.linspace(0, len(rows) - part_rows, _PARTS).astype(np.int64)
+        taken = (starts[:, None] + np.arange(part_rows)).ravel()
         pairs = np.stack([rows[taken[:-1]], rows[taken[1:]]], axis=1)[np.diff(taken) == 1]
     else:
         pairs = np.stack([rows[:-1], rows[1:]], axis=1)
@@ -67,9 +67,9 @@ class CenterPictures:
 
     def __init__(self, log: PictureLog, states: States) -> None:
         self._log = log
-        found = log.pictures(camera_topic("center"))
-        places = zip(*(each.tolist() for each in (found.offset, found.length, found.chunk)), strict=True)
-        moments = zip(found.sequence.tolist(), found.log_time_ns.tolist(), strict=True)
+        stored = log.pictures(camera_topic("center"))
+        places = zip(*(column.tolist() for column in (stored.offset, stored.length, stored.chunk)), strict=True)
+        moments = zip(stored.sequence.tolist(), stored.log_time_ns.tolist(), strict=True)
         by_moment = dict(zip(moments, places, strict=True))
         rows = zip(states.row.tolist(), states.time_ns.tolist(), strict=True)
         self._places = [by_moment.get(moment) for moment in rows]

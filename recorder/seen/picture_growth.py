@@ -34,18 +34,18 @@ def growth(pictures: CenterPictures, states: States, time_s: Values, first: int,
     way_m = np.abs(np.nan_to_num(states.speed_mph)) * MPS_PER_MPH
     driven_m = np.concatenate([[0.0], np.cumsum(way_m[:-1] * np.minimum(np.diff(time_s), 1.0))])
     later = np.searchsorted(driven_m, driven_m + _APART_M).tolist()
-    found = list[float]()
+    growths = list[float]()
     at = first
     while (following := max(later[at], at + 1)) <= last:
         if time_s[following] - time_s[at] <= _FARTHEST_S:
             before, after = (pictures.gray(row) for row in (at, following))
             if before is not None and after is not None and before.shape == after.shape:
-                found.append(_growth(before, after))
+                growths.append(_growth(before, after))
             at = following
         else:
             at += 1
-    known = [each for each in found if np.isfinite(each)]
-    return float(np.mean(known)) if len(known) >= MIN_PAIRS else float("nan")
+    finite = [value for value in growths if np.isfinite(value)]
+    return float(np.mean(finite)) if len(finite) >= MIN_PAIRS else float("nan")
 
 
 def _growth(before: Gray, after: Gray) -> float:
@@ -64,6 +64,6 @@ def _enlarged(picture: Gray, scale: float) -> Gray:
 
 
 def _likeness(one: Gray, other: Gray) -> float:
-    edges = [cv2.Sobel(cv2.GaussianBlur(each, (3, 3), 0), cv2.CV_32F, 1, 0) for each in (one, other)]
+    edges = [cv2.Sobel(cv2.GaussianBlur(picture, (3, 3), 0), cv2.CV_32F, 1, 0) for picture in (one, other)]
     window = cv2.createHanningWindow(one.shape[::-1], cv2.CV_32F)
     return cv2.phaseCorrelate(edges[0], edges[1], window)[1]

@@ -37,32 +37,34 @@ def with_pictures(log: PictureLog, states: States, odd: Sequence[OddStretch]) ->
         task = bar.add_task("comparing steering with pictures", total=len(states.row), note="")
         against = against_pictures(log, states, partial(bar.advance, task))
     why = "the pictures turn the other way"
-    found = [
+    shown = [
         replace(stretch_of(states, first, last, "steering_against_pictures", why, is_sure=True), is_shown=True)
         for first, last in stretches(against)
     ]
     time_s = elapsed_s(states.time_ns)
-    open_ones = [each for each in odd if not each.is_sure]
+    open_ones = [stretch for stretch in odd if not stretch.is_sure]
     direction = _direction(log, states, time_s, odd) if any(e.kind == "backwards" for e in open_ones) else None
     turning = _turning(log, states, time_s) if any(e.kind == "stuck_steering" for e in open_ones) else None
-    for each in odd:
-        judged: OddStretch | None = each
-        first, last = (int(np.flatnonzero(states.row == row)[0]) for row in (each.first_row, each.last_row))
-        if each.kind == "backwards" and not each.is_sure and direction is not None:
-            judged = _by_growth(each, direction(first, last))
-        elif each.kind == "stuck_steering" and turning is not None and turning(first, last) > _STILL:
-            judged = replace(each, is_sure=True, is_shown=True, cause=f"{each.cause}, while the pictures turn")
+    for stretch in odd:
+        judged: OddStretch | None = stretch
+        first, last = (int(np.flatnonzero(states.row == row)[0]) for row in (stretch.first_row, stretch.last_row))
+        if stretch.kind == "backwards" and not stretch.is_sure and direction is not None:
+            judged = _by_growth(stretch, direction(first, last))
+        elif stretch.kind == "stuck_steering" and turning is not None and turning(first, last) > _STILL:
+            judged = replace(
+                stretch, is_sure=True, is_shown=True, cause=f"{stretch.cause}, while the pictures turn"
+            )
         if judged is not None:
-            found.append(judged)
-    return sorted(found, key=lambda each: (each.first_row, each.last_row))
+            shown.append(judged)
+    return sorted(shown, key=lambda stretch: (stretch.first_row, stretch.last_row))
 
 
-def _by_growth(each: OddStretch, grown: float) -> OddStretch | None:
+def _by_growth(stretch: OddStretch, grown: float) -> OddStretch | None:
     """What the pictures make of a stretch that may be backwards; None if it is not."""
     if grown < -SHOWN_GROWTH:
-        why = f"{each.cause.removeprefix('or downhill? ')}; the pictures shrink"
-        return replace(each, is_sure=True, is_shown=True, cause=why)
-    return None if grown > SHOWN_GROWTH else each
+        why = f"{stretch.cause.removeprefix('or downhill? ')}; the pictures shrink"
+        return replace(stretch, is_sure=True, is_shown=True, cause=why)
+    return None if grown > SHOWN_GROWTH else stretch
 
 
 def _direction(
@@ -71,16 +73,16 @@ def _direction(
     """The growth between two rows; None where the session's pictures do not show that it drives forwards."""
     pictures = CenterPictures(log, states)
     is_odd = np.zeros(len(states.row), np.bool_)
-    for each in odd:
-        is_odd |= (states.row >= each.first_row) & (states.row <= each.last_row)
+    for stretch in odd:
+        is_odd |= (states.row >= stretch.first_row) & (states.row <= stretch.last_row)
     drives = np.flatnonzero(~is_odd & (np.abs(states.speed_mph) >= STANDING_MPH))
     controls = list[float]()
     for first in np.unique(drives[np.linspace(0, len(drives) - 1, _CONTROLS).astype(int)] if len(drives) else []):
         last = int(np.searchsorted(time_s, time_s[first] + _CONTROL_S)) - 1
         if not is_odd[first : last + 1].any():
             controls.append(growth(pictures, states, time_s, int(first), last))
-    known = np.array([each for each in controls if np.isfinite(each)])
-    if len(known) < _MIN_CONTROLS or (known < 0).mean() > _MAX_WRONG:
+    growths = np.array([value for value in controls if np.isfinite(value)])
+    if len(growths) < _MIN_CONTROLS or (growths < 0).mean() > _MAX_WRONG:
         return None
     return partial(growth, pictures, states, time_s)
 
@@ -97,8 +99,8 @@ def _turning(log: PictureLog, states: States, time_s: Values) -> Callable[[int, 
             np.diff(time_s[some])[:, 0]
             * np.where(np.isfinite(states.speed_mph), states.speed_mph, 1.0)[some[:, 0]]
         )
-        found: Values = (yaw_px / way)[np.abs(yaw_px) < WIDTH_PX / 4]  # False for NaN
-        return found
+        curvature: Values = (yaw_px / way)[np.abs(yaw_px) < WIDTH_PX / 4]  # False for NaN
+        return curvature
 
     sampled = turns(pairs[:: max(1, len(pairs) // _SAMPLED_PAIRS)])
     if len(sampled) < _MIN_PAIRS or not _spread(sampled) > 0:

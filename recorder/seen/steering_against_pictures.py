@@ -42,7 +42,7 @@ def against_pictures(
     Decodes the centre camera's pictures, a second of one core for four thousand rows; `on_pairs` is called with
     the pairs done since the last call.
     """
-    found = np.zeros(len(states.row), np.bool_)
+    is_against = np.zeros(len(states.row), np.bool_)
     time_s = elapsed_s(states.time_ns)
     is_sound = np.abs(states.steering) <= 1  # False for NaN too
     pairs = rows_apart(states, time_s)
@@ -55,7 +55,7 @@ def against_pictures(
     is_known = np.abs(yaw_px) < WIDTH_PX / 4  # False for NaN; beyond, it has found nothing in common
     pairs, yaw_px = pairs[is_known], yaw_px[is_known]
     if np.diff(time_s[pairs])[:, 0].sum() < _MIN_S:
-        return found
+        return is_against
     yaw = yaw_px / np.diff(time_s[pairs])[:, 0]
     speed = np.where(np.isfinite(states.speed_mph), states.speed_mph, 1.0)
     middle_s = time_s[pairs].mean(axis=1)
@@ -66,8 +66,8 @@ def against_pictures(
     best = int(np.argmax(usual))
     if usual[best] >= _USUAL:
         for first, last in windows.opposed(steered[best]):
-            found[pairs[first, 0] : pairs[last, 1] + 1] = True
-    return found
+            is_against[pairs[first, 0] : pairs[last, 1] + 1] = True
+    return is_against
 
 
 @dataclass(frozen=True)
@@ -81,14 +81,16 @@ class _Windows:
 
     def sums(self, values: Values) -> Values:
         until = np.concatenate([[0.0], np.cumsum(values)])
-        found: Values = until[self.last] - until[self.first]
-        return found
+        total: Values = until[self.last] - until[self.first]
+        return total
 
     def correlations(self, steered: Values) -> Values:
         """The correlation in each window (W,), about 0 and not about the mean: a long bend is one, too."""
         size = np.sqrt(self.sums(steered**2) * self.sums(self.yaw**2))
-        found: Values = np.divide(self.sums(steered * self.yaw), size, out=np.zeros(len(size)), where=size > 1e-9)
-        return found
+        correlation: Values = np.divide(
+            self.sums(steered * self.yaw), size, out=np.zeros(len(size)), where=size > 1e-9
+        )
+        return correlation
 
     def opposed(self, steered: Values) -> list[tuple[int, int]]:
         """First and last of each stretch of pairs in which steering and turning have opposite signs."""
@@ -98,7 +100,7 @@ class _Windows:
         change = np.zeros(len(steered) + 1)
         np.add.at(change, self.first[is_opposed], 1)
         np.add.at(change, self.last[is_opposed], -1)
-        return [_sharpest(steered * self.yaw, *found) for found in stretches(np.cumsum(change)[:-1] > 0)]
+        return [_sharpest(steered * self.yaw, *stretch) for stretch in stretches(np.cumsum(change)[:-1] > 0)]
 
 
 def _windows(time_s: Values, yaw: Values) -> _Windows:

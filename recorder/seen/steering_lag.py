@@ -54,11 +54,11 @@ def _best_lag(
     middle_s = time_s[pairs].mean(axis=1)
     speed = np.where(np.isfinite(states.speed_mph), states.speed_mph, 1.0)
     steered = np.stack([np.interp(middle_s + lag_s, time_s, states.steering * speed) for lag_s in _LAGS_S])
-    known = np.isfinite(yaw_px) & (np.abs(yaw_px) < WIDTH_PX / 4)  # else it has found nothing in common
-    if known.sum() < _MIN_PAIRS:
+    is_known = np.isfinite(yaw_px) & (np.abs(yaw_px) < WIDTH_PX / 4)  # else it has found nothing in common
+    if is_known.sum() < _MIN_PAIRS:
         return None
-    yaw = yaw_px[known] / between_s[known]
-    steered = steered[:, known]
+    yaw = yaw_px[is_known] / between_s[is_known]
+    steered = steered[:, is_known]
     half = np.arange(len(yaw)) >= len(yaw) // 2
     curves = [_correlations(steered[:, part], yaw[part]) for part in (half | ~half, half, ~half)]
     best, *halves = (int(np.abs(curve).argmax()) for curve in curves)
@@ -95,5 +95,5 @@ def _correlations(steered: Values, yaw: Values) -> Values:
     """The correlation of each row of `steered` (lags, N) with `yaw` (N,); 0 where one of them does not vary."""
     steered, yaw = steered - steered.mean(axis=1, keepdims=True), yaw - yaw.mean()
     size = np.sqrt((steered**2).sum(axis=1) * (yaw**2).sum())
-    found: Values = np.divide(steered @ yaw, size, out=np.zeros(len(steered)), where=size > 1e-9)
-    return found
+    correlation: Values = np.divide(steered @ yaw, size, out=np.zeros(len(steered)), where=size > 1e-9)
+    return correlation

@@ -26,7 +26,9 @@ class AllowedHosts:
 
     def __init__(self, host: str) -> None:
         self._host = _normalised(host)
-        self._is_everywhere = not host or _is_unspecified(self._host)
+        self._is_everywhere = not host or (
+            _is_address(self._host) and ipaddress.ip_address(self._host).is_unspecified
+        )
 
     def why_refused(self, environ: dict[str, Any]) -> str:
         """The part of a WSGI request that is not allowed; empty if all of it is. A client that is no browser may
@@ -69,10 +71,6 @@ def is_loopback(name: str) -> bool:
     if name in _LOOPBACK_NAMES or name.endswith(".localhost"):
         return True
     return _is_address(name) and ipaddress.ip_address(name).is_loopback
-
-
-def _is_unspecified(name: str) -> bool:
-    return _is_address(name) and ipaddress.ip_address(name).is_unspecified
 
 
 def _is_address(name: str) -> bool:

@@ -62,8 +62,6 @@ class TelemetryError(ValueError):
 
 @dataclass(frozen=True)
 class Telemetry:
-    """One telemetry message, parsed."""
-
     steering: float  # -1 (left) .. 1 (right), the wheels as they are; not clamped
     throttle: float  # 0..1; not clamped
     speed_mph: float  # NaN where the simulator sends none, which no message may have

@@ -17,6 +17,7 @@ def write_telemetry(
     device: Device | None,
     *,
     brake: float = 0.0,
+    not_recorded_s: float = 0.0,
     picture_size: tuple[int, int] | None = None,
     crop: bytes | None = None,
 ) -> None:
@@ -33,6 +34,7 @@ def write_telemetry(
         brake=brake,
         speed_mph=telemetry.speed_mph,
         device=device_value(device),
+        not_recorded_s=not_recorded_s or None,
     )
     writer.vehicle(time_ns, row, state)
     pose = None if telemetry.world is None else telemetry.world.pose

@@ -256,7 +256,8 @@ class TelemetryServer:
                 self._notify_once(NOTICE_REFUSED.format(printable(what[:MAX_SHOWN_CHARACTERS])))
 
     def _on_connection(self, engine_sid: str, environ: dict[str, Any]) -> Any:
-        if not _is_for_websocket(environ) and len(self._engine.sockets) > MAX_CONNECTIONS:
+        transport = parse_qs(str(environ.get("QUERY_STRING", ""))).get("transport", [""])[0]
+        if transport != "websocket" and len(self._engine.sockets) > MAX_CONNECTIONS:
             # a websocket is a connection, which the host counts; a polling client leaves none
             self._notify_once(NOTICE_TOO_MANY)
             return False
@@ -372,11 +373,6 @@ def _event(command: Steer | None) -> tuple[str, dict[str, str]]:
 def _telemetries(connection: Connection) -> int:
     """Those that were read, and are not handled yet."""
     return sum(map(is_telemetry, connection.waiting))
-
-
-def _is_for_websocket(environ: dict[str, Any]) -> bool:
-    query = parse_qs(str(environ.get("QUERY_STRING", "")))
-    return query.get("transport", [""])[0] == "websocket"
 
 
 def _host(mode: ServerMode, host: str, port: int, notify: Notify) -> ServerHost:

@@ -15,7 +15,7 @@ from common.files import refuse_existing
 from common.progress import progress_bar
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
-from recorder.log.meant_gaps import not_recorded
+from recorder.log.meant_gaps import MeantGap
 from recorder.log.pose_message import pose_message
 from recorder.log.session_car import built_in, metadata_of
 from recorder.log.writer import LogWriter
@@ -74,9 +74,9 @@ def record_simulated(
             state = VehicleState(
                 steering=step.steering, throttle=step.throttle, brake=step.brake, speed_mph=step.speed_mph
             )
-            writer.vehicle(time_ns, rows, state)
-            if rows and (pause_s := step.time_s - last_s - 1 / drive.rate) > 1e-3:
-                writer.event(time_ns, not_recorded(pause_s, _why_not_recorded(step, new_speed_mph)))
+            pause_s = step.time_s - last_s - 1 / drive.rate if rows else 0.0
+            gap = MeantGap(pause_s, _why_not_recorded(step, new_speed_mph)) if pause_s > 1e-3 else None
+            writer.vehicle(time_ns, rows, state, gap)
             last_s = step.time_s
             writer.pose(time_ns, rows, pose_message(step.pose, time_ns))
             if folder is not None:

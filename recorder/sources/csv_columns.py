@@ -16,6 +16,7 @@ from common.car import CAMERAS, Camera
 from common.errors import did_you_mean, printable
 from common.untrusted import open_regular
 from common.whole_number import whole_number
+from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 
 MAX_LINE_CHARACTERS: Final = 100_000
@@ -28,15 +29,10 @@ KEYS: Final = ("image", *CAMERAS, *_NUMBERS, *_TIMES)
 
 @dataclass(frozen=True)
 class CsvRow:
-    """One row of a csv."""
-
     line: int
     index: int  # among the rows of the file, those that cannot be used too
     pictures: Mapping[Camera, str]  # as the csv names them; only those that it names
-    steering: float
-    throttle: float
-    brake: float
-    speed_mph: float
+    state: VehicleState
     time_ns: int | None
 
 
@@ -141,17 +137,15 @@ class CsvColumns:
         pictures = {camera: values[camera] for camera in CAMERAS if values.get(camera)}
         if not pictures:
             return "rows that name no picture"
-        throttle, brake = (_or_zero(numbers.get(key, 0.0)) for key in ("throttle", "brake"))
-        return CsvRow(
-            line,
-            index,
-            pictures,
-            numbers["steering"] * scale,
-            max(throttle, 0.0),
-            max(brake, -throttle, 0.0),  # pedals that are one number
-            numbers.get("speed_mph", math.nan),
-            time_ns,
+        pedals = (numbers.get(key, 0.0) for key in ("throttle", "brake"))
+        throttle, brake = (value if math.isfinite(value) else 0.0 for value in pedals)
+        state = VehicleState(
+            steering=numbers["steering"] * scale,
+            throttle=max(throttle, 0.0),
+            brake=max(brake, -throttle, 0.0),  # pedals that are one number
+            speed_mph=numbers.get("speed_mph", math.nan),
         )
+        return CsvRow(line, index, pictures, state, time_ns)
 
 
 def _lines(text: io.TextIOWrapper) -> Iterator[str]:
@@ -179,7 +173,3 @@ def _time_ns(key: str, text: str, number: float) -> int | None:
     exact = whole_number(text, 19) if key == "time_ns" else None  # a float does not hold all of its digits
     time_ns = round(number * _TIMES[key]) if exact is None else exact
     return time_ns if time_ns < 2**63 else None
-
-
-def _or_zero(value: float) -> float:
-    return value if math.isfinite(value) else 0.0

@@ -63,21 +63,18 @@ def is_tub(folder: Path) -> bool:
     return bool(names & {MANIFEST, META}) or any(_RECORD.fullmatch(n) or _CATALOG.fullmatch(n) for n in names)
 
 
-def open_tub(folder: Path, all_catalogs: bool, skipped: Skipped) -> Tub:
-    """The tub in `folder`, with `all_catalogs` also those catalogues of it that its manifest does not name.
-
-    Raises RecordingError if it is none, or cannot be read.
-    """
+def open_tub(folder: Path, skipped: Skipped) -> Tub:
+    """The tub in `folder`. Raises RecordingError if it is none, or cannot be read."""
     if not folder.is_dir():
         raise RecordingError(f"{folder}: no such folder; give a DonkeyCar tub, such as ~/mycar/data")
     root = Path(os.path.realpath(folder))
     files = _files(root, root, skipped)
     if MANIFEST in files:
-        return _open_version_2(root, files, all_catalogs, skipped)
+        return _open_version_2(root, files, skipped)
     if META in files or any(map(_RECORD.fullmatch, files)):
         return _open_version_1(files, skipped)
     if any(map(_CATALOG.fullmatch, files)):
-        return _open_version_2(root, files, all_catalogs, skipped)
+        return _open_version_2(root, files, skipped)
     raise RecordingError(f"{folder}: not a DonkeyCar tub: neither {MANIFEST} nor {META} is in it")
 
 
@@ -100,7 +97,7 @@ def _open_version_1(files: dict[str, Path], skipped: Skipped) -> Tub:
     return Tub("1", files, deleted or frozenset(), start_ns, "milliseconds", True, len(numbered), records)
 
 
-def _open_version_2(root: Path, files: dict[str, Path], all_catalogs: bool, skipped: Skipped) -> Tub:
+def _open_version_2(root: Path, files: dict[str, Path], skipped: Skipped) -> Tub:
     lines = [_parse(line) for _, line in _lines(files[MANIFEST])] if MANIFEST in files else []
     created, last = (lines[at] if len(lines) > at else None for at in (3, 4))
     numbers = {name: int(match[1]) for name in files if (match := _CATALOG.fullmatch(name))}
@@ -111,17 +108,15 @@ def _open_version_2(root: Path, files: dict[str, Path], all_catalogs: bool, skip
         # The line is rewritten with every record: it is what a car that loses its power leaves half written.
         skipped.add("lists of deleted records that cannot be read", MANIFEST)
     else:
+        # As DonkeyCar does, only these are read.
         listed = list(dict.fromkeys(re.split(r"[/\\]", path)[-1] for path in paths if isinstance(path, str)))
         for name in listed:
             if name not in files:
                 skipped.add("catalogues that are not there", ascii(name))
-        unlisted = [name for name in catalogs if name not in listed]
+        for name in catalogs:
+            if name not in listed:
+                skipped.add(f"catalogues that the manifest does not name (without {MANIFEST}, all are read)", name)
         catalogs = [name for name in listed if name in files]
-        if all_catalogs:
-            catalogs += unlisted
-        else:
-            for name in unlisted:
-                skipped.add("catalogues that the manifest does not name (--all-catalogs takes them)", name)
 
     def records(skipped: Skipped) -> Iterator[TubRecord]:
         position = 0

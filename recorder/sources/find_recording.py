@@ -35,16 +35,16 @@ def recordings_in(folder: Path, levels: int = 2) -> list[Path]:
     if _is_recording(folder):
         return [folder]
     folders = [folder, *(inner for level in islice(_levels_below(folder), levels) for inner in level)]
-    recordings = [each for each in folders if _is_recording(each)]
-    others = [each for each in folders if not any(each.is_relative_to(one) for one in recordings)]
-    return [*recordings, *(path for each in others for path in _files_in(each))]
+    recordings = [place for place in folders if _is_recording(place)]
+    others = [place for place in folders if not any(place.is_relative_to(recording) for recording in recordings)]
+    return [*recordings, *(path for place in others for path in _files_in(place))]
 
 
 def _search(source: Path) -> Iterator[Path]:
     """The recording that `source` is a part of; else those in it, and in the folders in it."""
     for folder in list(source.absolute().parents)[:2]:
         if _is_recording(folder) and source.exists():
-            yield _as_given(folder, source)
+            yield folder if source.is_absolute() else Path(os.path.relpath(folder))
             return
     for level in _levels_below(source):
         yield from filter(_is_recording, level)
@@ -54,7 +54,7 @@ def _levels_below(folder: Path) -> Iterator[list[Path]]:
     """The folders in a folder, then those in these."""
     folders = [folder]
     for _ in range(2):
-        folders = list(islice((inner for each in folders for inner in folders_in(each)), _MAX_FOLDERS))
+        folders = list(islice((inner for place in folders for inner in folders_in(place)), _MAX_FOLDERS))
         yield folders
 
 
@@ -80,8 +80,3 @@ def folders_in(folder: Path) -> list[Path]:
             return sorted(path for entry in some if (path := folder / entry.name).is_dir())
     except OSError:
         return []
-
-
-def _as_given(folder: Path, source: Path) -> Path:
-    """An absolute folder above `source`, written as `source` is."""
-    return folder if source.is_absolute() else Path(os.path.relpath(folder))

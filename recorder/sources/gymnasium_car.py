@@ -7,7 +7,6 @@ somebody else's code: it is run because its user has named it, and what it gives
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import os
 import re
@@ -27,7 +26,7 @@ from common.versions import install_line
 from recorder.errors import RecordingError
 from recorder.sources.action_map import ActionMap, CarCommand
 from recorder.sources.frame_rate import MAX_HZ, MIN_HZ
-from recorder.sources.gymnasium_flags import GymFlags
+from recorder.sources.gymnasium_flags import GymFlags, environment_settings
 
 if TYPE_CHECKING:
     import gymnasium
@@ -78,14 +77,15 @@ class GymnasiumCar(Closeable):
         """
         if flags.episodes < 1:
             raise UsageError(f"--episodes {flags.episodes}: a number above 0 was expected")
-        self.name = str(flags.gym)
+        self.settings = environment_settings(flags)
+        self.name = self.settings.id
         self._flags = flags
-        self._speed_factor, self._speed_key = _parse_speed(flags.gym_speed)
-        self.actions = _parse_action(flags.gym_action)
+        self._speed_factor, self._speed_key = _parse_speed(self.settings.speed)
+        self.actions = _parse_action(self.settings.action)
         self._expert = None if flags.expert is None else load_function("--expert", flags.expert)
-        self.env = _make(self.name, _parse_arguments(flags.gym_args))
+        self.env = _make(self.name, self.settings.args)
         try:
-            self._picture_key = _find_picture(self.name, self.env.observation_space, flags.gym_picture)
+            self._picture_key = _find_picture(self.name, self.env.observation_space, self.settings.picture)
             self._space = self._check_action()
             self._check_rate()
         except BaseException:
@@ -109,7 +109,7 @@ class GymnasiumCar(Closeable):
     @property
     def rate_hz(self) -> float:
         """Steps a second of the environment's own time."""
-        return float(self._flags.gym_rate or self.env.metadata["render_fps"])
+        return float(self.settings.rate_hz or self.env.metadata["render_fps"])
 
     def reset(self, seed: int) -> GymnasiumMoment:
         self._steps = 0
@@ -155,7 +155,7 @@ class GymnasiumCar(Closeable):
 
         space = self.env.action_space
         if not isinstance(space, Box):
-            hint = "; CarRacing-v3 has a steering wheel with --gym-args '{\"continuous\": true}'"
+            hint = "; CarRacing-v3 has a steering wheel with continuous = true"
             raise RecordingError(
                 f"--gym {self.name}: its actions are {_named(space)}; numbers in a Box were expected, and one of"
                 f" them the steering{hint if 'CarRacing' in self.name else ''}"
@@ -163,19 +163,19 @@ class GymnasiumCar(Closeable):
         size = math.prod(space.shape)
         if size != len(self.actions):
             raise RecordingError(
-                f"--gym-action: {self.name}'s action has {counted(size, 'number')}, {_named(space)}: name what"
-                f" each is, such as steering,throttle,brake; {self.actions.text} is {len(self.actions)}"
+                f"--gym {self.name}: its action has {counted(size, 'number')}, {_named(space)}: a file for --gym"
+                f' names each: action = "steering,throttle,brake"; {self.actions.text} is {len(self.actions)}'
             )
         return space
 
     def _check_rate(self) -> None:
         render_fps = self.env.metadata.get("render_fps")
-        if self._flags.gym_rate is not None:
-            if not MIN_HZ <= self._flags.gym_rate <= MAX_HZ:
-                raise UsageError(f"--gym-rate {self._flags.gym_rate:g}: {MIN_HZ:g} to {MAX_HZ:,.0f} was expected")
+        if (rate_hz := self.settings.rate_hz) is not None:
+            if not MIN_HZ <= rate_hz <= MAX_HZ:
+                raise UsageError(f"--gym: rate_hz {rate_hz:g}: {MIN_HZ:g} to {MAX_HZ:,.0f} was expected")
         elif not isinstance(render_fps, int | float) or not MIN_HZ <= render_fps <= MAX_HZ:
             raise RecordingError(
-                f"--gym {self.name}: its render_fps is {render_fps}: give its steps a second by --gym-rate"
+                f"--gym {self.name}: its render_fps is {render_fps}: give its steps a second as rate_hz"
             )
 
     def _moment(
@@ -190,7 +190,7 @@ class GymnasiumCar(Closeable):
             size = ()
         if len(size) != 2 or min(size) < MIN_PX or picture.dtype != np.uint8:
             raise RecordingError(
-                f"--gym {self.name}: step {self._steps} gave no picture, which its spaces promise"
+                f"--gym {self.name}: step {self._steps} gave no picture, although its spaces have one"
             )
         return GymnasiumMoment(observation, picture, self._speed_mph(observation, info), reward, end)
 
@@ -206,7 +206,7 @@ class GymnasiumCar(Closeable):
             return math.nan  # info may have it from the first step on
         keys = sorted({*(observation if isinstance(observation, dict) else ()), *info})
         raise RecordingError(
-            f"--gym-speed {self._flags.gym_speed}: no such number in {self.name}'s observation or info (there is:"
+            f"--gym {self.name}: speed {self.settings.speed}: no such number in its observation or info (there is:"
             f" {printable(', '.join(map(str, keys))) or 'nothing'})"
         )
 
@@ -234,21 +234,11 @@ def _their_errors(what: str, where: str) -> Iterator[None]:
         raise RecordingError(f"{what}: {where} failed ({in_one_line(error)})") from error
 
 
-def _parse_arguments(text: str) -> dict[str, Any]:
+def _parse_action(text: str) -> ActionMap:
     try:
-        arguments = json.loads(text)
-    except (ValueError, RecursionError):
-        arguments = None
-    if not isinstance(arguments, dict):
-        raise UsageError(f"--gym-args {text}: a JSON object was expected, such as '{{\"seed\": 7}}'")
-    return arguments
-
-
-def _parse_action(text: str | None) -> ActionMap:
-    try:
-        return ActionMap("steering" if text is None else text)
+        return ActionMap(text)
     except ValueError as error:
-        raise UsageError(f"--gym-action {text}: {error}; such as steering,throttle,brake") from None
+        raise UsageError(f"--gym: action {text}: {error}; such as steering,throttle,brake") from None
 
 
 def _parse_speed(text: str | None) -> tuple[float, str | None]:
@@ -256,7 +246,7 @@ def _parse_speed(text: str | None) -> tuple[float, str | None]:
         return 1.0, None
     match = _SPEED.fullmatch(text)
     if match is None:
-        raise UsageError(f"--gym-speed {text!r}: a key was expected, such as speed, or 2.237*speed")
+        raise UsageError(f"--gym: speed {text!r}: a key was expected, such as speed, or 2.237*speed")
     return float(match[1] or 1.0), match[2]
 
 
@@ -269,7 +259,7 @@ def _find_picture(name: str, space: Any, key: str | None) -> tuple[str, ...]:
         if wanted in pictures:
             return wanted
         raise RecordingError(
-            f"--gym-picture {key}: no picture in {name}'s observation; pictures are: {shown or 'none'}"
+            f"--gym {name}: picture {key}: its observation has no such picture; it has: {shown or 'none'}"
         )
     if not pictures:
         raise RecordingError(
@@ -277,7 +267,7 @@ def _find_picture(name: str, space: Any, key: str | None) -> tuple[str, ...]:
             " expected"
         )
     if len(pictures) > 1:
-        raise RecordingError(f"--gym {name}: which picture? Give --gym-picture, one of {shown}")
+        raise RecordingError(f"--gym {name}: which picture? Give its key as picture, one of {shown}")
     return pictures[0]
 
 

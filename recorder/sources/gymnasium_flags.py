@@ -1,35 +1,85 @@
-"""The flags of `bc-record --gym` and `bc-drive --gym`."""
+"""The flags of `bc-record --gym` and `bc-drive --gym`, and the settings of an environment that they name."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Annotated, ClassVar, Final
+import json
+import tomllib
+from dataclasses import dataclass, field, fields
+from typing import Annotated, Any, ClassVar, Final
 
 import tyro
+
+from common.errors import UsageError, printable
+from common.output import print_message
+from common.stored_settings import settings_from
+from common.untrusted import read_bounded
+
+_MAX_BYTES: Final = 1 << 20
 
 
 @dataclass(frozen=True)
 class GymFlags:
     """A Gymnasium environment."""
 
-    RARE: ClassVar[str] = "gym_args gym_picture gym_speed gym_rate episodes"
-    gym: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
-    """The environment: CarRacing-v3, or MODULE:ID."""
-    gym_args: Annotated[str, tyro.conf.arg(metavar="JSON")] = "{}"
-    """Its arguments, such as {"seed": 7}."""
-    gym_picture: Annotated[str | None, tyro.conf.arg(metavar="KEY")] = None
-    """Key of the picture in a Dict observation."""
-    gym_action: Annotated[str | None, tyro.conf.arg(metavar="PARTS")] = None
-    """Meaning of the action, such as -steering,0.5*throttle,brake."""
-    gym_speed: Annotated[str | None, tyro.conf.arg(metavar="KEY")] = None
-    """Key of the speed in mph; 2.237*KEY for m/s."""
+    RARE: ClassVar[str] = "episodes"
+    EARLIER_FLAGS: ClassVar[str] = "gym_args gym_picture gym_action gym_speed gym_rate"
+    gym: Annotated[str | None, tyro.conf.arg(metavar="ID|FILE.toml")] = None
+    """The environment: CarRacing-v3, MODULE:ID, or a file of its settings."""
     expert: Annotated[str | None, tyro.conf.arg(metavar="MODULE:FUNCTION")] = None
     """Your driver, (env, observation) to action; also FILE.py:FUNCTION."""
-    gym_rate: Annotated[float | None, tyro.conf.arg(metavar="HZ")] = None
-    """Steps a second, without render_fps."""
     episodes: int = 1
     """Episodes, each with the next seed."""
+    gym_args: str | None = None
+    gym_picture: str | None = None
+    gym_action: str | None = None
+    gym_speed: str | None = None
+    gym_rate: str | None = None
 
 
-GYM_FLAGS: Final = tuple(field.name for field in fields(GymFlags) if field.name != "gym")
+GYM_FLAGS: Final = tuple(flag.name for flag in fields(GymFlags) if flag.name != "gym")
 """The flags that mean nothing without `--gym`."""
+
+
+@dataclass(frozen=True)
+class EnvironmentSettings:
+    """A Gymnasium environment, and what its numbers mean: what a file for `--gym` holds."""
+
+    id: str  # as gymnasium.make has it
+    args: dict[str, Any] = field(default_factory=dict)  # of gymnasium.make
+    action: str = "steering"  # the meaning of each number, such as -steering,0.5*throttle,brake
+    picture: str | None = None  # its key in a Dict observation
+    speed: str | None = None  # key of the speed in mph, in the observation or info; 2.237*KEY for m/s
+    rate_hz: float | None = None  # steps a second, without render_fps
+
+
+def environment_settings(flags: GymFlags) -> EnvironmentSettings:
+    """The environment that flags name. Raises UsageError for a file that is not there, or has other settings."""
+    name = str(flags.gym)
+    stored = _stored(name) if name.endswith(".toml") else {"id": name}
+    try:
+        return settings_from(EnvironmentSettings, stored | _earlier(flags))
+    except ValueError as error:
+        raise UsageError(f"--gym {printable(name)}: {printable(str(error))}") from None
+
+
+def _stored(path: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(read_bounded(path, _MAX_BYTES).decode())
+    except FileNotFoundError:
+        raise UsageError(f"--gym {printable(path)}: no such file") from None
+    except (OSError, ValueError) as error:  # of TOML and of its characters, too
+        raise UsageError(f"--gym {printable(path)}: {printable(' '.join(str(error).split()))}") from None
+
+
+def _earlier(flags: GymFlags) -> dict[str, Any]:
+    """Settings by the flags of the version before."""
+    names = {"args": "args", "picture": "picture", "action": "action", "speed": "speed", "rate": "rate_hz"}
+    given = {name: text for name in names if (text := getattr(flags, f"gym_{name}")) is not None}
+    settings: dict[str, Any] = {}
+    for flag, text in given.items():
+        print_message(f"--gym-{flag}: is {names[flag]} in a file for --gym now; the next version knows only that")
+        try:
+            settings[names[flag]] = json.loads(text) if flag in ("args", "rate") else text
+        except (ValueError, RecursionError):
+            raise UsageError(f"--gym-{flag} {printable(text)}: JSON was expected") from None
+    return settings

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -13,16 +12,14 @@ from common.car import Camera
 from common.files import refuse_existing
 from common.progress import track
 from common.untrusted import read_bounded
-from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.session_car import Car, metadata_of
-from recorder.log.writer import LogWriter
 from recorder.pictures.decoding import is_whole_picture
-from recorder.sources.csv_columns import CsvColumns, CsvRow
+from recorder.sources.csv_columns import CsvColumns
 from recorder.sources.frame_rate import check_rate, describe_clock
 from recorder.sources.import_mcap import check_scale
 from recorder.sources.import_result import Imported, SkippedEvents
-from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_rows
+from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_log
 from recorder.sources.picture_folder import PictureFolder
 from recorder.sources.udacity_recording import MAX_CSV_BYTES, MAX_PICTURE_BYTES
 
@@ -58,20 +55,16 @@ def import_csv(
     folder = PictureFolder(csv.parent)
     events = SkippedEvents()
     rows = _rows(csv, chosen, folder, rate_hz, steering_scale, events.skipped)
-    first = next(rows, None)
-    if first is None:
-        raise RecordingError(f"{csv}: no row of it can be used{events.skipped.error_suffix()}")
     metadata = {
         "source": "csv",
         "recording": Path(os.path.realpath(csv.parent)).name,
         "columns": " ".join(f"{key}={name}" for key, name in chosen.names.items()),
         "steering_scale": repr(steering_scale),
         "clock": "recorded" if rate_hz is None else describe_clock(rate_hz),
-        **({} if rate_hz is None else {"start": "1970, because the recording does not tell it"}),
+        **({} if rate_hz is None else {"start": "1970, because the recording does not have it"}),
     }
-    with LogWriter(log, metadata | metadata_of(car), overwrite=overwrite) as writer:
-        count, pictures = write_rows(writer, itertools.chain([first], rows), events)
-    return Imported(log, count, pictures, events.skipped, writer.notices)
+    without_rows = f"{csv}: no row of it can be used"
+    return write_log(log, metadata | metadata_of(car), rows, events, without_rows, overwrite=overwrite)
 
 
 def has_csv(source: Path) -> bool:
@@ -128,17 +121,13 @@ def _rows(
                 named.add(path)
         if not pictures:
             continue
-        if abs(row.steering) > 1:
-            skipped.add(STEERING_OUT_OF_RANGE, f"line {row.line}: {row.steering:g}")
+        if abs(row.state.steering) > 1:
+            skipped.add(STEERING_OUT_OF_RANGE, f"line {row.line}: {row.state.steering:g}")
         if time_ns is not None:
-            yield ImportedRow(time_ns, _state(row), pictures)
+            yield ImportedRow(time_ns, row.state, pictures)
     for within, path in folder.paths.items():
         if path not in named:
             skipped.add("pictures without a row", within)
-
-
-def _state(row: CsvRow) -> VehicleState:
-    return VehicleState(steering=row.steering, throttle=row.throttle, brake=row.brake, speed_mph=row.speed_mph)
 
 
 def _read(path: str) -> bytes | None:

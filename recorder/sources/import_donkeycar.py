@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import os
 import re
@@ -16,12 +15,11 @@ from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.session_car import Car, metadata_of
-from recorder.log.writer import LogWriter
 from recorder.pictures.jpeg import is_whole_jpeg
 from recorder.sources.donkeycar_tub import TIME_END_NS, Tub, TubRecord, finite, open_tub
 from recorder.sources.frame_rate import check_rate, describe_clock
 from recorder.sources.import_result import Imported, SkippedEvents
-from recorder.sources.imported_rows import ImportedRow, write_rows
+from recorder.sources.imported_rows import ImportedRow, write_log
 from recorder.sources.udacity_recording import MAX_PICTURE_BYTES
 
 DEFAULT_RATE_HZ: Final = 20  # of DonkeyCar's loop, unless it is configured otherwise
@@ -38,42 +36,36 @@ def import_tub(
     log: Path,
     *,
     rate_hz: float | None = None,
-    all_catalogs: bool = False,
     car: Car | None = None,
     overwrite: bool = False,
 ) -> Imported:
     """Write the DonkeyCar tub in `folder` to `log`; its pictures byte for byte, its records in their order.
 
     DonkeyCar's angle is our steering. Its throttle is -1..1: what is below 0 becomes the brake. Speed is NaN.
-    `rate_hz` is for a tub whose records have no times: 20 without it. `all_catalogs` takes those catalogues, too,
-    that the manifest does not name; DonkeyCar does not read them. `car` is the one that was recorded.
+    `rate_hz` is for a tub whose records have no times: 20 without it. `car` is the one that was recorded.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     check_rate(rate_hz)
     events = SkippedEvents()
     skipped = events.skipped
-    tub = open_tub(folder, all_catalogs, skipped)
+    tub = open_tub(folder, skipped)
     is_timed = any(finite(record.values.get(tub.time_field)) is not None for record in tub.records(Skipped()))
     if is_timed and rate_hz is not None:
         raise RecordingError(f"{folder}: --rate: the tub's records have their times; leave it out")
     step_ms = None if is_timed else 1000 / (rate_hz or DEFAULT_RATE_HZ)
     frames = _frames(tub, step_ms, f"importing {folder.name}", skipped)
-    first = next(frames, None)
-    if first is None:
-        raise RecordingError(f"{folder}: no usable record in this DonkeyCar tub{skipped.error_suffix()}")
     metadata = {
         "source": "donkeycar",
         "recording": Path(os.path.realpath(folder)).name,
         "tub_version": tub.version,
-        "clock": "recorded" if is_timed else f"{DEFAULT_RATE_HZ} Hz, because no record tells its time",
+        "clock": "recorded" if is_timed else f"{DEFAULT_RATE_HZ} Hz, because no record has a time",
     }
     if rate_hz is not None:
         metadata["clock"] = describe_clock(rate_hz)
     if tub.start_ns is None and (tub.is_time_from_start or not is_timed):
-        metadata["start"] = "1970, because the tub does not tell it"
-    with LogWriter(log, metadata | metadata_of(car), overwrite=overwrite) as writer:
-        rows, pictures = write_rows(writer, itertools.chain([first], frames), events)
-    return Imported(log, rows, pictures, skipped, writer.notices)
+        metadata["start"] = "1970, because the tub does not have it"
+    without_rows = f"{folder}: no usable record in this DonkeyCar tub"
+    return write_log(log, metadata | metadata_of(car), frames, events, without_rows, overwrite=overwrite)
 
 
 def _frames(tub: Tub, step_ms: float | None, what: str, skipped: Skipped) -> Iterator[ImportedRow]:

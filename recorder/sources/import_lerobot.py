@@ -7,6 +7,7 @@ import itertools
 import math
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,14 +22,13 @@ from common.progress import track
 from common.stretches import consecutive
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import LogError, RecordingError
-from recorder.lerobot.dataset_format import LOG_CAR, LOG_NOT_RECORDED, LOG_TIME
-from recorder.log.meant_gaps import is_not_recorded, not_recorded
+from recorder.lerobot.dataset_format import LOG_CAR, LOG_NOT_RECORDED, LOG_NOT_RECORDED_S, LOG_TIME
+from recorder.log.meant_gaps import MAX_S, MeantGap, earlier_seconds
 from recorder.log.session_car import CAR_KEY, Car, car_in, metadata_of
-from recorder.log.writer import LogWriter
 from recorder.pictures.decoding import is_whole_picture
 from recorder.sources.import_mcap import check_scale
 from recorder.sources.import_result import Imported, SkippedEvents
-from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_rows
+from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_log
 from recorder.sources.lerobot_dataset import BATCH_ROWS, LeRobotFolder, open_dataset
 from recorder.sources.lerobot_features import LeRobotFeatures, choose_features
 from recorder.sources.lerobot_videos import CameraVideos
@@ -69,19 +69,16 @@ def import_lerobot(
             if dataset.features[key].dtype == "video"
         }
         frames = _frames(dataset, chosen, videos, events.skipped)
-        first = next(frames, None)
-        if first is None:
-            raise RecordingError(f"{folder}: no frame of it can be used{events.skipped.error_suffix()}")
         log_car = _stored_car(dataset) if car is None and chosen.is_own else car
         metadata = _metadata(dataset, chosen, steering_scale) | metadata_of(log_car)
-        with LogWriter(log, metadata, overwrite=overwrite) as writer:
-            rows, pictures = write_rows(writer, itertools.chain([first], frames), events)
+        without_rows = f"{folder}: no frame of it can be used"
+        imported = write_log(log, metadata, frames, events, without_rows, overwrite=overwrite)
     notices = []
     if steering is None and not chosen.is_own:
         notices.append(f"steering is the dataset's {printable(chosen.steering.label)} (--steering names another)")
     if videos:
         notices.append("decoded from videos and encoded anew: these are not the camera's original pictures")
-    return Imported(log, rows, pictures, events.skipped, [*notices, *writer.notices])
+    return replace(imported, notices=[*notices, *imported.notices])
 
 
 def _metadata(dataset: LeRobotFolder, chosen: LeRobotFeatures, steering_scale: float) -> dict[str, str]:
@@ -95,7 +92,7 @@ def _metadata(dataset: LeRobotFolder, chosen: LeRobotFeatures, steering_scale: f
         "steering_topic": chosen.steering.label,
         "steering_scale": repr(steering_scale),
         "clock": clock,
-        **({} if chosen.has_log_time else {"start": "1970, because the dataset does not tell it"}),
+        **({} if chosen.has_log_time else {"start": "1970, because the dataset does not have it"}),
     }
 
 
@@ -112,14 +109,22 @@ def _stored_car(dataset: LeRobotFolder) -> Car | None:
         raise RecordingError(str(error)) from None
 
 
-def _own_events(dataset: LeRobotFolder) -> dict[int, str]:
-    """The events about time that was not recorded, in an export of ours, by the episode behind it."""
-    try:
-        episodes = dataset.episode_table(["episode_index", LOG_NOT_RECORDED])
-    except RecordingError:  # of an earlier version
-        return {}
-    events = zip(*(episodes[name].to_pylist() for name in ("episode_index", LOG_NOT_RECORDED)), strict=True)
-    return {episode: event for episode, event in events if isinstance(event, str) and is_not_recorded(event)}
+def _own_gaps(dataset: LeRobotFolder) -> dict[int, MeantGap]:
+    """The times that were left out on purpose, in an export of ours, by the episode behind each."""
+    columns = ["episode_index", LOG_NOT_RECORDED, LOG_NOT_RECORDED_S]
+    for names in (columns, columns[:2]):
+        try:
+            rows = dataset.episode_table(names).to_pylist()
+        except RecordingError:  # of an earlier version
+            continue
+        gaps = {}
+        for row in rows:
+            why = str(row[LOG_NOT_RECORDED])
+            seconds = row.get(LOG_NOT_RECORDED_S, earlier_seconds(why))
+            if isinstance(seconds, float) and 0 < seconds < MAX_S:
+                gaps[row["episode_index"]] = MeantGap(seconds, why.partition(" s, ")[2] or why)
+        return gaps
+    return {}
 
 
 def _frames(
@@ -134,8 +139,8 @@ def _frames(
         )
     )
     clock, counts = _Clock(), dict[int, int]()
-    another_episode = not_recorded(APART_NS / 1e9, "another episode begins")
-    own_events = _own_events(dataset) if chosen.has_log_time else {}
+    another_episode = MeantGap(APART_NS / 1e9, "another episode begins")
+    own_gaps = _own_gaps(dataset) if chosen.has_log_time else {}
     last_episode: int | None = None
     bar = f"importing {dataset.root.name}"
     for path, batch in track(_with_paths(dataset, columns), bar, math.ceil(dataset.frames / BATCH_ROWS)):
@@ -165,10 +170,8 @@ def _frames(
                 continue
             if abs(state.steering) > 1:
                 skipped.add(STEERING_OUT_OF_RANGE, f"{name}: {state.steering:g}")
-            event = ""
-            if last_episode not in (None, episode):
-                event = own_events.get(episode, "") if chosen.has_log_time else another_episode
-            yield ImportedRow(time_ns, state, sound, event)
+            gap = own_gaps.get(episode) if chosen.has_log_time else another_episode
+            yield ImportedRow(time_ns, state, sound, gap if last_episode not in (None, episode) else None)
             last_episode = episode
     _skip_missing(dataset, counts, skipped)
 
@@ -200,8 +203,8 @@ def _rows(
     if any(episode is None or time_s is None for episode, time_s in zip(episodes, times, strict=True)):
         raise ValueError("a frame without an episode or a timestamp")
     for at, (episode, time_s) in enumerate(zip(episodes, times, strict=True)):
-        found = {camera: column[at] for camera, column in pictures.items() if column[at] is not None}
-        yield episode, time_s, log_times[at], values[at], found
+        row_pictures = {camera: column[at] for camera, column in pictures.items() if column[at] is not None}
+        yield episode, time_s, log_times[at], values[at], row_pictures
 
 
 class _Clock:
@@ -239,12 +242,12 @@ def _is_sound(picture: object) -> bool:
 
 def _skip_missing(dataset: LeRobotFolder, counts: dict[int, int], skipped: Skipped) -> None:
     """Count as skipped what meta/info.json counts, and no data file has."""
-    there = sorted(counts)
-    stretches = [(-1, -1), *consecutive(there), (dataset.episodes, dataset.episodes)]
+    episodes = sorted(counts)
+    stretches = [(-1, -1), *consecutive(episodes), (dataset.episodes, dataset.episodes)]
     for (_, end), (start, _) in itertools.pairwise(stretches):
         if start > end + 1:
             name = f"episode {end + 1}" if start == end + 2 else f"episodes {end + 1} to {start - 1}"
-            skipped.add("episodes that are counted and not there", name)
+            skipped.add("episodes that are counted but missing", name)
     missing = dataset.frames - sum(counts.values())
     if missing > 0:
-        skipped.add("frames that are counted and not there", f"{missing:,} of {dataset.frames:,}")
+        skipped.add("frames that are counted but missing", f"{missing:,} of {dataset.frames:,}")

@@ -5,7 +5,6 @@ The user names the topic of the pictures, and the topic and the field of the ste
 
 from __future__ import annotations
 
-import itertools
 import math
 import os
 import re
@@ -27,11 +26,10 @@ from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.reader import Log
 from recorder.log.session_car import Car, metadata_of
-from recorder.log.writer import LogWriter
 from recorder.mcap.mcap_file import WITHOUT_CRCS
 from recorder.pictures.decoding import is_whole_picture
 from recorder.sources.import_result import Imported, SkippedEvents
-from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_rows
+from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_log
 from recorder.sources.mcap_messages import (
     Decoder,
     FieldError,
@@ -139,9 +137,6 @@ def import_mcap(
     _check_image_topic(source, topics.image, types)
     steering = _read_steering(source, files, steering_topic, field, topics.steering_scale, skipped)
     rows = _rows(files, topics.image, steering, f"importing {source.name}", skipped)
-    first = next(rows, None)
-    if first is None:
-        raise RecordingError(f"{source}: no picture on {topics.image} can be used{skipped.error_suffix()}")
     metadata = {
         "source": "ros2 bag" if source.is_dir() else "mcap",
         "recording": Path(os.path.realpath(source)).name,
@@ -150,12 +145,11 @@ def import_mcap(
         "steering_scale": repr(topics.steering_scale),
     }
     has_crcs = all(file.has_crcs() for file in files if isinstance(file, _McapFile))
-    notices = [] if has_crcs else [f"{metadata['recording']}: {WITHOUT_CRCS}"]
-    with LogWriter(log, metadata | metadata_of(car), overwrite=overwrite) as writer:
-        for notice in notices:
-            writer.event(first.time_ns, notice, "WARNING", "recorder")
-        count, pictures = write_rows(writer, itertools.chain([first], rows), events)
-    return Imported(log, count, pictures, skipped, [*notices, *writer.notices])
+    warnings = [] if has_crcs else [f"{metadata['recording']}: {WITHOUT_CRCS}"]
+    without_rows = f"{source}: no picture on {topics.image} can be used"
+    return write_log(
+        log, metadata | metadata_of(car), rows, events, without_rows, warnings=warnings, overwrite=overwrite
+    )
 
 
 def topics_in(source: Path, skipped: Skipped) -> dict[str, str]:

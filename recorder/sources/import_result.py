@@ -13,8 +13,6 @@ from recorder.log.writer import LogWriter
 
 @dataclass(frozen=True)
 class Imported:
-    """A finished log and its contents."""
-
     path: Path
     rows: int
     pictures: int

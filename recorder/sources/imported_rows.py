@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 from common.car import Camera
 from recorder.bc_pb2 import VehicleState
+from recorder.errors import RecordingError
+from recorder.log.meant_gaps import MeantGap
 from recorder.log.writer import LogWriter
-from recorder.sources.import_result import SkippedEvents
+from recorder.sources.import_result import Imported, SkippedEvents
 
 STEERING_OUT_OF_RANGE: Final = (
     "rows with steering beyond -1..1 (kept, but an index leaves them out; is --steering-scale right?)"
@@ -19,24 +23,38 @@ STEERING_OUT_OF_RANGE: Final = (
 
 @dataclass(frozen=True)
 class ImportedRow:
-    """A row that can be used."""
-
     time_ns: int
     state: VehicleState
     pictures: Mapping[Camera, bytes]  # JPEG or PNG, byte for byte
-    not_recorded: str = ""  # the event about the time between the row before and this one
+    gap: MeantGap | None = None  # before it
 
 
-def write_rows(writer: LogWriter, rows: Iterable[ImportedRow], events: SkippedEvents) -> tuple[int, int]:
-    """Write rows, numbered from 0, and events of what is left out between them; how many rows and pictures."""
+def write_log(
+    log: Path,
+    metadata: dict[str, str],
+    rows: Iterator[ImportedRow],
+    events: SkippedEvents,
+    without_rows: str,
+    *,
+    warnings: Sequence[str] = (),
+    overwrite: bool,
+) -> Imported:
+    """Write rows, numbered from 0, and events of what is left out between them. `warnings` are of all of them.
+
+    Raises RecordingError, which begins with `without_rows`, where there is none: no log is then begun.
+    """
+    first = next(rows, None)
+    if first is None:
+        raise RecordingError(f"{without_rows}{events.skipped.error_suffix()}")
     count = pictures = 0
-    for row in rows:
-        events.at(writer, row.time_ns)
-        for camera, picture in row.pictures.items():
-            writer.picture(camera, row.time_ns, count, picture)
-        writer.vehicle(row.time_ns, count, row.state)
-        if row.not_recorded:
-            writer.event(row.time_ns, row.not_recorded)
-        count += 1
-        pictures += len(row.pictures)
-    return count, pictures
+    with LogWriter(log, metadata, overwrite=overwrite) as writer:
+        for text in warnings:
+            writer.event(first.time_ns, text, "WARNING", "recorder")
+        for row in itertools.chain([first], rows):
+            events.at(writer, row.time_ns)
+            for camera, picture in row.pictures.items():
+                writer.picture(camera, row.time_ns, count, picture)
+            writer.vehicle(row.time_ns, count, row.state, row.gap)
+            count += 1
+            pictures += len(row.pictures)
+    return Imported(log, count, pictures, events.skipped, [*warnings, *writer.notices])

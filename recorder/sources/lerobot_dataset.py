@@ -57,21 +57,23 @@ class LeRobotFolder:
         if self.root.absolute().parent.name == "snapshots":  # how Hugging Face keeps what it has downloaded
             places.append(Path(os.path.realpath(self.root.absolute().parent.parent / "blobs")))
         if not any(real.is_relative_to(place) for place in places):
-            raise RecordingError(f"{path}: a link out of the dataset, which is not followed; copy what it names")
+            raise RecordingError(
+                f"{path}: a link out of the dataset is not followed; copy its target into the dataset"
+            )
         return real
 
     def data_files(self) -> list[Path]:
         """Raises RecordingError if there is none."""
-        found = sorted((self.root / "data").glob("*/*.parquet"))
-        if not found:
+        paths = sorted((self.root / "data").glob("*/*.parquet"))
+        if not paths:
             raise RecordingError(f"{self.root / 'data'}: no parquet file in it; was the dataset downloaded whole?")
-        return found
+        return paths
 
     def rows(self, path: Path, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
         """Columns of a parquet file, some rows at a time. Raises RecordingError for one that is not whole."""
         with self._parquet(path) as file:
-            there = set(file.schema_arrow.names)
-            if missing := [name for name in columns if name not in there]:
+            stored = set(file.schema_arrow.names)
+            if missing := [name for name in columns if name not in stored]:
                 raise RecordingError(f"{path}: no column {missing[0]!r}, which {INFO_PATH} promises")
             yield from file.iter_batches(BATCH_ROWS, columns=list(columns), use_threads=False)
 
@@ -124,7 +126,7 @@ def _dataset(folder: Path, info: dict[str, Any]) -> LeRobotFolder:
         raise RecordingError(
             f"{folder}: a LeRobot dataset of format {printable(version[:40])}; {VERSION} was expected"
         )
-    features = {str(name): _feature(of) for name, of in info["features"].items()}
+    features = {str(name): _feature(stored) for name, stored in info["features"].items()}
     dataset = LeRobotFolder(
         folder,
         version,
@@ -142,9 +144,9 @@ def _dataset(folder: Path, info: dict[str, Any]) -> LeRobotFolder:
     return dataset
 
 
-def _feature(of: Mapping[str, Any]) -> Feature:
-    shape = tuple(int(length) for length in of["shape"])
-    return Feature(str(of["dtype"]), shape, _names(of.get("names")))
+def _feature(stored: Mapping[str, Any]) -> Feature:
+    shape = tuple(int(length) for length in stored["shape"])
+    return Feature(str(stored["dtype"]), shape, _names(stored.get("names")))
 
 
 def _names(stored: object) -> tuple[str, ...] | None:

@@ -101,27 +101,27 @@ def _cameras(dataset: LeRobotFolder, image: str | None) -> dict[Camera, str]:
     if image_key("center") in keys:
         return {camera: image_key(camera) for camera in CAMERAS if image_key(camera) in keys}
     middle = [key for key in keys if key.rpartition(".")[2] in _CENTER]
-    for found in (middle, keys):
-        if len(found) == 1:
-            return {"center": found[0]}
+    for candidates in (middle, keys):
+        if len(candidates) == 1:
+            return {"center": candidates[0]}
     if not keys:
-        raise RecordingError(f"{dataset.root}: no feature of it is pictures in colour")
+        raise RecordingError(f"{dataset.root}: it has no colour pictures")
     raise RecordingError(f"{dataset.root}: which pictures? Give --image, one of {_listed(keys)}")
 
 
 def _steering_by_name(dataset: LeRobotFolder) -> FeatureNumber:
     """The number whose name has "steer" in it; one of an action is what the driver did, and goes before others."""
     for prefix in ("action", ""):
-        found = [
+        named = [
             number
             for number in _all_numbers(dataset)
             if number.feature.startswith(prefix) and "steer" in number.label.rpartition(".")[2].lower()
         ]
-        if len(found) == 1:
-            return found[0]
-        if found:
+        if len(named) == 1:
+            return named[0]
+        if named:
             break
-    labels = [number.label for number in (found or _all_numbers(dataset))]
+    labels = [number.label for number in (named or _all_numbers(dataset))]
     raise RecordingError(
         f"{dataset.root}: which number is the steering? Give --steering, one of {_listed(labels)}"
     )
@@ -136,8 +136,8 @@ def _number(dataset: LeRobotFolder, text: str) -> FeatureNumber:
     feature = dataset.features.get(text)
     if feature is not None:
         raise RecordingError(
-            f"{dataset.root}: --steering {printable(text)}: no one number, but {printable(feature.dtype)} of shape"
-            f" {feature.shape}; there are {_listed([number.label for number in numbers])}"
+            f"{dataset.root}: --steering {printable(text)}: not a single number, but {printable(feature.dtype)}"
+            f" of shape {feature.shape}; there are {_listed([number.label for number in numbers])}"
         )
     labels = [number.label for number in numbers]
     hint = did_you_mean(text, labels)
@@ -149,7 +149,7 @@ def _number(dataset: LeRobotFolder, text: str) -> FeatureNumber:
 
 def _all_numbers(dataset: LeRobotFolder) -> list[FeatureNumber]:
     """Every number of the features that are one, or one row of them."""
-    found = []
+    numbers = []
     for name, feature in dataset.features.items():
         if feature.dtype not in _NUMBERS or len(feature.shape) != 1 or not 1 <= feature.shape[0] <= 1000:
             continue
@@ -157,10 +157,10 @@ def _all_numbers(dataset: LeRobotFolder) -> list[FeatureNumber]:
         for at in range(feature.shape[0]):
             part = names[at] if len(names) == feature.shape[0] else str(at)
             if feature.shape == (1,):
-                found.append(FeatureNumber(name, None, f"{name}.{part}" if names else name))
+                numbers.append(FeatureNumber(name, None, f"{name}.{part}" if names else name))
             else:
-                found.append(FeatureNumber(name, at, f"{name}.{part}"))
-    return found
+                numbers.append(FeatureNumber(name, at, f"{name}.{part}"))
+    return numbers
 
 
 def _beside(dataset: LeRobotFolder, steering: FeatureNumber, words: tuple[str, ...]) -> FeatureNumber | None:

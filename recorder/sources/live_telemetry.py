@@ -17,7 +17,7 @@ from common.progress import StatusLine
 from recorder.errors import RecordingError
 from recorder.log.bad_telemetry import BadTelemetry
 from recorder.log.log_time import LogClock
-from recorder.log.meant_gaps import DISCONNECTED, HUMAN_DRIVES, HUMAN_HAS_STOPPED, not_recorded
+from recorder.log.meant_gaps import DISCONNECTED, HUMAN_DRIVES, HUMAN_HAS_STOPPED, HumanDriving, MeantGap
 from recorder.log.session_car import UDACITY, Car, metadata_of
 from recorder.log.writer import EventLevel, LogWriter
 from recorder.rows.devices import Device
@@ -105,6 +105,7 @@ class _Session:
         self._telemetries = 0
         self._manuals = 0
         self._human: set[str] = set()  # the connections on which a human drives
+        self._human_driving = HumanDriving()
         self._clock = LogClock()
         self._world_notices = WorldNotices()
         self._separators: dict[str, str] = {}  # of decimals, by connection
@@ -125,7 +126,7 @@ class _Session:
     def disconnected(self, sid: str, reason: str) -> None:
         self._separators.pop(sid, None)
         self._human.discard(sid)
-        self._event(time.perf_counter_ns(), f"{DISCONNECTED}{reason}")
+        self._human_driving.end(self._event(time.perf_counter_ns(), f"{DISCONNECTED}{reason}"))
 
     def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
         received_ns = time.perf_counter_ns()
@@ -247,7 +248,7 @@ class _Session:
         if telemetry is None:
             self._manuals += 1
             if not self._human:
-                self._event(received_ns, HUMAN_DRIVES)
+                self._human_driving.begin(self._event(received_ns, HUMAN_DRIVES))
             self._human.add(sid)
             return
         if isinstance(telemetry, TelemetryError):
@@ -258,21 +259,31 @@ class _Session:
             self.warn(text)
         if not is_taken:
             return
-        write_telemetry(self._writer, time_ns, self.rows, telemetry, device, brake=brake)
+        gap = self._gap_before(sid, time_ns)
+        left_out_s = self._human_driving.take_s() + (gap.seconds if gap is not None else 0.0)
+        write_telemetry(
+            self._writer, time_ns, self.rows, telemetry, device, brake=brake, not_recorded_s=left_out_s
+        )
         self.pictures += 1 + len(telemetry.side_pictures)
         for problem in telemetry.side_problems:
             self._note_unusable("pictures", received_ns, problem, problem)
+        if gap is not None:
+            self._writer.event(time_ns, str(gap), name="recorder")
         if self._person is not None:
-            gap_s = (time_ns - self._last_row_ns) / 1e9 - MAX_ROW_S
-            if self.rows and (why := self._person.recording.gap_why) and gap_s > 0:
-                self._writer.event(time_ns, not_recorded(gap_s, why), name="recorder")
             self._person.has_row(time_ns)
             self._last_row_ns = time_ns
+        self.rows += 1
+
+    def _gap_before(self, sid: str, time_ns: int) -> MeantGap | None:
+        """The person's pause before a row, if there was one. Where a human has driven, that ends with the row."""
         if sid in self._human:
             self._human.remove(sid)
             if not self._human:
+                self._human_driving.end(time_ns)
                 self._writer.event(time_ns, HUMAN_HAS_STOPPED, "INFO", "recorder")
-        self.rows += 1
+        why = "" if self._person is None else self._person.recording.gap_why
+        gap_s = (time_ns - self._last_row_ns) / 1e9 - MAX_ROW_S
+        return MeantGap(gap_s, why) if self.rows and why and gap_s > 0 else None
 
     def _note_unusable(self, what: str, received_ns: int, kind: str, reason: str) -> None:
         """Note that a telemetry, or a side camera's picture in it, cannot be used."""
@@ -282,5 +293,8 @@ class _Session:
         if (text := self._bad.take(kind, reason)) is not None:
             self._event(received_ns, text, "WARNING")
 
-    def _event(self, time_ns: int, text: str, level: EventLevel = "INFO") -> None:
-        self._writer.event(self._clock.event(time_ns), text, level, "recorder")
+    def _event(self, happened_ns: int, text: str, level: EventLevel = "INFO") -> int:
+        """Write an event; its log time."""
+        time_ns = self._clock.event(happened_ns)
+        self._writer.event(time_ns, text, level, "recorder")
+        return time_ns

@@ -11,7 +11,7 @@ from typing import Final, Self
 
 from common.interrupts import leave_signals_to_main_thread
 from recorder.bc_pb2 import VehicleState
-from recorder.log.meant_gaps import not_recorded
+from recorder.log.meant_gaps import MeantGap
 from recorder.log.pose_message import pose_message
 from recorder.log.writer import EventLevel, LogWriter
 from simulator.driving.simulation import Simulation
@@ -28,13 +28,10 @@ _TICK_S: Final = 0.1
 
 @dataclass(frozen=True)
 class PersonRow:
-    """One row of a person's drive."""
-
     time_ns: int
     pose: Pose
     state: VehicleState
-    gap_s: float = 0.0  # that was not recorded before it, on purpose
-    gap_why: str = ""
+    gap: MeantGap | None = None  # before it
 
 
 class PersonRows:
@@ -96,9 +93,7 @@ class PersonRows:
             jpegs[camera] = self._simulation.jpeg(camera, row.pose)
         for camera, jpeg in jpegs.items():
             self._writer.picture(camera, row.time_ns, number, jpeg)
-        self._writer.vehicle(row.time_ns, number, row.state)
-        if row.gap_why:
-            self._writer.event(row.time_ns, not_recorded(row.gap_s, row.gap_why))
+        self._writer.vehicle(row.time_ns, number, row.state, row.gap)
         self._writer.pose(row.time_ns, number, pose_message(row.pose, row.time_ns))
         self.written = number + 1
 

@@ -33,10 +33,10 @@ class PictureFolder:
                 raise RecordingError(f"{root}: over {MAX_FILES:,} pictures; give a folder of one recording")
             name = within.rpartition("/")[2]
             stem = name.rpartition(".")[0]
-            for known in {name, stem}:
-                self._by_name[known] = None if known in self._by_name else path
-            if found := _NUMBER.findall(stem):
-                number = int(found[-1])
+            for called in {name, stem}:
+                self._by_name[called] = None if called in self._by_name else path
+            if digits := _NUMBER.findall(stem):
+                number = int(digits[-1])
                 self._by_number[number] = None if number in self._by_number else path
         if not self.paths:
             raise RecordingError(f"{root}: no .jpg, .jpeg or .png in it, nor in the folders in it")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from common.versions import version_of
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.log_time import BREAK_NS
-from recorder.log.meant_gaps import not_recorded
+from recorder.log.meant_gaps import MeantGap
 from recorder.log.session_car import Car, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.built_in_simulator import CLOCK_START_NS
@@ -80,9 +81,10 @@ def record_gymnasium(recording: GymRecording, log: Path, *, overwrite: bool = Fa
                             speed_mph=before.speed_mph,
                         )
                         writer.picture("center", row_ns, rows, before.jpeg(), before.size)
-                        writer.vehicle(row_ns, rows, state)
-                        if number and not step:
-                            writer.event(row_ns, not_recorded(BREAK_NS / 1e9, "another episode begins"))
+                        begins = (
+                            MeantGap(BREAK_NS / 1e9, "another episode begins") if number and not step else None
+                        )
+                        writer.vehicle(row_ns, rows, state, begins)
                         rows += 1
                     step, reward = step + 1, reward + moment.reward
                     bar.update(task, completed=number + (step / most if most else 0.0))
@@ -126,7 +128,7 @@ def _metadata(recording: GymRecording, car: GymnasiumCar) -> dict[str, str]:
         "simulator": car.name,
         "driver": str(recording.environment.expert),
         "clock": f"{car.rate_hz:g} steps a second of the environment's own time",
-        "gym.args": recording.environment.gym_args,
+        "gym.args": json.dumps(car.settings.args),
         "gym.action": car.actions.text,
         "gym.seed": str(recording.seed),
         "gym.wander": f"{recording.wander:g}",

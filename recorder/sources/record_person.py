@@ -20,6 +20,7 @@ from common.low_latency import prepare_process
 from common.progress import StatusLine
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
+from recorder.log.meant_gaps import MeantGap
 from recorder.log.writer import LogWriter
 from recorder.rows.devices import device_value
 from recorder.sources.built_in_simulator import simulation_on, simulator_metadata
@@ -221,10 +222,10 @@ class _Drive:
             speed_mph=self._course.vehicle.speed_mph,
             device=device_value(control.device),
         )
-        is_gap = gap_s > 0.5 / self._drive.rate_hz  # more than an uneven step
-        why = self._recording.gap_why if is_gap else ""
+        is_gap = gap_s > 0.5 / self._drive.rate_hz and self._recording.gap_why  # more than an uneven step
+        gap = MeantGap(gap_s, self._recording.gap_why) if is_gap else None
         self.last_rows.add(round(self._course.time_s * 1e9), self._rows.count)
-        self._rows.add(PersonRow(time_ns, self._course.pose, state, max(0.0, gap_s), why))
+        self._rows.add(PersonRow(time_ns, self._course.pose, state, gap))
         self._recording.gap_why = ""
 
     def _state(self, control: Control, steering: float, throttle: float) -> FrameState:

@@ -27,23 +27,20 @@ def import_recording(
     *,
     columns: Sequence[str] = (),
     rate_hz: float | None = None,
-    all_catalogs: bool = False,
     car: Car | None = None,
     overwrite: bool = False,
 ) -> Imported:
     """Write what is at `source` to `log`: a Udacity recording, a DonkeyCar tub, another program's MCAP log or a
     ROS 2 bag (which need `topics`), a LeRobot dataset (which may), or pictures with a csv (whose `columns` are as
-    for `import_csv`). `rate_hz` and `all_catalogs` are as for `import_tub`; `car` is what was driven.
+    for `import_csv`). `rate_hz` is as for `import_tub`; `car` is what was driven.
 
     Raises RecordingError if it is none of them or nothing in it can be used, and UserError if `log` exists and
     `overwrite` is off.
     """
     topics = topics or Topics()
     if columns:
-        if topics.image is not None or topics.steering is not None or all_catalogs:
-            raise RecordingError(
-                "--columns names all that is imported: leave out --image, --steering, --all-catalogs"
-            )
+        if topics.image is not None or topics.steering is not None:
+            raise RecordingError("--columns already names everything to import: leave out --image, --steering")
         return import_csv(
             source,
             log,
@@ -57,14 +54,12 @@ def import_recording(
     is_dataset = not is_log and is_lerobot(source)
     is_donkeycar = not (is_log or is_dataset) and is_tub(source)
     if not (is_log or is_dataset or is_donkeycar or is_udacity(source)) and (hint := recordings_near(source)):
-        raise RecordingError(f"{source}: no recording itself;{hint}")
+        raise RecordingError(f"{source}: not a recording;{hint}")
     if not (is_log or is_dataset or is_donkeycar or is_udacity(source)) and has_csv(source):
         raise RecordingError(
             f"{source}: pictures with a csv? Say what its columns are: --columns image=COLUMN steering=COLUMN"
             " --rate ROWS_A_SECOND"
         )
-    if all_catalogs and not is_donkeycar:
-        raise RecordingError(f"{source}: --all-catalogs is for DonkeyCar tubs, which this is not")
     if topics != Topics() and not (is_log or is_dataset):
         raise RecordingError(
             f"{source}: --image and --steering are for other programs' logs and LeRobot datasets; this is neither"
@@ -87,7 +82,7 @@ def import_recording(
             overwrite=overwrite,
         )
     if is_donkeycar:
-        return import_tub(source, log, rate_hz=rate_hz, all_catalogs=all_catalogs, car=car, overwrite=overwrite)
+        return import_tub(source, log, rate_hz=rate_hz, car=car, overwrite=overwrite)
     return import_udacity(source, log, rate_hz=rate_hz, car=car, overwrite=overwrite)
 
 
@@ -113,7 +108,7 @@ def refuse_to_watch(source: Path) -> None:
 
 def _what_to_do_instead(source: Path, log: Path) -> str:
     if source.suffix == PART_SUFFIX:
-        return f"still unfinished: `bc-log recover {source}` makes a whole one of it"
+        return f"still unfinished: finish it with `bc-log recover {source}`"
     if real_path(source).parent == real_path(log).parent:
         return "and a session already: `bc-index` takes it in"
     return f"which is a session without being imported: copy it into {log.parent}/"

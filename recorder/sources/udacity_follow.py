@@ -63,7 +63,7 @@ def watch_udacity(
     check_rate(rate_hz)
     metadata = udacity_metadata(folder, rate_hz, car)
     if folder.exists() and not folder.is_dir():
-        raise RecordingError(f"{folder}: a file; give the folder that {CSV_NAME} is in, or will be")
+        raise RecordingError(f"{folder}: is a file; give the folder of {CSV_NAME}, which may not exist yet")
     with (
         stop_signals() as stopped,
         LogWriter(log, metadata, overwrite=overwrite, live=True) as writer,
@@ -101,12 +101,12 @@ class CsvTail(FileTail):
         self._earlier_lines = set[int]()
 
     def _numbered(self, lines: list[bytes]) -> list[tuple[int, bytes]]:
-        found = super()._numbered(lines)
-        if found and found[0][0] == 1:  # the first line of another file
+        numbered = super()._numbered(lines)
+        if numbered and numbered[0][0] == 1:  # the first line of another file
             self._earlier_lines |= self._lines
             self._lines = set()
         self._lines.update(map(hash, lines))
-        return [(number, content) for number, content in found if hash(content) not in self._earlier_lines]
+        return [(number, content) for number, content in numbered if hash(content) not in self._earlier_lines]
 
 
 class _GrowingRecording:

@@ -106,6 +106,7 @@ class Contents:
                 self._findings.append(Finding(_MISFIT, f"{topic} row {message.sequence}"))
             else:
                 self._states.add(message.sequence, message.log_time_ns, state)
+                self._not_recorded.add_row(message.log_time_ns, state.not_recorded_s)
         elif message.channel in self._images:
             self._add_picture(topic, records, message)
         elif message.channel in self._events:
@@ -129,7 +130,7 @@ class Contents:
         kind, count = read_event(event.message)
         if count:
             self._bad_telemetry[kind] += count
-        self._not_recorded.add(message.log_time_ns, event.message)
+        self._not_recorded.add_event(message.log_time_ns, event.message)
 
     def finish(self) -> None:
         """Add the findings that need all messages."""
@@ -155,10 +156,10 @@ class Contents:
 
     def _cameras(self, *, has_rows: bool) -> frozenset[str]:
         """Topics on which every row should have a picture: also a camera that has none at all."""
-        known = CAMERA_TOPICS.intersection(self._topics.values())
+        recorded = CAMERA_TOPICS.intersection(self._topics.values())
         expected = {camera_topic("center")} if has_rows else set()
         others = topics.PICTURE_TOPICS - CAMERA_TOPICS
-        return (known | expected | self._image_check.pictures.keys()) - others
+        return (recorded | expected | self._image_check.pictures.keys()) - others
 
     def _check_pictures(
         self, topic: str, pictures: TopicPictures, speed_mph: dict[tuple[int, int], float]
@@ -178,9 +179,11 @@ class Contents:
                 self._findings.append(Finding("stretches of frozen pictures", f"{topic} {rows_named(*rows)}"))
 
 
-def odd_findings(found: Iterable[OddStretch]) -> list[Finding]:
+def odd_findings(odd: Iterable[OddStretch]) -> list[Finding]:
     """Those of the odd stretches that are findings."""
-    named = [(ODD_FINDINGS.get(each.kind, ""), rows_named(each.first_row, each.last_row)) for each in found]
+    named = [
+        (ODD_FINDINGS.get(stretch.kind, ""), rows_named(stretch.first_row, stretch.last_row)) for stretch in odd
+    ]
     return [Finding(kind, where) for kind, where in named if kind]
 
 

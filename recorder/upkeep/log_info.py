@@ -9,7 +9,6 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from common.location import Location
 from common.untrusted_json import json_as
@@ -82,8 +81,8 @@ class LogInfo:
     def odd_rows(self) -> dict[str, int]:
         """The rows of the odd stretches, by their kind: most first."""
         rows = Counter[str]()
-        for each in self.odd or ():
-            rows[each.kind] += each.last_row - each.first_row + 1
+        for stretch in self.odd or ():
+            rows[stretch.kind] += stretch.last_row - stretch.first_row + 1
         return dict(rows.most_common())
 
     @property
@@ -123,10 +122,11 @@ def describe(
         rate_s = duration_s if driven_s is None else driven_s
         tags = sorted(by_content.get(fingerprint, ()))
         odd = _odd(log, quality)
-        steering, found = _steering(log, quality), noted_lag(quality)
+        steering, finding = _steering(log, quality), noted_lag(quality)
         goes_by = steering is not None and goes_by_lag(steering, driven_by(log))
-        if found is None and goes_by:
-            found = (kept_lag(log) if with_kept_lag else None) or (_measured(log)[0] if look else None)
+        if finding is None and goes_by:
+            finding = (kept_lag(log) if with_kept_lag else None) or (_measured(log)[0] if look else None)
+        stretches = json_as(quality.get("stretches", ""), list[tuple[str, int, int, float, float]])
         return LogInfo(
             path=str(log.path),
             size_bytes=log.size,
@@ -140,13 +140,13 @@ def describe(
             session=log.metadata,
             drives=_count(quality.get("drives")) if quality else None,
             flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS} if quality else None,
-            stretches=_stretches(quality.get("stretches", "")),
+            stretches=[FlaggedRows(*values) for values in stretches or ()],
             odd=TaggedRows(tags).left(odd) if odd is not None else None,
             steering=steering,
-            lag=found.lag if found else None,
-            lacks_lag=found is None and goes_by,
-            labels=str(plan_labels(steering, found, driven_by(log))) if steering else "",
-            picture_sizes=_texts(quality.get("picture_sizes", "")),
+            lag=finding.lag if finding else None,
+            lacks_lag=finding is None and goes_by,
+            labels=str(plan_labels(steering, finding, driven_by(log))) if steering else "",
+            picture_sizes=json_as(quality.get("picture_sizes", ""), dict[str, str]) or {},
             tags=tags,
             stale_tags=sum(len(tags) for content, tags in by_content.items() if content != fingerprint),
             notice=log.notice,
@@ -193,8 +193,8 @@ def _goes_by_lag(log: Log) -> bool:
 def _measured(log: Log) -> tuple[LagFinding, bool]:
     from recorder.seen.steering_lag import measure_lag  # OpenCV
 
-    found = LagFinding(measure_lag(log, States.of(log.vehicle())))
-    return found, keep_lag(log, found)
+    finding = LagFinding(measure_lag(log, States.of(log.vehicle())))
+    return finding, keep_lag(log, finding)
 
 
 def set_speeds_mph(log: Log) -> tuple[float, ...]:
@@ -202,10 +202,10 @@ def set_speeds_mph(log: Log) -> tuple[float, ...]:
     for people."""
     stored = f"{log.metadata.get('drive.speed', '')} {log.metadata.get('set_speed_mph', '')}".split()
     try:
-        speeds = [float(each) for each in stored]
+        speeds = [float(speed) for speed in stored]
     except ValueError:
         return ()
-    return tuple(sorted({each for each in speeds if 0 < each < math.inf}))
+    return tuple(sorted({speed for speed in speeds if 0 < speed < math.inf}))
 
 
 def first_picture_sizes(log: Log) -> dict[str, tuple[int, int]] | None:
@@ -222,10 +222,7 @@ def _quality(log: Log) -> dict[str, str]:
         return stored
     if (states := _states(log)) is None:
         return {}
-    not_recorded = NotRecorded()
-    for message, event in log.decoded(topics.EVENTS) if topics.EVENTS in log.counts else ():
-        not_recorded.add(message.log_time_ns, event.message)
-    return summary(states) | odd_summary(states) | not_recorded.summary(states)
+    return summary(states) | odd_summary(states) | NotRecorded.of(log).summary(states)
 
 
 def _odd(log: Log, quality: dict[str, str]) -> list[OddStretch] | None:
@@ -262,24 +259,3 @@ def _seconds(text: str | None) -> float | None:
     except ValueError:
         return None
     return seconds if math.isfinite(seconds) and seconds >= 0 else None
-
-
-def _texts(text: str) -> dict[str, str]:
-    """The texts by name in JSON, empty for anything else: somebody else may have written the log."""
-    try:
-        return {str(name): str(value) for name, value in json.loads(text or "{}").items()}
-    except (ValueError, AttributeError, RecursionError):
-        return {}
-
-
-def _stretches(text: str) -> list[FlaggedRows]:
-    """The stretches in JSON, none for anything else: somebody else may have written the log."""
-    try:
-        entries: list[list[Any]] = json.loads(text or "[]")
-        return [
-            FlaggedRows(str(flag), int(first), int(last), float(begin_s), float(end_s))
-            for flag, first, last, begin_s, end_s in entries
-            if math.isfinite(begin_s) and math.isfinite(end_s)
-        ]
-    except (ValueError, TypeError, OverflowError, RecursionError):
-        return []

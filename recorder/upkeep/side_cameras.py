@@ -49,8 +49,6 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SideCameras:
-    """The measured distances."""
-
     left: float  # distance from the centre camera, as a share of the cameras' height above the road
     right: float
     moments: int  # how many had all three pictures
@@ -85,7 +83,7 @@ def side_cameras(log: Log, cameras: Sequence[Camera] = _MEASURED) -> SideCameras
     """Measure in a log with pictures of all three cameras: the centre one, and those at its left and its right.
     Raises RecordingError where that is not possible."""
     places = [log.pictures(camera_topic(camera)) for camera in cameras]
-    rows = np.array(sorted(set.intersection(*(set(each.sequence.tolist()) for each in places))), np.int64)
+    rows = np.array(sorted(set.intersection(*(set(pictures.sequence.tolist()) for pictures in places))), np.int64)
     if not len(rows):
         raise RecordingError(f"{log.path}: no moment has pictures of all three cameras")
     chosen = rows[np.unique(np.linspace(0, len(rows) - 1, MOMENTS).round().astype(int))].tolist()
@@ -102,7 +100,7 @@ def are_swapped(log: Log) -> bool:
     """True if the left camera's pictures are from the right of the centre one's, and the right one's from its
     left: they can be measured so, and not as they are called."""
     places = [log.pictures(camera_topic(camera)) for camera in _MEASURED]
-    if not all(len(each.sequence) for each in places):
+    if not all(len(pictures.sequence) for pictures in places):
         return False
     try:
         side_cameras(log)
@@ -123,21 +121,21 @@ def measure(moments: Iterable[list[Gray | None]]) -> SideCameras:
     rows = 0  # of a band
     for pictures in moments:
         found_bands = (_bands(picture) for picture in pictures if picture is not None)
-        bands = [each for each in found_bands if each is not None]
-        if len(bands) == 3 and len({each.shape for each in bands}) == 1:
+        bands = [band for band in found_bands if band is not None]
+        if len(bands) == 3 and len({band.shape for band in bands}) == 1:
             centre, left_of, right_of = bands
             rows = centre.shape[1]
             left.append(_likeness(left_of, centre))
             right.append(_likeness(centre, right_of))
     if not left:
         raise ValueError("no moment has whole pictures of all three cameras, of one size and high enough")
-    found = SideCameras(_slope(np.mean(left, axis=0), rows), _slope(np.mean(right, axis=0), rows), len(left))
-    if abs(found.left - found.right) > _MAX_ASKEW * found.spacing:
+    cameras = SideCameras(_slope(np.mean(left, axis=0), rows), _slope(np.mean(right, axis=0), rows), len(left))
+    if abs(cameras.left - cameras.right) > _MAX_ASKEW * cameras.spacing:
         raise ValueError(
-            f"the left camera is {found.left:.2f} of its height from the centre one, the right one"
-            f" {found.right:.2f}: one correction does not fit both"
+            f"the left camera is {cameras.left:.2f} of its height from the centre one, the right one"
+            f" {cameras.right:.2f}: one correction does not fit both"
         )
-    return found
+    return cameras
 
 
 def _bands(picture: Gray) -> NDArray[np.float32] | None:
@@ -148,22 +146,25 @@ def _bands(picture: Gray) -> NDArray[np.float32] | None:
         return None
     edges = cv2.Sobel(cv2.GaussianBlur(small, (3, 3), 0), cv2.CV_32F, 1, 0)
     first, last = (round(share * small.shape[0]) for share in _ROWS)
-    each = (last - first) // _BANDS
-    if each < 1:
+    band_rows = (last - first) // _BANDS
+    if band_rows < 1:
         return None
-    return np.asarray(edges[first : first + _BANDS * each].reshape(_BANDS, each, _WIDTH_PX), np.float32)
+    return np.asarray(edges[first : first + _BANDS * band_rows].reshape(_BANDS, band_rows, _WIDTH_PX), np.float32)
 
 
 def _likeness(to_the_right: NDArray[np.float32], other: NDArray[np.float32]) -> Floats:
     """(bands, shifts): the correlation of the first one's columns x + shift with the other's x."""
-    most = round(_MAX_SHIFT * _WIDTH_PX)
-    result = np.zeros((_BANDS, most + 1))
-    for shift in range(most + 1):
-        a, b = to_the_right[..., shift:], other[..., : _WIDTH_PX - shift]
-        a, b = (part - part.mean(axis=(1, 2), keepdims=True) for part in (a, b))
-        size = np.sqrt((a * a).sum(axis=(1, 2)) * (b * b).sum(axis=(1, 2)))
-        result[:, shift] = (a * b).sum(axis=(1, 2)) / np.maximum(size, 1e-9)
-    return result
+    shifts = np.arange(round(_MAX_SHIFT * _WIDTH_PX) + 1)
+    width = _WIDTH_PX - shifts  # columns in common
+    a, b = to_the_right.astype(np.float64), other.astype(np.float64)
+    both = [np.einsum("brc,brc->b", a[..., s:], b[..., :w]) for s, w in zip(shifts, width, strict=True)]
+    count = a.shape[1] * width
+    mean_a, mean_b, square_a, square_b = (
+        np.cumsum(part.sum(axis=1), axis=1)[:, width - 1] / count
+        for part in (a[..., ::-1], b, np.square(a[..., ::-1]), np.square(b))
+    )
+    size = np.sqrt(np.maximum((square_a - mean_a**2) * (square_b - mean_b**2), 0.0))
+    return np.asarray((np.stack(both, axis=1) / count - mean_a * mean_b) / np.maximum(size, 1e-9))
 
 
 def _slope(likeness: Floats, rows: int) -> float:
@@ -180,7 +181,7 @@ def _slope(likeness: Floats, rows: int) -> float:
     fits = np.abs(rest - np.median(rest)) < _NEAR_PX
     if slope <= 0 or fits.mean() < 2 / 3:
         raise ValueError(
-            "the side cameras' pictures are not shifted against the centre one's as those of a level road are:"
-            " they look another way, or show too little of it"
+            "the side cameras' pictures do not fit the centre one's on a level road: these cameras"
+            " look in another direction, or show too little road"
         )
     return slope

@@ -62,7 +62,9 @@ class Expert:
     def control(self, course: Course) -> tuple[float, float]:
         """The command for the course's present state: steering -1 (left) .. 1 (right), throttle -1 .. 1."""
         steering = self._steer(course) + self._noise.at(course.time_s)
-        return min(1.0, max(-1.0, steering)), self._throttle(course)
+        point: int = round(course.arc_m / self._line.step_m)
+        throttle = throttle_for(course, self._speed_mps[point % len(self._speed_mps)])
+        return min(1.0, max(-1.0, steering)), throttle
 
     def _steer(self, course: Course) -> float:
         """Pure pursuit (Coulter 1992, CMU-RI-TR-92-01): the arc from the rear axle to a point of the line."""
@@ -74,10 +76,6 @@ class Expert:
         to_the_left = -dx * math.sin(direction) + dy * math.cos(direction)
         curvature = 2.0 * to_the_left / (dx * dx + dy * dy)
         return -wheel_angle_for(curvature, speed) / MAX_WHEEL_RAD
-
-    def _throttle(self, course: Course) -> float:
-        point: int = round(course.arc_m / self._line.step_m)
-        return throttle_for(course, self._speed_mps[point % len(self._speed_mps)])
 
 
 def throttle_for(course: Course, speed_mps: float) -> float:

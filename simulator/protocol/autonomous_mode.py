@@ -38,8 +38,6 @@ GIVE_UP_S = 60.0
 
 @dataclass(frozen=True)
 class AutonomousDrive:
-    """A finished drive."""
-
     track: str
     whole_laps: int
     measures: CourseMeasures

@@ -42,8 +42,6 @@ class SimulatorTelemetry:
 
 @dataclass(frozen=True)
 class SteerCommand:
-    """A command from the server."""
-
     steering: float  # -1..1, as sent: not clamped
     throttle: float  # > 0 accelerates, < 0 brakes
     puts_back: bool = False  # the car, on its line: a person asks for it; the real simulator knows no such field

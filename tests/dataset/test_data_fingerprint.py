@@ -14,7 +14,7 @@ from common.car import Camera
 from dataset import DatasetError, IndexConfig, Samples, build_index
 from logs import write_log
 from recorder import Log
-from recorder.log.tags import Tag, add_tag
+from recorder.log.tags import Tag, add_tags
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(80)]
 CONFIG = IndexConfig(block_s=1.0, gap_s=0.2)
@@ -76,7 +76,7 @@ def test_it_changes_with_a_tag_a_setting_and_another_log(folder: Path) -> None:
         build_index(logs, index, CONFIG)
         seen.append(fingerprint(index))
     with Log(log) as opened:
-        add_tag(log, opened.fingerprint, Tag(5, 5, "exclude"))
+        add_tags(log, opened.fingerprint, [Tag(5, 5, "exclude")])
     build_index([log], index, CONFIG)
     seen.append(fingerprint(index))
     assert len(set(seen)) == len(seen)

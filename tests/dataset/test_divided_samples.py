@@ -19,7 +19,7 @@ from dataset.samples.balance import PerBin, quota_of, shares
 from divided import in_one_file
 from logs import write_log
 from recorder import Log
-from recorder.log.tags import Tag, add_tag, tags_path
+from recorder.log.tags import Tag, add_tags, tags_path
 from web.index.index_view import session_bins_sketch, view_index
 
 CONFIG = IndexConfig(labels="as-recorded", block_s=3.0, gap_s=0.5, validation_share=0.3)
@@ -200,7 +200,7 @@ def test_samples_of_other_frames_differ_where_their_number_is_equal(tmp_path: Pa
         fingerprint = opened.fingerprint
     for row in (10, 12):  # of the same block, with the same steering
         tags_path(log).unlink(missing_ok=True)
-        add_tag(log, fingerprint, Tag(row, row, "exclude"))
+        add_tags(log, fingerprint, [Tag(row, row, "exclude")])
         indexed = build_index([log], tmp_path / "index", CONFIG, divide_from_frames=1)
         assert indexed.counts["a"].excluded == 3
         assert row not in indexed.samples["row"].to_pylist()

@@ -20,7 +20,7 @@ from driving import one_line_in
 from lerobot_logs import jpeg, steering, write_drives
 from recorder import Log
 from recorder.lerobot.export import Exported
-from recorder.log.tags import Tag, add_tag
+from recorder.log.tags import Tag, add_tags
 from recorder.sources.import_lerobot import import_lerobot
 from udacity import call
 
@@ -78,7 +78,7 @@ def test_pictures_and_steering_are_those_of_the_log(tmp_path: Path) -> None:
 def test_what_tags_gaps_and_conditions_leave_out_stays_out(tmp_path: Path) -> None:
     log = write_drives(tmp_path / "one.mcap", times_ns=TIMES_NS)
     with Log(log) as opened:
-        add_tag(log, opened.fingerprint, Tag(3, 4, "exclude"))
+        add_tags(log, opened.fingerprint, [Tag(3, 4, "exclude")])
     config = IndexConfig(block_s=0.5, gap_s=0.1, validation_share=0.5, where="row != 7")
     index = build_index([log], tmp_path / "index", config).path
     kept = used(index).keys() - {3, 4, 7}
@@ -132,7 +132,7 @@ def test_what_cannot_be_exported_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="nowhere: no index; build it with `bc-index"):
         export_index(tmp_path / "nowhere", tmp_path / "out")
     index = indexed(tmp_path)
-    with pytest.raises(UserError, match="no row is used and fulfils --where 'row > 99'"):
+    with pytest.raises(UserError, match="no used row meets --where 'row > 99'"):
         export_index(index, tmp_path / "out", where="row > 99")
     (tmp_path / "one.mcap").unlink()
     with pytest.raises(DatasetError, match="the log of session one is gone"):

@@ -19,7 +19,7 @@ from layouts import Layout, mixed, two_kinds
 from logs import START_NS, STEP_NS, write_log
 from places import Place
 from recorder import Log
-from recorder.log.tags import Tag, add_tag, remove_tag
+from recorder.log.tags import Tag, add_tags, remove_tags
 from recorder.upkeep.edit import merge, trim
 from recorder.upkeep.recover import recover
 from udacity import call, jpeg
@@ -33,7 +33,7 @@ def picture(camera: Camera, row: int) -> bytes:
 
 def tag(path: Path, name: str, first_row: int, last_row: int, *, remove: bool = False) -> None:
     with Log(path) as log:
-        (remove_tag if remove else add_tag)(path, log.fingerprint, Tag(first_row, last_row, name))
+        (remove_tags if remove else add_tags)(path, log.fingerprint, [Tag(first_row, last_row, name)])
 
 
 def compress(path: Path, to: Path, compression: CompressionType) -> Path:

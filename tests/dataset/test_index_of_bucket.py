@@ -15,7 +15,7 @@ from dataset.cli import main
 from layouts import mixed
 from logs import write_log
 from recorder import Log
-from recorder.log.tags import Tag, add_tag
+from recorder.log.tags import Tag, add_tags
 from udacity import call
 
 SETTINGS = ("--labels", "as-recorded", "--block-s", "1", "--gap-s", "0")
@@ -41,7 +41,7 @@ def test_the_index_is_that_of_the_same_logs_on_a_disk(bucket: Bucket, tmp_path: 
     for number in range(3):
         drive(bucket.folder / f"{number}.mcap", number)
     with Log(bucket.folder / "1.mcap") as log:
-        add_tag(bucket.folder / "1.mcap", log.fingerprint, Tag(10, 20, "exclude"))
+        add_tags(bucket.folder / "1.mcap", log.fingerprint, [Tag(10, 20, "exclude")])
     assert index_of(bucket.folder, "disk") == 0
     assert index_of(bucket.url(), "store") == 0
     assert pq.read_table("disk/samples.parquet").equals(pq.read_table("store/samples.parquet"))
@@ -78,7 +78,7 @@ def test_what_has_changed_is_read_again(bucket: Bucket, change: str, capsys: pyt
     assert index_of(bucket.url(), "store") == 0
     if change == "tags":
         with Log(paths[1]) as log:
-            add_tag(paths[1], log.fingerprint, Tag(0, 5, "exclude"))
+            add_tags(paths[1], log.fingerprint, [Tag(0, 5, "exclude")])
     else:
         paths[1].unlink()
         drive(paths[1], 7)

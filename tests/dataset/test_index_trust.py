@@ -24,7 +24,7 @@ from driving import Process
 from logs import write_log
 from recorder import Log, LogError, LogWriter, Pictures
 from recorder.bc_pb2 import VehicleState
-from recorder.log.tags import Tag, add_tag
+from recorder.log.tags import Tag, add_tags
 from recorder.rows.row_quality import States
 from udacity import call, jpeg
 
@@ -59,7 +59,7 @@ def test_a_tag_that_comes_while_an_index_is_built_is_not_lost(
     path = log_of(tmp_path / "a.mcap")
 
     def tagging(log: Log, *rest: Any) -> pa.Table:
-        add_tag(path, log.fingerprint, Tag(0, 99, "exclude"))
+        add_tags(path, log.fingerprint, [Tag(0, 99, "exclude")])
         return frames_table(log, *rest)
 
     monkeypatch.setattr("dataset.index.log_entries.frames_table", tagging)
@@ -257,7 +257,7 @@ def test_a_split_without_samples_is_said(
 
 
 def test_a_condition_that_depends_on_chance_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="depends on chance"):
+    with pytest.raises(DatasetError, match="gives other rows each time"):
         build_index([log_of(tmp_path / "a.mcap")], tmp_path / "index", IndexConfig(where="random() < 0.5"))
 
 

@@ -22,7 +22,7 @@ from dataset.steering_bins import bin_of
 from logs import write_log
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.tags import Tag, add_tag
+from recorder.log.tags import Tag, add_tags
 from udacity import call
 
 MS = 1_000_000  # ns
@@ -280,7 +280,7 @@ def test_an_excluded_row_is_an_edge_and_a_condition_is_none(tmp_path: Path) -> N
     pytest.importorskip("duckdb", reason="DuckDB is not installed: --where was not tried")
     log = write_log(tmp_path / "a.mcap", STEERING)
     with Log(log) as opened:
-        add_tag(log, opened.fingerprint, Tag(50, 52, "exclude"))
+        add_tags(log, opened.fingerprint, [Tag(50, 52, "exclude")])
     index = indexed(tmp_path, where="row % 2 = 1", label_shift_s=0.2)
     rows = {row for row in range(1, 98, 2) if row not in (49, 51)}
     assert straight(index.samples) == pytest.approx({row: STEERING[row + 2] for row in rows})

@@ -108,15 +108,6 @@ def test_percentiles_of_a_drives_latencies() -> None:
         assert latency.percentile_ms(percent) == pytest.approx(exact, rel=RESOLUTION)
 
 
-def test_times_that_no_clock_shows_do_no_harm() -> None:
-    latency = LatencyHistogram()
-    assert (latency.percentile_ms(99), latency.max_ms) == (0.0, 0.0)
-    for ms in (0.0, -1.0, 1e-9, 1e9, float("inf")):
-        latency.add(ms)
-    assert latency.percentile_ms(50) <= SMALLEST_MS * 1.02
-    assert latency.percentile_ms(99) >= LARGEST_MS * 0.98
-
-
 # How far, how long
 
 
@@ -380,13 +371,11 @@ def test_the_lines_for_people() -> None:
         summary.decision(decided(world=replace(WORLD, time_s=i / 10, laps=i / 1000)), 2.0, now_s=0.0)
     summary.decision(BAD, 0.1, now_s=0.0)
     summary.decision(decided(driver="expert", world=replace(WORLD, time_s=120.0, laps=1.2)), 2.0, now_s=0.0)
-    summary.dropped_pictures = 12
-    distance, autonomy, latency, malformed, dropped = summary_lines(summary)
+    distance, autonomy, latency, malformed = summary_lines(summary)
     assert distance == "1,202 frames in 120.0 s by the simulator's clock: 1.20 laps, 536 m, 10.0 mph on average"
     assert autonomy == "autonomy 95.0 %, 1 intervention: 1 by the expert"
     assert latency.startswith("latency p50/p99/max in ms: parse 0.10/0.10/0.10, decode ")
     assert malformed == "1 telemetry could not be used: not an object (1)"
-    assert dropped == "the disk was too slow: 12 pictures and 0 rows are not in the log"
 
 
 def test_frames_without_a_number_of_the_network_are_told() -> None:

@@ -6,6 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,11 +18,12 @@ from driving import one_line_in, untrained_run
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.reader import Log
 from repository import ROOT
-from toy_environment import STEPS
+from toy_environment import STEPS, bar, with_bars
 from udacity import call
 
-BAR = ["--gym", "toy_environment:toy/Bar-v0", "--gym-action", "steering,throttle", "--viewer", "off"]
-SPEED = ["--gym-speed", "2.237*speed"]
+UNSEEN = ("--viewer", "off")
+SPEED = {"speed": "2.237*speed"}
+SHORT = {"max_episode_steps": 5}
 
 
 @pytest.fixture(autouse=True)
@@ -40,7 +42,7 @@ def commands(log: str) -> list[PilotCommand]:
 
 
 def test_it_drives_episodes_and_logs_them(capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(bc_drive, "first", *BAR, *SPEED, "--episodes", 2, "--seed", 3, "--log", "d.mcap") == 0
+    assert call(bc_drive, "first", *bar(**SPEED), *UNSEEN, "--episodes", 2, "--seed", 3, "--log", "d.mcap") == 0
     said = capsys.readouterr().out
     assert "seed 3: 30 steps, reward" in said
     assert "seed 4: 30 steps, reward" in said
@@ -64,9 +66,8 @@ def test_it_drives_episodes_and_logs_them(capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_the_same_drive_twice_is_the_same() -> None:
-    short = ("--gym-args", '{"max_episode_steps": 5}')
     for name in ("one", "two"):
-        assert call(bc_drive, "first", *BAR, *SPEED, *short, "--log", f"{name}.mcap") == 0
+        assert call(bc_drive, "first", *bar(**SPEED, args=SHORT), *UNSEEN, "--log", f"{name}.mcap") == 0
     one, two = (commands(f"{name}.mcap") for name in ("one", "two"))
     assert [command.steering for command in one] == [command.steering for command in two]
 
@@ -74,7 +75,7 @@ def test_the_same_drive_twice_is_the_same() -> None:
 def test_a_drive_is_copied_to_a_store_when_it_is_finished(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    flags = ("first", *BAR, *SPEED, "--gym-args", '{"max_episode_steps": 5}', "--log", "s3://logs/drives/d.mcap")
+    flags = ("first", *bar(**SPEED, args=SHORT), *UNSEEN, "--log", "s3://logs/drives/d.mcap")
     with serving_bucket(tmp_path / "server", monkeypatch) as bucket:
         assert call(bc_drive, *flags) == 0
         copy = (bucket.folder / "drives/d.mcap").read_bytes()
@@ -90,36 +91,39 @@ def test_a_drive_is_copied_to_a_store_when_it_is_finished(
 
 
 def test_an_expert_works_the_pedals_where_no_speed_is_told() -> None:
-    short = ("--gym-args", '{"max_episode_steps": 5}')
-    assert call(bc_drive, "first", *BAR, *short, "--expert", "toy_environment:centre", "--log", "d.mcap") == 0
+    line = [*bar(args=SHORT), *UNSEEN, "--expert", "toy_environment:centre", "--log", "d.mcap"]
+    assert call(bc_drive, "first", *line) == 0
     sent = commands("d.mcap")
     assert {command.throttle for command in sent} == {0.25}
     assert any(command.steering != command.expert_steering for command in sent)
 
 
 def test_a_network_drives_car_racing(capsys: pytest.CaptureFixture[str]) -> None:
+    """By the flags of the version before, which name their successors."""
     arguments = ["--gym-action", "steering,throttle,brake", "--gym-args", '{"max_episode_steps": 20}']
     expert = f"{ROOT / 'examples' / 'car_racing_expert.py'}:drive"
-    line = ["first", "--gym", "CarRacing-v3", *arguments, "--expert", expert, "--viewer", "off", "--log", "d.mcap"]
+    line = ["first", "--gym", "CarRacing-v3", *arguments, "--expert", expert, *UNSEEN, "--log", "d.mcap"]
     assert call(bc_drive, *line) == 0
-    assert "seed 0: 20 steps, reward" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "seed 0: 20 steps, reward" in said.out
+    assert "--gym-args: is args in a file for --gym now" in said.err
     assert len(commands("d.mcap")) == 20
 
 
 @pytest.mark.parametrize(
     ("arguments", "code", "expected"),
     [
-        (BAR, 1, "give its speed, which is kept at --speed, by --gym-speed KEY"),
-        ([*BAR, *SPEED, "--simulator", "lake"], 2, "--simulator: not with --gym"),
-        ([*BAR, *SPEED, "--takeover"], 2, "--takeover: not with --gym"),
-        ([*BAR, *SPEED, "--seed", "-1"], 2, "--seed -1"),
+        ([{}, *UNSEEN], 1, "for the pedals give speed, the key of the environment's"),
+        ([SPEED, *UNSEEN, "--simulator", "lake"], 2, "--simulator: not with --gym"),
+        ([SPEED, *UNSEEN, "--takeover"], 2, "--takeover: not with --gym"),
+        ([SPEED, *UNSEEN, "--seed", "-1"], 2, "--seed -1"),
         (["--seed", "1"], 2, "--seed: only with --gym ID"),
-        ([*BAR, *SPEED, "--gym-args", '{"observation": "numbers"}'], 1, "no camera picture"),
+        ([SPEED | {"args": {"observation": "numbers"}}, *UNSEEN], 1, "no camera picture"),
     ],
 )
 def test_what_cannot_be_driven_is_said_in_one_line(
-    arguments: list[str], code: int, expected: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[Any], code: int, expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(bc_drive, "first", *arguments) == code
+    assert call(bc_drive, "first", *with_bars(arguments)) == code
     assert expected in one_line_in(capsys)
     assert not Path("drives").exists()

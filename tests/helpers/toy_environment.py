@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+from pathlib import Path
 from typing import Any, Final
 
 import gymnasium
@@ -18,6 +20,25 @@ STEPS, RATE_HZ = 30, 20
 MPS: Final = 4.0
 PICTURE: Final = spaces.Box(0, 255, (HEIGHT, WIDTH, 3), np.uint8)
 STEER_AND_GAS: Final = spaces.Box(np.array([-1, 0], np.float32), np.array([1, 1], np.float32))
+
+
+def bar(**settings: Any) -> list[str]:
+    """The words that name the bar by a file of settings, which is written to the working folder."""
+    settings = {"id": "toy_environment:toy/Bar-v0", "action": "steering,throttle", **settings}
+    args = settings.pop("args", {})
+    lines = [f"{name} = {json.dumps(value)}" for name, value in settings.items()]
+    if isinstance(args, dict):
+        lines += [f"args.{name} = {json.dumps(value)}" for name, value in args.items()]
+    else:
+        lines += [f"args = {args}"]
+    number = len(list(Path.cwd().glob("bar-*.toml")))
+    (path := Path(f"bar-{number}.toml")).write_text("\n".join(lines))
+    return ["--gym", str(path)]
+
+
+def with_bars(words: list[Any]) -> list[Any]:
+    """The words, in which settings have become a bar's file."""
+    return [part for word in words for part in (bar(**word) if isinstance(word, dict) else [word])]
 
 
 class Bar(gymnasium.Env[Any, Any]):

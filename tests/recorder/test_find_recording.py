@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -56,7 +55,7 @@ def test_what_was_meant_is_said(home: Path, monkeypatch: pytest.MonkeyPatch, giv
     monkeypatch.chdir(home)
     with pytest.raises(RecordingError) as error:
         import_recording(Path(given), Path("x.mcap"))
-    assert str(error.value) == f"{given}: no recording itself; did you mean {meant}?"
+    assert str(error.value) == f"{given}: not a recording; did you mean {meant}?"
     with pytest.raises(RecordingError, match=rf"did you mean {home / meant}\?"):
         import_recording(home / given, home / "x.mcap")
 
@@ -157,17 +156,18 @@ def steerings(log: Path) -> list[float]:
     return [state.steering for _, state in read_messages(log)["/vehicle"]]
 
 
-def test_catalogues_that_the_manifest_omits_are_taken_if_asked_for(
+def test_catalogues_that_the_manifest_omits_are_taken_without_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     folder = without_its_last_catalogue(tmp_path / "data")
     assert call(main, "few", "--from", folder) == 3
-    assert "(--all-catalogs takes them): 1 (catalog_1.catalog)" in capsys.readouterr().err
+    assert "(without manifest.json, all are read): 1 (catalog_1.catalog)" in capsys.readouterr().err
     assert steerings(tmp_path / "sessions" / "few.mcap") == [-1.0, 0.25]
-    call(main, "all", "--from", folder, "--all-catalogs")
+    (folder / "manifest.json").unlink()
+    call(main, "all", "--from", folder)
     assert "catalog_1" not in capsys.readouterr().err
-    assert steerings(tmp_path / "sessions" / "all.mcap") == [-1.0, 0.25, 1.0, -1.0]
+    assert steerings(tmp_path / "sessions" / "all.mcap") == [-1.0, 0.0, 0.25, 1.0, -1.0]
 
 
 def test_a_tub_without_any_manifest_is_still_one(tmp_path: Path) -> None:
@@ -179,18 +179,3 @@ def test_a_tub_without_any_manifest_is_still_one(tmp_path: Path) -> None:
     assert import_tub(folder, tmp_path / "again.mcap").rows == 5
     with Log(done.path) as log:
         assert log.metadata["clock"] == "recorded"
-
-
-@pytest.mark.parametrize("make", [lambda folder: make_recording(folder, CSV, [0]), None])
-def test_all_catalogues_of_what_is_no_tub_is_refused(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    make: Callable[[Path], object] | None,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    flags = ["--from", tmp_path / "drive"] if make is not None else []
-    if make is not None:
-        make(tmp_path / "drive")
-    assert call(main, "x", *flags, "--all-catalogs") == (1 if flags else 2)
-    assert "--all-catalogs" in one_line_in(capsys)

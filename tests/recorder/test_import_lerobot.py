@@ -23,7 +23,7 @@ from recorder import Imported, Log, LogError, LogWriter, RecordingError
 from recorder.bc_pb2 import VehicleState
 from recorder.cli import main as bc_record
 from recorder.lerobot.export import export_lerobot
-from recorder.log.meant_gaps import not_recorded
+from recorder.log.meant_gaps import MeantGap
 from recorder.log.session_car import Car, metadata_of, stored_car
 from recorder.rows.row_quality import drive_numbers
 from recorder.sources.import_lerobot import import_lerobot
@@ -118,14 +118,12 @@ def test_the_car_of_a_session_comes_back(tmp_path: Path) -> None:
 
 
 def test_gaps_that_were_meant_come_back_as_such_and_others_as_gaps(tmp_path: Path) -> None:
-    told = not_recorded(2.0, "the car was put back on its line")
+    gap = MeantGap(2.0, "the car was put back on its line")
     with LogWriter(tmp_path / "a.mcap", {"source": "test"}) as writer:
         for row, seconds in enumerate((0.0, 0.1, 2.2, 2.3, 6.0, 6.1)):
             time_ns = START_NS + round(seconds * 1e9)
             writer.picture("center", time_ns, row, jpeg("center", row))
-            writer.vehicle(time_ns, row, VehicleState(steering=row / 10, speed_mph=9.0))
-            if row == 2:
-                writer.event(time_ns, told)
+            writer.vehicle(time_ns, row, VehicleState(steering=row / 10, speed_mph=9.0), gap if row == 2 else None)
     export_lerobot([writer.path], tmp_path / "out")
     logs = (writer.path, imported(tmp_path / "out").path)
     for log in logs:
@@ -133,12 +131,13 @@ def test_gaps_that_were_meant_come_back_as_such_and_others_as_gaps(tmp_path: Pat
         assert (checked.meant_gaps, checked.findings) == (["before row 2"], [("gaps in time", "before row 4")])
         assert describe(log).meant_gaps == [2]
     assert [[(event.log_time, text.message) for event, text in read_messages(log)["/events"]] for log in logs] == [
-        [(START_NS + 2_200_000_000, told)]
+        [(START_NS + 2_200_000_000, str(gap))]
     ] * 2
-    # as an earlier version has exported it
+    # as earlier versions have exported it
     (episodes,) = (tmp_path / "out/meta/episodes").glob("*/*.parquet")
-    pq.write_table(pq.read_table(episodes).drop_columns(["log_not_recorded"]), episodes)
-    assert not check(imported(tmp_path / "out", overwrite=True).path).meant_gaps
+    for missing, meant in (("log_not_recorded_s", ["before row 2"]), ("log_not_recorded", [])):
+        pq.write_table(pq.read_table(episodes).drop_columns([missing]), episodes)
+        assert check(imported(tmp_path / "out", overwrite=True).path).meant_gaps == meant
 
 
 def test_a_gap_in_which_a_human_drove_is_explained_in_what_comes_back(tmp_path: Path) -> None:
@@ -154,7 +153,9 @@ def test_a_gap_in_which_a_human_drove_is_explained_in_what_comes_back(tmp_path: 
     export_lerobot([writer.path], tmp_path / "out")
     back = imported(tmp_path / "out").path
     assert check(back).meant_gaps == ["before row 2"]
-    assert [event.message for _, event in read_messages(back)["/events"]] == [not_recorded(4.0, "a human drove")]
+    assert [event.message for _, event in read_messages(back)["/events"]] == [
+        str(MeantGap(4.0, "manual: the pilot drives again"))
+    ]
 
 
 def test_an_export_as_videos_comes_back_with_other_pictures_and_says_so(tmp_path: Path) -> None:
@@ -230,8 +231,8 @@ def test_episodes_that_are_not_there_are_named(tmp_path: Path, capsys: pytest.Ca
     )
     assert call(bc_record, "gaps", "--from", theirs, "--sessions", tmp_path) == 3
     said = capsys.readouterr()
-    assert "episodes that are counted and not there: 2 (episodes 1 to 2, episodes 4 to 5)" in said.err
-    assert "frames that are counted and not there: 1 (5 of 9)" in said.err
+    assert "episodes that are counted but missing: 2 (episodes 1 to 2, episodes 4 to 5)" in said.err
+    assert "frames that are counted but missing: 1 (5 of 9)" in said.err
     assert "4 rows, 4 pictures" in said.out
 
 
@@ -323,8 +324,8 @@ def a_link_out_of_it(folder: Path) -> None:
         (steering_of_another_shape, r"which number is the steering\? Give --steering, one of none"),
         (a_shape_that_is_not_true, r"file-000.parquet: not of the shapes that meta/info.json promises"),
         (a_column_that_is_not_there, r"no column 'act', which meta/info.json promises"),
-        (no_pictures, r"no feature of it is pictures in colour"),
-        (a_link_out_of_it, r"a link out of the dataset, which is not followed"),
+        (no_pictures, r"it has no colour pictures"),
+        (a_link_out_of_it, r"a link out of the dataset is not followed"),
     ],
 )
 def test_what_cannot_be_read_is_one_line(tmp_path: Path, spoil: Callable[[Path], None], why: str) -> None:

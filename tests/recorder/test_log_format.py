@@ -27,7 +27,7 @@ from panorama import write_drive
 from recorder import Log, LogWriter, import_udacity
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.lerobot.export import export_lerobot
-from recorder.log.meant_gaps import not_recorded
+from recorder.log.meant_gaps import MeantGap
 from recorder.log.tags import Tag, read_tags
 from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.gymnasium_flags import GymFlags
@@ -242,12 +242,9 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
     import_csv(folder / "pictures", path["csv"], ["image=frame", "steering=angle"], rate_hz=20.0)
     export_lerobot([path["udacity"]], folder / "dataset")
     import_lerobot(folder / "dataset", path["lerobot"])
-    bar = GymFlags(
-        "toy_environment:toy/Bar-v0",
-        gym_args='{"max_episode_steps": 3}',
-        gym_action="steering,throttle",
-        expert="toy_environment:centre",
-    )
+    settings = 'id = "toy_environment:toy/Bar-v0"\naction = "steering,throttle"\nargs.max_episode_steps = 3'
+    (folder / "bar.toml").write_text(settings)
+    bar = GymFlags(str(folder / "bar.toml"), expert="toy_environment:centre")
     record_gymnasium(GymRecording(bar), path["gym"])
 
     evaluated = run(
@@ -265,9 +262,8 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
 
     path["paused"] = folder / "paused.mcap"
     with LogWriter(path["paused"], {"source": "simulator"}) as writer:
-        for time_ns in (0, 2 * 10**9):
-            writer.vehicle(time_ns, time_ns, VehicleState())
-        writer.event(time_ns, not_recorded(2.0, "another episode begins"))
+        writer.vehicle(0, 0, VehicleState())
+        writer.vehicle(2 * 10**9, 1, VehicleState(), MeantGap(2.0, "another episode begins"))
 
     path["two sizes"] = folder / "two sizes.mcap"
     with LogWriter(path["two sizes"], {"source": "udacity"}) as writer:

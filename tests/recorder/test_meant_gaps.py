@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from logs import START_NS
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.meant_gaps import meant_rows
+from recorder.log.meant_gaps import MeantGap, meant_rows
 from recorder.log_cli import main
 from recorder.upkeep.check import check
 from recorder.upkeep.log_info import describe
@@ -17,23 +18,30 @@ from udacity import call, jpeg
 
 HUMAN, PILOT = "manual: a human drives", "manual: the pilot drives again"
 EVENT = "not recorded: 1.000 s, the car was pushed off its line"
+"""As logs of earlier versions have it: their rows have no seconds."""
+GAP = MeantGap(1.0, "the car was pushed off its line")
 
 
 def findings(path: Path) -> list[tuple[str, str]]:
     return [(found.kind, found.where) for found in check(path).findings]
 
 
-def log_of(path: Path, at_s: list[float], events: dict[float, str]) -> Path:
+def log_of(
+    path: Path, at_s: list[float], events: dict[float, str], gaps: dict[float, MeantGap] | None = None
+) -> Path:
     with LogWriter(path, {"source": "test"}) as writer:
-        write_rows(writer, at_s, events)
+        write_rows(writer, at_s, events, gaps)
     return path
 
 
-def write_rows(writer: LogWriter, at_s: list[float], events: dict[float, str]) -> None:
+def write_rows(
+    writer: LogWriter, at_s: list[float], events: dict[float, str], gaps: dict[float, MeantGap] | None = None
+) -> None:
     for row, seconds in enumerate(at_s):
         time_ns = START_NS + round(seconds * 1e9)
         writer.picture("center", time_ns, row, jpeg(60 + row, 10 * row))
-        writer.vehicle(time_ns, row, VehicleState(steering=row / 10, speed_mph=9.0))
+        state = VehicleState(steering=row / 10, speed_mph=9.0)
+        writer.vehicle(time_ns, row, state, (gaps or {}).get(seconds))
         before = at_s[row - 1] if row else -1.0
         for at in sorted(at for at in events if before < at <= seconds):
             writer.event(START_NS + round(at * 1e9), events[at])
@@ -60,6 +68,24 @@ def test_a_gap_counts_unless_an_event_at_its_row_tells_its_length(
 
 
 @pytest.mark.parametrize(
+    ("at_s", "gaps", "found"),
+    [
+        ([0.0, 0.1, 1.2, 1.3], {1.2: GAP}, []),
+        ([0.0, 0.1, 1.2, 1.3], {1.3: GAP}, ["before row 2"]),  # not at the row behind it
+        ([0.0, 0.1, 3.2, 3.3], {3.2: GAP}, ["before row 2"]),  # longer than the recorder tells
+        ([0.0, 0.1, 1.2, 1.3], {1.2: MeantGap(math.inf, "")}, ["before row 2"]),
+        ([0.0, 0.1, 1.2, 1.3], {1.2: MeantGap(math.nan, "")}, ["before row 2"]),
+    ],
+)
+def test_a_gap_counts_unless_the_row_behind_it_has_its_length(
+    tmp_path: Path, at_s: list[float], gaps: dict[float, MeantGap], found: list[str]
+) -> None:
+    path = log_of(tmp_path / "a.mcap", at_s, {}, gaps)
+    assert findings(path) == [("gaps in time", where) for where in found]
+    assert describe(path).meant_gaps == ([] if found else [2])
+
+
+@pytest.mark.parametrize(
     ("events", "found"),
     [
         ({0.2: HUMAN, 3.2: PILOT}, []),
@@ -78,13 +104,15 @@ def test_a_gap_in_which_a_human_drove_is_no_finding(
 ) -> None:
     path = log_of(tmp_path / "a.mcap", [0.0, 0.1, 3.2, 3.3], events)
     assert findings(path) == [("gaps in time", where) for where in found]
-    assert describe(path).meant_gaps == ([] if found else [2])
+    copy = tmp_path / "copy.mcap"  # its writer reads the events
+    assert call(main, "rewrite", path, "--to", copy) == 0
+    assert describe(copy).meant_gaps == ([] if found else [2])
 
 
 def test_rows_that_are_cut_out_are_missed(tmp_path: Path) -> None:
     """In a log that was made of parts, an event that was meant for another gap hides none."""
     at_s = [0.0, 0.1, 1.2, 1.3, 2.9, 3.0, 3.1, 4.2, 4.3]
-    path = log_of(tmp_path / "a.mcap", at_s, {1.2: EVENT, 2.9: EVENT, 4.2: EVENT})
+    path = log_of(tmp_path / "a.mcap", at_s, {4.2: EVENT}, {1.2: GAP, 2.9: GAP})
     assert findings(path) == []
     assert call(main, "trim", path, "--rows", 0, 1, "--to", tmp_path / "begin.mcap") == 0
     assert call(main, "trim", path, "--rows", 4, 8, "--to", tmp_path / "end.mcap") == 0
@@ -95,7 +123,7 @@ def test_rows_that_are_cut_out_are_missed(tmp_path: Path) -> None:
 
 def test_the_log_says_itself_which_gaps_were_meant(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """So that `bc-log info` and the list of sessions need not read it all; a log made of it says so, too."""
-    path = log_of(tmp_path / "a.mcap", [0.0, 0.1, 1.2, 1.3, 3.4, 3.5], {1.2: EVENT})
+    path = log_of(tmp_path / "a.mcap", [0.0, 0.1, 1.2, 1.3, 3.4, 3.5], {}, {1.2: GAP})
     part = tmp_path / "part.mcap"
     assert call(main, "trim", path, "--rows", 1, 5, "--to", part) == 0
     for log in (path, part):

@@ -20,7 +20,7 @@ from emulators import ACCOUNT_KEY, put_in_gcs, serving_gcs, serving_googles_xml,
 from faulty_proxy import FaultyProxy, Passing
 from logs import write_log
 from recorder import Log
-from recorder.log.tags import Tag, add_tag, read_tags
+from recorder.log.tags import Tag, add_tags, read_tags
 from recorder.log_cli import main
 from recorder.upkeep.check import check
 from recorder.upkeep.copy_log import copy_log
@@ -71,7 +71,7 @@ def log(tmp_path: Path) -> Path:
     """A log of 60 rows with a tag; a.mcap."""
     path = write_log(tmp_path / "a.mcap", [row / 100 - 0.3 for row in range(60)], lambda _, row: jpeg(50 + row))
     with Log(path) as opened:
-        add_tag(path, opened.fingerprint, TAG)
+        add_tags(path, opened.fingerprint, [TAG])
     return path
 
 

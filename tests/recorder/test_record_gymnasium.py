@@ -18,10 +18,10 @@ from recorder.log.reader import Log
 from recorder.log_cli import main as bc_log
 from recorder.upkeep.check import check
 from repository import ROOT
-from toy_environment import RATE_HZ, STEPS, place_in
+from toy_environment import RATE_HZ, STEPS, bar, place_in, with_bars
 from udacity import call
 
-BAR = ["--gym", "toy_environment:toy/Bar-v0", "--gym-action", "steering,throttle"]
+BARE = ["--gym", "toy_environment:toy/Bar-v0"]
 CENTRE = ["--expert", "toy_environment:centre"]
 
 
@@ -48,7 +48,7 @@ def places(name: str) -> list[float]:
 def test_each_step_is_a_row_of_what_was_seen_and_what_the_expert_wanted(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert call(bc_record, "bar", *BAR, *CENTRE, "--episodes", 2, "--gym-speed", "2.237*speed") == 0
+    assert call(bc_record, "bar", *bar(speed="2.237*speed"), *CENTRE, "--episodes", 2) == 0
     assert "60 rows, 60 pictures" in capsys.readouterr().out
     vehicle = states("bar")
     pixel = 2.0 / 55  # of the bar's place
@@ -65,8 +65,8 @@ def test_each_step_is_a_row_of_what_was_seen_and_what_the_expert_wanted(
 
 
 def test_what_the_environment_does_not_tell_stays_empty() -> None:
-    arguments = ("--gym-args", '{"observation": "picture"}', "--episodes", 1)
-    assert call(bc_record, "bar", *BAR[:3], "steering,0.5", *CENTRE, *arguments) == 0
+    environment = bar(action="steering,0.5", args={"observation": "picture"})
+    assert call(bc_record, "bar", *environment, *CENTRE) == 0
     vehicle = states("bar")
     assert all(math.isnan(speed) for speed in vehicle["speed_mph"])
     assert set(vehicle["throttle"]) == set(vehicle["brake"]) == {0.0}
@@ -74,7 +74,7 @@ def test_what_the_environment_does_not_tell_stays_empty() -> None:
 
 def test_a_seed_repeats_its_rows_and_the_next_episode_has_the_next_seed() -> None:
     for name, seed, episodes in (("two", 4, 2), ("first", 4, 1), ("second", 5, 1)):
-        assert call(bc_record, name, *BAR, *CENTRE, "--seed", seed, "--episodes", episodes) == 0
+        assert call(bc_record, name, *bar(), *CENTRE, "--seed", seed, "--episodes", episodes) == 0
     two, first, second = (states(name)["steering"] for name in ("two", "first", "second"))
     assert two == first + second
     checked = check(Path("sessions/two.mcap"), look=False)
@@ -83,14 +83,14 @@ def test_a_seed_repeats_its_rows_and_the_next_episode_has_the_next_seed() -> Non
 
 
 def test_rows_may_be_fewer_than_steps() -> None:
-    assert call(bc_record, "bar", *BAR, *CENTRE, "--rate", 10) == 0
+    assert call(bc_record, "bar", *bar(), *CENTRE, "--rate", 10) == 0
     times = np.array(states("bar")["log_time_ns"], np.float64)
     np.testing.assert_allclose(np.diff(times) / 1e9, [0.1] * (STEPS // 2 - 1), rtol=1e-4)
 
 
 def test_the_hand_wanders_and_the_experts_steering_is_recorded() -> None:
-    assert call(bc_record, "calm", *BAR, *CENTRE) == 0
-    assert call(bc_record, "wanders", *BAR, *CENTRE, "--wander", 0.8) == 0
+    assert call(bc_record, "calm", *bar(), *CENTRE) == 0
+    assert call(bc_record, "wanders", *bar(), *CENTRE, "--wander", 0.8) == 0
     seen = places("wanders")
     assert np.abs(np.subtract(seen, places("calm"))).max() > 0.1
     np.testing.assert_allclose(states("wanders")["steering"], [-0.5 * place for place in seen], atol=1 / 55)
@@ -99,7 +99,7 @@ def test_the_hand_wanders_and_the_experts_steering_is_recorded() -> None:
 def test_what_an_expert_wanted_is_learnt_as_it_is_however_he_steers(capsys: pytest.CaptureFixture[str]) -> None:
     """Steering in steps is smoothed and shifted where people press keys; but he is never late."""
     expert = ("--expert", "toy_environment:to_and_fro")
-    assert call(bc_record, "steps", *BAR, *expert, "--episodes", 45, "--rate", 5) == 0
+    assert call(bc_record, "steps", *bar(), *expert, "--episodes", 45, "--rate", 5) == 0
     capsys.readouterr()
     assert call(bc_log, "info", "sessions/steps.mcap", "--json") == 0
     told = json.loads(capsys.readouterr().out)
@@ -108,17 +108,17 @@ def test_what_an_expert_wanted_is_learnt_as_it_is_however_he_steers(capsys: pyte
 
 
 def test_left_may_be_positive_and_scales_may_differ() -> None:
-    assert call(bc_record, "bar", *BAR, *CENTRE) == 0
-    assert call(bc_record, "other", *BAR[:2], "--gym-action=-2*steering,0.5*throttle", *CENTRE) == 0
-    bar, other = states("bar"), states("other")
-    np.testing.assert_allclose(other["steering"], np.array(bar["steering"]) / -2.0)
+    assert call(bc_record, "bar", *bar(), *CENTRE) == 0
+    assert call(bc_record, "other", *bar(action="-2*steering,0.5*throttle"), *CENTRE) == 0
+    one, other = states("bar"), states("other")
+    np.testing.assert_allclose(other["steering"], np.array(one["steering"]) / -2.0)
     assert set(other["throttle"]) == {0.5}
 
 
 def test_car_racing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["--gym-action", "steering,throttle,brake", "--gym-args", '{"max_episode_steps": 20}']
     expert = ROOT / "examples" / "car_racing_expert.py"
-    assert call(bc_record, "race", "--gym", "CarRacing-v3", *arguments, "--expert", f"{expert}:drive") == 0
+    Path("race.toml").write_text((ROOT / "examples/car_racing.toml").read_text() + "args.max_episode_steps = 20")
+    assert call(bc_record, "race", "--gym", "race.toml", "--expert", f"{expert}:drive") == 0
     said = capsys.readouterr()
     assert "20 rows, 20 pictures" in said.out
     assert said.err.startswith("1 episode driven to the end, with a reward of ")
@@ -135,51 +135,53 @@ def test_car_racing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["--gym", "Nowhere-v0", *CENTRE], 1, "--gym Nowhere-v0: cannot be made (NameNotFound"),
         (["--gym", "no_such_module:X-v0", *CENTRE], 1, "No module named 'no_such_module'"),
-        ([*BAR, *CENTRE, "--gym-args", '{"wheels": 3}'], 1, "unexpected keyword argument 'wheels'"),
-        ([*BAR, *CENTRE, "--gym-args", "[1]"], 2, "a JSON object was expected"),
-        ([*BAR, *CENTRE, "--gym-args", '{"observation": "numbers"}'], 1, "no camera picture in its observation"),
-        ([*BAR, *CENTRE, "--gym-args", '{"observation": "two"}'], 1, "--gym-picture, one of front, rear"),
-        ([*BAR, *CENTRE, "--gym-picture", "rear"], 1, "pictures are: pixels.front"),
-        ([*BAR, *CENTRE, "--gym-args", '{"action": "discrete"}'], 1, "its actions are Discrete(3)"),
-        ([*BAR[:2], *CENTRE], 1, "has 2 numbers"),
-        ([*BAR[:3], "throttle,brake", *CENTRE], 2, "one number of the action has to be the steering"),
-        ([*BAR[:3], "steering,gas", *CENTRE], 2, "'gas': a number, or steering, throttle, brake, pedals"),
-        ([*BAR[:3], "0*steering,throttle", *CENTRE], 2, "a factor other than 0"),
-        ([*BAR, *CENTRE, "--gym-args", '{"fps": null}'], 1, "by --gym-rate"),
-        ([*BAR, *CENTRE, "--rate", "15"], 1, "must divide the environment's 20 steps a second"),
-        ([*BAR, *CENTRE, "--gym-speed", "velocity"], 1, "there is: pixels, speed"),
+        ([{"args": {"wheels": 3}}, *CENTRE], 1, "unexpected keyword argument 'wheels'"),
+        ([{"args": [1]}, *CENTRE], 2, "Expected `object`, got `array`"),
+        ([{"wheels": 3}, *CENTRE], 2, "unknown settings: wheels"),
+        (["--gym", "missing.toml", *CENTRE], 2, "--gym missing.toml: no such file"),
+        ([{"args": {"observation": "numbers"}}, *CENTRE], 1, "no camera picture in its observation"),
+        ([{"args": {"observation": "two"}}, *CENTRE], 1, "Give its key as picture, one of front, rear"),
+        ([{"picture": "rear"}, *CENTRE], 1, "it has: pixels.front"),
+        ([{"args": {"action": "discrete"}}, *CENTRE], 1, "its actions are Discrete(3)"),
+        ([*BARE, *CENTRE], 1, "has 2 numbers"),
+        ([{"action": "throttle,brake"}, *CENTRE], 2, "one number of the action has to be the steering"),
+        ([{"action": "steering,gas"}, *CENTRE], 2, "'gas': a number, or steering, throttle, brake, pedals"),
+        ([{"action": "0*steering,throttle"}, *CENTRE], 2, "a factor other than 0"),
+        ([{"args": {"fps": 0}}, *CENTRE], 1, "give its steps a second as rate_hz"),
+        ([{}, *CENTRE, "--rate", "15"], 1, "must divide the environment's 20 steps a second"),
+        ([{"speed": "velocity"}, *CENTRE], 1, "there is: pixels, speed"),
         (
-            [*BAR, *CENTRE, "--gym-speed", "pace", "--gym-args", '{"observation": "worded"}'],
+            [{"speed": "pace", "args": {"observation": "worded"}}, *CENTRE],
             1,
-            "--gym-speed pace: no such number",
+            "speed pace: no such number",
         ),
-        ([*BAR, *CENTRE, "--episodes", "0"], 2, "--episodes 0"),
-        ([*BAR, *CENTRE, "--wander", "nan"], 2, "--wander nan"),
-        ([*BAR, *CENTRE, "--track", "mountain"], 2, "not with --gym"),
-        ([*BAR, *CENTRE, "--listen"], 2, "--listen: not with --gym"),
+        ([{}, *CENTRE, "--episodes", "0"], 2, "--episodes 0"),
+        ([{}, *CENTRE, "--wander", "nan"], 2, "--wander nan"),
+        ([{}, *CENTRE, "--track", "mountain"], 2, "not with --gym"),
+        ([{}, *CENTRE, "--listen"], 2, "--listen: not with --gym"),
         (CENTRE, 2, "--expert: only with --gym ID"),
         (["--wander", "0.1"], 2, "--wander: only with --gym ID"),
-        (BAR, 2, "by --expert MODULE:FUNCTION"),
-        ([*BAR, "--expert", "toy_environment"], 2, "module:function was expected"),
-        ([*BAR, "--expert", "no_such:drive"], 1, "no_such cannot be imported (ModuleNotFoundError"),
-        ([*BAR, "--expert", "missing.py:drive"], 1, "there is no file missing.py"),
-        ([*BAR, "--expert", "toy_environment:center"], 1, "did you mean centre?"),
-        ([*BAR, "--expert", "toy_environment:too_many"], 1, "shape (3,); an action of 2 numbers was expected"),
-        ([*BAR, "--expert", "toy_environment:nothing"], 1, "2 numbers was expected"),
-        ([*BAR, "--expert", "toy_environment:failing"], 1, "failed (ZeroDivisionError: the track has no width)"),
+        ([{}], 2, "by --expert MODULE:FUNCTION"),
+        ([{}, "--expert", "toy_environment"], 2, "module:function was expected"),
+        ([{}, "--expert", "no_such:drive"], 1, "no_such cannot be imported (ModuleNotFoundError"),
+        ([{}, "--expert", "missing.py:drive"], 1, "there is no file missing.py"),
+        ([{}, "--expert", "toy_environment:center"], 1, "did you mean centre?"),
+        ([{}, "--expert", "toy_environment:too_many"], 1, "shape (3,); an action of 2 numbers was expected"),
+        ([{}, "--expert", "toy_environment:nothing"], 1, "2 numbers was expected"),
+        ([{}, "--expert", "toy_environment:failing"], 1, "failed (ZeroDivisionError: the track has no width)"),
     ],
 )
 def test_what_cannot_be_recorded_is_said_in_one_line(
-    arguments: list[str], code: int, expected: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[Any], code: int, expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(bc_record, "bar", *arguments) == code
+    assert call(bc_record, "bar", *with_bars(arguments)) == code
     line = one_line_in(capsys)
     assert expected in line
     assert not Path("sessions").exists()
 
 
 def test_what_was_recorded_before_an_expert_gave_nan_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(bc_record, "bar", *BAR, "--expert", "toy_environment:nan_later") == 1
+    assert call(bc_record, "bar", *bar(), "--expert", "toy_environment:nan_later") == 1
     assert "at step 7 it gave [nan, 0.0]: finite numbers were expected" in one_line_in(capsys)
     assert states("bar")["steering"] == [pytest.approx(0.1)] * 7
 

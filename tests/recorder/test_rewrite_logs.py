@@ -15,7 +15,7 @@ from layouts import write_as_before
 from logs import write_log
 from plain_mcap import contents, write_plain
 from recorder import Log, LogError
-from recorder.log.tags import Tag, add_tag, read_tags
+from recorder.log.tags import Tag, add_tags, read_tags
 from recorder.upkeep.check import check
 from recorder.upkeep.edit import rewrite, trim
 from recorder.upkeep.recover import recover
@@ -32,7 +32,7 @@ def old(tmp_path: Path) -> Path:
     path = write_as_before(new, tmp_path / "old.mcap", chunk_bytes=20_000)
     new.unlink()
     with Log(path) as log:
-        add_tag(path, log.fingerprint, Tag(10, 20, "exclude"))
+        add_tags(path, log.fingerprint, [Tag(10, 20, "exclude")])
     return path
 
 
@@ -146,7 +146,7 @@ def test_a_log_whose_metadata_another_program_left_out_stays_one_of_ours(old: Pa
 def test_nothing_is_overwritten_and_a_damaged_log_leaves_nothing(old: Path, tmp_path: Path) -> None:
     done = run("bc-log", "rewrite", str(old), "--to", str(tmp_path / "new.mcap"))
     assert done.returncode == 0
-    assert "can take its place" in done.stderr
+    assert "you can replace it" in done.stderr
     again = run("bc-log", "rewrite", str(old), "--to", str(tmp_path / "new.mcap"))
     assert again.returncode == 1
     assert "--force" in one_line_of(again)

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from disk import files_of_at_most
 from driving import PATIENCE_S, environment
 from recorder import LogError
-from recorder.log.tags import Tag, add_tag, add_tags, check_name, read_tags, remove_tag, tags_by_content, tags_path
+from recorder.log.tags import Tag, add_tags, check_name, read_tags, remove_tags, tags_by_content, tags_path
 
 CONTENT, OTHER_CONTENT = "a" * 64, "b" * 64
 
@@ -41,7 +41,7 @@ def test_tags_are_what_was_added_and_not_removed_since(
     expected: dict[str, dict[tuple[int, int, str], bool]] = {CONTENT: {}, OTHER_CONTENT: {}}
     for action, (first, last), name, content in changes:
         tag = Tag(first, last, name)
-        (add_tag if action == "add" else remove_tag)(log, content, tag)
+        (add_tags if action == "add" else remove_tags)(log, content, [tag])
         expected[content][first, last, name] = action == "add"
     for content, model in expected.items():
         found = [(tag.first_row, tag.last_row, tag.name) for tag in read_tags(log, content)]
@@ -54,13 +54,13 @@ def test_tags_are_what_was_added_and_not_removed_since(
 
 def test_a_log_without_tags_has_none(log: Path) -> None:
     assert read_tags(log, CONTENT) == []
-    remove_tag(log, CONTENT, Tag(1, 2, "exclude"))
+    remove_tags(log, CONTENT, [Tag(1, 2, "exclude")])
     assert read_tags(log, CONTENT) == []
 
 
 def test_the_file_is_lines_of_json_beside_the_log(log: Path) -> None:
-    add_tag(log, CONTENT, Tag(3, 5, "exclude"))
-    remove_tag(log, CONTENT, Tag(3, 5, "exclude"))
+    add_tags(log, CONTENT, [Tag(3, 5, "exclude")])
+    remove_tags(log, CONTENT, [Tag(3, 5, "exclude")])
     path = log.parent / "lake.tags.jsonl"
     assert [json.loads(line) for line in path.read_text().splitlines()] == [
         {"add": "exclude", "rows": [3, 5], "log": CONTENT},
@@ -70,14 +70,14 @@ def test_the_file_is_lines_of_json_beside_the_log(log: Path) -> None:
 
 def test_wherever_a_crash_cuts_the_last_line_the_others_stay(log: Path) -> None:
     first, second, third = Tag(1, 2, "one"), Tag(3, 4, "two Größe"), Tag(5, 6, "three")
-    add_tag(log, CONTENT, first)
+    add_tags(log, CONTENT, [first])
     begin = tags_path(log).stat().st_size
-    add_tag(log, CONTENT, second)
+    add_tags(log, CONTENT, [second])
     whole = tags_path(log).read_bytes()
     for length in range(begin, len(whole)):
         tags_path(log).write_bytes(whole[:length])
         assert read_tags(log, CONTENT) == [first]
-        add_tag(log, CONTENT, third)
+        add_tags(log, CONTENT, [third])
         assert read_tags(log, CONTENT) == [first, third]
 
 
@@ -105,14 +105,14 @@ DAMAGED = {
 @pytest.mark.parametrize("line", DAMAGED.values(), ids=DAMAGED)
 def test_a_damaged_line_is_an_error_that_names_it_and_nothing_is_lost(log: Path, line: bytes) -> None:
     """Tags may keep rows out of training: to go on with half of them would be worse than to stop."""
-    add_tag(log, CONTENT, Tag(1, 2, "exclude"))
+    add_tags(log, CONTENT, [Tag(1, 2, "exclude")])
     with tags_path(log).open("ab") as stream:
         stream.write(line.replace(b"%s", CONTENT.encode()) + b"\n")
     before = tags_path(log).read_bytes()
     with pytest.raises(LogError, match=r"lake\.tags\.jsonl: line 2 is not a tag") as caught:
         read_tags(log, CONTENT)
     assert "\n" not in str(caught.value)
-    add_tag(log, CONTENT, Tag(3, 4, "exclude"))
+    add_tags(log, CONTENT, [Tag(3, 4, "exclude")])
     assert tags_path(log).read_bytes().startswith(before)
 
 
@@ -128,7 +128,7 @@ def test_names_that_no_tag_can_have(log: Path, name: object) -> None:
     with pytest.raises(ValueError, match="not a name for a tag"):
         check_name(name)
     with pytest.raises(LogError, match="not a name for a tag"):
-        add_tag(log, CONTENT, Tag(1, 2, name))  # type: ignore[arg-type]
+        add_tags(log, CONTENT, [Tag(1, 2, name)])  # type: ignore[arg-type]
     assert not tags_path(log).exists()
 
 
@@ -136,7 +136,7 @@ def test_names_that_no_tag_can_have(log: Path, name: object) -> None:
 def test_rows_that_no_tag_can_have(log: Path, rows: tuple[int, int]) -> None:
     """A line that cannot be read again would take all other tags with it."""
     with pytest.raises(LogError, match="row"):
-        add_tag(log, CONTENT, Tag(*rows, "exclude"))
+        add_tags(log, CONTENT, [Tag(*rows, "exclude")])
     assert not tags_path(log).exists()
 
 
@@ -149,7 +149,7 @@ def test_tags_that_do_not_fit_on_the_disk_change_nothing(log: Path) -> None:
         with files_of_at_most(limit), pytest.raises(LogError, match=r"lake\.tags\.jsonl: cannot be written"):
             add_tags(log, CONTENT, tags)
         assert not tags_path(log).exists()
-    add_tag(log, CONTENT, Tag(9, 9, "kept"))
+    add_tags(log, CONTENT, [Tag(9, 9, "kept")])
     before = tags_path(log).read_bytes()
     with files_of_at_most(len(before) + size - 1), pytest.raises(LogError, match="cannot be written"):
         add_tags(log, CONTENT, tags)
@@ -180,7 +180,7 @@ def test_what_is_no_plain_file_is_neither_read_nor_written(log: Path, make: Call
     with pytest.raises(LogError, match=r"lake\.tags\.jsonl: not a plain file"):
         read_tags(log, CONTENT)
     with pytest.raises(LogError, match=r"lake\.tags\.jsonl: not a plain file"):
-        add_tag(log, CONTENT, Tag(1, 2, "exclude"))
+        add_tags(log, CONTENT, [Tag(1, 2, "exclude")])
     private = log.parent / "private.txt"
     assert not private.exists() or private.read_text() == "a line\nhalf a line"
     assert not (log.parent / "nothing").exists()
@@ -189,12 +189,12 @@ def test_what_is_no_plain_file_is_neither_read_nor_written(log: Path, make: Call
 ADD_MANY = """
 import sys
 from pathlib import Path
-from recorder.log.tags import Tag, add_tag
+from recorder.log.tags import Tag, add_tags
 log, content, number, count = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
 print("ready", flush=True)
 sys.stdin.readline()
 for row in range(count):
-    add_tag(log, content, Tag(row, row, f"process {number}"))
+    add_tags(log, content, [Tag(row, row, f"process {number}")])
 """
 
 
@@ -228,7 +228,7 @@ def test_processes_that_tag_at_once_lose_nothing(log: Path) -> None:
 def test_a_line_that_is_being_written_is_not_taken_for_cut_off(log: Path) -> None:
     import fcntl
 
-    add_tag(log, CONTENT, Tag(1, 2, "first"))
+    add_tags(log, CONTENT, [Tag(1, 2, "first")])
     line = json.dumps({"add": "second", "rows": [3, 4], "log": CONTENT}).encode() + b"\n"
     with (
         tags_path(log).open("ab", buffering=0) as stream,
@@ -250,28 +250,3 @@ def test_a_line_that_is_being_written_is_not_taken_for_cut_off(log: Path) -> Non
         fcntl.flock(stream, fcntl.LOCK_UN)
         assert other.wait(PATIENCE_S) == 0
     assert [tag.name for tag in read_tags(log, CONTENT)] == ["process 0", "first", "second"]
-
-
-def test_a_file_that_another_one_removes_meanwhile_is_made_anew(log: Path) -> None:
-    """Who cannot write the first tag of a log removes the empty file again, while others may wait for it."""
-    import fcntl
-
-    with (
-        tags_path(log).open("ab", buffering=0) as stream,
-        subprocess.Popen(
-            [sys.executable, "-c", ADD_MANY, str(log), CONTENT, "0", "1"],
-            env=environment(),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-        ) as other,
-    ):
-        fcntl.flock(stream, fcntl.LOCK_EX)
-        assert other.stdin is not None
-        other.stdin.write(b"go\n")
-        other.stdin.flush()
-        with pytest.raises(subprocess.TimeoutExpired):
-            other.wait(1.5)
-        tags_path(log).unlink()
-        fcntl.flock(stream, fcntl.LOCK_UN)
-        assert other.wait(PATIENCE_S) == 0
-    assert [tag.name for tag in read_tags(log, CONTENT)] == ["process 0"]

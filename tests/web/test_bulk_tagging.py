@@ -12,7 +12,7 @@ import pytest
 from faulty_session import CRASH, GAP_AT, STUCK, write_faulty
 from logs import write_log
 from recorder import Log
-from recorder.log.tags import FINE, Tag, add_tag, read_tags
+from recorder.log.tags import FINE, Tag, add_tags, read_tags
 from waiting import wait_until
 from workbench import Answer, Served, served
 
@@ -65,9 +65,9 @@ def test_what_was_dealt_with_is_not_found_again(bench: Served) -> None:
     with Log(log) as opened:
         fingerprint = opened.fingerprint
     middle = (CRASH[0] + CRASH[1]) // 2
-    add_tag(log, fingerprint, Tag(CRASH[0], middle, FINE))
+    add_tags(log, fingerprint, [Tag(CRASH[0], middle, FINE)])
     assert "first" in found(bench, CRASHES)
-    add_tag(log, fingerprint, Tag(middle + 1, CRASH[1], "exclude"))
+    add_tags(log, fingerprint, [Tag(middle + 1, CRASH[1], "exclude")])
     assert "first" not in found(bench, CRASHES)
 
 

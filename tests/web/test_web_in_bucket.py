@@ -290,14 +290,11 @@ def test_logs_are_tagged_and_made_there(bucket: Bucket, serve: Callable[[], Serv
     assert change("remove")["commands"] == [f"{command} --remove"]
     assert bench.get(f"{at}/tags").json["tags"] == []
     tags.unlink()
-    make = f"{at}/make"
-    new = "s3://logs/sessions/third-trimmed.mcap"
-    trim = f"bc-log trim s3://logs/sessions/third.mcap --rows 0 1 --to={new}"
-    assert bench.get(f"{make}/trim/command?first=0&last=1").text == trim
-    taken = bench.get(f"{make}/trim/command?first=0&last=1&new=first").text
-    assert taken == "s3://logs/sessions/first.mcap: exists already; give another name, or remove it"
-    merge = f"bc-log merge s3://logs/sessions/third.mcap s3://logs/sessions/first.mcap --to={new}"
-    assert bench.get(f"{make}/merge/command?other=first&new=third-trimmed").text == merge
+    refused = bench.get(f"{at}/make/trim/command?first=0&last=1").text
+    assert refused.endswith("`bc-log copy s3://logs/sessions/third.mcap FOLDER` brings it here")
+    assert bench.get(f"{at}/make/check/command").text == "bc-log check s3://logs/sessions/third.mcap"
+    assert "/make/check" in read(bench, at)
+    assert "/make/trim" not in read(bench, at)
     record = bench.get("/jobs.command?form=record&name=new").text
     assert record == "bc-record new --copy-to=s3://logs/sessions"
     evaluate = bench.get("/jobs.command?form=evaluate&run=good&session=first").text

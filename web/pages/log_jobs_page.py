@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
@@ -14,9 +15,9 @@ from starlette.routing import Route
 from common import UserError
 from common.errors import printable
 from common.location import Location
-from web.folders.project_folders import Place, key_of
-from web.jobs.log_jobs import LOG_JOBS, NewLogForm, command_line, log_job
-from web.pages.form_values import form_pairs
+from web.folders.project_folders import Place, key_of, shown_name
+from web.jobs.log_jobs import NewLogForm, command_line, jobs_for, log_job
+from web.pages.request_values import form_pairs
 from web.pages.workbench import Workbench
 
 
@@ -51,9 +52,9 @@ def shown_log_jobs(log: Location) -> list[dict[str, Any]]:
     return [
         {
             "job": job,
-            "new": printable(job.new(log).name.removesuffix(".mcap")) if job.new else "",
+            "new": shown_name(job.made(log)) if job.made and job.is_named and isinstance(log, Path) else "",
         }
-        for job in LOG_JOBS
+        for job in jobs_for(log)
     ]
 
 
