@@ -24,7 +24,7 @@ from viz.viewer_feed import ViewerFeed, ViewerGoneError, feed_viewer
 from viz.viewer_process import Ports, Viewer, free_port, open_viewer
 
 _LARGE: Final = 2_000_000_000  # bytes
-_SENT: Final = 1_200_000_000  # bytes of larger content
+_SENT: Final = 900_000_000  # bytes of larger content: the curves of two hours need as much
 WINDOW_MEMORY: Final = "1MB"
 """Memory of the server of a window: no viewer connects late, and the window has its own copy."""
 _ROOM: Final = 300_000_000  # bytes that a server needs for more than the logs, so that it drops nothing
