@@ -1,7 +1,8 @@
-"""What a training costs on made-up recordings: memory, and seconds on a GPU.
+"""What a training costs on made-up recordings: memory, seconds on a GPU, and each layer's share of a step.
 
 python benchmarks/training_limits.py memory    # the most memory that bc-train takes, 1 epoch
 python benchmarks/training_limits.py gpu       # 10 epochs over 7,650 pictures and their flips
+python benchmarks/training_limits.py products  # each layer of a step, beside matrix products of the same FLOPs
 
 The pictures are noise, as large as a simulator's; neither memory nor speed depends on what they show.
 """
@@ -9,23 +10,34 @@ The pictures are noise, as large as a simulator's; neither memory nor speed depe
 from __future__ import annotations
 
 import argparse
+import copy
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
 import cv2
 import numpy as np
+
+os.environ["THP_MEM_ALLOC_ENABLE"] = "1"  # as bc-train has it: before PyTorch is imported
+
 import torch
+from torch import Tensor, nn
 
 from common import UserError
 from dataset import IndexConfig, build_index
 from dataset.picture_spec import ORIGINAL
+from model.adam import Adam
 from model.config import TrainConfig
+from model.device import choose_machine
+from model.network.original import SteeringNetwork
 from model.runs.training_progress import Epoch, Step
+from model.training.step import training_step
 from model.training.trainer import train
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
@@ -33,6 +45,8 @@ from recorder.bc_pb2 import VehicleState
 PICTURES: Final = 7_650  # of the original project
 SMALL_BUDGET_MB: Final = 64
 STEP_NS: Final = 100_000_000
+ROUNDS: Final = 5
+MATRIX: Final = 1 << 18  # numbers: it stays in a core's cache
 
 
 def made_up_index(folder: Path, pictures: int, config: IndexConfig) -> Path:
@@ -122,8 +136,82 @@ def print_gpu(folder: Path) -> None:
         print(f"| {row} |", flush=True)
 
 
+def print_products(_folder: Path) -> None:
+    """On one thread, in its processor time, which other programs disturb least; the rounds take turns."""
+    config = TrainConfig(device="cpu", threads=1)
+    machine = choose_machine(config)
+    network = SteeringNetwork(config.dropout).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    pictures = torch.randint(0, 256, (config.batch, 128, 128, 3), dtype=torch.uint8).permute(0, 3, 1, 2)
+    optimizer, steering = Adam(network.parameters(), config.rate), torch.rand(config.batch) * 2 - 1
+    seen: list[tuple[nn.Module, Tensor]] = []
+
+    def add(layer: nn.Module, inputs: tuple[Tensor], outputs: Tensor) -> None:
+        seen.append((layer, inputs[0].detach().to(machine.dtype)))
+
+    hooks = [layer.register_forward_hook(add) for layer in network.modules() if hasattr(layer, "weight")]
+    network.eval()(pictures[: machine.micro_batch])
+    for hook in hooks:
+        hook.remove()
+    times = config.batch / machine.micro_batch
+    parts = {
+        str(layer): _layer_and_products(copy.deepcopy(layer).to(machine.dtype), inputs, times, number > 0)
+        for number, (layer, inputs) in enumerate(seen)
+    }  # each with how often a batch needs it
+    network.train()
+
+    def step() -> None:
+        training_step(network, optimizer, pictures, steering, dtype=machine.dtype, micro_batch=machine.micro_batch)
+
+    parts["step"] = [(step, 1)]
+    seconds: dict[str, list[list[float]]] = {name: [[] for _ in jobs] for name, jobs in parts.items()}
+    for _ in range(ROUNDS):
+        for name, jobs in parts.items():
+            for (job, times), taken in zip(jobs, seconds[name], strict=True):
+                job()
+                begin_s = time.thread_time()
+                job()
+                taken.append(times * (time.thread_time() - begin_s))
+    found = {name: [statistics.median(taken) for taken in of] for name, of in seconds.items()}
+    [step_s] = found.pop("step")
+    found["all of them"] = [sum(column) for column in zip(*found.values(), strict=True)]
+    at_once = f"{machine.micro_batch} at once in {machine.arithmetic}"
+    print(f"{config.batch} samples, {at_once}; shares of {step_s:.2f} s\n")
+    print("| | forward | backward | products forward | products backward |\n|---|---|---|---|---|")
+    for name, columns in found.items():
+        print(f"| {name} | {' | '.join(f'{share / step_s:.1%}' for share in columns)} |")
+    products_s = sum(found["all of them"][2:])
+    rates = [f"{config.batch / taken:,.0f} samples/s" for taken in (products_s, step_s)]
+    print(f"\npure matrix products of the same FLOPs: {rates[0]}; the step: {rates[1]}, {products_s / step_s:.0%}")
+
+
+def _layer_and_products(
+    layer: nn.Module, inputs: Tensor, times: float, has_gradient: bool
+) -> list[tuple[Callable[[], object], float]]:
+    """Forward and backward of a layer, and the same as matrix products, each with how often a batch needs it."""
+    weights = list(layer.parameters())
+    inputs.requires_grad_(has_gradient)
+    outputs: Tensor = layer(inputs)
+    gradient, wanted = torch.randn_like(outputs), [*weights, *([inputs] if has_gradient else [])]
+    matrix = torch.randn(weights[0].flatten(1).shape, dtype=inputs.dtype)
+    rows = outputs.numel() // len(matrix)
+    some = min(rows, MATRIX // matrix.shape[1])
+    before, after = (torch.randn(some, columns, dtype=inputs.dtype) for columns in matrix.T.shape)
+
+    def backward_products() -> None:
+        after.T @ before
+        if has_gradient:
+            after @ matrix
+
+    return [
+        (lambda: layer(inputs), times),
+        (lambda: torch.autograd.grad(outputs, wanted, gradient, retain_graph=True), times),
+        (lambda: before @ matrix.T, times * rows / some),
+        (backward_products, times * rows / some),
+    ]
+
+
 def main() -> None:
-    contents = {"memory": print_memory, "gpu": print_gpu}
+    contents = {"memory": print_memory, "gpu": print_gpu, "products": print_products}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=contents)
     chosen = parser.parse_args()

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from bucket import Bucket
 
 # No test depends on a clock; and the same examples every time: a failure that comes and goes helps nobody.
-settings.register_profile("tests", deadline=None, derandomize=True, database=None, max_examples=50)
+settings.register_profile("tests", deadline=None, derandomize=True, database=None, max_examples=20)
 settings.register_profile("long", settings.get_profile("tests"), max_examples=1000)
 settings.load_profile("tests")
 

@@ -154,14 +154,17 @@ def _bands(picture: Gray) -> NDArray[np.float32] | None:
 
 def _likeness(to_the_right: NDArray[np.float32], other: NDArray[np.float32]) -> Floats:
     """(bands, shifts): the correlation of the first one's columns x + shift with the other's x."""
-    most = round(_MAX_SHIFT * _WIDTH_PX)
-    result = np.zeros((_BANDS, most + 1))
-    for shift in range(most + 1):
-        a, b = to_the_right[..., shift:], other[..., : _WIDTH_PX - shift]
-        a, b = (part - part.mean(axis=(1, 2), keepdims=True) for part in (a, b))
-        size = np.sqrt((a * a).sum(axis=(1, 2)) * (b * b).sum(axis=(1, 2)))
-        result[:, shift] = (a * b).sum(axis=(1, 2)) / np.maximum(size, 1e-9)
-    return result
+    shifts = np.arange(round(_MAX_SHIFT * _WIDTH_PX) + 1)
+    width = _WIDTH_PX - shifts  # columns in common
+    a, b = to_the_right.astype(np.float64), other.astype(np.float64)
+    both = [np.einsum("brc,brc->b", a[..., s:], b[..., :w]) for s, w in zip(shifts, width, strict=True)]
+    count = a.shape[1] * width
+    mean_a, mean_b, square_a, square_b = (
+        np.cumsum(part.sum(axis=1), axis=1)[:, width - 1] / count
+        for part in (a[..., ::-1], b, np.square(a[..., ::-1]), np.square(b))
+    )
+    size = np.sqrt(np.maximum((square_a - mean_a**2) * (square_b - mean_b**2), 0.0))
+    return np.asarray((np.stack(both, axis=1) / count - mean_a * mean_b) / np.maximum(size, 1e-9))
 
 
 def _slope(likeness: Floats, rows: int) -> float:
@@ -178,7 +181,7 @@ def _slope(likeness: Floats, rows: int) -> float:
     fits = np.abs(rest - np.median(rest)) < _NEAR_PX
     if slope <= 0 or fits.mean() < 2 / 3:
         raise ValueError(
-            "the side cameras' pictures are not shifted against the centre one's as those of a level road are:"
-            " they look another way, or show too little of it"
+            "the side cameras' pictures do not fit the centre one's on a level road: these cameras"
+            " look in another direction, or show too little road"
         )
     return slope

@@ -7,6 +7,7 @@ are laid over both, then haze, then what stands beside the road, and last the bo
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import cv2
@@ -19,7 +20,7 @@ from simulator.rendering.bonnet import TOP_PX as BONNET_PX
 from simulator.rendering.bonnet import draw_bonnet
 from simulator.rendering.noise import Field, cobble_tile, grain_tile
 from simulator.rendering.props_view import PropsView
-from simulator.rendering.raycast import COLUMNS, ROWS, Eye, RayCaster, look_up
+from simulator.rendering.raycast import COLUMNS, ROWS, Eye, RayCaster, look_up, on_map, with_rim
 from simulator.rendering.road_texture import ACROSS_M, LEVELS, REACH_M
 from simulator.rendering.road_texture import COLUMNS as ROAD_COLUMNS
 from simulator.rendering.sky import BOTTOM, HAZE, TOP
@@ -43,13 +44,16 @@ SHARP_M = 9.0  # up to here the road texture's sharpest level is right
 
 
 @dataclass(frozen=True)
-class View:
-    """The directions of a picture's pixels: an eye, and per pixel the tangents to the left and up, level to
-    the ground."""
+class Directions:
+    """Where the pixels of a picture look, level to the ground: the same for all cameras of a pose."""
 
-    eye: Eye
+    rotation: NDArray[np.float64]  # takes (ahead, left, up) of the car to the same axes level to the ground
     side: Field  # (rows, columns): metres to the left, per metre forward
     up: Field  # metres up, per metre forward
+    side_range: tuple[float, float]
+    up_range: tuple[float, float]
+    table_column: Field  # of the ray caster's answer
+    table_row: Field
 
 
 class Renderer:
@@ -60,96 +64,83 @@ class Renderer:
         self._rays = RayCaster(world.height)
         length = np.float32(world.length_m)
         # A second map of arc lengths, with its seam half a lap away, so that no seam is ever near the car.
-        self._arcs = (world.arc, np.where(world.arc > length / 2, world.arc - length, world.arc))
+        arcs = world.arc, np.where(world.arc > length / 2, world.arc - length, world.arc)
+        self._arcs = tuple(map(with_rim, arcs))
+        self._offset = with_rim(world.offset)
+        # OpenCV takes four channels at once; the fourth one, as in the road's texture, is for cobblestones.
+        self._land = with_rim(np.dstack([world.ground, np.zeros(world.ground.shape[:2], np.uint8)]))
+        self._panorama = cv2.cvtColor(world.sky, cv2.COLOR_BGR2BGRA)
         random = np.random.default_rng(3)
         self._grain, self._cobbles = grain_tile(random), cobble_tile(random)
         self._props = PropsView(world.props)
-        self._bonnets = {camera: draw_bonnet(camera, WIDTH_PX, HEIGHT_PX) for camera in MOUNT_LEFT_M}
+        self._bonnets = {camera: _bonnet(camera) for camera in MOUNT_LEFT_M}
 
     def render(self, pose: Pose, camera: Camera = "center", scale: float = 1.0) -> Picture:
         """The picture (160, 320, 3) uint8 BGR that a camera of a car at ``pose`` sees; the same pose, the
         same bytes. It is ``scale`` times as wide and as high, with the same field of view."""
         width, height = round(WIDTH_PX * scale), round(HEIGHT_PX * scale)
-        rotation = _rotation(pose)
-        view = self._view(pose, rotation, MOUNT_LEFT_M[camera], scale)
-        inverse = self._inverse_distance(view)
+        rays = _directions(pose.pitch_rad, pose.roll_rad, scale)
+        eye = self._eye(pose, rays, MOUNT_LEFT_M[camera])
+        table = self._rays.inverse_distance(eye, rays.side_range, rays.up_range)
+        at, border = (rays.table_column, rays.table_row), cv2.BORDER_REPLICATE
+        inverse = np.asarray(cv2.remap(table, *at, cv2.INTER_LINEAR, borderMode=border), dtype=np.float32)
         picture = np.zeros((height, width, 3), np.uint8)
         first = int((inverse > SKY_PER_M).any(axis=1).argmax())  # above it there is nothing but sky
-        ground = View(view.eye, view.side[first:], view.up[first:])
-        picture[first:] = self._ground(ground, inverse[first:], scale)
-        self._sky(picture, view, inverse, pose.heading_rad)
-        place = self._world.origin_m + CELL_M * np.array([view.eye.column, view.eye.row])
+        picture[first:] = self._ground(eye, rays.side[first:], inverse[first:], scale)
+        self._sky(picture, rays, inverse, pose.heading_rad)
+        place = self._world.origin_m + CELL_M * np.array([eye.column, eye.row])
         self._props.draw(
             picture,
             inverse,
-            (*place.tolist(), view.eye.height_m),
+            (*place.tolist(), eye.height_m),
             pose.heading_rad,
-            (rotation @ _mount()).T,  # from (ahead, left, up), level to the ground, to the camera's own axes
+            (rays.rotation @ _mount()).T,  # from (ahead, left, up), level to the ground, to the camera's own axes
             FOCAL_PX * scale,
         )
-        bonnet = self._bonnets[camera]
         lowest = picture[round(BONNET_PX * scale) :]
-        if scale != 1.0:
-            bonnet = np.asarray(cv2.resize(bonnet, (width, len(lowest))), dtype=np.uint8)
-        alpha = bonnet[..., 3:].astype(np.uint16)
-        lowest[...] = (lowest * (255 - alpha) + bonnet[..., :3] * alpha + 127) // 255
+        keep, paint = self._bonnets[camera] if scale == 1.0 else _bonnet(camera, (width, len(lowest)))
+        np.floor_divide(lowest * keep + paint, 255, out=lowest, casting="unsafe")
         return picture
 
-    def _view(self, pose: Pose, rotation: NDArray[np.float64], left_m: float, scale: float) -> View:
+    def _eye(self, pose: Pose, rays: Directions, left_m: float) -> Eye:
         cos, sin = float(np.cos(pose.heading_rad)), float(np.sin(pose.heading_rad))
-        ahead, left, up = rotation @ (MOUNT_FORWARD_M, left_m, MOUNT_UP_M)
+        ahead, left, up = rays.rotation @ (MOUNT_FORWARD_M, left_m, MOUNT_UP_M)
         x, y = pose.x_m + ahead * cos - left * sin, pose.y_m + ahead * sin + left * cos
         origin_x, origin_y = self._world.origin_m
-        eye = Eye((x - origin_x) / CELL_M, (y - origin_y) / CELL_M, pose.z_m + up, cos, sin)
-        # Each component of a pixel's ray is linear in its column and row.
-        rays = (rotation @ _mount()).astype(np.float32)
-        right, down = (
-            ((np.arange(size) + 0.5 - size / 2) / (FOCAL_PX * scale)).astype(np.float32)
-            for size in (round(WIDTH_PX * scale), round(HEIGHT_PX * scale))
-        )
-        right, down = right[None, :], down[:, None]
-        ahead_px, left_px, up_px = (rays[k, 0] - rays[k, 1] * right - rays[k, 2] * down for k in range(3))
-        ahead_px = np.maximum(ahead_px, np.float32(0.05))
-        return View(eye, left_px / ahead_px, up_px / ahead_px)
+        return Eye((x - origin_x) / CELL_M, (y - origin_y) / CELL_M, pose.z_m + up, cos, sin)
 
-    def _inverse_distance(self, view: View) -> Field:
-        side = (float(view.side.min()), float(view.side.max()))
-        up = (float(view.up.min()), float(view.up.max()))
-        table = self._rays.inverse_distance(view.eye, side, up)
-        column = (view.side - np.float32(side[0])) * np.float32((COLUMNS - 1) / (side[1] - side[0]))
-        row = (view.up - np.float32(up[0])) * np.float32((ROWS - 1) / (up[1] - up[0]))
-        return look_up(table, column, row)
-
-    def _ground(self, view: View, inverse: Field, scale: float) -> Picture:
+    def _ground(self, eye: Eye, side: Field, inverse: Field, scale: float) -> Picture:
         """The ground's colours at every pixel; those of the sky are left for ``_sky``."""
-        world, eye = self._world, view.eye
+        world = self._world
         distance = 1.0 / np.maximum(inverse, np.float32(1 / 400))
         reach = distance * np.float32(1 / CELL_M)
-        column = np.float32(eye.column) + reach * (np.float32(eye.cos) - view.side * np.float32(eye.sin))
-        row = np.float32(eye.row) + reach * (np.float32(eye.sin) + view.side * np.float32(eye.cos))
-        ground = cv2.remap(world.ground, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        offset = look_up(world.offset, column, row)
-        here = look_up(world.arc, np.full((1, 1), eye.column, np.float32), np.full((1, 1), eye.row, np.float32))
-        lap = float(world.length_m)
-        arc = look_up(self._arcs[0 if 0.25 * lap < float(here[0, 0]) < 0.75 * lap else 1], column, row)
-        rows = world.road.shape[0]
-        level = np.clip(np.floor(np.log2(distance * np.float32(1 / (SHARP_M * scale))) + 1.0), 0, LEVELS - 1)
-        texel = (offset + np.float32(REACH_M)) * np.float32(1 / ACROSS_M) - np.float32(0.5)
+        column = np.float32(eye.column) + reach * (np.float32(eye.cos) - side * np.float32(eye.sin))
+        row = np.float32(eye.row) + reach * (np.float32(eye.sin) + side * np.float32(eye.cos))
+        x, y = on_map(self._offset, column, row)
+        colours = np.asarray(cv2.remap(self._land, x, y, cv2.INTER_LINEAR))
+        offset = np.asarray(cv2.remap(self._offset, x, y, cv2.INTER_LINEAR))
         on_road = np.abs(offset) < REACH_M - 0.2
-        road = cv2.remap(
-            world.road,
-            texel + level * ROAD_COLUMNS,
-            arc * np.float32(rows / lap),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_WRAP,
-        )
-        picture = np.where(on_road[..., None], road[..., :3], ground)
-        gain = self._texture(eye, column, row, distance, np.where(on_road, road[..., 3], 0))
+        lap = float(world.length_m)
+        beneath = (np.full((1, 1), at, np.float32) for at in (eye.column, eye.row))
+        here = float(look_up(self._arcs[0], *beneath)[0, 0])
+        arcs = self._arcs[0 if 0.25 * lap < here < 0.75 * lap else 1]
+        near = slice(int(on_road.any(axis=1).argmax()), None)  # above it there is no road
+        level = np.clip(np.floor(np.log2(distance[near] * np.float32(1 / (SHARP_M * scale))) + 1.0), 0, LEVELS - 1)
+        texel = (offset[near] + np.float32(REACH_M)) * np.float32(1 / ACROSS_M) - np.float32(0.5)
+        arc = np.asarray(cv2.remap(arcs, x[near], y[near], cv2.INTER_LINEAR), dtype=np.float32)
+        texel = np.clip(texel, 0, ROAD_COLUMNS - 2) + level * ROAD_COLUMNS
+        arc *= np.float32(world.road.shape[0] / lap)
+        border = cv2.BORDER_WRAP
+        road = np.asarray(cv2.remap(world.road, texel, arc, cv2.INTER_LINEAR, borderMode=border))
+        # A pixel's four channels are copied as one word.
+        np.copyto(colours.view(np.uint32)[near], road.view(np.uint32), where=on_road[near, :, None])
+        *planes, cobbles = map(np.asarray, cv2.split(colours))
+        gain = self._texture(eye, column, row, distance, np.asarray(cobbles, dtype=np.uint8))
         haze = np.exp(distance * np.float32(-1 / HAZE_M))
         gain *= haze
         mist = np.float32(1.0) - haze
-        planes = [picture[..., k] * gain + mist * np.float32(HAZE[k]) for k in range(3)]
-        return np.asarray(cv2.convertScaleAbs(cv2.merge(planes)), dtype=np.uint8)
+        shown = [plane * gain + mist * np.float32(colour) for plane, colour in zip(planes, HAZE, strict=True)]
+        return np.asarray(cv2.merge([cv2.convertScaleAbs(plane) for plane in shown]), dtype=np.uint8)
 
     def _texture(self, eye: Eye, column: Field, row: Field, distance: Field, cobbles: Picture) -> Field:
         """The factors of the colours by grain, coarse unevenness and cobblestones; each fades where pixels
@@ -159,7 +150,14 @@ class Renderer:
             # Counted from a seam of the tiling near the eye: cv2.remap takes no coordinates beyond 32767.
             scale, size = CELL_M / texel_m, len(image)
             seams = [np.float32(at * scale // size * size) for at in (eye.column, eye.row)]
-            x, y = column * np.float32(scale) - seams[0], row * np.float32(scale) - seams[1]
+            x, y = column * np.float32(scale), row * np.float32(scale)
+            x -= seams[0]
+            y -= seams[1]
+            # cv2.remap would wrap, at a sixth of its speed. Behind the first seam, coordinates are so coarse that
+            # this rounds nothing.
+            if min(seams) >= size:
+                _wrap(x, size)
+                _wrap(y, size)
             values = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
             return values.astype(np.float32) - np.float32(128.0)
 
@@ -174,28 +172,61 @@ class Renderer:
             gain += share * (np.float32(1.6) * stones - np.float32(0.7) * gain)
         return np.asarray(1.0 + gain * np.float32(1 / 256), dtype=np.float32)
 
-    def _sky(self, picture: Picture, view: View, inverse: Field, heading_rad: float) -> None:
+    def _sky(self, picture: Picture, rays: Directions, inverse: Field, heading_rad: float) -> None:
         sky = inverse <= SKY_PER_M
         lowest = int(np.flatnonzero(sky.any(axis=1)).max(initial=-1)) + 1
         if lowest == 0:
             return
-        side, up = view.side[:lowest], view.up[:lowest]
+        side, up = rays.side[:lowest], rays.up[:lowest]
         rows, columns = self._world.sky.shape[:2]
         azimuth = np.arctan(side) + np.float32(heading_rad)
         level = up / np.sqrt(1.0 + side * side)
-        column = azimuth * np.float32(columns / (2 * np.pi)) % columns
+        column = azimuth * np.float32(columns / (2 * np.pi))
+        _wrap(column, columns)
         row = np.clip((TOP - level) * np.float32((rows - 1) / (TOP - BOTTOM)), 0, rows - 1)
-        colours = cv2.remap(self._world.sky, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-        part = picture[:lowest]
-        part[...] = np.where(sky[:lowest, :, None], colours, part)
+        colours = cv2.remap(self._panorama, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+        cv2.copyTo(cv2.cvtColor(colours, cv2.COLOR_BGRA2BGR), sky[:lowest].view(np.uint8), picture[:lowest])
 
 
-def _rotation(pose: Pose) -> NDArray[np.float64]:
-    """Takes (ahead, left, up) of the car to the same axes level to the ground, the heading kept."""
-    cp, sp, cr, sr = np.cos(pose.pitch_rad), np.sin(pose.pitch_rad), np.cos(pose.roll_rad), np.sin(pose.roll_rad)
+def _bonnet(camera: Camera, size: tuple[int, int] | None = None) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+    """How much of 255 stays of a picture's lowest rows, and what comes to them."""
+    bonnet = draw_bonnet(camera, WIDTH_PX, HEIGHT_PX)
+    if size is not None:
+        bonnet = np.asarray(cv2.resize(bonnet, size), dtype=np.uint8)
+    alpha = np.repeat(bonnet[..., 3:], 3, axis=2).astype(np.uint16)
+    return 255 - alpha, bonnet[..., :3] * alpha + np.uint16(127)
+
+
+def _wrap(values: Field, period: int) -> None:
+    """Take the values modulo the period: numpy's own takes ten times as long."""
+    turns = values * np.float32(1 / period)
+    np.floor(turns, out=turns)
+    turns *= np.float32(period)
+    values -= turns
+
+
+@functools.lru_cache(maxsize=2)
+def _directions(pitch_rad: float, roll_rad: float, scale: float) -> Directions:
+    cp, sp, cr, sr = np.cos(pitch_rad), np.sin(pitch_rad), np.cos(roll_rad), np.sin(roll_rad)
     pitch = np.array([[cp, 0.0, -sp], [0.0, 1.0, 0.0], [sp, 0.0, cp]])
     roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    return np.asarray(pitch @ roll, dtype=np.float64)
+    rotation = pitch @ roll  # the heading is kept
+    # Each component of a pixel's ray is linear in its column and row.
+    rays = (rotation @ _mount()).astype(np.float32)
+    right, down = (
+        ((np.arange(size) + 0.5 - size / 2) / (FOCAL_PX * scale)).astype(np.float32)
+        for size in (round(WIDTH_PX * scale), round(HEIGHT_PX * scale))
+    )
+    right, down = right[None, :], down[:, None]
+    ahead_px, left_px, up_px = (rays[k, 0] - rays[k, 1] * right - rays[k, 2] * down for k in range(3))
+    ahead_px = np.maximum(ahead_px, np.float32(0.05))
+    side, up = left_px / ahead_px, up_px / ahead_px
+    ranges = [(float(tangents.min()), float(tangents.max())) for tangents in (side, up)]
+    at = [
+        (tangents - np.float32(low)) * np.float32((size - 1) / (high - low))
+        for tangents, size, (low, high) in zip((side, up), (COLUMNS, ROWS), ranges, strict=True)
+    ]
+    return Directions(rotation, side, up, ranges[0], ranges[1], at[0], at[1])
 
 
 def _mount() -> NDArray[np.float64]:

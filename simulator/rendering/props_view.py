@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.rendering.noise import Field
-from simulator.rendering.props import Sprite, draw_sprites
+from simulator.rendering.props import SIZE_PX, Sprite, draw_sprites
 from simulator.roads.road_stretches import Floats
 
 NEAR_M, FAR_M = 1.5, 150.0
@@ -46,17 +48,25 @@ class PropsView:
             & (size_px > SMALLEST_PX)
             & (np.abs(column - width / 2) < width / 2 + size_px)
         )
-        for k in np.flatnonzero(is_visible)[np.argsort(-ahead[is_visible], kind="stable")]:
-            variants = self._sprites[int(self._props[k, 4])]
-            strength = min(1.0, (FAR_M - float(ahead[k])) / FADE_M)
-            _stamp(
-                picture,
-                inverse,
-                variants[k % len(variants)],
-                (column[k], row[k], size_px[k]),
-                1 / ahead[k],
-                strength,
-            )
+        seen = np.flatnonzero(is_visible)[np.argsort(-ahead[is_visible], kind="stable")]
+        ahead, size_px = ahead[seen], size_px[seen]
+        halvings = np.log2(SIZE_PX / size_px)
+        strengths = np.minimum(1.0, (FAR_M - ahead) / FADE_M) / 255.0
+        for k, kind, *place, halving, hidden, strength in zip(
+            seen.tolist(),
+            self._props[seen, 4].tolist(),
+            column[seen].tolist(),
+            row[seen].tolist(),
+            size_px.tolist(),
+            halvings.tolist(),
+            1 / ahead * 1.02,
+            strengths.astype(np.float32),
+            strict=True,
+        ):
+            variants = self._sprites[int(kind)]
+            levels = variants[k % len(variants)]
+            sprite = levels[int(min(max(halving, 0), len(levels) - 1))]
+            _stamp(picture, inverse, sprite, place, hidden, strength)
 
 
 def _halvings(sprite: Sprite) -> list[Sprite]:
@@ -76,19 +86,22 @@ def _halvings(sprite: Sprite) -> list[Sprite]:
 def _stamp(
     picture: NDArray[np.uint8],
     inverse: Field,
-    levels: list[Sprite],
-    place: tuple[float, float, float],
-    nearness: float,
-    strength: float,
+    sprite: Sprite,
+    place: list[float],
+    hidden: np.float64,
+    strength: np.float32,
 ) -> None:
-    """Blend one sprite in; ``place`` is its foot's column and row and its height, in pixels."""
+    """Blend one sprite in; ``place`` is its foot's column and row and its height, in pixels. Ground whose inverse
+    distance is ``hidden`` or more stands before it."""
     column, foot, size = place
-    sprite = levels[int(np.clip(np.log2(levels[0].shape[0] / size), 0, len(levels) - 1))]
     scale = size / sprite.shape[0]
     left, top = column - sprite.shape[1] * scale / 2, foot - size
-    x0, x1 = max(0, int(np.floor(left))), min(picture.shape[1], int(np.ceil(left + sprite.shape[1] * scale)))
-    y0, y1 = max(0, int(np.floor(top))), min(picture.shape[0], int(np.ceil(foot)))
+    x0, x1 = max(0, math.floor(left)), min(picture.shape[1], math.ceil(left + sprite.shape[1] * scale))
+    y0, y1 = max(0, math.floor(top)), min(picture.shape[0], math.ceil(foot))
     if x0 >= x1 or y0 >= y1:
+        return
+    free = inverse[y0:y1, x0:x1] < hidden
+    if not np.count_nonzero(free):
         return
     # Sub-pixel placement: sprite coordinates of the target's pixel centres.
     affine = np.array(
@@ -96,7 +109,9 @@ def _stamp(
     )
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     patch = cv2.warpAffine(sprite, affine, (x1 - x0, y1 - y0), flags=flags, borderMode=cv2.BORDER_CONSTANT)
-    free = inverse[y0:y1, x0:x1] < nearness * 1.02
-    alpha = (patch[..., 3] * free * np.float32(strength / 255.0))[..., None]
+    alpha = patch[..., 3] * free * strength
     target = picture[y0:y1, x0:x1]
-    target[...] = target + alpha * (patch[..., :3].astype(np.float32) - target) + np.float32(0.5)
+    # A broadcast over three channels would cost more than all else here.
+    blend = cv2.subtract(cv2.cvtColor(patch, cv2.COLOR_BGRA2BGR), target, dtype=cv2.CV_32F)
+    blend = blend * cv2.cvtColor(alpha, cv2.COLOR_GRAY2BGR) + target
+    np.add(blend, np.float32(0.5), out=target, casting="unsafe")

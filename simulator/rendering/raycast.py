@@ -8,9 +8,11 @@ it, so the running maximum of the angles gives the sample at which each line of 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from simulator.rendering.noise import Field
 from simulator.rendering.terrain import CELL_M
@@ -36,13 +38,16 @@ class RayCaster:
     """Casts rays over one height map, (rows, columns) float32 in metres."""
 
     def __init__(self, height_m: Field) -> None:
-        self._fine = height_m
+        self._fine = with_rim(height_m)
         coarse = cv2.resize(height_m, None, fx=1 / COARSE, fy=1 / COARSE, interpolation=cv2.INTER_AREA)
-        self._coarse: Field = np.asarray(coarse, dtype=np.float32)
+        self._coarse = with_rim(coarse)
         self._distance_m = np.geomspace(NEAR_M, FAR_M, SAMPLES).astype(np.float32)[:, None]
-        self._inverse = np.append(1.0 / self._distance_m[:, 0], np.float32(0.0)).astype(np.float32)
         self._split = int(np.searchsorted(self._distance_m[:, 0], COARSE_FROM_M))
-        self._lanes = (np.arange(COLUMNS) * (ROWS + 1))[None, :]
+        # One over the distance to each sample, and the step to the next, as cv2.LUT reads them. Behind the last
+        # sample is the sky: 0.
+        inverse = 1.0 / self._distance_m[:, 0]
+        self._inverse, self._step = np.zeros((2, 1, 256), np.float32)
+        self._inverse[0, : SAMPLES - 1], self._step[0, : SAMPLES - 1] = inverse[:-1], np.diff(inverse)
 
     def inverse_distance(self, eye: Eye, side: tuple[float, float], up: tuple[float, float]) -> Field:
         """One over the forward distance (1/m) to the ground, (ROWS, COLUMNS) float32, 0 for the sky.
@@ -53,20 +58,26 @@ class RayCaster:
         slopes = self._slopes(eye, np.linspace(*side, COLUMNS, dtype=np.float32)[None, :])
         # The number of samples below each line of sight is the number of the sample that ends it: count them
         # all at once in a histogram over the rows. Cheaper than a search per line of sight.
-        scale = np.float32((ROWS - 1) / (up[1] - up[0]))
-        levels = (slopes - np.float32(up[0])) * scale
-        first_above = np.clip(np.floor(levels) + 1.0, 0, ROWS).astype(np.intp) + self._lanes
-        below = np.bincount(first_above.ravel(), minlength=COLUMNS * (ROWS + 1)).reshape(COLUMNS, ROWS + 1)
-        end = np.maximum(np.cumsum(below[:, :ROWS], axis=1, dtype=np.int32).T, 1)
-        sky = end >= SAMPLES
-        np.minimum(end, SAMPLES - 1, out=end)
+        levels = (slopes - np.float32(up[0])) * np.float32((ROWS - 1) / (up[1] - up[0]))
+        first_above = np.clip(np.floor(levels) + np.float32(1.0), 0, ROWS) * np.float32(COLUMNS)
+        lanes = np.arange(COLUMNS)
+        bins = (first_above + lanes.astype(np.float32)).astype(np.intp)
+        counts = np.bincount(bins.ravel(), minlength=COLUMNS * ROWS)[: COLUMNS * ROWS].reshape(ROWS, COLUMNS)
+        sums = cv2.integral(
+            counts.astype(np.uint8)
+        )  # over rows and columns: ten times as fast as np.cumsum over rows
+        below = sums[1:, 1:] - sums[1:, :-1]
+        ground = below[: np.count_nonzero(below.min(axis=1) < SAMPLES)]
+        last = (np.maximum(ground, 1) - 1).astype(np.uint8)
         # Between two samples the ground is a plane, on which one over the distance is linear in the row.
-        flat = np.asarray(end * np.int32(COLUMNS) + np.arange(COLUMNS, dtype=np.int32), dtype=np.int32)
-        low, high = levels.take(flat - COLUMNS), levels.take(flat)
-        share = (np.arange(ROWS, dtype=np.float32)[:, None] - low) / np.maximum(high - low, np.float32(1e-6))
-        near, far = self._inverse.take(end - 1), self._inverse.take(end)
-        inverse = near + np.clip(share, 0.0, 1.0) * (far - near)
-        inverse[sky] = 0.0
+        rise = np.ones_like(levels)
+        np.maximum(levels[1:] - levels[:-1], np.float32(1e-6), out=rise[:-1])
+        at = last * np.intp(COLUMNS) + lanes
+        share = (np.arange(len(ground), dtype=np.float32)[:, None] - levels.take(at)) / rise.take(at)
+        inverse = np.zeros((ROWS, COLUMNS), np.float32)
+        inverse[: len(ground)] = cv2.LUT(last, self._inverse) + np.clip(share, 0.0, 1.0) * cv2.LUT(
+            last, self._step
+        )
         return inverse
 
     def _slopes(self, eye: Eye, side: Field) -> Field:
@@ -80,10 +91,23 @@ class RayCaster:
         centre = np.float32((COARSE - 1) / 2)  # of the first large cell, in small ones
         height[k:] = look_up(self._coarse, (column[k:] - centre) / COARSE, (row[k:] - centre) / COARSE)
         slopes = (height - np.float32(eye.height_m)) / self._distance_m
-        return np.asarray(np.maximum.accumulate(slopes, axis=0), dtype=np.float32)
+        for k in range(1, SAMPLES):  # as np.maximum.accumulate, in half of its time
+            np.maximum(slopes[k - 1], slopes[k], out=slopes[k])
+        return slopes
 
 
-def look_up(image: Field, column: Field, row: Field) -> Field:
-    """Bilinear values of an image; beyond its rim those of the rim."""
-    values = cv2.remap(image, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(values, dtype=np.float32)
+def with_rim(image: NDArray[Any]) -> NDArray[Any]:
+    """The image with its last row and column twice, so that OpenCV finds all that is `on_map` without its slow
+    borders."""
+    return np.asarray(cv2.copyMakeBorder(image, 0, 1, 0, 1, cv2.BORDER_REPLICATE))
+
+
+def on_map(image: NDArray[Any], column: Field, row: Field) -> tuple[Field, Field]:
+    """The nearest places on an image `with_rim`."""
+    rows, columns = image.shape[:2]
+    return np.clip(column, 0, columns - 2), np.clip(row, 0, rows - 2)
+
+
+def look_up(image: NDArray[Any], column: Field, row: Field) -> NDArray[Any]:
+    """Bilinear values of an image `with_rim`; beyond its rim those of the rim."""
+    return np.asarray(cv2.remap(image, *on_map(image, column, row), cv2.INTER_LINEAR))

@@ -143,18 +143,6 @@ def test_a_shadow_is_one_to_five_polygons_of_three_to_six_corners(polygons: list
     assert corners.keys() == {3, 4, 5, 6}
 
 
-def test_every_polygon_is_dark_also_an_edge_without_area(polygons: list[NDArray[np.int32]]) -> None:
-    for seed in range(100):
-        polygons.clear()
-        dark = drawn(shadow, grey(200, 6, 6), seed)[:, :, 0] != 200  # so small that many corners coincide
-        for polygon in polygons:
-            assert dark[polygon[:, 1], polygon[:, 0]].all()
-        left, top = np.concatenate(polygons).min(axis=0)
-        right, bottom = np.concatenate(polygons).max(axis=0)
-        dark[top : bottom + 1, left : right + 1] = False
-        assert not dark.any()
-
-
 def test_shadows_that_overlap_are_not_darkened_twice() -> None:
     for seed in SEEDS:
         assert len(np.unique(drawn(shadow, grey(200), seed))) == 2  # 200, and one darker level
@@ -226,11 +214,6 @@ def test_the_smallest_pictures_are_altered_too(change: Change, shape: tuple[int,
         assert changed.max() <= 160
 
 
-def test_the_only_pixel_of_a_picture_is_in_the_shadow() -> None:
-    levels = [int(drawn(shadow, grey(100, 1, 1), seed)[0, 0, 0]) for seed in range(50)]
-    assert 45 <= min(levels) < max(levels) <= 74
-
-
 @pytest.mark.parametrize("names", ["blur", "brightness", "shadow", "blur+brightness", "blur+brightness+shadow"])
 def test_the_same_seed_gives_the_same_picture_another_seed_another(names: str) -> None:
     picture = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
@@ -246,5 +229,5 @@ def test_the_same_seed_gives_the_same_picture_another_seed_another(names: str) -
     [("rain", 1), ("blur+rain", 1), ("blur+", 1), ("blur", -1), ("blur,shadow", 1), ("blur+blur", 1)],
 )
 def test_what_no_index_of_ours_asks_for_is_an_error_that_says_what_to_do(names: str, seed: int) -> None:
-    with pytest.raises(DatasetError, match=r"is no alteration; build the index again with `bc-index`"):
+    with pytest.raises(DatasetError, match=r"is not an alteration; build the index again with `bc-index`"):
         alter(grey(100), names, seed)

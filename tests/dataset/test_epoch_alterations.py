@@ -105,12 +105,6 @@ def test_another_epoch_or_seed_changes_every_sample(index: Path) -> None:
     assert len({picture for picture, _ in first.values()}) == len(first)
 
 
-def test_an_epoch_goes_on_from_any_batch(index: Path) -> None:
-    with load(index, batch=16, alter_each_epoch=EPOCH_ALTERATIONS) as loader:
-        whole = batches(loader, 3)
-        assert all(batches(loader, 3, start) == whole[start:] for start in range(len(whole)))
-
-
 def test_an_alteration_is_drawn_the_same_whichever_others_there_are() -> None:
     assert (altered(spot(), "move", "box", "noise") != altered(spot(), "move")).any()
     alone, together = of("move").draw(2, SAMPLES, 64, 64), of("noise", "move", "shadow").draw(2, SAMPLES, 64, 64)

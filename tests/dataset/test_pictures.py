@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -11,14 +10,12 @@ import numpy as np
 import pytest
 
 from common.car import CAMERAS, Camera
-from dataset import Batch, DatasetError, IndexConfig, Loader, Samples, build_index, decode, preprocess
+from dataset import IndexConfig, Loader, Samples, build_index, decode, preprocess
 from dataset.augment import alter, blur, brightness, shadow
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
 from logs import write_log
 from udacity import jpeg
-
-CROP_BYTES = 128 * 128 * 3
 
 
 def black() -> Image:
@@ -114,54 +111,6 @@ def test_an_alteration_is_pure(change: Change) -> None:
     assert before.tobytes() not in results
 
 
-def test_blur_keeps_the_light_and_spreads_a_column_to_both_sides() -> None:
-    picture = np.zeros((128, 128, 3), np.uint8)
-    picture[:, 64] = 200
-    widths = set()
-    for seed in SEEDS:
-        row = blur(picture, np.random.default_rng(seed))[64, :, 1].astype(int)
-        assert row.sum() == pytest.approx(200, abs=5)  # nine roundings
-        assert (row[64 - 10 : 65] == row[64:75][::-1]).all()
-        assert row[64] == row.max() < 200
-        widths.add(int(np.count_nonzero(row)))
-    assert widths <= {3, 5, 7, 9}
-    assert len(widths) > 1
-
-
-def test_brightness_scales_the_value_of_hsv_and_keeps_the_colour() -> None:
-    picture = np.empty((128, 128, 3), np.uint8)
-    picture[:64], picture[64:] = (40, 80, 120), (15, 60, 30)
-    factors = []
-    for seed in SEEDS:
-        changed = brightness(picture, np.random.default_rng(seed)).astype(float)
-        factor = changed[0, 0].max() / 120
-        np.testing.assert_allclose(changed, picture * factor, atol=2.5)
-        factors.append(factor)
-    assert 0.39 < min(factors) < 0.8
-    assert 1.2 < max(factors) < 1.61
-
-
-def test_brightness_does_not_overflow() -> None:
-    white = np.full((8, 8, 3), 250, np.uint8)
-    for seed in SEEDS:
-        assert brightness(white, np.random.default_rng(seed)).min() >= 0.39 * 250
-
-
-def test_a_shadow_darkens_some_pixels_and_leaves_the_others() -> None:
-    picture = np.full((128, 128, 3), 200, np.uint8)
-    shares = []
-    for seed in SEEDS:
-        changed = shadow(picture, np.random.default_rng(seed))
-        dark = changed[:, :, 0] != 200
-        levels = np.unique(changed[dark])
-        assert len(levels) == 1
-        assert 0.45 * 200 - 0.5 <= levels[0] <= 0.74 * 200 + 0.5
-        assert (changed[~dark] == 200).all()
-        assert 0 < dark.mean() < 1
-        shares.append(dark.mean())
-    assert max(shares) > 0.3
-
-
 def test_alterations_follow_one_another_and_none_is_none() -> None:
     picture = noise()
     assert (alter(picture, "", 7) == picture).all()
@@ -197,48 +146,6 @@ def samples(index: Path) -> Iterator[Samples]:
     opened.close()
 
 
-def pairs(batches: Iterator[Batch]) -> list[tuple[int, float]]:
-    """(brightness of the picture, label) of every sample, in their order."""
-    return [
-        (round(float(picture.mean())), round(float(label), 4))
-        for batch in batches
-        for picture, label in zip(batch.pictures, batch.steering, strict=True)
-    ]
-
-
-def expected_pairs(samples: Samples) -> list[tuple[int, float]]:
-    shift = {"center": 0.0, "left": 0.2, "right": -0.2}
-    return [
-        (
-            level(row["camera"], row["row"]),
-            round((STEERING[row["row"]] + shift[row["camera"]]) * (1 - 2 * flip), 4),
-        )
-        for row in samples.table.to_pylist()
-        for flip in [row["flip"]]
-    ]
-
-
-def test_every_picture_comes_with_its_own_label(samples: Samples) -> None:
-    loader = Loader(samples, samples.table, batch=7)
-    assert pairs(loader.in_order()) == expected_pairs(samples)
-
-
-def test_every_sample_comes_once_an_epoch_in_an_order_of_its_own(samples: Samples) -> None:
-    loader = Loader(samples, samples.table, batch=7)
-    expected = expected_pairs(samples)
-    first, second = pairs(loader.epoch(1)), pairs(loader.epoch(2))
-    assert first != second
-    assert Counter(first) == Counter(second) == Counter(expected)
-    assert first == [expected[i] for i in loader.order(1)]
-
-
-def test_batches_are_full_but_the_last(samples: Samples) -> None:
-    sizes = [len(batch.steering) for batch in Loader(samples, samples.table, batch=7).epoch(0)]
-    assert sum(sizes) == len(samples.table)
-    assert set(sizes[:-1]) == {7}
-    assert 0 < sizes[-1] <= 7
-
-
 def test_the_order_is_a_function_of_seed_and_epoch(samples: Samples) -> None:
     def order(seed: int, epoch: int) -> list[int]:
         found: list[int] = Loader(samples, samples.table, batch=7, seed=seed).order(epoch).tolist()
@@ -249,16 +156,6 @@ def test_the_order_is_a_function_of_seed_and_epoch(samples: Samples) -> None:
     assert used.order(3).tolist() == order(5, 3)
     assert len({tuple(order(seed, epoch)) for seed in (0, 5) for epoch in (0, 1, 2)}) == 6
     assert sorted(order(5, 3)) == list(range(len(samples.table)))
-
-
-@pytest.mark.parametrize("budget_bytes", [0, 1, 5 * CROP_BYTES])
-def test_beyond_the_memory_budget_the_batches_are_the_same(samples: Samples, budget_bytes: int) -> None:
-    def batches(budget_bytes: int) -> list[tuple[bytes, bytes]]:
-        loader = Loader(samples, samples.table, batch=16, budget_bytes=budget_bytes)
-        found = [batch for epoch in (0, 1) for batch in loader.epoch(epoch)]
-        return [(batch.pictures.tobytes(), batch.steering.tobytes()) for batch in found]
-
-    assert batches(budget_bytes) == batches(1 << 30)
 
 
 def half_bright(camera: Camera, row: int) -> bytes:
@@ -302,23 +199,6 @@ def test_a_copy_is_altered_as_the_index_says(tmp_path: Path) -> None:
             assert (picture == alter(seen, row["alteration"], row["seed"])).all()
     finally:
         samples.close()
-
-
-def test_the_driving_view_is_the_centre_camera_as_it_is(samples: Samples) -> None:
-    seen = samples.driving_view("validation").to_pylist()
-    assert {(row["camera"], row["flip"], row["copy"], row["split"]) for row in seen} == {
-        ("center", False, False, "validation")
-    }
-    held_out = {row["row"] for row in samples.of_split("validation").to_pylist()}
-    assert sorted(row["row"] for row in seen) == sorted(held_out)
-
-
-def test_a_log_that_changed_after_it_was_indexed_is_refused(tmp_path: Path) -> None:
-    log = write_log(tmp_path / "a.mcap", [0.1, 0.2])
-    build_index([log], tmp_path / "index")
-    write_log(log, [0.1, 0.3], overwrite=True)
-    with pytest.raises(DatasetError, match=r"a\.mcap: has changed.*`bc-index`"):
-        Samples(tmp_path / "index")
 
 
 def test_a_header_that_promises_too_many_pixels_is_no_picture() -> None:

@@ -13,7 +13,6 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from mcap.reader import make_reader
 
-from common import UserError
 from drive.cli import main as drive_main
 from drive.config import DriveConfig
 from drive.evaluation.closed_loop import evaluate
@@ -140,24 +139,6 @@ def test_a_drive_that_cannot_be_is_an_error_and_writes_nothing(drive: SimulatedD
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_existing_log_is_refused_and_no_folder_is_begun(tmp_path: Path) -> None:
-    log = tmp_path / "x.mcap"
-    log.write_bytes(b"precious")
-    with pytest.raises(UserError, match="--force"):
-        record_simulated(DRIVE, log, udacity=tmp_path / "x")
-    assert list(tmp_path.iterdir()) == [log]
-
-
-def test_an_unknown_track_names_the_choices(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert call(record_main, "x", "--track", "nowhere") == 1
-    line = one_line_in(capsys)
-    assert all(choice in line for choice in ("nowhere", "lake", "mountain", "random:SEED"))
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.parametrize(
     ("main", "arguments"),
     [
@@ -219,12 +200,6 @@ def test_what_is_no_recording_is_called_what_it_is(tmp_path: Path, capsys: pytes
         assert expected in said
 
 
-def test_no_server_is_said_and_given_up_on() -> None:
-    done = run("bc-sim", "--laps", 0.01, "--port", 1, "--wait", 0)
-    assert done.returncode == 1
-    assert "--wait" in done.stderr.splitlines()[-1]
-
-
 @pytest.fixture(scope="module")
 def pilot_run(folder: Path) -> Path:
     return untrained_run(folder / "runs" / "untrained", seed=1)
@@ -260,15 +235,6 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
         assert log.read_metadata("bc.simulator")["trajectory_sha256"] == there["trajectory_sha256"]
         assert log.metadata["track"] == "lake"  # of its map
         assert car_in(log.metadata, log.path) == built_in()  # where its cameras stand, and how it turns
-
-
-def test_an_unknown_track_ends_an_evaluation_in_a_line_and_leaves_no_log(
-    pilot_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call(eval_main, pilot_run, "--simulator", "nowhere", "--drives", tmp_path / "logs") == 1
-    line = one_line_in(capsys)
-    assert all(choice in line for choice in ("lake", "mountain", "random:SEED"))
-    assert list(tmp_path.rglob("*.*")) == []
 
 
 @pytest.mark.parametrize(

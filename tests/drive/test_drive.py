@@ -287,12 +287,6 @@ def test_the_logged_state_is_what_the_simulator_told(drive: Drive) -> None:
         assert state.throttle == pytest.approx(max(throttle, 0.0), abs=1e-4)
 
 
-def test_the_throttle_holds_the_set_speed(drive: Drive) -> None:
-    """1 mph too slow in every telemetry: 0.1, and 0.002 more each time."""
-    expected = [0.1 + 0.002 * (i + 1) for i in range(REPLAYED)]
-    assert [command.throttle for command in drive.commands] == pytest.approx(expected, abs=1e-6)
-
-
 def test_a_modern_client_gets_the_same_commands(drive: Drive) -> None:
     assert [float(answer["steering_angle"]) for answer in drive.modern] == pytest.approx(
         [command.steering for command in drive.commands[:MODERN]], abs=1e-6
@@ -300,13 +294,6 @@ def test_a_modern_client_gets_the_same_commands(drive: Drive) -> None:
     for answer in drive.modern:
         assert set(answer) == {"steering_angle", "throttle"}
         assert all(isinstance(value, str) for value in answer.values())
-
-
-def test_old_and_modern_clients_are_served_at_once(drive: Drive) -> None:
-    old, modern = drive.together
-    alone = [command.steering for command in drive.commands[:TOGETHER]]
-    assert [command.steering for command in old] == alone
-    assert [float(answer["steering_angle"]) for answer in modern] == pytest.approx(alone, abs=1e-6)
 
 
 def test_a_second_simulator_has_a_log_of_its_own_and_that_is_said(drive: Drive) -> None:
@@ -629,7 +616,7 @@ def test_a_car_that_cannot_be_braked_is_named_and_a_second_ctrl_c_ends(
     assert (tmp_path / "run.mcap").exists()
 
 
-@pytest.mark.parametrize("answers_braked", [0, 2])
+@pytest.mark.parametrize("answers_braked", [pytest.param(0, marks=pytest.mark.long), 2])
 def test_a_silent_simulator_is_sent_the_brake_and_its_release(
     pilot_run: Path, tmp_path: Path, answers_braked: int
 ) -> None:

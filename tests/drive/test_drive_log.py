@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,10 +22,9 @@ from common import UserError
 from disk import files_of_at_most
 from drive.control.driver import Decision
 from drive.log.drive_log import DriveLog
-from driving import PATIENCE_S, DriveProcess, environment, road_jpeg, run, untrained_run
+from driving import PATIENCE_S, DriveProcess, road_jpeg, run, untrained_run
 from logs import read_messages
-from plain_mcap import contents
-from recorder import Log, LogError, LogWriter
+from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.bad_telemetry import MAX_OF_EACH
 from recorder.log.log_time import LogClock
@@ -36,9 +33,7 @@ from recorder.server.telemetry import Telemetry
 from recorder.server.world import World
 from recorder.upkeep.check import check
 from recorder.upkeep.recover import recover
-from repository import HELPERS, ROOT
 from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
-from waiting import wait_until
 
 WORLD = World(
     time_s=0.0,
@@ -204,14 +199,6 @@ def test_what_was_out_of_range_is_in_the_log_as_it_came(tmp_path: Path) -> None:
     assert [finding.kind for finding in check(path).findings] == ["stretches of values out of range"]
 
 
-def test_a_row_that_was_braked_is_not_the_pilots(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    with drive_log(path) as log:
-        log.decision(decided(0, driver="brake", throttle=-1.0), 2.0)
-    ((_, command),) = read_messages(path)["/pilot/command"]
-    assert (command.driver, command.throttle) == (PilotCommand.BRAKE, -1.0)
-
-
 def test_events_of_decisions_stand_in_their_order(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with drive_log(path) as log:
@@ -345,29 +332,12 @@ def test_rows_of_a_standing_simulated_clock_have_their_receipt_time(step_s: floa
     assert times_ns[-1] - times_ns[-31] == 30 * 50_000_000
 
 
-def test_rows_without_a_simulated_clock_have_the_time_at_which_they_came() -> None:
-    clock = LogClock()
-    first_ns = clock.row(1_000, None)
-    assert [clock.row(1_000 + ms * 1_000_000, None) - first_ns for ms in (16, 33, 5_000)] == [
-        ms * 1_000_000 for ms in (16, 33, 5_000)
-    ]
-
-
 def test_a_late_event_does_not_move_rows_of_simulated_time() -> None:
     clock = LogClock()
     first_ns = clock.row(0, 0.0)
     event_ns = clock.event(60 * 10**9)  # a minute for one simulated step
     next_ns = clock.row(61 * 10**9, 0.04)
     assert (event_ns, next_ns) == (first_ns + 1, first_ns + 40_000_000)
-
-
-def test_a_rows_time_is_when_its_telemetry_came(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    with drive_log(path) as log:
-        log.decision(decided(0), total_ms=5000.0)
-        log.decision(decided(1), total_ms=0.0)
-    first, second = (message.log_time for message, _ in read_messages(path)["/vehicle"])
-    assert second - first >= 5 * 10**9
 
 
 # A slow disk
@@ -511,65 +481,6 @@ def test_what_was_handed_over_last_reaches_the_file_without_anything_more(tmp_pa
         until_s = time.monotonic() + PATIENCE_S
         while road_jpeg(0) not in writer.part.read_bytes():
             assert time.monotonic() < until_s
-
-
-DRIVER = """
-import sys, time
-from pathlib import Path
-from test_drive_log import decided
-from drive.log.drive_log import DriveLog
-from recorder import LogWriter
-
-decisions = [decided(number) for number in range(50)]
-writer = LogWriter(Path(sys.argv[1]), {"source": "drive"}, live=True)
-log = DriveLog(writer)
-while True:
-    log.decision(decisions[log.frames % 50], 2.0)
-    time.sleep(0.001)
-"""
-
-
-def test_a_row_is_written_after_its_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Wherever a drive is killed, no row is there without what its network saw."""
-    monkeypatch.setattr("recorder.log.writer.FLUSH_S", 0.0)  # each message is a chunk
-    path = tmp_path / "run.mcap"
-    with LogWriter(path, {"source": "drive"}, live=True) as writer, DriveLog(writer) as log:
-        for number in range(20):
-            log.decision(decided(number), 2.0)
-    at = {(m.topic, m.sequence): place for place, m in enumerate(contents(path).messages)}
-    for row in range(20):
-        assert at["/vehicle", row] > max(at["/camera/center", row], at["/pilot/input", row])
-
-
-def rows_on_disk(folder: Path) -> int:
-    """Of the log in it that grows."""
-    for part in folder.iterdir():
-        with suppress(LogError), Log(part) as log:
-            return log.counts.get("/vehicle", 0)
-    return 0
-
-
-def test_a_killed_drive_leaves_a_log_that_can_be_recovered(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    here = {**environment(), "PYTHONPATH": f"{ROOT}:{HELPERS}:{Path(__file__).parent}"}
-    with subprocess.Popen([sys.executable, "-c", DRIVER, str(path)], env=here) as process:
-        try:
-            wait_until(lambda: rows_on_disk(tmp_path) >= 30 or process.poll() is not None)
-        finally:
-            process.send_signal(signal.SIGKILL)
-    assert process.returncode == -signal.SIGKILL
-    (part,) = tmp_path.iterdir()
-    assert part.suffix == ".part"
-    done = run("bc-log", "recover", part, "--to", path)
-    assert done.returncode in (0, 3), done.stderr
-    messages = read_messages(path)
-    rows = [message.sequence for message, _ in messages["/vehicle"]]
-    assert rows == list(range(len(rows)))
-    assert len(rows) >= 30
-    for message, picture in messages["/camera/center"]:
-        assert picture.data == road_jpeg(message.sequence % 50)
-    with Log(path) as log:
-        assert log.counts["/pilot/command"] >= len(rows) - 1
 
 
 # Its viewer

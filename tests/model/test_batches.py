@@ -113,22 +113,6 @@ def test_copied_batches_are_those_of_the_loader(index: Path, ranks: int) -> None
 
 
 @pytest.mark.parametrize("make", MAKERS)
-def test_an_epoch_goes_on_from_any_batch(index: Path, make: Callable[[Loader, torch.device], Batches]) -> None:
-    with load(index, batch=BATCH, rank=1, ranks=2) as loader:
-        batches = make(loader, CPU)
-        whole = [(pixels(pictures).tobytes(), steering.tolist()) for pictures, steering in batches.epoch(3)]
-        assert len({pictures for pictures, _ in whole}) == batches.batches > 3
-        for start in range(len(whole) + 1):
-            rest = [
-                (pixels(pictures).tobytes(), steering.tolist()) for pictures, steering in batches.epoch(3, start)
-            ]
-            assert rest == whole[start:]
-        for start in (-1, len(whole) + 1):
-            with pytest.raises(ValueError, match=str(start)):
-                batches.epoch(3, start)
-
-
-@pytest.mark.parametrize("make", MAKERS)
 def test_a_batch_is_its_own_and_stays_what_it_is(
     index: Path, make: Callable[[Loader, torch.device], Batches]
 ) -> None:
@@ -140,19 +124,6 @@ def test_a_batch_is_its_own_and_stays_what_it_is(
             pictures.zero_()
         assert [pixels(pictures).tobytes() for pictures in kept] == before
         assert [pixels(pictures).tobytes() for pictures, _ in batches.epoch(1)] == before
-
-
-def test_a_split_without_samples_has_no_batches(tmp_path: Path) -> None:
-    log = write_log(tmp_path / "lake.mcap", [0.3], scene, cameras=["center"])
-    build_index([log], tmp_path / "index", IndexConfig(flip=False))
-    with load(tmp_path / "index", "validation") as loader:
-        assert needed_bytes(loader) == 0
-        for make in (*MAKERS, make_batches):
-            assert list(make(loader, CPU).epoch(1)) == []
-    with load(tmp_path / "index", rank=1, ranks=2) as loader:
-        for make in (*MAKERS, make_batches):
-            [(pictures, steering)] = make(loader, CPU).epoch(1)
-            assert (pictures.shape, steering.shape) == ((0, 3, 128, 128), (0,))
 
 
 # Bringing the crops there

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
+from driving import run_code
 from model import TrainConfig
 from model.device import choose_machine, processor_way, training_dtype
 
@@ -79,3 +81,17 @@ def test_what_was_begun_goes_on_as_it_was_begun() -> None:
 def test_what_does_not_say_how_it_was_begun_goes_on_as_this_machine_does(begun: Any) -> None:
     auto = TrainConfig(device="cpu")
     assert choose_machine(auto, begun=begun) == choose_machine(auto)
+
+
+@pytest.mark.skipif(
+    not Path("/sys/kernel/mm/transparent_hugepage").exists(), reason="this system has no large pages"
+)
+def test_a_training_asks_for_large_pages() -> None:
+    done = run_code(
+        "import contextlib, sys; from model.cli import main; sys.argv = ['bc-train', '--help']\n"
+        "with contextlib.suppress(SystemExit): main()\n"
+        "import torch; pictures = torch.ones(8 << 20)\n"
+        "flags = [line.split() for line in open('/proc/self/smaps') if line.startswith('VmFlags:')]\n"
+        "print(any('hg' in line for line in flags))\n"
+    )
+    assert done.stdout.endswith("\nTrue\n"), done.stderr

@@ -107,7 +107,10 @@ def test_a_file_of_another_export_is_refused(trained: Path, tmp_path: Path, pilo
         pilot_class(tmp_path / "plain.onnx")
 
 
-@pytest.mark.parametrize("network", ["original", "pilotnet", "small", "resnet18"])
+OTHERS = [pytest.param(name, marks=pytest.mark.long) for name in ("original", "small", "resnet18")]
+
+
+@pytest.mark.parametrize("network", ["pilotnet", *OTHERS])
 def test_the_crop_in_the_graph_is_that_of_training(network: str, tmp_path: Path) -> None:
     spec: PictureSpec = built_in(network, {}).picture
     export_onnx(untrained_run(tmp_path / "run", network=network), tmp_path / "run.onnx", of_camera=True)

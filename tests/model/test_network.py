@@ -3,44 +3,10 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
 
-import numpy as np
-import torch
 from torch import nn
-from torch.nn import functional
 
-from model.evaluation.predict import as_input
 from model.network.original import SteeringNetwork
-
-
-def test_every_layer_has_the_shape_of_the_design() -> None:
-    shapes: list[tuple[str, tuple[int, ...]]] = []
-
-    def remember(layer: nn.Module, _: Any, output: torch.Tensor) -> None:
-        if not isinstance(layer, nn.ReLU | nn.Dropout):
-            shapes.append((type(layer).__name__, tuple(output.shape[1:])))
-
-    network = SteeringNetwork().eval()
-    for layer in [*network.features, *network.head]:
-        layer.register_forward_hook(remember)
-    assert network(torch.zeros(2, 3, 128, 128, dtype=torch.uint8)).shape == (2,)
-    assert shapes == [
-        ("Conv2d", (24, 124, 124)),
-        ("MaxPool2d", (24, 62, 62)),
-        ("Conv2d", (36, 58, 58)),
-        ("MaxPool2d", (36, 29, 29)),
-        ("Conv2d", (48, 25, 25)),
-        ("MaxPool2d", (48, 12, 12)),
-        ("Conv2d", (64, 10, 10)),
-        ("Conv2d", (64, 8, 8)),
-        ("Flatten", (4096,)),
-        ("Linear", (1164,)),
-        ("Linear", (100,)),
-        ("Linear", (50,)),
-        ("Linear", (10,)),
-        ("Linear", (1,)),
-    ]
 
 
 def test_every_layer_has_the_parameters_of_the_design() -> None:
@@ -63,43 +29,6 @@ def test_dropout_stands_before_each_of_the_two_widest_layers() -> None:
     before = [following for layer, following in pairwise(head) if isinstance(layer, nn.Dropout)]
     assert [layer.out_features for layer in before if isinstance(layer, nn.Linear)] == [1164, 100]
     assert {layer.p for layer in head if isinstance(layer, nn.Dropout)} == {0.3}
-
-
-def as_in_the_papers_order(network: SteeringNetwork, pictures: torch.Tensor) -> torch.Tensor:
-    """Scaled to -1..1, convolution, ReLU, and only then pooling; written out without the network's own forward."""
-    x = pictures.float() / 127.5 - 1
-    convolutions = [layer for layer in network.features if isinstance(layer, nn.Conv2d)]
-    for number, convolution in enumerate(convolutions):
-        x = functional.relu(functional.conv2d(x, convolution.weight, convolution.bias))
-        if number < 3:
-            x = functional.max_pool2d(x, 2)
-    x = x.flatten(1)
-    *hidden, last = (layer for layer in network.head if isinstance(layer, nn.Linear))
-    for layer in hidden:
-        x = functional.relu(functional.linear(x, layer.weight, layer.bias))
-    return functional.linear(x, last.weight, last.bias)[:, 0]
-
-
-def test_pooling_before_relu_gives_what_pooling_after_it_gives() -> None:
-    torch.manual_seed(1)
-    network = SteeringNetwork().eval()
-    for parameter in network.parameters():
-        if parameter.dim() > 1:  # lively weights, so that pictures differ in their steering
-            nn.init.kaiming_uniform_(parameter, nonlinearity="relu")
-    pictures = torch.randint(0, 256, (3, 3, 128, 128), dtype=torch.uint8)
-    with torch.inference_mode():
-        steering = network(pictures)
-        torch.testing.assert_close(steering, as_in_the_papers_order(network, pictures), rtol=1e-4, atol=1e-4)
-    assert steering.std() > 1e-3
-
-
-def test_the_loaders_pictures_are_the_networks_input_without_a_copy() -> None:
-    pictures = np.arange(2 * 128 * 128 * 3, dtype=np.uint32).astype(np.uint8).reshape(2, 128, 128, 3)
-    inputs = as_input(pictures)
-    assert inputs.shape == (2, 3, 128, 128)
-    assert inputs.data_ptr() == pictures.ctypes.data
-    assert inputs.is_contiguous(memory_format=torch.channels_last)
-    assert inputs[1, 2, 5, 7].item() == pictures[1, 5, 7, 2]
 
 
 def test_a_new_network_begins_as_keras_would() -> None:

@@ -162,15 +162,6 @@ def test_whoever_wants_no_picture_reads_none(forged: Path, damaged: str, reader:
         reader(forged, forged)
 
 
-@pytest.mark.parametrize("damaged", ["pictures"])
-def test_crops_are_of_the_pictures_that_are_whole(forged: Path) -> None:
-    whole = forty_rows(forged.with_name("whole.mcap"))
-    hit = contents(whole).chunks[DAMAGED["pictures"]].messages
-    lost = {message.sequence for message in hit if message.topic == "/camera/center"}
-    assert lost
-    assert every_crop(forged) == (set(range(40)) - lost, {f"a row {row} center" for row in lost})
-
-
 def test_a_picture_is_not_read_out_of_such_a_chunk(tmp_path: Path) -> None:
     """Not even where its place is known from before, as an index keeps it."""
     path = write_log(tmp_path / "a.mcap", [0.1] * 5, picture)
@@ -356,13 +347,6 @@ def test_who_shows_such_a_log_says_so(tmp_path: Path, capsys: pytest.CaptureFixt
     ours = write_log(tmp_path / "ours.mcap", [0.1] * 5, picture)
     assert call(bc_play, ours, "--save", tmp_path / "c.rrd") == 0
     assert WITHOUT not in capsys.readouterr().err
-
-
-def test_who_makes_a_video_of_such_a_log_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("av")
-    path = without_crcs(tmp_path / "other.mcap")
-    assert call(bc_play, path, "--video", tmp_path / "a.mp4") == 0
-    assert capsys.readouterr().err == f"{path}: {WITHOUT}\n"
 
 
 def test_who_follows_such_a_log_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

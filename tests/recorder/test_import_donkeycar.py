@@ -378,13 +378,6 @@ def test_links_and_folders_in_the_place_of_files_break_nothing(tmp_path: Path) -
     assert kept(imported(folder).path) == [0, 3]
 
 
-def test_a_link_within_the_tub_is_followed(tmp_path: Path) -> None:
-    folder = tub_2(tmp_path / "data")
-    (folder / "images").rename(folder / "moved")
-    (folder / "images").symlink_to("moved")
-    assert kept(imported(folder).path) == [0, 1, 2, 3]
-
-
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=3),
@@ -422,25 +415,6 @@ def test_junk_in_a_version_1_tub_costs_no_sound_record(meta: bytes, excluded: by
 
 
 # What a user sees
-
-
-def test_what_was_skipped_is_an_event_in_the_log(tmp_path: Path) -> None:
-    done = imported(write_tub_2(tmp_path / "data", map(record_2, range(4)), deleted=[0, 3]))
-    events = [event for _, event in read_messages(done.path)["/events"]]
-    assert [event.message for event in events] == [
-        "skipped deleted records: catalog_0.catalog line 1",
-        "skipped deleted records: catalog_1.catalog line 1",
-    ]
-    assert {(event.level, event.name) for event in events} == {(events[0].Level.Value("WARNING"), "recorder")}
-
-
-def test_the_same_tub_gives_the_same_bytes(tmp_path: Path) -> None:
-    for make in (tub_1, tub_2):
-        folder = make(tmp_path / make.__name__)
-        logs = [
-            import_tub(folder, tmp_path / name).path for name in (f"{folder.name}.1.mcap", f"{folder.name}.2.mcap")
-        ]
-        assert logs[0].read_bytes() == logs[1].read_bytes()
 
 
 def test_a_tub_is_told_from_other_folders(tmp_path: Path) -> None:
@@ -505,11 +479,6 @@ def test_an_existing_log_is_replaced_only_if_asked(tmp_path: Path) -> None:
     assert log.read_bytes() == b"somebody's work"
     assert kept(import_tub(folder, log, overwrite=True).path) == [0, 1, 2, 3]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["data", "data.mcap"]
-
-
-def test_a_folder_whose_name_is_not_utf8_is_named_escaped(tmp_path: Path) -> None:
-    folder = tub_2(tmp_path / os.fsdecode(b"caf\xe9"))
-    assert metadata_of(import_tub(folder, tmp_path / "log.mcap").path)["recording"] == "caf\\udce9"
 
 
 def test_the_values_are_those_of_the_tub() -> None:

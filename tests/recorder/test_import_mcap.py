@@ -348,12 +348,6 @@ def test_an_existing_log_is_kept(tmp_path: Path) -> None:
     assert rows_of(log) == ROWS
 
 
-def test_the_same_file_gives_the_same_bytes(tmp_path: Path) -> None:
-    source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    logs = [import_mcap(source, tmp_path / name, TOPICS).path.read_bytes() for name in ("1.mcap", "2.mcap")]
-    assert logs[0] == logs[1]
-
-
 # ROS 2
 
 STORAGES = pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3], ids=["mcap", "sqlite3"])
@@ -460,7 +454,7 @@ def test_nothing_outside_of_the_bag_is_read(tmp_path: Path, storage: StoragePlug
     names = [f"../private/{secret.name}", str(secret), f"link{secret.suffix}"]
     text = json.dumps({"rosbag2_bagfile_information": {"relative_file_paths": names}})
     (bag / "metadata.yaml").write_text(text)
-    assert "none of the files" in error_of(bag, ROS_TOPICS)
+    assert "all files that" in error_of(bag, ROS_TOPICS)
 
 
 @STORAGES

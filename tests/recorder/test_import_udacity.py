@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from common.car import CAMERAS
-from driving import one_line_of, run
+from driving import run
 from logs import read_messages
 from recorder import Imported, RecordingError, import_udacity
 from recorder.cli import main
@@ -62,11 +62,6 @@ def test_separators_and_line_ends(tmp_path: Path, separator: str, end: str) -> N
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"], ids=["LF", "CRLF", "CR only"])
 def test_no_final_newline(tmp_path: Path, end: str) -> None:
     assert_all_three_rows(tmp_path, make_recording(tmp_path, three_rows(end=end).removesuffix(end)))
-
-
-def test_spaces_only_before_the_paths(tmp_path: Path) -> None:
-    csv = "".join(f"{paths(i, separator=', ')},{cells}\n" for i, cells in enumerate(CELLS))
-    assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
 
 
 def test_separators_and_line_ends_mixed_in_one_file(tmp_path: Path) -> None:
@@ -194,12 +189,6 @@ def test_decimal_commas_behind_a_drive_with_decimal_points(tmp_path: Path) -> No
     cells = ["0,1,0,7.8E-05", "-0,05,1,0,12,25", "0,1,0,12,5"]
     make_recording(tmp_path, "".join(f"{paths(i)},{text}\n" for i, text in enumerate(cells)))
     assert values_of(imported(tmp_path).path) == [(0, 1, 0, 7.8e-05), (-0.05, 1, 0, 12.25), (0, 1, 0, 12.5)]
-
-
-def test_decimal_commas_of_a_drive_that_stops_at_a_whole_speed(tmp_path: Path) -> None:
-    cells = ["0,05,1,0,29,98", "0,05,1,0,30", "0,1,1,0,30,02"]
-    make_recording(tmp_path, "".join(f"{paths(i)},{text}\n" for i, text in enumerate(cells)))
-    assert values_of(imported(tmp_path).path) == [(0.05, 1, 0, 29.98), (0.05, 1, 0, 30), (0.1, 1, 0, 30.02)]
 
 
 def test_missing_pictures_are_named_and_everything_else_is_kept(tmp_path: Path) -> None:
@@ -456,13 +445,6 @@ def test_a_recording_without_anything_usable_writes_nothing(
     assert len(told.err.splitlines()) == 1
     assert str(folder) in told.err
     assert not (tmp_path / "sessions").exists() or not list((tmp_path / "sessions").iterdir())
-
-
-def test_an_error_is_one_line_from_the_real_command_too(tmp_path: Path) -> None:
-    done = run("bc-record", "lake", "--from", tmp_path / "nowhere", cwd=tmp_path)
-    assert done.returncode == 1
-    assert "nowhere: no such folder" in one_line_of(done)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_existing_session_is_replaced_only_with_force(

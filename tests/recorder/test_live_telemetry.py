@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 import itertools
 import math
 import re
 import signal
-import socket
 import sys
 import threading
 import time
@@ -18,15 +16,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
-import websocket
-from mcap.reader import make_reader
-from websocket import ABNF
 
 from common import UserError
 from driving import PATIENCE_S, Process, road_jpeg
 from logs import START_NS, read_messages
 from recorder import Imported, LogWriter, RecordingError
-from recorder.errors import ListenError
 from recorder.sources.listen_settings import ListenSettings
 from recorder.sources.live_telemetry import listen_for_telemetry
 from recorder.upkeep.check import check
@@ -67,18 +61,6 @@ run_command("listen", Listen, listen)
 DRIVEN = [
     SimulatorTelemetry(steering=i / 20 - 1, throttle=i / 40, speed_mph=i / 4, jpeg=road_jpeg(i)) for i in range(40)
 ]
-# Text and binary messages that break Engine.IO, Socket.IO or JSON, or name an event that is not a client's.
-NOTICE_BROKEN = (
-    *("42[]", "42", "42{}", '42"telemetry"', "42null", "42[1]", "421", "49", "44", "45", "4", "4{}", "x", ""),
-    *(
-        '42["connect",{}]',
-        '42["disconnect","[/red]"]',
-        '42["tele',
-        "42" + "[" * 100_000,
-        '459999999999-["telemetry"]',
-    ),
-    *(b"", b"\x00\x01", b'2["telemetry",null]', b"\xff" * 1000),
-)
 
 
 def with_a_small_disk(line: list[str]) -> list[str]:
@@ -280,16 +262,6 @@ def test_a_kind_of_bad_telemetry_is_said_once_and_fills_no_log(tmp_path: Path) -
     assert bad[-1].endswith("(35 more)")
 
 
-def test_what_is_out_of_range_is_recorded_as_it_came(tmp_path: Path) -> None:
-    with ListenProcess(tmp_path / "live.mcap") as process:
-        client = ModernClient(process.wait_until_it_listens())
-        client.tell(fields(DRIVEN[0], steering_angle="4000.0000", throttle="-0.5000"))
-        client.close()
-        assert process.end() == 0
-    ((_, state),) = read_messages(tmp_path / "live.mcap")["/vehicle"]
-    assert (state.steering, state.throttle) == (160.0, -0.5)
-
-
 def test_two_simulators_at_once_lose_nothing_and_kill_finishes_the_log(tmp_path: Path) -> None:
     with ListenProcess(tmp_path / "live.mcap") as process:
         port = process.wait_until_it_listens()
@@ -302,37 +274,6 @@ def test_two_simulators_at_once_lose_nothing_and_kill_finishes_the_log(tmp_path:
     assert sorted(decoded.data for _, decoded in frames) == sorted(telemetry.jpeg for telemetry in DRIVEN)
     times_ns = [message.log_time for message, _ in frames]
     assert times_ns == sorted(set(times_ns))
-
-
-def test_broken_packets_cost_no_traceback_and_others_are_served_on(tmp_path: Path) -> None:
-    with ListenProcess(tmp_path / "live.mcap") as process:
-        port = process.wait_until_it_listens()
-        url = f"ws://127.0.0.1:{port}/socket.io/?EIO=4&transport=websocket"
-        for hello in ([], ["40"]):
-            for packet in NOTICE_BROKEN:
-                opcode = ABNF.OPCODE_BINARY if isinstance(packet, bytes) else ABNF.OPCODE_TEXT
-                with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as stream:
-                    connection = websocket.create_connection(url, socket=stream)
-                    for text in hello:
-                        connection.send(text)
-                    connection.send(packet, opcode)
-                    with contextlib.suppress(
-                        websocket.WebSocketConnectionClosedException,
-                        websocket.WebSocketProtocolException,  # it is answered by HTTP
-                        ConnectionError,
-                    ):
-                        while connection.recv():
-                            pass  # until the server hangs up
-        assert tell(port, DRIVEN[:3]) == ["manual"] * 3
-        assert process.end() == 0
-        assert len(process.stderr) == 3, process.stderr  # waiting, connected, and once what was broken
-        assert sum("protocol" in line for line in process.stderr) == 1
-    messages = read_messages(tmp_path / "live.mcap")
-    assert len(messages["/camera/center"]) == 3
-    events = [decoded.message for _, decoded in messages["/events"]]
-    assert events.count("disconnected: broken packet") >= len(NOTICE_BROKEN)
-    assert sum(event.startswith("hung up on a client") for event in events) == 1
-    assert events.count("connected") == sum(event.startswith("disconnected: ") for event in events)
 
 
 def listen_here(
@@ -368,14 +309,6 @@ def test_it_ends_when_nothing_more_comes(tmp_path: Path, capsys: pytest.CaptureF
     assert (done.path, done.rows, done.pictures, len(done.skipped)) == (log, 1, 1, 0)
     assert len(read_messages(log)["/camera/center"]) == 1
     assert signal.getsignal(signal.SIGINT) is before
-
-
-def test_a_log_says_that_it_comes_from_telemetry(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = tmp_path / "live.mcap"
-    listen_here(log, capsys, lambda port: tell(port, DRIVEN[:1]), idle_s=0.1)
-    with log.open("rb") as stream:
-        (session,) = (m for m in make_reader(stream).iter_metadata() if m.name == "bc.session")
-    assert session.metadata["source"] == "telemetry"
 
 
 def test_a_simulator_that_tells_its_clock_and_place_is_recorded_by_them(
@@ -461,23 +394,6 @@ def test_it_does_not_end_before_the_first_telemetry(tmp_path: Path) -> None:
         assert process.join() == 0
         client.close()
     assert len(read_messages(tmp_path / "live.mcap")["/camera/center"]) == 1
-
-
-def test_a_port_in_use_says_what_to_do_and_writes_nothing(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with pytest.raises(ListenError, match=rf"127\.0\.0\.1:{port} .*bc-drive.*--port"):
-            listen_for_telemetry(tmp_path / "live.mcap", ListenSettings(port=port))
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("host", "port"), [("127.0.0.1", 99999), ("127.0.0.1", -1), ("no such host", 0), ("a" * 100, 0), ("\0", 0)]
-)
-def test_an_address_that_cannot_be_is_an_error(host: str, port: int, tmp_path: Path) -> None:
-    with pytest.raises(ListenError, match="cannot listen on"):
-        listen_for_telemetry(tmp_path / "live.mcap", ListenSettings(host, port))
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_existing_log_is_refused_before_anybody_can_connect(tmp_path: Path) -> None:

@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +15,7 @@ import localbucket
 import pytest
 
 from bucket import Answer, Bucket, serving_bucket
-from common.errors import ObjectChangedError, ObjectExistsError, StoreError, UsageError
+from common.errors import ObjectChangedError, StoreError, UsageError
 from common.location import Url, location, relative_to
 from disk import files_of_at_most
 from driving import one_line_in
@@ -142,18 +140,6 @@ def put(log: Path, bucket: Bucket) -> Url:
     return bucket.url(log.name)
 
 
-def test_info_of_8_gb_moves_no_pictures(bucket: Bucket, longest: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    url = put(longest, bucket)
-    assert call(main, "info", longest, "--json") == 0
-    here = json.loads(capsys.readouterr().out)
-    bucket.requests.clear()
-    assert call(main, "info", url, "--json") == 0
-    assert json.loads(capsys.readouterr().out) == {**here, "path": str(url)}
-    assert here["size_bytes"] > 8e9
-    assert bucket.bytes_sent < 4_500_000
-    assert bucket.count() <= 6
-
-
 def test_tags_of_a_long_log_are_told_too(
     bucket: Bucket, longest: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -174,15 +160,6 @@ def test_a_log_that_lists_no_crcs_of_its_chunks_is_asked_for_those_alone(bucket:
         assert len(log.chunks) > 70
         assert log.fingerprint == expected
     assert bucket.bytes_sent < 300_000
-
-
-def test_rows_are_read_without_pictures(bucket: Bucket) -> None:
-    large_log(bucket.folder)
-    bucket.requests.clear()
-    with Log(bucket.url("large.mcap")) as log:
-        assert len(log.frames()) == 1200
-        assert len(log.vehicle()) == 400
-    assert bucket.bytes_sent < 400_000
 
 
 def test_ls_lists_a_folder_in_a_store(bucket: Bucket, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -241,7 +218,7 @@ def refused(status: int, code: str) -> Answer:
         (refused(404, "NoSuchBucket"), "s3://logs: no such bucket"),
         (refused(301, "PermanentRedirect"), "another region: set AWS_REGION"),
         (refused(400, "AuthorizationHeaderMalformed"), "another region: set AWS_REGION"),
-        (refused(501, "NotImplemented"), "does not know what was asked"),
+        (refused(501, "NotImplemented"), "does not support this request"),
         (refused(400, "ExpiredToken"), r"not valid \(ExpiredToken\): set AWS_ACCESS_KEY_ID"),
         (refused(403, "SignatureDoesNotMatch"), r"not valid \(SignatureDoesNotMatch\): set AWS_ACCESS_KEY_ID"),
         (refused(400, "InvalidRequest"), r"answers 400 Bad Request \(InvalidRequest\): as the test says"),
@@ -388,15 +365,17 @@ def test_without_obstore_a_url_says_what_to_install(tmp_path: Path) -> None:
 # copying
 
 
-def test_a_log_and_its_tags_go_to_a_store_and_back(
+def test_a_log_its_tags_and_its_lag_go_to_a_store_and_back(
     bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = large_log(tmp_path)
     tag(log, "recovery")
+    beside = tmp_path / "large.tags.jsonl", tmp_path / "large.lag.json"
+    beside[1].write_text("{}")
     assert call(main, "copy", log, "s3://logs/sessions") == 0
     assert capsys.readouterr().out == f"s3://logs/sessions/large.mcap: {log.stat().st_size / 1e6:,.1f} MB\n"
     files = {path.name: path.read_bytes() for path in (bucket.folder / "sessions").iterdir()}
-    assert files == {path.name: path.read_bytes() for path in (log, tmp_path / "large.tags.jsonl")}
+    assert files == {path.name: path.read_bytes() for path in (log, *beside)}
     assert call(main, "copy", "s3://logs/sessions", tmp_path / "back") == 0
     assert {path.name: path.read_bytes() for path in (tmp_path / "back").iterdir()} == files
 
@@ -430,36 +409,6 @@ def test_nothing_is_replaced_unasked(
     assert ours.read_bytes() == theirs.read_bytes() == before[not is_upload]
 
 
-def test_who_writes_the_same_name_meanwhile_wins(
-    bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log = write_log(tmp_path / "a.mcap", [0.1] * 5)
-
-    def somebody(handler: Any) -> bool:
-        if handler.command == "POST" and "a.mcap?uploadId" in handler.path:
-            (bucket.folder / "a.mcap").write_bytes(b"somebody else's")
-        return False
-
-    bucket.answer = somebody
-    assert call(main, "copy", log, "s3://logs") == 1
-    assert "exists already" in one_line_in(capsys)
-    assert [(path.name, path.read_bytes()) for path in bucket.folder.iterdir()] == [("a.mcap", b"somebody else's")]
-
-
-@pytest.mark.parametrize("is_same_log", [True, False])
-def test_two_machines_may_copy_to_one_name_at_once(bucket: Bucket, tmp_path: Path, is_same_log: bool) -> None:
-    logs = [write_log(tmp_path / f"{name}/a.mcap", [value] * 5) for name, value in (("one", 0.1), ("two", 0.2))]
-    if is_same_log:
-        shutil.copy(*logs)
-    bucket.delay_s = 0.02
-    with ThreadPoolExecutor() as machines:
-        copies = [machines.submit(copy_log, log, bucket.url("a.mcap")) for log in logs]
-        failures = [copy.exception() for copy in copies]
-    assert sum(isinstance(each, ObjectExistsError) for each in failures) == (0 if is_same_log else 1)
-    winner = logs[failures.index(None)]
-    assert {path.name: path.read_bytes() for path in bucket.folder.iterdir()} == {"a.mcap": winner.read_bytes()}
-
-
 def test_a_download_that_was_stopped_goes_on_where_it_was(
     bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -491,7 +440,7 @@ def test_a_download_to_a_full_disk_names_it_and_goes_on(
         assert call(main, "copy", "s3://logs/large.mcap", tmp_path / "here") == 1
     line = one_line_in(capsys)
     assert f"{tmp_path}/here/large.mcap: " in line
-    assert "the same command goes on" in line
+    assert "the same command continues" in line
     bucket.requests.clear()
     assert call(main, "copy", "s3://logs/large.mcap", tmp_path / "here") == 0
     assert bucket.bytes_sent < 14 << 20
@@ -511,16 +460,6 @@ def test_nothing_is_kept_of_a_download_whose_object_is_replaced(bucket: Bucket, 
     with pytest.raises(ObjectChangedError):
         copy_log(bucket.url("large.mcap"), tmp_path / "here/large.mcap")
     assert list((tmp_path / "here").iterdir()) == []
-
-
-def test_an_upload_that_fails_leaves_nothing_of_that_name(
-    bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log = large_log(tmp_path)
-    bucket.answer = lambda handler: handler.command == "PUT" and bool(handler.fail(403, "AccessDenied"))
-    assert call(main, "copy", log, "s3://logs") == 1
-    assert "AccessDenied" in one_line_in(capsys)
-    assert list(bucket.folder.iterdir()) == []
 
 
 @pytest.mark.parametrize("is_upload", [True, False])

@@ -247,19 +247,6 @@ def test_mcaps_own_reader_agrees_on_a_topic_and_on_a_stretch(log: Path) -> None:
         assert stretch.messages == within
 
 
-def test_mcaps_own_reader_counts_the_same(log: Path) -> None:
-    with log.open("rb") as stream, Log(log) as opened:
-        reader = SeekingReader(stream, validate_crcs=True)
-        summary = reader.get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
-        counts = summary.statistics.channel_message_counts
-        assert {summary.channels[number].topic: count for number, count in counts.items()} == opened.counts
-        found = [(record.name, dict(record.metadata)) for record in reader.iter_metadata()]
-        assert found == opened.all_metadata()
-        assert [(its.name, its.data) for its in reader.iter_attachments()] == contents(log).attachments
-
-
 # Foxglove
 
 

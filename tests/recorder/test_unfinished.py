@@ -6,9 +6,7 @@ import math
 import os
 import random
 import re
-import shutil
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -17,8 +15,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
@@ -26,7 +22,7 @@ from common import UserError
 from common.car import CAMERAS, Camera
 from common.locks import is_being_written
 from disk import files_of_at_most
-from driving import Process, command, environment, road_jpeg
+from driving import Process, road_jpeg
 from layouts import Layout, mixed, two_kinds
 from logs import START_NS, STEP_NS, write_log
 from plain_mcap import Contents, StoredChunk, by_topic, contents
@@ -41,8 +37,7 @@ from simulator.protocol.client import (
     SimulatorTelemetry,
     WaitTimeoutError,
 )
-from udacity import make_recording, paths
-from waiting import PATIENCE_S, wait_until
+from waiting import wait_until
 
 ROWS = 40
 
@@ -179,7 +174,7 @@ def test_a_topic_whose_description_is_lost_is_named(killed: tuple[Path, Contents
     zero(path, first.start, first.end)
     rest = [m for chunk in original.chunks[1:] for m in chunk.messages]
     if {message.topic for message in rest} <= described:
-        with pytest.raises(LogError, match="not one whole message"):
+        with pytest.raises(LogError, match="no complete message"):
             recover(path, path.with_name("recovered.mcap"))
     else:
         written = recover(path, path.with_name("recovered.mcap"))
@@ -237,11 +232,11 @@ def test_a_log_that_still_grows_is_told_from_one_that_was_killed(tmp_path: Path)
         with Log(part) as log:
             assert log.problem == "unfinished: its recording is still going on"
         for name in (tmp_path / "lake.mcap", Path(os.path.relpath(tmp_path / "lake.mcap"))):
-            with pytest.raises(LogError, match=r"lake\.mcap: the name that the recording will take"):
+            with pytest.raises(LogError, match=r"lake\.mcap: the running recording will get this name"):
                 recover(part, name)
         written = recover(part, recovered_name(part))
         assert (written.path, written.rows) == (tmp_path / "lake.recovered.mcap", 5)
-        told = "its recording still goes on, and its end is not in lake.recovered.mcap"
+        told = "it is still being recorded; lake.recovered.mcap lacks its end"
         assert written.notices == [f"{part}: {told}"]
         recorder.end(signal.SIGKILL)
     assert not is_being_written(part)
@@ -262,11 +257,6 @@ def test_a_log_is_being_written_until_it_is_closed(
     end(writer)
     assert not is_being_written(writer.part)
     assert not is_being_written(path)
-
-
-def test_what_is_no_file_is_not_being_written(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe")  # opening it would wait
-    assert not any(map(is_being_written, (tmp_path, tmp_path / "pipe", tmp_path / "missing")))
 
 
 # Names
@@ -403,7 +393,7 @@ def test_recordings_killed_at_any_moment_lose_at_most_a_second(tmp_path: Path, t
     for turn in range(turns):
         folder = tmp_path / str(turn)
         folder.mkdir()
-        moments_s = [chance.uniform(0.0, 1.3) for _ in range(10)]
+        moments_s = [chance.uniform(0.0, 1.3) for _ in range(5 if turns == 1 else 10)]
         for drive in recorders_killed_at(moments_s, folder, pictures):
             [part] = drive.log.parent.glob(f"{drive.log.name}.*.part")
             written = recover(part, recovered_name(part))
@@ -422,193 +412,7 @@ def test_recordings_killed_at_any_moment_lose_at_most_a_second(tmp_path: Path, t
     assert complaints == []
 
 
-LIVE_DRIVES = """
-import os, random, sys, time
-from pathlib import Path
-from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
-from common.car import CAMERAS
-from recorder import LogWriter
-from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.mcap import split_chunks
-
-split_chunks.PLACES_AT_ONCE = 50
-
-def drive(log):
-    told = os.open(log.with_suffix(".txt"), os.O_WRONLY | os.O_CREAT)
-    with LogWriter(log, {"source": "drive"}, live=True) as writer:
-        for row in range(10_000):
-            time_ns = 1_720_880_000_000_000_000 + row * 50_000_000
-            for camera in CAMERAS:
-                writer.picture(camera, time_ns, row, random.Random(f"{camera} {row}").randbytes(9_000))
-            writer.vehicle(time_ns, row, VehicleState(steering=row % 200 / 200, throttle=0.5, speed_mph=9.0))
-            writer.crop(time_ns, row, random.Random(row).randbytes(5_000))
-            writer.command(time_ns, row, PilotCommand(steering=row % 200 / 200))
-            writer.pose(time_ns, row, PoseInFrame(frame_id="world"))
-            if row % 10 == 0:
-                writer.event(time_ns, f"at row {row}")
-            os.write(told, b"%d\\n" % time.monotonic_ns())
-            time.sleep(0.05)
-
-children = []
-for log in map(Path, sys.argv[1:]):
-    child = os.fork()
-    if not child:
-        drive(log)
-    children.append(child)
-print("children", *children, file=sys.stderr, flush=True)
-for child in children:
-    os.waitpid(child, 0)
-"""
-
-
-def written_ns(log: Path) -> list[int]:
-    """When each row was handed to the writer, by the clock of its process."""
-    told = log.with_suffix(".txt")
-    return [int(line) for line in told.read_text().splitlines()] if told.exists() else []
-
-
-def drives_killed_at(moments_s: list[float], folder: Path) -> list[Path]:
-    """Logs of all kinds of messages, 20 rows a second, and each process killed so long after its log has rows of
-    more than a second."""
-    logs = [folder / f"drive{number}.mcap" for number in range(len(moments_s))]
-    with Process([sys.executable, "-c", LIVE_DRIVES, *map(str, logs)]) as parent:
-        pids = [int(pid) for pid in parent.wait_for(r"^children ([\d ]+)$")[1].split()]
-        due_s: dict[int, float] = {}
-        killed: set[int] = set()
-
-        def are_killed() -> bool:
-            for number, (log, pid) in enumerate(zip(logs, pids, strict=True)):
-                if number not in due_s and len(written_ns(log)) > 25:
-                    due_s[number] = time.monotonic() + moments_s[number]
-                if number not in killed and time.monotonic() >= due_s.get(number, math.inf):
-                    os.kill(pid, signal.SIGKILL)
-                    killed.add(number)
-            return len(killed) == len(logs)
-
-        try:
-            wait_until(are_killed)
-        finally:
-            for number, pid in enumerate(pids):
-                if number not in killed:
-                    os.kill(pid, signal.SIGKILL)
-    return logs
-
-
-@pytest.mark.parametrize("count", [3, pytest.param(30, marks=pytest.mark.long)])
-def test_drives_killed_at_any_moment_lose_less_than_a_second(tmp_path: Path, count: int) -> None:
-    """Chunks of pictures, of everything else, and between them what tells the places of pictures until then."""
-    chance = random.Random(count)
-    complaints = []
-    for first in range(0, count, 10):
-        folder = tmp_path / str(first)
-        folder.mkdir()
-        moments_s = [chance.uniform(0.0, 1.5) for _ in range(min(10, count - first))]
-        for log in drives_killed_at(moments_s, folder):
-            [part] = log.parent.glob(f"{log.name}.*.part")
-            told_ns = written_ns(log)
-            promised = sum(each < told_ns[-1] - PROMISED_S * 1e9 for each in told_ns)
-            written = recover(part, recovered_name(part))
-            found = contents(written.path)
-            rows = [message.sequence for message in found.of("/vehicle")]
-            if rows != list(range(len(rows))) or not 0 < promised <= len(rows) <= len(told_ns) + 1:
-                complaints.append(f"{log}: {len(rows)} rows, {promised} promised, {len(told_ns)} told")
-            for camera in CAMERAS:
-                images = [CompressedImage.FromString(m.data).data for m in found.of(f"/camera/{camera}")]
-                if images != [random.Random(f"{camera} {row}").randbytes(9_000) for row in rows]:
-                    complaints.append(f"{log}: {len(images)} pictures of {camera}, {len(rows)} rows")
-            complaints += [f"{log}: {finding}" for finding in check(written.path, look=False).findings]
-    assert complaints == []
-
-
 # A full disk
-
-DISK_BYTES = 2 << 20
-LIVE = """
-import sys
-from dataclasses import dataclass
-from pathlib import Path
-from common.command import run_command
-from recorder import LogWriter
-
-@dataclass
-class Live:
-    log: Path
-
-def record(config):
-    with LogWriter(config.log, {}, live=True) as writer:
-        for row in range(1000):
-            writer.picture("center", row, row, bytes([row % 256]) * 20_000)
-    return 0
-
-run_command("live", Live, record)
-"""
-
-
-def has_mounts() -> bool:
-    """Whether a process may mount a file system of its own; only in its own namespace, where nobody sees it."""
-    if shutil.which("unshare") is None:
-        return False
-    line = ["unshare", "-rm", "mount", "-t", "tmpfs", "tmpfs", "/mnt"]
-    return subprocess.run(line, capture_output=True, check=False).returncode == 0
-
-
-def run_on_a_small_disk(line: list[str], disk: Path, left: Path) -> subprocess.CompletedProcess[str]:
-    """Run a command that writes to `disk`, which is of 2 MB; what it leaves there is then in `left`.
-
-    Where nothing may be mounted, no file may grow above 2 MB: for the one file that is written, the same.
-    """
-    disk.mkdir()
-    left.mkdir()
-    if has_mounts():
-        shell = f'mount -t tmpfs -o size={DISK_BYTES} tmpfs "{disk}" && "$@"; code=$?; cp -R "{disk}/." "{left}"'
-        start = ["unshare", "-rm", "sh", "-c", f"{shell}; exit $code", "sh"]
-    else:
-        shell = f'(ulimit -f {DISK_BYTES // 512}; "$@"); code=$?; cp -R "{disk}/." "{left}"'
-        start = ["sh", "-c", f"{shell}; exit $code", "sh"]
-    return subprocess.run(
-        [*start, *line],
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-
-
-def noise_jpeg(seed: int) -> bytes:
-    picture = np.random.default_rng(seed).integers(0, 256, (160, 320, 3), np.uint8)
-    return bytes(cv2.imencode(".jpg", picture)[1])
-
-
-def test_an_import_to_a_full_disk_says_so_and_leaves_nothing(tmp_path: Path) -> None:
-    folder = tmp_path / "recording"
-    make_recording(folder, "".join(f"{paths(number)},0,0,0,0\n" for number in range(20)), range(20))
-    for number, path in enumerate(sorted((folder / "IMG").iterdir())):
-        path.write_bytes(noise_jpeg(number))
-    disk, left = tmp_path / "disk", tmp_path / "left"
-    done = run_on_a_small_disk(
-        command("bc-record", "lake", "--from", folder, "--sessions", disk / "sessions"), disk, left
-    )
-    assert (done.returncode, done.stdout) == (1, "")
-    [line] = done.stderr.splitlines()
-    assert re.search(r"lake\.mcap: cannot be written \((No space left|File too large).*nothing was kept", line)
-    assert list(left.iterdir()) == []
-
-
-def test_a_live_recording_on_a_full_disk_is_kept_and_says_where(tmp_path: Path) -> None:
-    disk, left = tmp_path / "disk", tmp_path / "left"
-    log = disk / "lake.mcap"
-    done = run_on_a_small_disk([sys.executable, "-c", LIVE, "--log", str(log)], disk, left)
-    assert (done.returncode, done.stdout) == (1, "")
-    [line] = done.stderr.splitlines()
-    [part] = left.iterdir()
-    assert re.fullmatch(r"lake\.mcap\.[0-9a-f]{6}\.part", part.name)
-    assert f"{disk / part.name}: cannot be written any further" in line
-    assert f"bc-log recover {disk / part.name}" in line
-    written = recover(part, recovered_name(part))
-    found = [CompressedImage.FromString(message.data).data for message in contents(written.path).messages]
-    assert len(found) * 20_000 > DISK_BYTES - 2 * 256 * 1024  # all but the chunk that did not fit
-    assert found == [bytes([row % 256]) * 20_000 for row in range(len(found))]
 
 
 def test_wherever_the_disk_is_full_an_import_leaves_nothing(tmp_path: Path) -> None:

@@ -108,7 +108,7 @@ def a_drawn_recording() -> list[Row]:
     ]
 
 
-@pytest.mark.parametrize("kind", ["drawn", "real"])
+@pytest.mark.parametrize("kind", ["drawn", pytest.param("real", marks=pytest.mark.long)])
 def test_planted_faults_are_found_and_removed(
     kind: str,
     browser: Browser,
