@@ -88,14 +88,14 @@ def uses(pictures: int) -> dict[str, Callable[[], object]]:
             wait_for(f"/sessions/{each}/look")
 
     def rerun() -> None:
-        """Read the viewer's files, 40 MB, as its frame does, while its log is held open."""
+        """Read the viewer's files, 40 MB, and the recording, as its frame does, while its log is held open."""
         holding = http.client.HTTPConnection("127.0.0.1", PORT, timeout=600)
         holding.request("POST", f"/sessions/{log}/rerun")
         for line in (answer := holding.getresponse()):
             if b'"frame"' in line:
                 break
-        for name in ("re_viewer.js", "re_viewer_bg.wasm"):
-            ask(f"/rerun/files/{name}")
+        for path in ("files/re_viewer.js", "files/re_viewer_bg.wasm", f"{json.loads(line)['frame'][7:]}/log.rrd"):
+            ask(f"/rerun/{path}")
         answer.close()
         holding.close()
 

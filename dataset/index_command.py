@@ -21,7 +21,6 @@ from dataset.frames.image_check_cache import check_all_images
 from dataset.index.build import Indexed, build_index, check_settings
 from dataset.index.index_report import balance_table, labels_table, print_log_notices, sessions_table
 from dataset.index.leaks import find_leaks
-from dataset.index.quality_report import find_flagged_frames, print_quality_report
 from dataset.index.sessions import find_logs, sessions_beside
 from dataset.index.stored_index import index_here
 from dataset.parquet_file import read_columns
@@ -79,8 +78,6 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
     if config.figures is not None:
         for path in write_figures(folder, config.figures, seed=config.config.seed, overwrite=config.force):
             print_result(str(path))
-    if config.report:
-        print_quality_report(find_flagged_frames(folder))
     if config.check:
         leaks = find_leaks(folder)
         for leak in leaks:
@@ -96,7 +93,7 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
 def _refuse_contradictions(config: Index) -> None:
     """Raise UsageError for flags that would be passed over, and for a condition that is none."""
     if config.force and config.figures is None:
-        raise UsageError("--force: only of figures: give --figures FOLDER as well")
+        raise UsageError("--force only replaces figures: give --figures FOLDER as well")
     if config.ray not in (None, ("local",)) and isinstance(config.index, Url):
         raise UsageError(
             f"--index {config.index}: nodes of a cluster write into a folder that all of them see; without --ray"
@@ -118,7 +115,7 @@ def _one_sided(indexed: Indexed, config: Index) -> list[str]:
         ]
     if config.config.validation_share > 0 and not any(count.validation for count in counts):
         return [
-            f"{config.index}: no sample for validation, the drives are too short; give a smaller --block-s, or"
+            f"{config.index}: no sample for validation: the drives are too short; give a smaller --block-s, or"
             " hold out whole sessions with --validation SESSION"
         ]
     return []

@@ -28,6 +28,10 @@ from web_browser import Pages, serving
 _PHONE: Final = (390, 844)
 _BETWEEN: Final = 16
 _PLACES: Final = ("sessions", "index", "runs", "drives")
+_MIDDLE: Final = """line => {
+  const point = line.getPointAtLength(line.getTotalLength() / 2).matrixTransform(line.getScreenCTM());
+  return [point.x, point.y];
+}"""
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ def session(shown: Shown) -> None:
         page.keyboard.press("x")
         page.wait_for_selector("#session[data-tags='1']")
         page.keyboard.press("j")
-        page.wait_for_function("document.getElementById('status').textContent.includes('not excluded')")
+        page.wait_for_selector("#status:has-text('are left')")
         shown.keep(page, "session")
     with shown.page(at, 800, is_dark=True) as page:
         for key in "jj":
@@ -179,22 +183,23 @@ def runs(shown: Shown) -> None:
 def drives(shown: Shown) -> None:
     chosen = urlencode([*(("log", drive) for drive in shown.config.drives), ("by", "error")])
     with shown.page(f"/drives?{chosen}", 960) as page:
-        page.wait_for_selector("#list svg circle", state="attached")
+        page.wait_for_selector("#list svg polyline", state="attached")
         shown.keep(page, "drives")
 
 
 def drive(shown: Shown) -> None:
-    """A drive's page, with the mouse on its map."""
+    """A drive's page, with the mouse on the path of its map."""
     with shown.page(f"/drives/{shown.config.drives[0]}", 800) as page:
-        page.wait_for_selector("#course-map circle", state="attached")
-        page.locator("#course-map svg").hover(position={"x": 28, "y": 213})
+        page.wait_for_selector("#course-map .path", state="attached")
+        page.mouse.move(*page.locator("#course-map .path").first.evaluate(_MIDDLE))
         shown.keep(page, "drive")
 
 
 def comparison(shown: Shown) -> None:
     asked = urlencode({**dict(zip("ab", shown.config.runs, strict=False)), "session": shown.config.compared})
     with shown.page(f"/runs.compare?{asked}", 620) as page:
-        page.click("#compared button")
+        if page.is_visible("#compared button"):
+            page.click("#compared button")
         page.wait_for_selector("#compared svg")
         shown.keep(page, "compare")
 

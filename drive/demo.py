@@ -3,38 +3,34 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import shlex
 import shutil
 import subprocess
 import sys
 import sysconfig
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, flags_given, run_command
 from common.errors import UsageError
-from common.files import atomic_file
 from common.output import print_message, print_result, shell_command
 from common.progress import duration_text
 from common.streams import drain
-from common.untrusted import read_bounded
-from common.untrusted_json import json_as
 
 
 @dataclass(frozen=True)
 class Demo:
     """Record half a lap of each track, index, train, and drive a full lap of both.
 
-    About 5 minutes on two idle cores, 0.9 GB of disk. The same command continues a stopped one.
+    About 5 minutes on two idle cores, 0.9 GB of disk.
     """
 
     folder: Path | None = None
-    """Folder to work in, without a project; by default demo/DATE."""
+    """Folder to work in, which must not hold a project; by default demo/DATE."""
     quick: bool = False
     """Only a seventh of a lap and a small network: two minutes."""
     epochs: int = 4
@@ -47,31 +43,12 @@ class Demo:
 
 _MADE: Final = ("sessions", "index", "runs", "drives")
 """The folders that its commands make."""
-_STATE: Final = "demo.json"
-_MAX_STATE_BYTES: Final = 10_000
 
 
-@dataclass
-class _State:
-    """What is kept in the folder, so that the same command can go on there."""
-
-    settings: dict[str, bool | int | float]
-    done: int = 0  # steps
-
-
-@dataclass(frozen=True)
-class DemoStep:
+class DemoStep(NamedTuple):
     command: str
     seconds: float
     """Measured on two cores; on another machine, all steps are slower or faster alike."""
-    made: str = ""
-    """What is there once the step has begun, if it then needs another command."""
-    again: str = ""
-    """That command: by default the same with --force."""
-
-    def command_in(self, folder: Path) -> str:
-        has_begun = bool(self.made) and (folder / self.made).exists()
-        return (self.again or f"{self.command} --force") if has_begun else self.command
 
 
 def steps_of(config: Demo) -> list[DemoStep]:
@@ -84,63 +61,41 @@ def steps_of(config: Demo) -> list[DemoStep]:
         network, epoch_s = " --network small", 15.0
     drive = f"drives/demo-{tracks[-1]}-10mph"
     return [
-        *(
-            DemoStep(
-                f"bc-record {track} --track {track} --laps {share:g}", 3 + 63 * share, f"sessions/{track}.mcap"
-            )
-            for track in tracks
-        ),
+        *(DemoStep(f"bc-record {track} --track {track} --laps {share:g}", 3 + 63 * share) for track in tracks),
         DemoStep("bc-index", 3),
-        DemoStep(
-            f"bc-train --name demo{network} --epochs {epochs}",
-            10 + epoch_s * share * epochs,
-            "runs/demo",
-            "bc-train --resume demo",
-        ),
-        DemoStep(
-            f"bc-eval demo --simulator {' '.join(tracks)} --laps {laps:g}", 10 + 42 * len(tracks) * laps, "drives"
-        ),
-        DemoStep(f"bc-play {drive}.mcap --save {drive}.rrd", 6, f"{drive}.rrd"),
+        DemoStep(f"bc-train --name demo{network} --epochs {epochs}", 10 + epoch_s * share * epochs),
+        DemoStep(f"bc-eval demo --simulator {' '.join(tracks)} --laps {laps:g}", 10 + 42 * len(tracks) * laps),
+        DemoStep(f"bc-play {drive}.mcap --save {drive}.rrd", 6),
     ]
 
 
 def demo(config: Demo) -> int:
-    folder, begun = _begun(config)
-    _refuse_unusable_settings(config, folder, is_begun=begun is not None)
-    state = begun or _State(_settings(config))
+    folder = config.folder or Path("demo") / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}"
+    _refuse_unusable_settings(config, folder)
     is_new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
-    _keep(state, folder)
     steps = steps_of(config)
-    seconds = sum(step.seconds for step in steps[state.done :])
-    goes_on = f"going on in {folder}" if state.done else f"working in {folder}"
-    print_result(f"{goes_on}; all takes about {duration_text(seconds)} on two idle cores")
+    seconds = sum(step.seconds for step in steps)
+    print_result(f"working in {folder}; all takes about {duration_text(seconds)} on two idle cores")
     if (activate := _activation_command()) is not None:
         print_result(f"to type these commands yourself, there: {activate}")
-    start_s, begun_s, code = time.monotonic(), sum(step.seconds for step in steps[: state.done]), DONE
-    for number, step in list(enumerate(steps))[state.done :]:
+    start_s, code, done_s = time.monotonic(), DONE, 0.0
+    for number, (command, step_s) in enumerate(steps, start=1):
         begin_s = time.monotonic()
-        done_s = sum(each.seconds for each in steps[:number]) - begun_s
         slower = (begin_s - start_s) / done_s if done_s else 1.0
         left = f", about {duration_text((seconds - done_s) * slower)} left" if done_s else ""
-        takes = f"about {duration_text(step.seconds * slower)}"
-        command = step.command_in(folder)
-        print_result("", f"{number + 1} of {len(steps)}, {takes}{left}", f"$ {command}")
+        takes = f"about {duration_text(step_s * slower)}"
+        print_result("", f"{number} of {len(steps)}, {takes}{left}", f"$ {command}")
         try:
             code = max(code, _run(command, folder))
         except KeyboardInterrupt:
             if any((folder / name).exists() for name in _MADE):
                 cd = f"`cd {shlex.quote(str(folder))}`"
-                print_message(
-                    f"bc-demo: what was made is in {folder}; the same command goes on there, or type its commands"
-                    f" yourself: {cd}"
-                )
+                print_message(f"bc-demo: what was made is in {folder}; to go on there, type the commands: {cd}")
             elif is_new:
-                (folder / _STATE).unlink()
                 folder.rmdir()
             raise
-        state.done = number + 1
-        _keep(state, folder)
+        done_s += step_s
         print_result(f"took {duration_text(time.monotonic() - begin_s)}")
     log = folder / shlex.split(steps[-1].command)[1]
     print_result(
@@ -153,34 +108,11 @@ def demo(config: Demo) -> int:
     return code
 
 
-def _begun(config: Demo) -> tuple[Path, _State | None]:
-    """The folder to work in, and how far a demo of these settings has come there that was stopped, if one was."""
-    folders = sorted(Path("demo").glob("*/"), reverse=True) if config.folder is None else [config.folder]
-    for folder in folders:
-        with contextlib.suppress(OSError):
-            state = json_as(read_bounded(folder / _STATE, _MAX_STATE_BYTES), _State)
-            if state and state.settings == _settings(config) and 0 <= state.done < len(steps_of(config)):
-                return folder, state
-    default = Path("demo") / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}"
-    while default.exists():  # begun in the same second
-        default = default.with_name(f"{default.name}-2")
-    return config.folder or default, None
-
-
-def _settings(config: Demo) -> dict[str, bool | int | float]:
-    return {name: value for name, value in asdict(config).items() if name != "folder"}
-
-
-def _keep(state: _State, folder: Path) -> None:
-    with atomic_file(folder / _STATE, overwrite=True) as part:
-        part.write_text(json.dumps(asdict(state)))
-
-
-def _refuse_unusable_settings(config: Demo, folder: Path, *, is_begun: bool) -> None:
+def _refuse_unusable_settings(config: Demo, folder: Path) -> None:
     """Raise UserError, or UsageError, now for settings that a later step would refuse, after minutes."""
     if config.quick and (flags := flags_given(config, "epochs", "laps", "share")):
-        raise UsageError(f"{flags}: --quick has its own: give one or the other")
-    if not is_begun and (existing := [name for name in _MADE if (folder / name).exists()]):
+        raise UsageError(f"{flags}: --quick sets these itself: give one or the other")
+    if existing := [name for name in _MADE if (folder / name).exists()]:
         raise UserError(f"{folder}: has {', '.join(existing)} already; give another --folder")
     if folder.exists() and not folder.is_dir():
         raise UserError(f"{folder}: a file, no folder to work in; give another --folder")
@@ -189,9 +121,7 @@ def _refuse_unusable_settings(config: Demo, folder: Path, *, is_begun: bool) -> 
     if not 0 < config.laps <= 1000:
         raise UsageError(f"--laps {config.laps:g}: a number above 0, and up to 1,000, was expected")
     if not 0.05 <= config.share <= 1000:
-        raise UsageError(
-            f"--share {config.share:g}: a number of laps from 0.05 on was expected: less trains nothing"
-        )
+        raise UsageError(f"--share {config.share:g}: give at least 0.05 laps: less is not enough to train on")
     for step in steps_of(config):
         _program(step.command.split()[0])
 
@@ -208,7 +138,7 @@ def _program(name: str) -> str:
     # beside this Python first: its virtual environment need not be active
     program = shutil.which(name, path=sysconfig.get_path("scripts")) or shutil.which(name)
     if program is None:
-        raise UserError(f"{name}: not beside {sys.executable}; install the toolkit again")
+        raise UserError(f"{name}: not next to {sys.executable}; install the toolkit again")
     return program
 
 

@@ -18,21 +18,26 @@ BEGIN = (
 )
 
 
+LONG = [
+    ("", 0),
+    ("sys.exit(3)", 3),
+    ("import atexit; atexit.register(print, 'last')", 0),
+    ("sys.stderr.close()", 0),
+    ("os._exit(7)", 7),
+    ("os.kill(os.getpid(), signal.SIGKILL)", -signal.SIGKILL),
+    ("1 / 0", 1),
+    ("print([int(name) for name in os.listdir('/proc/self/fd')][:3], file=sys.stderr)", 0),
+    ("print([signal.getsignal(name) for name in signal.Signals])", 0),
+]
+
+
 @pytest.mark.parametrize(
     ("end", "code"),
     [
-        ("", 0),
-        ("sys.exit(3)", 3),
         ("sys.exit('why')", 1),
-        ("import atexit; atexit.register(print, 'last')", 0),
         ("import threading, time; threading.Thread(target=lambda: (time.sleep(0.1), print('last'))).start()", 0),
-        ("sys.stderr.close()", 0),
-        ("os._exit(7)", 7),
         ("raise KeyboardInterrupt", -signal.SIGINT),
-        ("os.kill(os.getpid(), signal.SIGKILL)", -signal.SIGKILL),
-        ("1 / 0", 1),
-        ("print([int(name) for name in os.listdir('/proc/self/fd')][:3], file=sys.stderr)", 0),
-        ("print([signal.getsignal(name) for name in signal.Signals])", 0),
+        *(pytest.param(*values, marks=pytest.mark.long) for values in LONG),
     ],
 )
 def test_a_fork_ends_as_a_start_does(end: str, code: int, tmp_path: Path) -> None:

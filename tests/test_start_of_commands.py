@@ -39,8 +39,7 @@ command()
 """
 
 
-@pytest.mark.parametrize("name", ["bc-log", "bc-drive"])
-@pytest.mark.parametrize("at", [1, 30, 300])
+@pytest.mark.parametrize(("name", "at"), [("bc-log", 1), ("bc-log", 300), ("bc-drive", 30)])
 def test_ctrl_c_while_a_command_is_loaded_is_one_line(name: str, at: int) -> None:
     line = [sys.executable, "-c", INTERRUPTED_IMPORT, name.replace("-", "_"), str(at), "--help"]
     done = subprocess.run(line, env=environment(), capture_output=True, text=True, check=False)

@@ -24,12 +24,11 @@ from recorder.log_flag import LogFlag
 class Play:
     """Show a log in the Rerun viewer, or compare several.
 
-    Given a run's folder, show its training: losses and errors.
     Without a display, the viewer is served to browsers on this machine.
     """
 
     places: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
-    """The log to show, by name or path, several to compare, or a run's folder."""
+    """The log to show, by name or path, or several to compare."""
     at: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: at its start)")] = (
         None
     )
@@ -37,7 +36,7 @@ class Play:
     by: Literal["time", "place"] = "time"
     """Compare logs by time, or by place on the first one's way."""
     follow: bool = False
-    """Show a growing log, or a run in training."""
+    """Show a growing log."""
     save: Path | None = None
     """Write an .rrd file for Rerun; open nothing."""
     connect: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[ADDRESS]")] = None
@@ -77,17 +76,11 @@ class Play:
         """The only log, or the first of several."""
         return self.logs[0]
 
-    @property
-    def is_run(self) -> bool:
-        """True for a run's folder, existing or to come: --follow waits for a run, but not for a log."""
-        if self.log.is_dir():
-            return True
-        is_awaited = self.follow and self.save is None and not os.path.lexists(self.log)
-        return is_awaited and ".mcap" not in self.log.suffixes
-
 
 def check_files(config: Play) -> None:
-    """Raise UserError or UsageError for files that may not be written, and for logs taken for addresses."""
+    """Raise UserError or UsageError for folders, files that may not be written, and logs taken for addresses."""
+    if folder := next((log for log in config.logs if log.is_dir()), None):
+        raise UserError(f"{folder} is a folder: give a log; `bc-web --open` shows how runs were trained")
     _refuse_overwriting_logs(config)
     _refuse_other_suffixes(config)
     _refuse_logs_as_addresses(config)
@@ -105,19 +98,19 @@ def check_video_flags(config: Play) -> None:
 
 
 def check_viewer_flags(config: Play) -> None:
-    """Raise UsageError for flags that do not go together where logs or a run are shown, or written by --save."""
+    """Raise UsageError for flags that do not go together where logs are shown, or written by --save."""
     if not config.run and (flags := flags_given(config, "network", "attention", "write")):
-        raise UsageError(f"{flags}: only of networks: give --run NAME as well")
+        raise UsageError(f"{flags}: only for networks: give --run NAME as well")
     if flags := flags_given(config, "speed", "overlay"):
         raise UsageError(f"{flags}: only for a video: give --video FILE.mp4 as well")
     if not config.places:
         raise UsageError("no log is given: bc-play LOG, or bc-play LOG LOG to compare")
     if len(config.places) > 1 and (flags := flags_given(config, "follow", "run")):
-        raise UsageError(f"{flags}: only with one log; several are compared as they are")
+        raise UsageError(f"{flags}: only with one log")
     if len(config.places) == 1 and config.by != "time":
         raise UsageError("--by place compares several logs: give more than one")
     if config.connect is not None and (config.web or config.save is not None):
-        raise UsageError("--connect shows it in a viewer that runs: give it without --web, --save")
+        raise UsageError("--connect uses an open viewer: give it without --web, --save")
     if config.at is not None:
         _check_moment(config)
     if config.save is not None and config.web:
@@ -131,9 +124,7 @@ def _check_moment(config: Play) -> None:
     if not 0 <= (config.at or 0) < math.inf:
         raise UsageError(f"--at {config.at}: seconds since the log's start, from 0 on")
     if config.follow or config.by != "time":
-        raise UsageError("--at is a moment of logs that are shown by time: give it without --follow, --by place")
-    if config.is_run:
-        raise UserError(f"--at is a moment of a log, and {config.log} is a folder: give a log, or leave it out")
+        raise UsageError("--at is a moment of finished logs, by time: give it without --follow, --by place")
 
 
 def _refuse_overwriting_logs(config: Play) -> None:
@@ -142,9 +133,9 @@ def _refuse_overwriting_logs(config: Play) -> None:
     written = [(flag, path) for flag, path in flags if path is not None]
     for at, (flag, path) in enumerate(written):
         if path.exists() and any(log.exists() and path.samefile(log) for log in config.logs):
-            raise UserError(f"{flag} {path}: the log itself, which stays as it is; give another name")
+            raise UserError(f"{flag} {path}: is the log itself, which is not changed; give another name")
         if any(real_path(path) == real_path(other) for _, other in written[:at]):
-            raise UsageError(f"{flag} {path}: two files of one name; give another one")
+            raise UsageError(f"{flag} {path}: two files would have this name; give another one")
 
 
 def _refuse_other_suffixes(config: Play) -> None:
@@ -167,4 +158,4 @@ def _refuse_logs_as_addresses(config: Play) -> None:
     logs = " ".join(shlex.quote(str(log)) for log in (*config.logs, *swallowed)) or "LOG"
     addresses = [name for name in given if name not in swallowed]
     line = f"bc-play {logs} --connect {' '.join(addresses) if len(addresses) < 2 else 'HOST:PORT'}".rstrip()
-    raise UsageError(f"--connect takes one address, and stands behind the logs: {line}")
+    raise UsageError(f"--connect takes one address; put it after the logs: {line}")

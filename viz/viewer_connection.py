@@ -76,10 +76,10 @@ def set_time(url: str, recording: rr.RecordingStream, at_s: float, stop: threadi
     name = recording.get_recording_id()
     try:
         while not stop.wait(_POLL_S):
-            for known in client.get_state().recordings:
-                times = [line.name for line in known.timelines]
-                if name is not None and known.store_id.endswith(name) and SINCE_START in times:
-                    client.set_time(SINCE_START, duration=at_s, play_state="paused", recording=known.store_id)
+            for shown in client.get_state().recordings:
+                times = [line.name for line in shown.timelines]
+                if name is not None and shown.store_id.endswith(name) and SINCE_START in times:
+                    client.set_time(SINCE_START, duration=at_s, play_state="paused", recording=shown.store_id)
                     return
     except (OSError, RuntimeError):  # it has no cursor to set, or is closed
         return
@@ -101,8 +101,12 @@ def _refuse_others(url: str, where: str) -> None:
         try:
             is_viewer = speaks_grpc(connection)
         except TimeoutError:
-            raise UserError(f"{where}: what listens there does not answer: a frozen viewer, or none") from None
+            raise UserError(
+                f"{where}: no answer: the viewer is frozen, or another program listens there"
+            ) from None
         except OSError:
             is_viewer = False
     if not is_viewer:
-        raise UserError(f"{where}: what listens there is no Rerun viewer; open one with `rerun --port PORT`")
+        raise UserError(
+            f"{where}: the program that listens there is not a Rerun viewer; open one with `rerun --port PORT`"
+        )

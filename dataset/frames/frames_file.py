@@ -101,7 +101,9 @@ def log_place(named: str, index: Location) -> Location:
             return location(named)
         return index.joined(named) if isinstance(index, Url) else index / named
     except (UserError, ValueError) as error:
-        raise DatasetError(f"{index}: names a log that is nowhere ({error}); run `bc-index` again") from None
+        raise DatasetError(
+            f"{index}: a log that it names does not exist ({error}); run `bc-index` again"
+        ) from None
 
 
 def refuse_other_places(logs: Mapping[str, str], index: Location) -> None:
@@ -182,6 +184,6 @@ def extent_of(path: Path) -> Extent:
 
 def codes(column: pa.ChunkedArray, names: Sequence[str]) -> NDArray[np.int8]:
     """The position of each string among `names` (N,); -1 for others."""
-    found = pc.index_in(column.cast(pa.string()), pa.array(names, pa.string()))
-    positions: NDArray[np.int8] = pc.fill_null(found, -1).to_numpy().astype(np.int8)
+    indices = pc.index_in(column.cast(pa.string()), pa.array(names, pa.string()))
+    positions: NDArray[np.int8] = pc.fill_null(indices, -1).to_numpy().astype(np.int8)
     return positions

@@ -29,7 +29,7 @@ def find_logs(sessions: Sequence[Location | str], folder: Location | str) -> lis
         if logs := finished_logs(folder):
             return logs
         if isinstance(folder, Path) and folder.is_file():
-            raise DatasetError(f"{folder}: a file; the folder that logs are in was expected, such as sessions")
+            raise DatasetError(f"{folder} is a file: give the folder of the logs, such as sessions")
         raise DatasetError(f"{folder}: no logs in it; record one with `bc-record NAME`")
     found: list[Location] = []
     listed: dict[Url, set[Url]] = {}
@@ -54,18 +54,20 @@ def find_unchanged_log(session: Location | str, folder: Location | str, fingerpr
     (path,) = find_logs([session], folder)
     with Log(path) as log:
         if log.fingerprint != fingerprint:
-            raise DatasetError(f"{path}: changed since it was learnt from; give the --sessions as they were")
+            raise DatasetError(
+                f"{path}: changed since the run learned from it; give the unchanged logs with --sessions"
+            )
     return path
 
 
 def by_session_name(logs: Iterable[Location]) -> dict[str, Location]:
     """Each log once, by the name of its session. Raises DatasetError if two of them have the same one."""
-    found: dict[str, Location] = {}
+    by_name: dict[str, Location] = {}
     for log in logs:
-        other = found.setdefault(session_name(log), log)
+        other = by_name.setdefault(session_name(log), log)
         if absolute(other) != absolute(log):
-            raise DatasetError(f"{log} and {other}: two sessions of one name; rename one of them")
-    return found
+            raise DatasetError(f"{log} and {other}: two sessions with the same name; rename one of them")
+    return by_name
 
 
 def _expected(given: str, log: Location) -> Location | str:
@@ -128,21 +130,21 @@ def logs_not_indexed(index: Path, logs: Sequence[Location], stat: Callable[[Loca
     if not isinstance(held, dict):
         return []
     state = read_state(index)
-    found = []
+    missing = []
     for log in logs:
         name = session_name(log)
         entry = state.logs.get(name)
         is_reported = name in state.passed_over or (entry and entry.sources == sources_of(name, log, index, stat))
         if name not in held and not is_reported:
-            found.append(name)
-    return found
+            missing.append(name)
+    return missing
 
 
 def unfinished_recordings(folder: Location, sessions: Sequence[str]) -> list[str]:
     """A line for each unfinished recording in `folder`; with `sessions`, only for those of their names."""
     return [
-        f"{part}: not indexed: a recording that goes on, or was killed; then give `bc-log recover {part}`, and"
-        " remove it"
+        f"{part}: not indexed: its recording is running or was killed; if killed, run `bc-log recover {part}`,"
+        " and remove it"
         for part in (sorted(folder.glob("*.mcap.*.part")) if isinstance(folder, Path) else ())
         if not sessions or session_name(part) in sessions
     ]

@@ -82,7 +82,7 @@ class HistoryReader:
         """The history that was added since the last call, and whether the files were replaced, as by a resumed
         training: then all is read anew. Raises RunError as `read_history` does, and if the folder is gone."""
         if not self._run.is_dir():
-            raise RunError(f"{self._run}: no such run folder, or no more: a training that is stopped early goes")
+            raise RunError(f"{self._run}: no such run folder; a training that is stopped early removes its folder")
         added = self._read_files()
         if added is not None:
             return added, False
@@ -119,13 +119,13 @@ class _HistoryFile(Generic[Line]):
         lines = self._new_lines()
         if lines is None:
             return None
-        found = []
+        parsed = []
         for number, content in lines:
             try:
-                found.append(self._next(content))
+                parsed.append(self._next(content))
             except (ValueError, KeyError, TypeError, RecursionError):
                 self._skipped.add("lines that no training writes", f"{self._tail.path.name} line {number}")
-        return found
+        return parsed
 
     def skip_unfinished_line(self) -> None:
         for number, _ in self._tail.rest():
@@ -146,16 +146,16 @@ class _HistoryFile(Generic[Line]):
         try:
             status = file.path.lstat()
             if stat.S_ISLNK(status.st_mode):
-                raise RunError(f"{file.path}: a link; a run's files lie in its folder, copy it there")
+                raise RunError(f"{file.path}: a link; copy its target into the run's folder")
             if status.st_size > _MAX_BYTES:
-                raise RunError(f"{file.path}: larger than {_MAX_BYTES >> 20} MiB, no training writes so much")
-            found = file.new_lines(status.st_size)
+                raise RunError(f"{file.path}: larger than {_MAX_BYTES >> 20} MiB, more than a training writes")
+            lines = file.new_lines(status.st_size)
             while file.is_behind:
-                found += file.new_lines(status.st_size)
+                lines += file.new_lines(status.st_size)
         except FileNotFoundError:
             return None if file.line_count else []
         except OSError as error:
             raise RunError(
                 f"{file.path}: cannot be read ({error.strerror}); was it written by bc-train?"
             ) from None
-        return None if file.was_replaced else found
+        return None if file.was_replaced else lines

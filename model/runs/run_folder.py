@@ -71,11 +71,11 @@ def refuse_existing_run(folder: Path) -> None:
     """Raise RunError if the name of a new run is taken."""
     if (folder / CONFIG).is_file():
         raise RunError(
-            f"{folder}: exists already; give another --name, or go on with it:"
+            f"{folder}: exists already; give another --name, or continue it:"
             f" `bc-train --resume {run_argument(folder)}`"
         )
     if os.path.lexists(folder):
-        raise RunError(f"{folder}: exists already, and is no run; give another --name, or remove it")
+        raise RunError(f"{folder}: exists already, and is not a run; give another --name, or remove it")
 
 
 def write_config(folder: Path, config: dict[str, Any]) -> None:
@@ -125,8 +125,8 @@ def find_run(name: str | None, runs: Location | str) -> Path:
     runs = location(runs)
     if (copy := _brought(name, runs)) is not None:
         if not (copy / WEIGHTS).is_file() and not is_last_weights(copy):
-            there = read_record(config_folder(copy)).url
-            raise RunError(f"{there}: its first epoch is not finished; `bc-train --resume {there}`")
+            url = read_record(config_folder(copy)).url
+            raise RunError(f"{url}: its first epoch is not finished; `bc-train --resume {url}`")
         return copy
     runs = _here(runs)
     if name is None:
@@ -173,11 +173,11 @@ def _brought(name: str | None, runs: Location) -> Path | None:
     """A copy of a run in a store, as it is there now; None for a run of this machine."""
     of_run, _, last = (name or "").rstrip("/").rpartition("/")
     is_last = bool(of_run) and last == LAST
-    found = find_in_store(of_run if is_last else name, runs)
-    if found is None:
+    stored = find_in_store(of_run if is_last else name, runs)
+    if stored is None:
         return None
     with progress_bar() as progress:
-        copy = bring_run(found, progress=progress)
+        copy = bring_run(stored, progress=progress)
     return copy / LAST if is_last else copy
 
 
@@ -261,6 +261,4 @@ def _answer_scale(stored: Mapping[str, str], path: Path) -> AnswerScale:
     try:
         return AnswerScale.from_metadata(stored)
     except ValueError as error:
-        raise RunError(
-            f"{path}: {error}, which no training gives; copy it again, or train the run again"
-        ) from None
+        raise RunError(f"{path}: {error}, so it is damaged; copy it again, or train the run again") from None

@@ -192,10 +192,15 @@ def _attempt(
     ray: Any, actor: Any, workers: int, call: _Call, listeners: Listeners, bar: Progress, *, is_local: bool
 ) -> Trained:
     """Train from where the run is. Raises _WorkerLostError if a worker dies."""
+    processors = call.config.threads or 1
+    total = ray.cluster_resources().get("CPU", 0)
+    if is_local and workers * processors > total:
+        wanted = f"{counted(workers, 'worker')} of {counted(processors, 'processor')}"
+        raise ClusterError(f"--ray: {wanted}, but this machine has {total:g}; give fewer workers, or --threads")
     ranks = [actor.remote(package_versions(), Path.cwd()) for _ in range(workers)]
     results: list[Any] = []
     try:
-        place = _place(ray, ranks, call.config.threads or 1, is_local=is_local)
+        place = _place(ray, ranks, processors, is_local=is_local)
         results = [rank.train.remote(number, workers, place, call) for number, rank in enumerate(ranks)]
         pending = results
         while pending:
@@ -224,11 +229,8 @@ def _attempt(
 
 def _place(ray: Any, ranks: Sequence[Any], processors: int, *, is_local: bool) -> tuple[str, int]:
     """The address and port at which the ranks meet, once the cluster has room for all of them; each takes so many
-    processors. Raises ClusterError where a cluster of this machine alone cannot have them."""
-    needed, total = len(ranks) * processors, ray.cluster_resources().get("CPU", 0)
+    processors. Raises ClusterError where they do not start on a cluster of this machine alone."""
     workers = f"{counted(len(ranks), 'worker')} of {counted(processors, 'processor')}"
-    if is_local and needed > total:
-        raise ClusterError(f"--ray: {workers}, but this machine has {total:g}; give fewer workers, or --threads")
     places = [rank.place.remote() for rank in ranks]
     began_s, notices = time.monotonic(), 0
     while len(ray.wait(places, num_returns=len(places), timeout=_POLL_S)[0]) < len(places):

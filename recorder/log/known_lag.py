@@ -51,20 +51,34 @@ def known_lag(log: Log) -> LagFinding | None:
 
 def kept_lag(log: Log) -> LagFinding | None:
     """The lag kept beside a log for this content of it; None without, or if the file is damaged."""
-    path = lag_path(log.path)
-    kept: _Kept | None = None
+    data = _beside(lag_path(log.path))
+    kept = json_as(data, _Kept) if data else None
+    return LagFinding(kept.lag) if kept is not None and kept.log == log.fingerprint else None
+
+
+def _beside(path: Location) -> bytes | None:
     if isinstance(path, Url) or (path.is_file() and not path.is_symlink()):
         with contextlib.suppress(OSError):
-            kept = json_as(read_bytes(path, _MAX_BYTES) or b"", _Kept)
-    return LagFinding(kept.lag) if kept is not None and kept.log == log.fingerprint else None
+            return read_bytes(path, _MAX_BYTES)
+    return None
 
 
 def keep_lag(log: Log, finding: LagFinding) -> bool:
     """Keep the lag beside a log that has its name; False where nothing can be written."""
-    path = lag_path(log.path)
     if log.path.suffix != ".mcap":
         return False  # it still grows, or is recovered: then it is measured again
-    data = msgspec.json.encode(_Kept(1, log.fingerprint, finding.lag)) + b"\n"
+    return _keep(lag_path(log.path), msgspec.json.encode(_Kept(1, log.fingerprint, finding.lag)) + b"\n")
+
+
+def copy_lag(log: Location, to: Location) -> None:
+    """Copy the lag kept beside a log to its copy. Where that fails, it is measured again there."""
+    with contextlib.suppress(UserError):
+        data = _beside(lag_path(log))
+        if data is not None and _beside(lag_path(to)) != data:
+            _keep(lag_path(to), data)
+
+
+def _keep(path: Location, data: bytes) -> bool:
     try:
         if isinstance(path, Url):
             from common.object_store import put_over  # an extra

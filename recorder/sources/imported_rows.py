@@ -31,7 +31,7 @@ class ImportedRow:
 
 def write_log(
     log: Path,
-    metadata: Mapping[str, str],
+    metadata: dict[str, str],
     rows: Iterator[ImportedRow],
     events: SkippedEvents,
     without_rows: str,

@@ -59,7 +59,7 @@ def _summary(source: Path) -> RecordingSummary:
         pictures = tuple(dataset.image_keys[:_MAX_LISTED])
         return RecordingSummary(source, "LeRobot dataset", rows, pictures=pictures)
     if is_tub(source):
-        tub = open_tub(source, False, skipped)
+        tub = open_tub(source, skipped)
         deleted = (f"{counted(len(tub.deleted), 'record')} marked as deleted",) if tub.deleted else ()
         records = counted(tub.count, "record")
         return RecordingSummary(source, f"DonkeyCar tub, version {tub.version}", records, _lines(skipped, deleted))

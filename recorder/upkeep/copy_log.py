@@ -35,6 +35,7 @@ from common.object_store import (
     remove,
 )
 from recorder.errors import LogError
+from recorder.log.known_lag import copy_lag
 from recorder.log.reader import Log
 from recorder.log.tags import MAX_BYTES, tags_path
 from recorder.upkeep.check import is_whole
@@ -58,19 +59,22 @@ def copy_log(
     keeps_damaged: bool = False,
     on_bytes: OnBytes = lambda more: None,
 ) -> Copied:
-    """Copy a finished log, and its tags, between this machine and a store; one that is there is left alone.
+    """Copy a finished log, its tags and its lag between this machine and a store; one that is there is left alone.
 
     Raises LogError for a log that is unfinished or damaged: with `keeps_damaged`, what came of one from a store
     stays, for a recovery. Raises UserError where something else has the name (unless `overwrite`), or one of the
     places is of the wrong kind; StoreError.
     """
     if isinstance(log, Path) and isinstance(to, Url):
-        return _upload(log, to, overwrite, on_bytes)
-    if isinstance(log, Url) and isinstance(to, Path):
-        return _download(log, to, overwrite, keeps_damaged, on_bytes)
-    if isinstance(log, Url):
+        copied = _upload(log, to, overwrite, on_bytes)
+    elif isinstance(log, Url) and isinstance(to, Path):
+        copied = _download(log, to, overwrite, keeps_damaged, on_bytes)
+    elif isinstance(log, Url):
         raise UserError(f"{log} and {to}: both in a store; copy it to this machine first")
-    raise UserError(f"{log} and {to}: both on this machine; `cp` copies logs there")
+    else:
+        raise UserError(f"{log} and {to}: both are on this machine; copy logs with `cp`")
+    copy_lag(log, to)
+    return copied
 
 
 def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
@@ -83,7 +87,7 @@ def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
         if not overwrite:
             raise ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
     if not is_whole(log):
-        raise LogError(f"{log}: not finished, or damaged; `bc-log recover {log}` makes a whole one of it")
+        raise LogError(f"{log}: unfinished or damaged; run `bc-log recover {log}` first")
     _put_and_name(log, url, size, fingerprint, overwrite, on_bytes)
     return Copied(url, size, True, _upload_tags(log, url, overwrite))
 
@@ -98,7 +102,7 @@ def _put_and_name(log: Path, url: Url, size: int, fingerprint: str, overwrite: b
             if not _is_there(made, size, fingerprint):
                 raise
         if _fingerprint(made) != fingerprint:
-            raise LogError(f"{made}: is not what {log} is; it may have changed meanwhile: give the command again")
+            raise LogError(f"{made}: differs from {log}, which may have changed; give the command again")
         if made != url:
             try:
                 name_new(made, url)
@@ -130,7 +134,7 @@ def _parts(log: Path, on_bytes: OnBytes, free: Url | None) -> Iterator[bytes]:
     with ThreadPoolExecutor(1) as other_thread:  # in this one, obstore waits for the parts
         is_taken = other_thread.submit(find_object, free).result() is not None
     if is_taken:
-        raise ObjectExistsError(f"{free} was written by someone else meanwhile; nothing was changed")
+        raise ObjectExistsError(f"{free} was written by another process at the same time; nothing was changed")
 
 
 def _download(url: Url, path: Path, overwrite: bool, keeps_damaged: bool, on_bytes: OnBytes) -> Copied:

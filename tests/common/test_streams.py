@@ -185,7 +185,7 @@ def test_listening_answers_whoever_reads_what_it_says(reader: type[Reader], tmp_
         assert len(log.vehicle()) == PICTURES * CLIENTS
 
 
-@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize("reader", [Head, Stuck, *TERMINALS])
 def test_a_recording_is_followed_to_its_end(reader: type[Reader], tmp_path: Path) -> None:
     line = command("bc-record", "live", "--from", tmp_path / "drive", "--watch", "--idle", 0.1)
     with read_by(reader, line, cwd=tmp_path) as process:
@@ -220,7 +220,10 @@ def toy_training(folder: Path) -> list[str]:
     return command("bc-train", "--name", "toy", *flags)
 
 
-@pytest.mark.parametrize("closed", ["2>&-", ">&-", ">&- 2>&-", "<&- >&- 2>&-"])
+LONG = [pytest.param(closed, marks=pytest.mark.long) for closed in ("2>&-", ">&-", ">&- 2>&-")]
+
+
+@pytest.mark.parametrize("closed", ["<&- >&- 2>&-", *LONG])
 def test_streams_that_are_closed_from_the_start_get_into_no_file(closed: str, tmp_path: Path) -> None:
     """Else a file that is opened gets their number, and what any library prints."""
     make_recording(tmp_path / "drive", "".join(f"{paths(number)},0.1,0.5,0,9\n" for number in range(3)))

@@ -81,32 +81,7 @@ def test_where_its_commands_are_typed_is_said_when_it_is_stopped(installed: Path
     with Process([str(installed), *command("bc-demo", "--folder", folder)[1:]]) as process:
         wait_until((folder / "index").exists)
         assert process.end() == 130
-        process.wait_for(rf"^bc-demo: what was made is in {folder}; the same command goes on .*`cd {folder}`$")
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="programs of Unix")
-@pytest.mark.parametrize("flags", [[], ["--folder", "mine"]])
-def test_the_same_command_goes_on_where_it_was_stopped(flags: list[str], installed: Path, tmp_path: Path) -> None:
-    does = {"bc-record": "mkdir -p sessions; touch sessions/$1.mcap", "bc-train": "mkdir -p runs/demo; exit 1"}
-    for name, line in does.items():
-        installed.with_name(name).write_text(f"#!/bin/sh\n{line}\n")
-
-    def demo(*more: str) -> list[str]:
-        line = [str(installed), *command("bc-demo", *flags, *more)[1:]]
-        printed = subprocess.run(line, cwd=tmp_path, env=environment(), capture_output=True, text=True).stdout
-        return [text for text in printed.splitlines() if text.startswith(("$ ", "working in", "going on in"))]
-
-    first, _, _, _, train = demo()
-    assert train == "$ bc-train --name demo --epochs 4"
-    folder = first.split(";")[0].removeprefix("working in ")
-    again, *steps = demo()
-    assert again.startswith(f"going on in {folder}; ")
-    assert steps == ["$ bc-train --resume demo"]
-    if not flags:  # of other settings: a demo of its own
-        assert demo("--epochs", "5")[0].startswith("working in demo/")
-    installed.with_name("bc-train").write_text("#!/bin/sh\n")
-    assert len(demo()) == 4
-    assert not any("--resume" in step for step in demo())  # done: a new one, or refused
+        process.wait_for(rf"^bc-demo: what was made is in {folder}; to go on there, .*`cd {folder}`$")
 
 
 def test_a_folder_that_has_a_project_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -237,8 +237,6 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
         assert car_in(log.metadata, log.path) == built_in()  # where its cameras stand, and how it turns
 
 
-
-
 @pytest.mark.parametrize(
     ("flags", "says"),
     [

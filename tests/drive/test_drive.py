@@ -616,7 +616,7 @@ def test_a_car_that_cannot_be_braked_is_named_and_a_second_ctrl_c_ends(
     assert (tmp_path / "run.mcap").exists()
 
 
-@pytest.mark.parametrize("answers_braked", [0, 2])
+@pytest.mark.parametrize("answers_braked", [pytest.param(0, marks=pytest.mark.long), 2])
 def test_a_silent_simulator_is_sent_the_brake_and_its_release(
     pilot_run: Path, tmp_path: Path, answers_braked: int
 ) -> None:

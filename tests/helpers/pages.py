@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from waiting import PATIENCE_S, wait_until
@@ -96,6 +97,15 @@ def drag(page: Page, first: int, last: int, rows: int) -> tuple[int, int]:
     page.mouse.move(across[1], y, steps=4)
     page.mouse.up()
     return selected_rows(page)
+
+
+def drop(page: Page, *dropped: Path) -> None:
+    """Drop files or folders of this machine onto the page, as from a file manager."""
+    session = page.context.new_cdp_session(page)
+    data = {"items": [], "files": [str(path) for path in dropped], "dragOperationsMask": 1}
+    for kind in ("dragEnter", "dragOver", "drop"):
+        session.send("Input.dispatchDragEvent", {"type": kind, "x": 300, "y": 400, "data": data})
+    session.detach()
 
 
 def press(page: Page, key: str, shown: int) -> None:

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import json
-import logging
-from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from driving import one_line_in
-from model import Epoch, Step, train
 from model.cli import main
 from repository import ROOT
-from toy import SMALL, toy_index
+from toy import toy_index
 from udacity import call
-
-TWO = replace(SMALL, epochs=2)
 
 LISTENER = """
 import json
@@ -87,35 +82,6 @@ def test_one_that_fails_is_said_and_the_training_goes_on(
     assert said in capsys.readouterr().err
     assert len(lines(tmp_path / "runs" / "first" / "metrics.jsonl")) == 2
     assert (tmp_path / "runs" / "first" / "model.safetensors").exists()
-
-
-@pytest.mark.parametrize("where", ["step", "epoch", "close"])
-def test_wherever_it_fails_others_hear_all(
-    index: Path, tmp_path: Path, where: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    heard: list[str] = []
-
-    class Heard:
-        def step(self, step: Step) -> None:
-            heard.append("step")
-
-        def epoch(self, epoch: Epoch) -> None:
-            heard.append(f"epoch {epoch.epoch}")
-
-        def close(self) -> None:
-            heard.append("close")
-
-    class Fails(Heard):
-        def __getattribute__(self, name: str) -> object:
-            if name == where:
-                raise OSError("full")
-            return lambda *told: None
-
-    with caplog.at_level(logging.WARNING):
-        trained = train(index, tmp_path / "first", TWO, [Fails(), Heard()], figures=False, show_progress=False)
-    assert trained.notices == ["Fails receives nothing more of this training: OSError: full"]
-    assert [record.getMessage() for record in caplog.records] == trained.notices
-    assert [each for each in heard if each != "step"] == ["epoch 1", "epoch 2", "close"]
 
 
 @pytest.mark.parametrize(

@@ -3,41 +3,10 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
 
-import torch
 from torch import nn
 
 from model.network.original import SteeringNetwork
-
-
-def test_every_layer_has_the_shape_of_the_design() -> None:
-    shapes: list[tuple[str, tuple[int, ...]]] = []
-
-    def remember(layer: nn.Module, _: Any, output: torch.Tensor) -> None:
-        if not isinstance(layer, nn.ReLU | nn.Dropout):
-            shapes.append((type(layer).__name__, tuple(output.shape[1:])))
-
-    network = SteeringNetwork().eval()
-    for layer in [*network.features, *network.head]:
-        layer.register_forward_hook(remember)
-    assert network(torch.zeros(2, 3, 128, 128, dtype=torch.uint8)).shape == (2,)
-    assert shapes == [
-        ("Conv2d", (24, 124, 124)),
-        ("MaxPool2d", (24, 62, 62)),
-        ("Conv2d", (36, 58, 58)),
-        ("MaxPool2d", (36, 29, 29)),
-        ("Conv2d", (48, 25, 25)),
-        ("MaxPool2d", (48, 12, 12)),
-        ("Conv2d", (64, 10, 10)),
-        ("Conv2d", (64, 8, 8)),
-        ("Flatten", (4096,)),
-        ("Linear", (1164,)),
-        ("Linear", (100,)),
-        ("Linear", (50,)),
-        ("Linear", (10,)),
-        ("Linear", (1,)),
-    ]
 
 
 def test_every_layer_has_the_parameters_of_the_design() -> None:

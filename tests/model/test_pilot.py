@@ -16,8 +16,6 @@ from dataset.preprocessing import Image
 from driving import Process, road_jpeg, untrained_run
 from model import Pilot, load_pilot
 from model.network.original import SteeringNetwork
-from model.network.packing import pack_weights
-from model.network.pooling import SlicedMaxPool
 from model.runs.run_folder import load_network
 
 
@@ -37,17 +35,6 @@ def as_trained(run: Path, crops: list[Image]) -> list[float]:
     network = load_network(run).eval()
     with torch.no_grad():
         return network(torch.from_numpy(np.stack(crops).transpose(0, 3, 1, 2).copy())).tolist()  # type: ignore[no-any-return]
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
-@pytest.mark.parametrize("size", [(4, 6), (5, 7), (124, 124)])
-def test_pooling_by_slices_is_that_of_pytorch_to_the_last_bit(size: tuple[int, int], dtype: torch.dtype) -> None:
-    inputs = torch.randn(2, 3, *size, generator=torch.Generator().manual_seed(0)).to(dtype)
-    inputs = inputs.to(memory_format=torch.channels_last)
-    inputs[1, 2, 1, 3], inputs[0, 0, 0, 0] = math.nan, -math.inf
-    pooled = SlicedMaxPool()(inputs)
-    assert pooled.is_contiguous(memory_format=torch.channels_last)
-    torch.testing.assert_close(pooled, torch.nn.functional.max_pool2d(inputs, 2), rtol=0, atol=0, equal_nan=True)
 
 
 def test_float32_says_what_the_trained_network_says(run: Path, crops: list[Image]) -> None:
@@ -85,23 +72,6 @@ def test_a_crop_may_be_a_view_of_another_picture(run: Path, crops: list[Image]) 
     pilot = load_pilot(run)
     mirrored = crops[0][:, ::-1]
     assert pilot.predict(mirrored) == pilot.predict(mirrored.copy())
-
-
-def test_packed_weights_say_what_the_layers_said(run: Path, crops: list[Image]) -> None:
-    """Measured: to the last bit on an AMD EPYC. Another processor's oneDNN may add in another order."""
-    network = load_network(run).eval().bfloat16()
-    assert isinstance(network, SteeringNetwork)
-    pictures = torch.from_numpy(np.stack(crops)).permute(0, 3, 1, 2).bfloat16() / 255
-    with torch.inference_mode():
-        features = network.features(pictures)
-        steering = network.head(features)
-        for layers, inputs, said in ((network.features, pictures, features), (network.head, features, steering)):
-            before = list(layers)
-            if pack_weights(layers):
-                assert list(layers) != before
-            else:
-                assert list(layers) == before
-            torch.testing.assert_close(layers(inputs), said, rtol=0.02, atol=0.01)
 
 
 @pytest.mark.skipif(

@@ -17,7 +17,6 @@ from common.errors import StoreError
 from common.location import Location
 from dataset import DatasetError, IndexConfig, build_index
 from dataset.loader.loader import Loader, load
-from disk import files_of_at_most
 from logs import write_log
 from model.evaluation.evaluate import evaluate
 from model.training.trainer import train
@@ -169,15 +168,6 @@ def test_a_cache_that_cannot_be_written_says_so_and_gives_the_same(
     (tmp_path / "cache").write_text("no folder")
     expected = pictures(load(indexes[0], batch=7, budget_bytes=0))
     with caplog.at_level(logging.WARNING):
-        assert pictures(load(indexes[1], batch=7, budget_bytes=0)) == expected
-    assert caplog.text.count("cannot be written") == 1
-
-
-def test_a_disk_that_is_full_says_so_and_gives_the_same(
-    bucket: Bucket, indexes: tuple[Path, Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    expected = pictures(load(indexes[0], batch=7, budget_bytes=0))
-    with caplog.at_level(logging.WARNING), files_of_at_most(20_000):
         assert pictures(load(indexes[1], batch=7, budget_bytes=0)) == expected
     assert caplog.text.count("cannot be written") == 1
 

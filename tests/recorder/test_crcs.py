@@ -162,15 +162,6 @@ def test_whoever_wants_no_picture_reads_none(forged: Path, damaged: str, reader:
         reader(forged, forged)
 
 
-@pytest.mark.parametrize("damaged", ["pictures"])
-def test_crops_are_of_the_pictures_that_are_whole(forged: Path) -> None:
-    whole = forty_rows(forged.with_name("whole.mcap"))
-    hit = contents(whole).chunks[DAMAGED["pictures"]].messages
-    lost = {message.sequence for message in hit if message.topic == "/camera/center"}
-    assert lost
-    assert every_crop(forged) == (set(range(40)) - lost, {f"a row {row} center" for row in lost})
-
-
 def test_a_picture_is_not_read_out_of_such_a_chunk(tmp_path: Path) -> None:
     """Not even where its place is known from before, as an index keeps it."""
     path = write_log(tmp_path / "a.mcap", [0.1] * 5, picture)

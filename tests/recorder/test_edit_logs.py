@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import subprocess
 import sys
@@ -102,7 +101,6 @@ def layout(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> s
 
 
 laid_out: Layout = two_kinds
-MIXED_ALONE = pytest.mark.parametrize("layout", ["mixed"], indirect=True)
 
 
 # Recover
@@ -146,25 +144,6 @@ def test_a_log_that_was_killed_at_any_chunk_is_sound_when_it_is_recovered(tmp_pa
         done = recover(part, to, overwrite=True)
         kinds = {kind for kind, _ in check(to, look=False).findings}
         assert kinds == (set() if done.rows else {"stretches of pictures without a row"}), chunk.start
-
-
-@MIXED_ALONE
-def test_a_log_that_lost_any_chunk_is_sound_when_it_is_recovered(tmp_path: Path) -> None:
-    """What is left at the edges of the hole, of rows whose pictures or steering were in it, is named as lost."""
-    whole = drive(tmp_path / "a.mcap", range(20))
-    original, data = contents(whole), whole.read_bytes()
-    rows = [{m.sequence for m in chunk.messages} for chunk in original.chunks]
-    assert all(one & other for one, other in itertools.pairwise(rows)), "rows lie across chunks"
-    damaged, to = tmp_path / "b.mcap", tmp_path / "c.mcap"
-    for chunk in original.chunks:
-        damaged.write_bytes(data[: chunk.end - 1] + bytes([data[chunk.end - 1] ^ 1]) + data[chunk.end :])
-        done = recover(damaged, to, overwrite=True)
-        assert [f for f in check(to, look=False).findings if "gap" not in f.kind] == [], chunk.start
-        lost = {m.sequence for m in chunk.messages if m.topic in ROW_TOPICS}
-        kept = [m for m in original.messages if m not in chunk.messages]
-        rest = [m for m in kept if m.topic not in ROW_TOPICS or m.sequence not in lost]
-        assert contents(to).by_topic == by_topic(rest)
-        assert done.skipped.counts["damaged chunks"] == 1
 
 
 def test_without_any_row_every_picture_is_kept(tmp_path: Path) -> None:
@@ -362,7 +341,7 @@ def test_what_was_merged_is_split_again_where_time_goes_back(tmp_path: Path) -> 
 
 
 def test_a_single_drive_and_too_many_are_not_split(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"a\.mcap: a single drive"):
+    with pytest.raises(LogError, match=r"a\.mcap: has a single drive"):
         split(drive(tmp_path / "a.mcap", range(5)), tmp_path / "drives")
     path = write_log(tmp_path / "b.mcap", [0.0] * 600, cameras=(), step_ns=-1)
     with pytest.raises(LogError, match=r"b\.mcap: 600 drives are too many"):
@@ -384,7 +363,7 @@ def test_if_one_name_is_taken_meanwhile_no_drive_stays(tmp_path: Path, monkeypat
         (tmp_path / "drives" / "a-2.mcap").write_bytes(b"somebody's work")
 
     monkeypatch.setattr(LogWriter, "finish", finish_and_be_late)
-    with pytest.raises(LogError, match=r"not split: somebody else wrote .*a-2\.mcap.*nothing was kept"):
+    with pytest.raises(LogError, match=r"not split: .*a-2\.mcap exists now.*nothing was kept"):
         split(whole, tmp_path / "drives")
     assert [path.name for path in (tmp_path / "drives").iterdir()] == ["a-2.mcap"]
     assert (tmp_path / "drives" / "a-2.mcap").read_bytes() == b"somebody's work"
@@ -473,11 +452,11 @@ def test_nothing_is_overwritten_and_the_original_never_changes(tmp_path: Path, e
     with pytest.raises(UserError, match=r"b\.mcap exists already.*--force"):
         edit(whole, other, False)
     assert other.read_bytes() == b"somebody's work"
-    with pytest.raises(LogError, match=r"a\.mcap: the log itself"):
+    with pytest.raises(LogError, match=r"a\.mcap: is the log itself"):
         edit(whole, whole, True)
     link = tmp_path / "link.mcap"
     link.symlink_to(whole)
-    with pytest.raises(LogError, match=r"link\.mcap: the log itself"):
+    with pytest.raises(LogError, match=r"link\.mcap: is the log itself"):
         edit(whole, link, True)
     edit(whole, other, True)
     assert contents(other).messages

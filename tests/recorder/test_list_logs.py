@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -18,7 +17,6 @@ from recorder.log.writer import LogWriter
 from recorder.log_cli import main
 from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.simulated_drive import SimulatedDrive
-from recorder.upkeep import copy_log
 from recorder.upkeep.log_info import describe
 from udacity import call, jpeg
 
@@ -139,25 +137,6 @@ def test_a_failure_nobody_expects_hides_no_log(
     output = capsys.readouterr()
     assert "tuesday" in output.out
     assert "sessions/monday.mcap: cannot be looked at (ZeroDivisionError of a library)" in output.err
-
-
-def test_a_failure_nobody_expects_keeps_no_log_from_being_copied(
-    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("monday", "tuesday"):
-        log_of(here / "sessions" / f"{name}.mcap", 3)
-
-    def fails_on_monday(log: Path, *options: object, **named: object) -> object:
-        if "monday" in log.name:
-            raise ZeroDivisionError("of a library")
-        return copy_as_ever(log, *options, **named)
-
-    copy_as_ever: Callable[..., object] = copy_log.copy_log
-    monkeypatch.setattr(copy_log, "copy_log", fails_on_monday)
-    assert call(main, "copy", "sessions", "elsewhere") == 1
-    printed = capsys.readouterr().err
-    assert "sessions/monday.mcap: cannot be looked at (ZeroDivisionError of a library)" in printed
-    assert "sessions/tuesday.mcap and elsewhere/tuesday.mcap: both on this machine" in printed
 
 
 def test_a_recording_of_simulated_time_has_the_date_of_its_file(here: Path) -> None:

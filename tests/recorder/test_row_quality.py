@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 from pathlib import Path
@@ -12,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.stretches import stretches, stretches_within
 from logs import START_NS
 from plain_mcap import contents
 from recorder import Log, LogWriter
@@ -188,26 +186,6 @@ def test_whatever_a_log_holds_its_rows_are_judged(rows: list[tuple[int, float, f
     assert {len(mask) for mask in flags.values()} == {len(rows)}
     told = summary(found)
     assert {flag: told[flag] for flag in flags} == {flag: str(sum(mask.tolist())) for flag, mask in flags.items()}
-
-
-@given(st.lists(st.booleans(), max_size=20))
-def test_stretches_are_the_runs_of_true(mask: list[bool]) -> None:
-    found = stretches(np.array(mask, np.bool_))
-    assert [i for first, last in found for i in range(first, last + 1)] == [i for i, on in enumerate(mask) if on]
-    assert all(later[0] - earlier[1] > 1 for earlier, later in itertools.pairwise(found))
-
-
-@given(st.lists(st.tuples(st.booleans(), st.integers(0, 2)), max_size=20))
-def test_stretches_within_parts_are_those_of_each_part(rows: list[tuple[bool, int]]) -> None:
-    mask = np.array([is_on for is_on, _ in rows], np.bool_)
-    part = np.array([number for _, number in rows], np.int64)
-    starts = [0, *(np.flatnonzero(np.diff(part)) + 1).tolist(), len(rows)]
-    expected = [
-        (begin + first, begin + last)
-        for begin, end in itertools.pairwise(starts)
-        for first, last in stretches(mask[begin:end])
-    ]
-    assert stretches_within(mask, part) == expected
 
 
 # In a log

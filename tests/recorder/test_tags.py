@@ -250,28 +250,3 @@ def test_a_line_that_is_being_written_is_not_taken_for_cut_off(log: Path) -> Non
         fcntl.flock(stream, fcntl.LOCK_UN)
         assert other.wait(PATIENCE_S) == 0
     assert [tag.name for tag in read_tags(log, CONTENT)] == ["process 0", "first", "second"]
-
-
-def test_a_file_that_another_one_removes_meanwhile_is_made_anew(log: Path) -> None:
-    """Who cannot write the first tag of a log removes the empty file again, while others may wait for it."""
-    import fcntl
-
-    with (
-        tags_path(log).open("ab", buffering=0) as stream,
-        subprocess.Popen(
-            [sys.executable, "-c", ADD_MANY, str(log), CONTENT, "0", "1"],
-            env=environment(),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-        ) as other,
-    ):
-        fcntl.flock(stream, fcntl.LOCK_EX)
-        assert other.stdin is not None
-        other.stdin.write(b"go\n")
-        other.stdin.flush()
-        with pytest.raises(subprocess.TimeoutExpired):
-            other.wait(1.5)
-        tags_path(log).unlink()
-        fcntl.flock(stream, fcntl.LOCK_UN)
-        assert other.wait(PATIENCE_S) == 0
-    assert [tag.name for tag in read_tags(log, CONTENT)] == ["process 0"]

@@ -212,17 +212,6 @@ def test_of_a_csv_that_begins_again_only_new_lines_are_given(tmp_path: Path, tex
     assert tail.rest() == []
 
 
-def test_a_long_csv_that_was_replaced_adds_only_what_is_new(tmp_path: Path) -> None:
-    csv = tmp_path / "driving_log.csv"
-    lines = [b"line %d\n" % number for number in range(1000)]
-    csv.write_bytes(b"".join(lines))
-    tail = CsvTail(csv)
-    assert len(tail.new_lines()) == 1000
-    (tmp_path / "other").write_bytes(b"".join([b"LINE 0\n", *lines[1:], b"the last\n"]))
-    (tmp_path / "other").replace(csv)
-    assert tail.new_lines() == [(1, b"LINE 0"), (1001, b"the last")]
-
-
 def test_what_never_came_is_named_and_in_the_log(tmp_path: Path) -> None:
     folder = tmp_path / "drive"
     make_recording(folder, f"{ROWS[0]}\n{ROWS[1]}\n{ROWS[2]}", [0, 8])
@@ -269,26 +258,6 @@ def test_links_out_of_the_recording_are_not_followed(tmp_path: Path) -> None:
     (folder / "driving_log.csv").symlink_to(tmp_path / "private" / "driving_log.csv")
     with pytest.raises(RecordingError, match="a link out of the recording"):
         watch_udacity(folder, tmp_path / "watched.mcap", idle_s=0)
-
-
-def test_a_folder_of_pictures_that_is_a_link_is_followed(tmp_path: Path) -> None:
-    folder = tmp_path / "drive"
-    make_recording(folder, "".join(f"{row}\n" for row in ROWS[:2]), [0, 1])
-    (folder / "IMG").rename(tmp_path / "disk")
-    (folder / "IMG").symlink_to(tmp_path / "disk")
-    left = tmp_path / "disk" / picture_name("left", 1)
-    left.rename(tmp_path / "private.jpg")
-    left.symlink_to(tmp_path / "private.jpg")
-    done = watch_udacity(folder, tmp_path / "watched.mcap", idle_s=0)
-    assert (done.rows, done.pictures) == (2, 5)
-    assert list(done.skipped) == [("pictures that are links out of the recording", left.name)]
-
-
-def test_an_existing_log_is_refused_before_anything_is_watched(tmp_path: Path) -> None:
-    (tmp_path / "watched.mcap").write_bytes(b"somebody's work")
-    with pytest.raises(Exception, match="--force"):
-        watch_udacity(tmp_path / "nowhere", tmp_path / "watched.mcap")
-    assert (tmp_path / "watched.mcap").read_bytes() == b"somebody's work"
 
 
 def test_kill_ends_the_real_thing_and_a_killed_one_keeps_what_came(tmp_path: Path) -> None:

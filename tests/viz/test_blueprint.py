@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,7 +21,7 @@ from recorder.topics import EVENTS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, c
 from rrd import contents, view_names
 from simulator.pose import Pose
 from viz import save_rrd
-from viz.playback.blueprint import comparison_layout, log_layout
+from viz.playback.blueprint import log_layout
 
 ROWS = 60
 TOPICS = (
@@ -78,24 +77,6 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 # Views
-
-
-def test_whatever_a_log_holds_every_view_has_a_name_of_its_own() -> None:
-    for count in range(len(TOPICS) + 1):
-        for topics in itertools.combinations(TOPICS, count):
-            for runs in ((), ("first", "a/b c")):
-                names = [view.name for view in views_of(log_layout(topics, runs, runs))]
-                assert None not in names
-                assert len(set(names)) == len(names) > 0, (topics, runs)
-
-
-def test_beside_each_other_every_view_has_a_name_of_its_own() -> None:
-    for topics in (TOPICS, TOPICS[:1], (VEHICLE,), ()):
-        names = [
-            view.name for view in views_of(comparison_layout({"a": topics, "b": TOPICS, "c/d": ()}, "since start"))
-        ]
-        assert None not in names
-        assert len(set(names)) == len(names)
 
 
 def test_everything_that_is_drawn_is_in_a_view_and_no_view_is_empty(drive: Path) -> None:

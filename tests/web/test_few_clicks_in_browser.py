@@ -7,12 +7,16 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pytest
+
 from drives import a_drive
 from driving import road_jpeg, untrained_run
 from histories import epoch_line, write_lines
 from logs import write_log
-from pages import opened_page
+from pages import drop, open_session, opened_page
+from udacity import make_recording, paths
 from waiting import wait_until
+from web.jobs import wheels
 from workbench import served
 
 if TYPE_CHECKING:
@@ -54,3 +58,29 @@ def test_three_clicks_show_why_a_drive_left_the_road(browser: Browser, tmp_path:
         page.wait_for_selector("#session[data-course] #course-map circle", state="attached")
         page.click("#attention")  # and where it looks
         page.wait_for_selector("figure[data-attention*='/r/5?'] .attention")
+
+
+def test_six_clicks_and_a_drop_import_train_and_drive(
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the real commands. Before, it took nineteen clicks and keys at least."""
+    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(wheels, "quick_epochs", lambda rows: 1)
+    rows = range(40)
+    lines = [f"{paths(row)},{0.1 * (row % 5 - 2)},0.5,0,9.5\n" for row in rows]
+    make_recording(tmp_path / "mine" / "lake", "".join(lines), rows)
+    with served(tmp_path / "project") as bench, opened_page(browser, f"{bench.address}/sessions") as page:
+        page.click(".cards a[href='/import']")
+        page.wait_for_selector("#drop")
+        page.wait_for_load_state()  # with its scripts
+        drop(page, tmp_path / "mine" / "lake")
+        page.click(".found button")
+        open_session(page)
+        page.click("text=Train on it")
+        page.click("text=Let it drive: lake")  # as soon as it has learnt
+        page.click("button:text('Take the wheel')")
+        page.wait_for_selector("#wheel[data-holder=true][data-frame]")
+        assert "the network drives" in wait_until(lambda: page.inner_text("#driver"))
+        page.keyboard.press("Escape")
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#after button")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import recorder.cli
-from pages import open_session, opened_page
+from pages import drop, open_session, opened_page
 from recorder import Log
 from udacity import call, make_recording, paths
 from upload_bodies import zipped
@@ -14,18 +14,9 @@ from waiting import wait_until
 from workbench import served
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser
 
 CSV = "".join(f"{paths(number)},0.1,0.5,0,9.5\n" for number in range(3))
-
-
-def drop(page: Page, *dropped: Path) -> None:
-    """Drop files or folders of this machine onto the page, as from a file manager."""
-    session = page.context.new_cdp_session(page)
-    data = {"items": [], "files": [str(path) for path in dropped], "dragOperationsMask": 1}
-    for kind in ("dragEnter", "dragOver", "drop"):
-        session.send("Input.dispatchDragEvent", {"type": kind, "x": 300, "y": 400, "data": data})
-    session.detach()
 
 
 def test_a_chosen_folder_becomes_a_session_by_the_keyboard(browser: Browser, tmp_path: Path) -> None:
@@ -40,8 +31,7 @@ def test_a_chosen_folder_becomes_a_session_by_the_keyboard(browser: Browser, tmp
         page.wait_for_selector("text=3 rows")
         assert page.input_value("input[name=name]") == "lake"
         page.press("input[name=name]", "Enter")
-        page.click("text=what it has made")
-        open_session(page)
+        open_session(page)  # which opens by itself
     sessions = tmp_path / "mine" / "sessions"
     assert call(recorder.cli.main, "lake", "--from", tmp_path / "mine" / "lake", "--sessions", sessions) == 0
     with Log(tmp_path / "project" / "sessions" / "lake.mcap") as here, Log(sessions / "lake.mcap") as there:

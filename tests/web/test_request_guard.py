@@ -53,7 +53,7 @@ def test_our_own_names_are_answered(bench: Served, host: str) -> None:
 
 @pytest.mark.parametrize(
     "origin",
-    ["http://evil.example", "null", "http://localhost:3000", "http://127.0.0.1", "https://127.0.0.1:{port}"],
+    ["http://evil.example", "null", "http://localhost:3000", "http://127.0.0.1", "https://127.0.0.1"],
 )
 @pytest.mark.parametrize("method", ["GET", "POST"])
 def test_a_page_from_elsewhere_cannot_ask(bench: Served, origin: str, method: str) -> None:
@@ -70,7 +70,9 @@ def test_what_browsers_tell_without_an_origin_is_heard_too(bench: Served) -> Non
     said = [FROM_OUR_PAGE, A_LINK, FROM_ANOTHER, A_FRAME, {**FROM_ANOTHER, "Sec_Fetch_Site": "same-site"}]
     assert [bench.get("/sessions", **headers).status for headers in said] == [200, 200, 403, 403, 403]
     own = bench.address
-    assert bench.get("/sessions", Origin=own, **FROM_OUR_PAGE).status == 200
+    for scheme in ("http", "https"):  # as it is opened through a proxy that encrypts
+        origin = own.replace("http", scheme)
+        assert bench.get("/sessions", Origin=origin, **FROM_OUR_PAGE).status == 200
 
 
 def test_no_answer_lets_code_in_or_may_be_framed(bench: Served) -> None:

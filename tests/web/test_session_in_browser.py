@@ -16,7 +16,9 @@ import recorder.log_cli
 from driving import command, environment
 from faulty_session import CRASH, FROZEN, GAP_AT, ROWS, STUCK, write_faulty
 from logs import START_NS
+from mcap_patch import without_lag
 from pages import drag, open_session, opened_page, press
+from panorama import pressed, views, write_drive
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.tags import read_tags
@@ -284,3 +286,15 @@ def test_what_commands_do_meanwhile_is_seen(browser: Browser, bench: Served) -> 
         wait_until(lambda: "replaced" in page.inner_text("#problem"))
         log.unlink()
         wait_until(lambda: "deleted" in page.inner_text("#problem"))
+
+
+def test_a_lag_that_is_measured_meanwhile_is_shown(browser: Browser, bench: Served) -> None:
+    def late(at_s: np.ndarray) -> np.ndarray:
+        return pressed(at_s - 0.3)
+
+    log = without_lag(write_drive(bench.folder / "sessions" / "late.mcap", views(1300), late))
+    with opened(browser, bench, "late") as page:
+        page.click("text=About this log")
+        assert "lag not measured" in page.inner_text("#about")
+        assert call(recorder.log_cli.main, "check", log) == 0
+        wait_until(lambda: "0.4 s late" in page.inner_text("#about"))

@@ -145,10 +145,6 @@ def test_from_a_damaged_session_to_its_drive(
         wait_until(lambda: page.locator("figure:not([hidden]) img").first.evaluate("image => image.naturalWidth"))
         assert call(recorder.log_cli.main, "check", drive) == 0
         page.wait_for_selector(".title a:text('walked')")  # the way back to the run
-        page.set_viewport_size({"width": 480, "height": 400})  # Rerun draws in software
-        page.keyboard.press("o")
-        page.wait_for_selector("#rerun[data-shown]")
-        assert page.locator("#rerun iframe").count() == 1
 
 
 def excluded(log: Path, capsys: pytest.CaptureFixture[str]) -> list[tuple[int, int]]:

@@ -128,12 +128,19 @@ def test_a_drive_that_cannot_begin_says_why(bench: Served) -> None:
 
 
 def test_after_a_drive_it_can_be_trained_on_and_driven_on_from(bench: Served) -> None:
-    write_log(bench.folder / "sessions" / "mine.mcap", [0.1] * 30)
+    driven_log(bench.folder / "sessions" / "mine.mcap", 200)
     page = bench.get("/wheel/after/sessions/mine").text
-    assert "30 rows" in page
+    assert "2 rows" in page
     assert "Train on it" in page
     assert "Drive on from here" in page
     assert "Let it drive" not in page
+
+
+def test_an_imported_session_can_be_trained_on_but_not_driven_on_from(bench: Served) -> None:
+    write_log(bench.folder / "sessions" / "mine.mcap", [0.1] * 30)
+    page = bench.get("/wheel/after/sessions/mine").text
+    assert "Train on it" in page
+    assert "Drive on from here" not in page
 
 
 def test_after_a_supervised_drive_each_takeover_is_a_link_to_its_row(bench: Served) -> None:

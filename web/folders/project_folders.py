@@ -16,7 +16,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Final, Literal, get_args
 
-from common.errors import StoreError
+from common.errors import StoreError, printable
 from common.files import PART_SUFFIX
 from common.location import Location, Url
 from dataset.index.build_state import Stat, stat_of
@@ -106,6 +106,10 @@ class ProjectFolders:
         """The problem of a folder's store, if what is shown may be outdated: it does not answer, or refuses."""
         folder: Location = getattr(self, place)
         return self._listings.problem(folder) if isinstance(folder, Url) else ""
+
+    def finished(self, place: Place) -> dict[str, str]:
+        """The names of a folder's finished logs for people, by their keys."""
+        return {key: shown_name(log) for key, log in self.logs(place).items() if log.suffix == _LOG}
 
     def log(self, place: Place, key: str) -> Location:
         """The log of that key. Raises WebError if it is not there (any more), or if its store does not answer."""
@@ -209,6 +213,11 @@ class ProjectFolders:
         """Fetch those of these files of a run that have changed in its store. Raises StoreError."""
         if self._stored_runs:
             self._stored_runs.bring(run, names)
+
+
+def shown_name(log: Location) -> str:
+    """The name of a log for people."""
+    return printable(log.name.removesuffix(_LOG))
 
 
 def as_word(log: Location) -> str:

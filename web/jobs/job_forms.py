@@ -26,11 +26,11 @@ Known = Literal["", "sessions", "runs", "pictures", "topics"]
 
 @dataclass(frozen=True)
 class Field:
-    """A value of a form. `flag`: how it is given; "" for words of the command line as they are."""
+    """A value of a form. `flag`: how it is given; None: `--name`; "": as words of the command line."""
 
     name: str
     label: str
-    flag: str = ""
+    flag: str | None = None
     hint: str = ""  # what holds when it is left empty
     choices: tuple[str, ...] = ()
     known: Known = ""  # names to choose among
@@ -40,15 +40,16 @@ class Field:
     is_more: bool = False  # folded away: few people change it
 
     def words(self, value: str) -> list[str]:
+        flag = f"--{self.name.replace('_', '-')}" if self.flag is None else self.flag
         if self.is_switch:
-            return [self.flag] if value else []
+            return [flag] if value else []
+        if flag and not self.is_several:
+            return [f"{flag}={value}"]
         parts = value.split() if self.is_several else [value]
         for part in parts:
-            if part.startswith("-") and (self.is_several or not self.flag):
+            if part.startswith("-"):
                 raise WebError(f"{self.label}: {part!r} would be taken for a flag", 422)
-        if self.is_several or not self.flag:
-            return [*([self.flag] if self.flag else []), *parts]
-        return [f"{self.flag}={value}"]
+        return [*([flag] if flag else []), *parts]
 
 
 @dataclass(frozen=True)
@@ -60,9 +61,9 @@ class JobForm:
     about: str
     command: tuple[str, ...]
     fields: tuple[Field, ...]
-    folders: tuple[tuple[str, str], ...]  # flags, and the folder of the project that each names
+    folders: tuple[str, ...]  # of the project, that it is told where they are not the usual ones
     made: Callable[[Mapping[str, str]], str]
-    of_named: tuple[tuple[str, str], ...] = ()  # the same, where sessions are named
+    of_named: tuple[str, ...] = ()  # the same, where sessions are named
     to_store: str = ""  # the flag that names the folder of its sessions instead, if that is in a store
     names_run: bool = False  # a run without a name gets one, so that its page is known
     fills_project: bool = False  # where none of the project's folders is there yet: `--folder` is theirs
@@ -82,11 +83,11 @@ class JobForm:
         if self.fills(folders):
             words.append(f"--folder={folders.parent}")
         named = any(field.known == "sessions" and values.get(field.name, "").strip() for field in self.fields)
-        for flag, name in (*self.folders, *(self.of_named if named else ())):
+        for name in (*self.folders, *(self.of_named if named else ())):
             folder: Location = getattr(folders, name)
             if folder != getattr(ProjectFolders(), name):
                 is_there = self.to_store and isinstance(folder, Url)
-                words.append(f"{self.to_store if is_there else flag}={folder}")
+                words.append(f"{self.to_store if is_there else f'--{name}'}={folder}")
         return words
 
     def named(self, values: Mapping[str, str]) -> dict[str, str]:
@@ -117,26 +118,21 @@ def _run(values: Mapping[str, str]) -> str:
 
 _INDEX: Final = IndexConfig()
 _TRAIN: Final = TrainConfig()
+_TARGETS: Final = ("steering", "steering speed", "steering throttle", "steering speed throttle")
+_KEEP: Final = ("driving-error", "balanced-rmse", "rmse", "last")
 INDEX_FIELDS: Final = (
-    Field("sessions", "sessions", hint="all of them", known="sessions", is_several=True),
-    Field("recipe", "recipe", "--recipe", choices=("people", "original")),
-    Field("bins", "bins", "--bins", hint=str(_INDEX.bins)),
-    Field("per_bin", "samples a bin", "--per-bin", hint=str(_INDEX.per_bin)),
-    Field("max_uses", "most uses of a picture", "--max-uses", hint=str(_INDEX.max_uses)),
-    Field("labels", "labels", "--labels", choices=("auto", "as-recorded")),
-    Field("where", "rows where", "--where", hint="all rows; SQL such as speed_mph > 5"),
-    Field("validation_share", "share held out", "--validation-share", hint=str(_INDEX.validation_share)),
-    Field(
-        "validation",
-        "sessions held out",
-        "--validation",
-        hint="none as a whole",
-        known="sessions",
-        is_several=True,
-    ),
-    Field("no_balance", "do not balance", "--no-balance", is_switch=True),
-    Field("no_flip", "no mirrored copies", "--no-flip", is_switch=True),
-    Field("seed", "seed", "--seed", hint=str(_INDEX.seed)),
+    Field("sessions", "sessions", "", hint="all of them", known="sessions", is_several=True),
+    Field("recipe", "recipe", choices=("people", "original")),
+    Field("bins", "bins", hint=str(_INDEX.bins)),
+    Field("per_bin", "samples a bin", hint=str(_INDEX.per_bin)),
+    Field("max_uses", "most uses of a picture", hint=str(_INDEX.max_uses)),
+    Field("labels", "labels", choices=("auto", "as-recorded")),
+    Field("where", "rows where", hint="all rows; SQL such as speed_mph > 5"),
+    Field("validation_share", "share held out", hint=str(_INDEX.validation_share)),
+    Field("validation", "sessions held out", hint="none as a whole", known="sessions", is_several=True),
+    Field("no_balance", "do not balance", is_switch=True),
+    Field("no_flip", "no mirrored copies", is_switch=True),
+    Field("seed", "seed", hint=str(_INDEX.seed)),
 )
 """Also those of the page that shows what a rebuild would change."""
 
@@ -147,14 +143,14 @@ FORMS: Final[Sequence[JobForm]] = (
         "The built-in simulator is driven, and recorded as a session.",
         ("bc-record",),
         (
-            Field("name", "name of the session", is_needed=True),
-            Field("track", "track", "--track", hint="lake; or mountain, random:SEED, hairpins:SEED"),
-            Field("driver", "driver", "--driver", choices=("expert", "keyboard", "mouse")),
-            Field("laps", "laps", "--laps", hint="1"),
-            Field("speed", "speeds in mph", "--speed", hint="10", is_several=True),
-            Field("seed", "seed", "--seed", hint="0"),
+            Field("name", "name of the session", "", is_needed=True),
+            Field("track", "track", hint="lake; or mountain, random:SEED, hairpins:SEED"),
+            Field("driver", "driver", choices=("expert", "keyboard", "mouse")),
+            Field("laps", "laps", hint="1"),
+            Field("speed", "speeds in mph", hint="10", is_several=True),
+            Field("seed", "seed", hint="0"),
         ),
-        (("--sessions", "sessions"),),
+        ("sessions",),
         _session,
         to_store="--copy-to",  # where it is recorded, logs are on this machine
     ),
@@ -164,34 +160,18 @@ FORMS: Final[Sequence[JobForm]] = (
         "A recording becomes a session: of Udacity's simulator, DonkeyCar, ROS 2, LeRobot, or MCAP.",
         ("bc-record",),
         (
-            Field("name", "name of the session", is_needed=True),
+            Field("name", "name of the session", "", is_needed=True),
             Field("source", "folder or file on this machine", "--from", is_needed=True),
+            Field("image", "topic of the pictures", hint="of a log or bag", known="pictures", is_more=True),
             Field(
-                "image", "topic of the pictures", "--image", hint="of a log or bag", known="pictures", is_more=True
+                "steering", "topic.field of the steering", hint="/cmd_vel.angular.z", known="topics", is_more=True
             ),
-            Field(
-                "steering",
-                "topic.field of the steering",
-                "--steering",
-                hint="/cmd_vel.angular.z",
-                known="topics",
-                is_more=True,
-            ),
-            Field(
-                "steering_scale", "factor of the steering", "--steering-scale", hint="1; -1 for ROS", is_more=True
-            ),
-            Field(
-                "columns",
-                "columns of a csv",
-                "--columns",
-                hint="image=frame steering=angle",
-                is_several=True,
-                is_more=True,
-            ),
-            Field("rate", "rows a second", "--rate", hint="as recorded", is_more=True),
-            Field("car", "car", "--car", hint="Udacity's; or built-in", is_more=True),
+            Field("steering_scale", "factor of the steering", hint="1; -1 for ROS", is_more=True),
+            Field("columns", "columns of a csv", hint="image=frame steering=angle", is_several=True, is_more=True),
+            Field("rate", "rows a second", hint="as recorded", is_more=True),
+            Field("car", "car", hint="Udacity's; or built-in", is_more=True),
         ),
-        (("--sessions", "sessions"),),
+        ("sessions",),
         _session,
         to_store="--copy-to",  # where it is recorded, logs are on this machine
     ),
@@ -200,8 +180,8 @@ FORMS: Final[Sequence[JobForm]] = (
         "Index",
         "Logs become frames and balanced samples.",
         ("bc-index",),
-        (*INDEX_FIELDS, Field("look", "look at every picture", "--look", is_switch=True)),
-        (("--sessions", "sessions"), ("--index", "index")),
+        (*INDEX_FIELDS, Field("look", "look at every picture", is_switch=True)),
+        ("sessions", "index"),
         lambda values: "/index",
     ),
     JobForm(
@@ -210,64 +190,52 @@ FORMS: Final[Sequence[JobForm]] = (
         "A network learns from the index, or from chosen sessions.",
         ("bc-train",),
         (
-            Field("name", "name of the run", "--name", hint="date and time"),
-            Field("network", "network", "--network", choices=tuple(BUILT_IN)),
-            Field("epochs", "epochs", "--epochs", hint=str(_TRAIN.epochs)),
-            Field("rate", "learning rate", "--rate", hint=str(_TRAIN.rate)),
-            Field("batch", "samples in a step", "--batch", hint=str(_TRAIN.batch)),
-            Field(
-                "targets",
-                "what it learns",
-                "--targets",
-                choices=("steering", "steering speed", "steering throttle", "steering speed throttle"),
-                is_several=True,
-            ),
-            Field("recipe", "recipe", "--recipe", choices=("people", "original")),
-            Field("device", "computes on", "--device", choices=("cpu", "cuda")),
-            Field("on", "on these sessions alone", "--on", hint="the index", known="sessions", is_several=True),
-            Field("init", "start from the run", "--init", hint="random weights", known="runs"),
-            Field("patience", "patience, epochs", "--patience", hint="0: all epochs", is_more=True),
-            Field("dropout", "dropout", "--dropout", hint=str(_TRAIN.dropout), is_more=True),
-            Field(
-                "keep",
-                "epoch that is kept",
-                "--keep",
-                choices=("driving-error", "balanced-rmse", "rmse", "last"),
-                is_more=True,
-            ),
-            Field("picture_px", "width and height of the picture", "--picture-px", is_several=True, is_more=True),
-            Field("threads", "processor threads", "--threads", hint="one a core", is_more=True),
-            Field("seed", "seed", "--seed", hint="0", is_more=True),
+            Field("name", "name of the run", hint="date and time"),
+            Field("network", "network", choices=tuple(BUILT_IN)),
+            Field("epochs", "epochs", hint=str(_TRAIN.epochs)),
+            Field("rate", "learning rate", hint=str(_TRAIN.rate)),
+            Field("batch", "samples in a step", hint=str(_TRAIN.batch)),
+            Field("targets", "what it learns", choices=_TARGETS, is_several=True),
+            Field("recipe", "recipe", choices=("people", "original")),
+            Field("device", "computes on", choices=("cpu", "cuda")),
+            Field("on", "on these sessions alone", hint="the index", known="sessions", is_several=True),
+            Field("init", "start from the run", hint="random weights", known="runs"),
+            Field("patience", "patience, epochs", hint="0: all epochs", is_more=True),
+            Field("dropout", "dropout", hint=str(_TRAIN.dropout), is_more=True),
+            Field("keep", "epoch that is kept", choices=_KEEP, is_more=True),
+            Field("picture_px", "width and height of the picture", is_several=True, is_more=True),
+            Field("threads", "processor threads", hint="one a core", is_more=True),
+            Field("seed", "seed", hint="0", is_more=True),
         ),
-        (("--index", "index"), ("--sessions", "sessions"), ("--runs", "runs")),
+        ("index", "sessions", "runs"),
         _run,
         names_run=True,
     ),
     JobForm(
         "learn",
         "Learn from takeovers",
-        "A run learns from a drive in which somebody took over from it, on top of what it was trained on.",
+        "A run learns from a drive in which somebody took over, in addition to its old data.",
         ("bc-train",),
         (
             Field("run", "run", "--init", known="runs", is_needed=True),
-            Field("takeovers", "log of the drive", "--takeovers", hint="drives/NAME.mcap", is_needed=True),
-            Field("name", "name of the new run", "--name", hint="date and time"),
-            Field("epochs", "epochs", "--epochs", hint="10"),
+            Field("takeovers", "log of the drive", hint="drives/NAME.mcap", is_needed=True),
+            Field("name", "name of the new run", hint="date and time"),
+            Field("epochs", "epochs", hint="10"),
         ),
-        (("--index", "index"), ("--sessions", "sessions"), ("--drives", "drives"), ("--runs", "runs")),
+        ("index", "sessions", "drives", "runs"),
         lambda values: _run({"name": values.get("name", "")}),
         names_run=True,
     ),
     JobForm(
         "resume",
         "Go on training",
-        "A training that was stopped goes on where it was.",
+        "A stopped training continues.",
         ("bc-train",),
         (
             Field("run", "run", "--resume", known="runs", is_needed=True),
-            Field("epochs", "epochs", "--epochs", hint="as many as before"),
+            Field("epochs", "epochs", hint="as many as before"),
         ),
-        (("--index", "index"), ("--sessions", "sessions"), ("--runs", "runs")),
+        ("index", "sessions", "runs"),
         _run,
     ),
     JobForm(
@@ -276,13 +244,13 @@ FORMS: Final[Sequence[JobForm]] = (
         "A run is measured on the frames that were held out, or on whole sessions.",
         ("bc-eval",),
         (
-            Field("run", "run", known="runs", hint="the newest"),
-            Field("session", "sessions instead", "--session", known="sessions", is_several=True),
-            Field("on", "let it drive the recordings", "--on", known="sessions", is_several=True),
+            Field("run", "run", "", known="runs", hint="the newest"),
+            Field("session", "sessions instead", known="sessions", is_several=True),
+            Field("on", "let it drive the recordings", known="sessions", is_several=True),
         ),
-        (("--runs", "runs"),),
+        ("runs",),
         _run,
-        of_named=(("--sessions", "sessions"),),
+        of_named=("sessions",),
     ),
     JobForm(
         "drive",
@@ -290,24 +258,24 @@ FORMS: Final[Sequence[JobForm]] = (
         "A run drives the built-in simulator; the drive's log is kept.",
         ("bc-eval",),
         (
-            Field("run", "run", known="runs", hint="the newest"),
+            Field("run", "run", "", known="runs", hint="the newest"),
             Field(
                 "track", "tracks", "--simulator", hint="lake mountain random:3", is_several=True, is_needed=True
             ),
-            Field("laps", "laps", "--laps", hint="1"),
-            Field("speed", "speeds in mph", "--speed", hint="10", is_several=True),
-            Field("force", "replace logs of the same names", "--force", is_switch=True),
+            Field("laps", "laps", hint="1"),
+            Field("speed", "speeds in mph", hint="10", is_several=True),
+            Field("force", "replace logs of the same names", is_switch=True),
         ),
-        (("--runs", "runs"), ("--drives", "drives")),
+        ("runs", "drives"),
         _run,
     ),
     JobForm(
         "demo",
         "Demo",
-        "The whole chain: record, index, train, drive; in this project, if it has nothing yet, and else in a new"
+        "The whole chain: record, index, train, drive; in this project if it is empty, otherwise in a new"
         " folder, demo/DATE. Takes some minutes.",
         ("bc-demo",),
-        (Field("epochs", "epochs", "--epochs", hint="4"),),
+        (Field("epochs", "epochs", hint="4"),),
         (),
         lambda values: "/drives",
         fills_project=True,
@@ -320,4 +288,4 @@ def form_of(name: str) -> JobForm:
     for form in FORMS:
         if form.name == name:
             return form
-    raise WebError(f"{name!r}: nothing of that name can be started", 404)
+    raise WebError(f"{name!r}: no job has this name", 404)

@@ -5,7 +5,7 @@ Nothing is overwritten: none of them is given `--force`, and a name that is take
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -35,43 +35,34 @@ class NewLogForm:
 
 @dataclass(frozen=True)
 class LogJob:
-    """A command over one log. `new` gives the default name of the log that it makes, on this machine."""
+    """A command over one log: `bc-log NAME LOG`."""
 
     name: str
-    title: str
     about: str
-    words: Callable[[Location, Location, NewLogForm, Mapping[str, Location]], Sequence[str]]
-    """The words after `bc-log NAME LOG`, for a log, the new one, the form, and all logs by key."""
-    new: Callable[[Path], Path] | None = None
+    made: Callable[[Path], Path] | None = None  # the log that it makes by default, or the first one
+    is_named: bool = True  # by the form; else by the command
     has_rows: bool = False
     has_others: bool = False
-    first_made: Callable[[Path], Path] | None = None  # where the command gives the names
 
+    @property
+    def title(self) -> str:
+        return self.name.capitalize()
 
-def _nothing(log: Location, new: Location, form: NewLogForm, logs: Mapping[str, Location]) -> list[str]:
-    return []
-
-
-def _trim(log: Location, new: Location, form: NewLogForm, logs: Mapping[str, Location]) -> list[str]:
-    rows = [_row(form.first, "first row"), _row(form.last, "last row")]
-    if rows[0] > rows[1]:
-        raise WebError(f"rows {rows[0]} to {rows[1]}: the first row, then the last one", 422)
-    return ["--rows", *map(str, rows), f"--to={new}"]
-
-
-def _merge(log: Location, new: Location, form: NewLogForm, logs: Mapping[str, Location]) -> list[str]:
-    if not form.others:
-        raise WebError("choose at least one other log to merge it with", 422)
-    others = []
-    for key in form.others:
-        if key not in logs:
-            raise WebError(f"no log {key!r} beside this one; it may have been deleted, renamed or moved", 404)
-        others.append(str(logs[key]))
-    return [*others, f"--to={new}"]
-
-
-def _recover(log: Location, new: Location, form: NewLogForm, logs: Mapping[str, Location]) -> list[str]:
-    return [f"--to={new}"]
+    def words(self, new: Location, form: NewLogForm, logs: Mapping[str, Location]) -> list[str]:
+        """The words behind the log, for the new one, the form, and all logs by key."""
+        words: list[str] = []
+        if self.has_rows:
+            rows = [_row(form.first, "first row"), _row(form.last, "last row")]
+            if rows[0] > rows[1]:
+                raise WebError(f"rows {rows[0]} to {rows[1]}: the first row, then the last one", 422)
+            words += ["--rows", *map(str, rows)]
+        if self.has_others and not form.others:
+            raise WebError("choose at least one other log to merge it with", 422)
+        for key in form.others if self.has_others else ():
+            if key not in logs:
+                raise WebError(f"no log {key!r} next to this one; it may have been deleted, renamed or moved", 404)
+            words.append(str(logs[key]))
+        return [*words, f"--to={new}"] if self.made and self.is_named else words
 
 
 def _beside(word: str) -> Callable[[Path], Path]:
@@ -79,40 +70,28 @@ def _beside(word: str) -> Callable[[Path], Path]:
 
 
 LOG_JOBS: Final = (
-    LogJob(
-        "check",
-        "Check",
-        "Reads it through: CRCs, indexes, order; pictures that do not decode or are frozen; odd rows.",
-        _nothing,
-    ),
+    LogJob("check", "Reads it through: CRCs, indexes, order; pictures that do not decode or are frozen; odd rows"),
     LogJob(
         "trim",
-        "Trim",
         "A part of it becomes a new log, its rows with the numbers that they have: those that are selected.",
-        _trim,
         _beside("-trimmed"),
         has_rows=True,
     ),
     LogJob(
         "split",
-        "Split",
         "Each drive becomes a log of its own, NAME-1, NAME-2 and so on. A drive ends with a gap of a second.",
-        _nothing,
-        first_made=_beside("-1"),
+        _beside("-1"),
+        is_named=False,
     ),
     LogJob(
         "merge",
-        "Merge",
         "It and the chosen ones behind it become one new log. Its rows are numbered anew.",
-        _merge,
         _beside("-merged"),
         has_others=True,
     ),
     LogJob(
         "recover",
-        "Recover",
-        "All that is whole in a log that is unfinished or damaged becomes a finished one.",
-        _recover,
+        "Makes a finished log of everything complete in an unfinished or damaged one.",
         recovered_name,
     ),
 )
@@ -120,7 +99,7 @@ LOG_JOBS: Final = (
 
 def jobs_for(log: Location) -> list[LogJob]:
     """The jobs of a log: of one in a store, no new logs are made."""
-    return [job for job in LOG_JOBS if isinstance(log, Path) or not (job.new or job.first_made)]
+    return [job for job in LOG_JOBS if isinstance(log, Path) or not job.made]
 
 
 def log_job(name: str) -> LogJob:
@@ -128,7 +107,7 @@ def log_job(name: str) -> LogJob:
     for job in LOG_JOBS:
         if job.name == name:
             return job
-    raise WebError(f"{name!r}: nothing of that name is made of a log", 404)
+    raise WebError(f"{name!r}: no job on a log has this name", 404)
 
 
 def command_line(
@@ -140,22 +119,21 @@ def command_line(
     Raises WebError for what cannot be one, and where a log of the new name is there already.
     """
     if log.name.endswith(PART_SUFFIX) and is_being_written(log):
-        raise WebError("it is being recorded: when that has ended, new logs can be made of it", 409)
+        raise WebError("this log is being recorded: new logs can be made from it when that has ended", 409)
     if job not in jobs_for(log):
         raise WebError(f"{log}: is needed on this machine; `bc-log copy {log} FOLDER` brings it here", 422)
-    new: Location = log
-    made: Location | None = None
-    if job.new and isinstance(log, Path):
-        new = made = log.with_name(_name(form.new) if form.new else job.new(log).name)
-    elif job.first_made and isinstance(log, Path):
-        made = job.first_made(log)
-    words = ["bc-log", job.name, str(log), *job.words(log, new, form, logs)]
+    made = job.made(log) if job.made and isinstance(log, Path) else None
+    if made is not None and form.new and job.is_named:
+        made = made.with_name(_name(form.new))
+    words = ["bc-log", job.name, str(log), *job.words(made or log, form, logs)]
     if made is not None and folders.is_there(made):
         raise WebError(f"{printable(str(made))}: exists already; give another name, or remove it", 409)
     try:
         "".join(words).encode()
     except UnicodeEncodeError:
-        raise WebError(f"{printable(log.name)}: a name that is no text; rename it, or use bc-log", 422) from None
+        raise WebError(
+            f"{printable(log.name)}: this name is not valid UTF-8; rename the log, or use bc-log", 422
+        ) from None
     return words, made
 
 

@@ -32,17 +32,16 @@ RATES_HZ: Final = ("5", "10", "20", "25")
 EPOCHS_MORE: Final = 4
 """For a network that learns from takeovers: it can drive already."""
 DEFAULTS: Final[Mapping[str, str]] = {
-    "simulator": "built-in",
-    "track": "lake",
-    "seed": "1",
-    "speed": "10",
-    "driver": "me",
-    "run": "",
-    "rate": "10",
-    "name": "",
-    "start": "0",
-    "like": "",
-    "on": "",
+    **{
+        "simulator": "built-in",
+        "track": "lake",
+        "seed": "1",
+        "speed": "10",
+        "driver": "me",
+        "rate": "10",
+        "start": "0",
+    },
+    **dict.fromkeys(("run", "name", "like", "on"), ""),
 }
 """The values of the form. `like` is a drive, as `sessions/mine`, whose settings count where none are given; with
 `on`, the new one begins where that one ended."""
@@ -87,20 +86,25 @@ def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
     name = asked["name"] or free_name("drive", folders)
     if not _NAME.fullmatch(name):
         raise WebError("name: letters, digits, and . _ - were expected, such as lake-1", 422)
+    if not _is_rate(asked["rate"]):
+        raise WebError(f"rows a second: one of {', '.join(RATES_HZ)} was expected", 422)
+    if not _is_speed(asked["speed"]):
+        raise WebError("speed: mph above 0 and up to 100 were expected", 422)
+    speed = f"--speed={asked['speed']}"
     built_in = asked["simulator"] == "built-in"
     if asked["driver"] == "me":
         words = ["bc-record", name, "--driver=me"]
-        words += [f"--track={_track(asked)}", f"--rate={_rate(asked)}"] if built_in else ["--listen"]
+        words += [f"--track={_track(asked)}", f"--rate={asked['rate']}"] if built_in else ["--listen"]
         words += _start(asked) if built_in else []
-        words.append(f"--speed={_speed(asked)}")
+        words.append(speed)
         if folders.sessions != Path("sessions"):
             is_stored = isinstance(folders.sessions, Url)
             words.append(f"{'--copy-to' if is_stored else '--sessions'}={folders.sessions}")
         return NewDrive([*words, "--no-page"], "sessions", name)
     run = folders.run_folders().get(asked["run"])
     if run is None:
-        raise WebError("run: choose one that is there; train one first, on a session of yours", 422)
-    words = ["bc-drive", run.name, "--takeover=me", f"--speed={_speed(asked)}"]
+        raise WebError("run: choose an existing run; if there is none, train one first", 422)
+    words = ["bc-drive", run.name, "--takeover=me", speed]
     words += [f"--simulator={_track(asked)}", *_start(asked)] if built_in else []
     words += [f"--runs={folders.runs}"] if folders.runs != Path("runs") else []
     return NewDrive([*words, f"--log={folders.drives / f'{name}.mcap'}", "--no-page"], "drives", name)
@@ -206,24 +210,12 @@ def _track(asked: Mapping[str, str]) -> str:
     return f"{kind}:{seed}" if kind in SEEDED else kind
 
 
-def _rate(asked: Mapping[str, str]) -> str:
-    if not _is_rate(asked["rate"]):
-        raise WebError(f"rows a second: one of {', '.join(RATES_HZ)} was expected", 422)
-    return asked["rate"]
-
-
 def _is_rate(text: str) -> bool:
     try:
         check_row_rate(float(text) if _RATE.fullmatch(text) else 0.0)
     except RecordingError:
         return False
     return True
-
-
-def _speed(asked: Mapping[str, str]) -> str:
-    if not _is_speed(asked["speed"]):
-        raise WebError("speed: mph above 0 and up to 100 were expected", 422)
-    return asked["speed"]
 
 
 def _is_speed(text: str) -> bool:
@@ -243,7 +235,7 @@ def _settings_of(like: str, folders: ProjectFolders, *, goes_on: bool) -> dict[s
     place, _, key = like.partition("/")
     ended = next((ended_drive(known, key, folders) for known in PLACES if known == place), None)
     if ended is None:
-        raise WebError("the drive to go on from is not there (any more)", 404)
+        raise WebError("the drive to continue from no longer exists", 404)
     with Log(ended.log) as log:
         track, rate = log.metadata.get("track", ""), log.metadata.get("drive.rate", "")
         held = log.read_metadata(topics.PERSON_METADATA).get("hold_mph", "")

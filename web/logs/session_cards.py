@@ -32,7 +32,7 @@ from recorder.upkeep.log_info import LogInfo, describe
 from web.folders.background import Background
 from web.folders.cache_folder import CacheFolder
 from web.folders.file_versions import version_of
-from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of
+from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of, shown_name
 from web.logs.log_tags import LogTags, TagsBeside
 
 TagRows = tuple[str, int, int]
@@ -89,7 +89,7 @@ class SessionCard:
 
     @property
     def name(self) -> str:
-        return printable(self.path.name.removesuffix(".mcap"))
+        return shown_name(self.path)
 
     @property
     def state(self) -> str:

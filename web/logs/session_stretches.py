@@ -1,4 +1,4 @@
-"""The stretches of a log that something is odd in: those of its rows, and those known of its pictures."""
+"""The stretches of a log that something is odd in, of its rows and of its pictures; those that a filter finds."""
 
 from __future__ import annotations
 
@@ -16,13 +16,20 @@ from dataset.frames.frames_file import session_name
 from dataset.frames.frames_table import frames_of
 from recorder import Log
 from recorder.log.meant_gaps import meant_rows
+from recorder.log.tags import EXCLUDE, FINE, Tag
 from recorder.rows.odd_stretches import odd_stretches
 from recorder.rows.row_quality import NOT_LEARNT, States, row_flags
 from recorder.topics import QUALITY_METADATA, camera_topic
+from web.logs.open_logs import OpenLog
+from web.logs.picture_checks import PictureChecks
 
 PLAIN_FLAGS: Final = ("standing_still", "manoeuvring")
 """Flags of rows that are no kind of odd stretch: ordinary stops, and the ways out of crashes."""
+SURE: Final = "sure"
+"""Instead of a kind: all that is surely odd."""
 _SURE: Final = ("broken_picture", "steering_against_pictures")
+
+Rows = tuple[int, int]
 
 
 class ShownStretch(NamedTuple):
@@ -78,3 +85,44 @@ def _of_pictures(log: Log, states: States, findings: ImageFindings | None) -> di
     frames = frames_of(states, pictures, session, IndexConfig(), findings=findings)
     row = frames["row"].to_numpy()
     return {flag: np.isin(states.row, row[lists_with(frames["flags"], flag)]) for flag in get_args(PictureFlag)}
+
+
+def stretches_of_kind(opened: OpenLog, checks: PictureChecks, kind: str) -> list[Rows]:
+    """First and last row of each stretch of a kind or flag, or of all that are surely odd."""
+    states = opened.states
+    if not len(states.row):
+        return []
+    if kind in PLAIN_FLAGS:
+        return [_rows(states, first, last) for first, last in flag_stretches(states).get(kind, ())]
+    found = shown_stretches(opened.log, states, checks.findings(opened.log))
+    return [
+        _rows(states, each.first, each.last)
+        for each in found
+        if (each.is_sure if kind == SURE else each.kind == kind)
+    ]
+
+
+def stretches_of_rows(opened: OpenLog, rows: set[int]) -> list[Rows]:
+    """First and last row of each stretch of rows."""
+    states = opened.states
+    return [_rows(states, first, last) for first, last in stretches(np.isin(states.row, list(rows)))]
+
+
+def left(found: list[Rows], tags: list[Tag]) -> list[Rows]:
+    """Those with a row that is neither excluded nor fine."""
+    done = [(tag.first_row, tag.last_row) for tag in tags if tag.name in (EXCLUDE, FINE)]  # in order
+    return [rows for rows in found if not _is_covered(rows, done)]
+
+
+def _is_covered(rows: Rows, done: list[Rows]) -> bool:
+    reached = rows[0]
+    for first, last in done:
+        if first > reached:
+            break
+        reached = max(reached, last + 1)
+    return reached > rows[1]
+
+
+def _rows(states: States, first: int, last: int) -> Rows:
+    low, high = sorted((int(states.row[first]), int(states.row[last])))
+    return low, high

@@ -14,7 +14,7 @@ from web.errors import WebError
 from web.folders.file_versions import version_of
 from web.folders.project_folders import key_of
 from web.index.altered_samples import AlteredSamples, altered_samples
-from web.pages.address_number import number_in
+from web.pages.request_values import number_in
 from web.pages.workbench import Workbench
 from web.server.templates import render
 

@@ -15,8 +15,8 @@ from common.car import CAMERAS
 from common.errors import printable
 from recorder.topics import camera_topic
 from web.errors import WebError
-from web.logs.found_stretches import left, stretches_of_kind, stretches_of_rows
 from web.logs.session_cards import SessionCard
+from web.logs.session_stretches import left, stretches_of_kind, stretches_of_rows
 from web.pages.sessions_page import SessionQuery, kind_of, list_sessions
 from web.pages.tagging import Action, Stretches, TagChange, change_tags, json_of
 from web.pages.workbench import Workbench

@@ -15,7 +15,7 @@ from starlette.routing import Route
 from common.errors import printable
 from dataset.frames.frames_file import session_name
 from web.errors import WebError
-from web.pages.form_values import form_values
+from web.pages.request_values import form_values
 from web.pages.workbench import Workbench
 from web.runs.run_comparisons import compare_command, comparison_of, is_outdated, newest_job
 from web.server.templates import render
@@ -52,7 +52,7 @@ def compare_routes(bench: Workbench) -> list[Route]:
 
     def _runs(a: str, b: str) -> tuple[Path, Path]:
         if a == b:
-            raise WebError("two runs are compared: choose another one beside it", 422)
+            raise WebError("a comparison needs two runs: choose a second one", 422)
         return bench.folders.run(a), bench.folders.run(b)
 
     def _context(request: Request) -> dict[str, Any]:
@@ -65,11 +65,7 @@ def compare_routes(bench: Workbench) -> list[Route]:
             **asked,
             "names": [printable(run.name) for run in runs],
             "query": urlencode(asked),
-            "sessions": {
-                key: printable(session_name(path))
-                for key, path in bench.folders.logs("sessions").items()
-                if path.name.endswith(".mcap")
-            },
+            "sessions": bench.folders.finished("sessions"),
             "command": printable(shlex.join(command)),
             "job": job,
             "found": found,

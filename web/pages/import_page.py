@@ -24,7 +24,7 @@ from web.errors import WebError
 from web.folders.project_folders import key_of
 from web.folders.uploads import MAX_FILES, MAX_UPLOAD_BYTES, Upload, plain_name, remove_upload, uploads_in
 from web.jobs.job_forms import form_of
-from web.pages.form_values import form_values
+from web.pages.request_values import form_values
 from web.pages.workbench import Workbench
 from web.server.request_guard import UPLOAD
 from web.server.templates import render
@@ -63,7 +63,7 @@ def import_routes(bench: Workbench) -> list[Route]:
 
     def one(request: Request) -> Response:
         path = _upload(request)
-        return HTMLResponse(render("import_one.html", title=path.name, **_found(path, recordings_in(path))))
+        return HTMLResponse(render("import_found.html", title=path.name, **_found(path, recordings_in(path))))
 
     def browse(request: Request) -> Response:
         """A folder or file of this machine: the recordings in it, and its folders."""
@@ -80,7 +80,7 @@ def import_routes(bench: Workbench) -> list[Route]:
         inner = [each for each in folders_in(place) if not each.name.startswith(".")] if is_folder else []
         found, inner = ([each for each in some if str(each).isprintable()] for some in (found, inner))
         context = {"inner": inner[:_MAX_FOLDERS], "above": place.parent, "title": printable(str(place))}
-        return HTMLResponse(render("import_at.html", **context, **_found(place, found)))
+        return HTMLResponse(render("import_found.html", **context, **_found(place, found)))
 
     def _found(place: Path, found: list[Path]) -> dict[str, Any]:
         taken = {log.name.removesuffix(".mcap") for log in bench.folders.logs("sessions").values()}
@@ -103,7 +103,7 @@ def import_routes(bench: Workbench) -> list[Route]:
         path = _upload(request)
         log = next((each for each in recordings_in(path) if str(each) == values.get("source")), None)
         if log is None or not is_own_log(log):
-            raise WebError(f"{path}: no such log in it; open its page anew", 404)
+            raise WebError(f"{path}: no such log in it; reload its page", 404)
         page_of = await run_in_threadpool(_take, log, values.get("name", ""))
         if not recordings_in(path):
             await run_in_threadpool(remove_upload, path)

@@ -21,7 +21,7 @@ from dataset.index.sessions import logs_not_indexed
 from dataset.samples.samples_format import COUNT_HEADINGS, SAMPLES_NAME
 from web.errors import WebError
 from web.folders.file_versions import version_of
-from web.folders.project_folders import key_of
+from web.folders.project_folders import key_of, shown_name
 from web.index.index_view import (
     IndexView,
     bins_sketch,
@@ -32,7 +32,7 @@ from web.index.index_view import (
 )
 from web.jobs.job_forms import INDEX_FIELDS, form_of
 from web.logs.session_cards import IndexState
-from web.pages.form_values import form_values
+from web.pages.request_values import form_values
 from web.pages.workbench import Workbench
 from web.runs.run_origins import index_checksum, origin_of
 from web.runs.run_settings import differing
@@ -55,9 +55,7 @@ def index_routes(bench: Workbench) -> list[Route]:
         store_problem = bench.folders.refresh_index()
         here = bench.folders.index_here
         context["version_of_index"] = version_of(here / STATE_NAME)
-        context["known"] = sorted(
-            printable(path.name.removesuffix(".mcap")) for path in bench.folders.logs("sessions").values()
-        )
+        context["known"] = sorted(map(shown_name, bench.folders.logs("sessions").values()))
         context["now"], problem = _view(here)
         context["folder"] = printable(str(bench.folders.index))
         context["is_missing"] = not (here / SAMPLES_NAME).exists() and not store_problem

@@ -15,9 +15,11 @@ from common.errors import counted, printable
 from common.whole_number import whole_number
 from model.config import TrainConfig
 from web.errors import WebError
+from web.folders.project_folders import shown_name
 from web.index.index_view import view_index
 from web.jobs.job_forms import FORMS, form_of
-from web.pages.form_values import form_values
+from web.jobs.jobs import Job
+from web.pages.request_values import form_values
 from web.pages.workbench import Workbench
 from web.runs.run_cards import earlier_trainings
 from web.runs.training_cost import training_cost
@@ -30,9 +32,7 @@ def job_routes(bench: Workbench) -> list[Route]:
     def page(request: Request) -> Response:
         live = bench.jobs.version()
         known = {
-            "sessions": sorted(
-                printable(path.name.removesuffix(".mcap")) for path in bench.folders.logs("sessions").values()
-            ),
+            "sessions": sorted(map(shown_name, bench.folders.logs("sessions").values())),
             "runs": sorted(printable(path.name) for path in bench.folders.run_folders().values()),
         }
         values = dict(request.query_params)
@@ -91,7 +91,12 @@ def job_routes(bench: Workbench) -> list[Route]:
         return HTMLResponse(render("job.html", live=live, **_context(request)))
 
     def body(request: Request) -> Response:
-        return HTMLResponse(render("job_body.html", **_context(request)))
+        context = _context(request)
+        job: Job = context["job"]
+        # a page that was opened while it ran: what was imported opens by itself
+        opens = "opens" in request.query_params and job.about.form == "import" and job.code == 0
+        headers = {"HX-Redirect": job.about.made} if opens else {}
+        return HTMLResponse(render("job_body.html", **context), headers=headers)
 
     def stop(request: Request) -> Response:
         key = request.path_params["job"]

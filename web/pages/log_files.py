@@ -1,32 +1,44 @@
-"""Pictures made of a log: its film strip, the sketch of its steering, and the cameras' own, byte for byte."""
+"""What pages load of a log: film strip, steering sketch, pictures, attention maps, links; a drive's course."""
 
 from __future__ import annotations
 
 from typing import Final, get_args
 
+import msgspec
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from common.car import CAMERAS, Camera
-from common.location import absolute
+from common.errors import printable
+from common.location import Location, absolute
+from dataset.frames.frames_file import session_name
 from recorder import LogError
 from recorder.pictures.picture_size import PNG_START
 from web.errors import WebError
-from web.folders.project_folders import Place
+from web.folders.project_folders import Place, key_of
 from web.index.index_view import bins_of_index
+from web.logs.drive_course import course_columns, road_of
+from web.logs.drive_view import drive_events
 from web.logs.film_strip import film_strip
+from web.logs.open_logs import OpenLog
 from web.logs.steering_sketch import steering_sketch
-from web.pages.address_number import number_in
+from web.pages.request_values import number_in
 from web.pages.workbench import Workbench
+from web.runs.run_networks import NETWORK_FILES
+from web.runs.run_origins import origin_of
 from web.server.static_files import KEPT
+from web.server.templates import render
 
 _JPEG_START: Final = b"\xff\xd8\xff"
 
 
 def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
+    def path_of(request: Request) -> Location:
+        return bench.folders.log(place, request.path_params["log"])
+
     def strip(request: Request) -> Response:
-        path = bench.folders.log(place, request.path_params["log"])
+        path = path_of(request)
         version = bench.folders.version_of_log(path)
 
         def make() -> bytes:
@@ -37,7 +49,7 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
         return Response(data, media_type="image/jpeg", headers=_kept(request, version))
 
     def sketch(request: Request) -> Response:
-        path = bench.folders.log(place, request.path_params["log"])
+        path = path_of(request)
         version = bench.folders.version_of_log(path)
         bins = bins_of_index(bench.folders.index_here)
 
@@ -49,23 +61,65 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
         return Response(data, media_type="image/svg+xml", headers=_kept(request, version))
 
     def picture(request: Request) -> Response:
-        camera, row = _camera_of(request), number_in(request, "row")
-        with bench.logs.open(bench.folders.log(place, request.path_params["log"])) as opened:
-            version = request.query_params.get("v", opened.version)
-            if version != opened.version:
-                raise WebError("the log has changed since this page was opened: reload it", 409)
-            try:
-                data = opened.log.picture(row, camera)
-            except LogError as error:
-                raise WebError(str(error), 404) from None
-        return Response(data, media_type=_type_of(data, row), headers=_kept(request, opened.version))
+        with bench.logs.open(path_of(request)) as opened:
+            data = _picture(request, opened, _camera_of(request))
+            media_type = _type_of(data, number_in(request, "row"))
+            return Response(data, media_type=media_type, headers=_kept(request, opened.version))
+
+    def attention(request: Request) -> Response:
+        """The attention map of a run's network for the centre camera's picture of a row."""
+        path, run = path_of(request), bench.folders.run(request.path_params["run"])
+        with bench.logs.open(path) as opened:
+            encoded = _picture(request, opened, "center")
+        bench.folders.bring_run(run, NETWORK_FILES)
+        data = bench.attention.overlay(run, bench.folders.run_place(run), path, encoded)
+        return Response(data, media_type="image/png")
+
+    def links(request: Request) -> Response:
+        """To the runs that learnt from it, and from a drive to the run that drove."""
+        path = path_of(request)
+        runs, name = bench.folders.run_folders(), session_name(path)
+        learnt = [
+            (printable(run.name), f"/runs/{key}") for key, run in runs.items() if name in origin_of(run).sessions
+        ]
+        with bench.logs.open(path) as opened:
+            driver = opened.log.metadata.get("run", "")
+        key = key_of(bench.folders.runs / driver) if driver else ""
+        drove = printable(driver), f"/runs/{key}" if key in runs else ""
+        return HTMLResponse(render("log_links.html", learnt=learnt, drove=drove))
+
+    def course(request: Request) -> Response:
+        """The events, and the edges of the road, or null."""
+        with bench.logs.open(path_of(request)) as opened:
+            events = drive_events(opened.log, opened.states.row, opened.states.time_ns)
+            return JSONResponse({"events": msgspec.to_builtins(events), "road": road_of(opened.log)})
+
+    def columns(request: Request) -> Response:
+        """The columns of the course (`drive_course.COLUMNS`), one after the other, as float32."""
+        with bench.logs.open(path_of(request)) as opened:
+            data = course_columns(opened.log, opened.states.row).astype("<f4").tobytes()
+        return Response(data, media_type="application/octet-stream")
 
     at = f"/{place}/{{log}}"
     return [
         Route(f"{at}/strip.jpg", strip),
         Route(f"{at}/steering.svg", sketch),
         Route(f"{at}/pictures/{{camera}}/{{row}}", picture),
+        Route(f"{at}/attention/{{run}}/{{row}}", attention),
+        Route(f"{at}/links", links),
+        Route(f"{at}/course", course),
+        Route(f"{at}/course/rows", columns),
     ]
+
+
+def _picture(request: Request, opened: OpenLog, camera: Camera) -> bytes:
+    """The picture of the request's row. Raises WebError where the log is another one than the page has read."""
+    if request.query_params.get("v", opened.version) != opened.version:
+        raise WebError("the log has changed since this page was opened: reload it", 409)
+    try:
+        return opened.log.picture(number_in(request, "row"), camera)
+    except LogError as error:
+        raise WebError(str(error), 404) from None
 
 
 def _camera_of(request: Request) -> Camera:
@@ -82,7 +136,7 @@ def _type_of(data: bytes, row: int) -> str:
         return "image/jpeg"
     if data.startswith(PNG_START):
         return "image/png"
-    raise WebError(f"row {row}: what the log has there is no JPEG and no PNG", 415)
+    raise WebError(f"row {row}: its picture is neither JPEG nor PNG", 415)
 
 
 def _kept(request: Request, version: str) -> dict[str, str]:

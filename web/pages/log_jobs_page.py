@@ -15,9 +15,9 @@ from starlette.routing import Route
 from common import UserError
 from common.errors import printable
 from common.location import Location
-from web.folders.project_folders import Place, key_of
+from web.folders.project_folders import Place, key_of, shown_name
 from web.jobs.log_jobs import NewLogForm, command_line, jobs_for, log_job
-from web.pages.form_values import form_pairs
+from web.pages.request_values import form_pairs
 from web.pages.workbench import Workbench
 
 
@@ -52,7 +52,7 @@ def shown_log_jobs(log: Location) -> list[dict[str, Any]]:
     return [
         {
             "job": job,
-            "new": printable(job.new(log).name.removesuffix(".mcap")) if job.new and isinstance(log, Path) else "",
+            "new": shown_name(job.made(log)) if job.made and job.is_named and isinstance(log, Path) else "",
         }
         for job in jobs_for(log)
     ]

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import re
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-import msgspec
 from starlette.datastructures import QueryParams
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
@@ -22,23 +21,14 @@ from dataset.frames.frames_file import session_name
 from dataset.index.build_state import read_state
 from model.runs.run_files import CONFIG, WEIGHTS
 from web.errors import WebError
-from web.folders.project_folders import PLACES, key_of
+from web.folders.project_folders import PLACES, key_of, shown_name
 from web.pages.workbench import Workbench
 from web.processes.picture_maps import MappedLog
-from web.runs.run_networks import NETWORK_FILES, check_network
+from web.runs.run_networks import NETWORK_FILES, can_be_run, check_network
 from web.server.templates import render
 
 _KEY: Final = re.compile(r"[0-9a-f]{64}")
 _PIXELS: Final = "pixels"
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """A map as an address names it."""
-
-    logs: list[MappedLog]
-    of: list[str]  # as the address has them; none: all of the index
-    run: Path | None  # None: by pixels
 
 
 def map_routes(bench: Workbench) -> list[Route]:
@@ -46,41 +36,33 @@ def map_routes(bench: Workbench) -> list[Route]:
         of = request.query_params.getlist("of")
         logs = [_place_and_key(each) for each in of]
         paths = [bench.folders.log(place, key) for place, key in logs]
-        names = [printable(path.name.removesuffix(".mcap")) for path in paths]
-        runs = [(key, printable(path.name)) for key, path in _runs(bench).items()]
+        names = [shown_name(path) for path in paths]
+        found = _runs(bench)
+        runs = [(key, printable(path.name)) for key, path in found.items()]
         run = request.query_params.get("run", "")
+        if run not in (_PIXELS, *found):
+            run = next((key for key in reversed(found) if can_be_run(found[key])), _PIXELS)
         return HTMLResponse(
             render(
                 "map.html",
                 of=[(name, f"/{place}/{key}") for name, (place, key) in zip(names, logs, strict=True)],
                 at=f"/{logs[0][0]}" if logs else "/index",
                 runs=runs,
-                run=run if run in (_PIXELS, *dict(runs)) else (runs[-1][0] if runs else _PIXELS),
+                run=run,
                 pixels=_PIXELS,
             )
         )
 
     def state(request: Request) -> Response:
         """The state of a map. POST begins with it where it has not been made yet."""
-        asked = _asked(bench, request.query_params)
-        key = bench.maps.key(asked.logs, asked.run)
-        shown = {"key": key, "about": None, "problem": "", "logs": [_shown(bench, log) for log in asked.logs]}
-        if not asked.logs:
+        logs, run = _asked(bench, request.query_params)
+        key = bench.maps.key(logs, run)
+        shown = {"logs": [_shown(bench, log) for log in logs]}
+        if not logs:
             problem = "no session is in the index; build it, or open the map of a session from its page"
-            return JSONResponse({**shown, "problem": problem})
-        before = bench.maps.work.requested(key)
-        was_done = before is not None and before.is_done
-        if (about := bench.maps.find(key)) is not None:
-            return JSONResponse({**shown, "about": msgspec.to_builtins(about)})
-        if request.method == "POST":
-            bench.maps.start(key, asked.logs, asked.run)
-        work = bench.maps.work.requested(key)
-        if work is None:
-            return JSONResponse(shown)
-        problem = work.problem
-        if was_done and work is before and not problem:
-            problem = "the map could not be kept: the cache folder may be full"
-        return JSONResponse({**shown, **work.progress, "problem": problem})
+            return JSONResponse({**shown, "key": key, "about": None, "problem": problem})
+        start = partial(bench.maps.start, key, logs, run) if request.method == "POST" else None
+        return JSONResponse(shown | bench.maps.work.state(key, lambda: bench.maps.find(key), start))
 
     def stop(request: Request) -> Response:
         """End it, for all pages that wait for it."""
@@ -91,7 +73,7 @@ def map_routes(bench: Workbench) -> list[Route]:
         """The columns of a map as float32, one after the other."""
         data = bench.maps.columns(_key_in(request))
         if data is None:
-            raise WebError("this map is not kept any more: make it again", 404)
+            raise WebError("this map is no longer kept: make it again", 404)
         return Response(data, media_type="application/octet-stream")
 
     return [
@@ -126,7 +108,8 @@ def _runs(bench: Workbench) -> dict[str, Path]:
     return {key: times[key][1] for key in sorted(times, key=lambda key: times[key])}
 
 
-def _asked(bench: Workbench, query: QueryParams) -> _Asked:
+def _asked(bench: Workbench, query: QueryParams) -> tuple[list[MappedLog], Path | None]:
+    """The logs that an address names, or all of the index; and the run, None for pixels."""
     of = query.getlist("of")
     logs = [_log(bench, each) for each in of] if of else _of_index(bench)
     name = query.get("run", _PIXELS)
@@ -135,7 +118,7 @@ def _asked(bench: Workbench, query: QueryParams) -> _Asked:
         bench.folders.bring_run(run, NETWORK_FILES)
         first = logs[0].path if logs else bench.folders.sessions
         check_network(run, first, bench.folders.run_place(run))
-    return _Asked(logs, of, run)
+    return logs, run
 
 
 def _log(bench: Workbench, of: str) -> MappedLog:
@@ -167,7 +150,7 @@ def _shown(bench: Workbench, log: MappedLog) -> dict[str, object]:
             tags.append((tag.first_row, tag.last_row, tag.name))
     return {
         "at": log.at,
-        "name": printable(log.path.name.removesuffix(".mcap")),
+        "name": shown_name(log.path),
         "version": bench.folders.version_of(log.path),
         "fingerprint": log.fingerprint,
         "tags": tags,

@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 from typing import Final
 
-import msgspec
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
@@ -20,6 +19,7 @@ from web.errors import WebError
 from web.folders.project_folders import Place
 from web.logs.open_logs import OpenLog
 from web.pages.workbench import Workbench
+from web.processes.predictions import Measured
 from web.runs.run_networks import NETWORK_FILES, check_network
 
 _KEY: Final = re.compile(r"[0-9a-f]{64}")
@@ -32,7 +32,7 @@ def prediction_routes(bench: Workbench, place: Place) -> list[Route]:
         run = bench.folders.run(request.path_params["run"])
         log = request.query_params.get("log", "")  # the fingerprint of what the page shows
         if path.name.endswith(PART_SUFFIX) and is_being_written(path):
-            raise WebError("it is being recorded: predictions can be made when that has ended", 409)
+            raise WebError("this log is being recorded: predictions can be made when that has ended", 409)
         with bench.logs.open(path) as opened:
             return JSONResponse(_state(bench, path, opened, log, run, is_start=request.method == "POST"))
 
@@ -67,24 +67,21 @@ def _state(
 ) -> dict[str, object]:
     fingerprint = opened.log.fingerprint
     if fingerprint != log:
-        raise WebError("the log has changed since this page has read it: choose the run again, or reload it", 409)
+        raise WebError(
+            "the log has changed since this page was opened: choose the run again, or reload the page", 409
+        )
     bench.folders.bring_run(run, NETWORK_FILES)
     key = bench.predictions.key(fingerprint, run)
-    state: dict[str, object] = {"key": key, "name": printable(run.name), "about": None, "problem": ""}
-    before = bench.predictions.work.requested(key)
-    was_done = before is not None and before.is_done  # then what it has made is there
-    if (found := bench.predictions.find(key)) is not None:
-        return {**state, "about": msgspec.to_builtins(found.about)}
-    pictures = len(opened.log.pictures(camera_topic("center")).sequence)
-    if not pictures:
-        return {**state, "problem": "no picture of the centre camera in this log: a network has nothing to see"}
-    if is_start:
+
+    def about() -> Measured | None:
+        found = bench.predictions.find(key)
+        return found.about if found else None
+
+    def start() -> None:
         check_network(run, path, bench.folders.run_place(run))
+        pictures = len(opened.log.pictures(camera_topic("center")).sequence)
+        if not pictures:
+            raise WebError("no picture of the centre camera in this log: a network has nothing to see", 422)
         bench.predictions.start(key, path, fingerprint, run, pictures)
-    predicting = bench.predictions.work.requested(key)
-    if predicting is None:
-        return state
-    problem = predicting.problem
-    if was_done and predicting is before and not problem:
-        problem = "the prediction could not be kept: the cache folder may be full"
-    return {**state, "problem": problem, **predicting.progress}
+
+    return {"name": printable(run.name)} | bench.predictions.work.state(key, about, start if is_start else None)

@@ -21,8 +21,8 @@ from model.network.names import BUILT_IN
 from model.runs.run_files import STEERING
 from web.errors import WebError
 from web.folders.project_folders import PLACES, ProjectFolders, key_of
-from web.pages.address_number import number_in
 from web.pages.changes import runs_version
+from web.pages.request_values import number_in
 from web.pages.runs_page import PATIENCE_S
 from web.pages.workbench import Workbench
 from web.runs.run_bins import bin_bars
@@ -130,9 +130,9 @@ def _scattered(bench: Workbench, pages: Mapping[str, str], card: RunCard) -> lis
     learnt = {address: name for name, address in _sessions(pages, card) if address}
     found = [(name, at, f"/index/{at.split('/')[-1]}/held-out" * is_of_index) for at, name in learnt.items()]
     for place in PLACES:
-        for key, path in bench.folders.logs(place).items():
-            if path.suffix == ".mcap" and (at := f"/{place}/{key}") not in learnt:
-                found.append((printable(path.name.removesuffix(".mcap")), at, ""))
+        for key, name in bench.folders.finished(place).items():
+            if (at := f"/{place}/{key}") not in learnt:
+                found.append((name, at, ""))
     return found
 
 

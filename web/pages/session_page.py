@@ -18,11 +18,12 @@ from common.location import Location
 from common.locks import is_being_written
 from common.stretches import stretches
 from recorder import Log, LogError
+from recorder.log.known_lag import lag_path
 from recorder.log.session_car import known_max_steering_deg
 from recorder.log.tags import EXCLUDE, tags_path
 from recorder.rows.row_condition import rows_where
 from recorder.topics import camera_topic
-from web.folders.project_folders import Place
+from web.folders.project_folders import Place, shown_name
 from web.logs.drive_course import is_driven
 from web.logs.open_logs import OpenLog
 from web.logs.session_stretches import flag_stretches, not_learnt_stretches, shown_stretches
@@ -40,7 +41,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
     def page(request: Request) -> Response:
         path = path_of(request)
         info = bench.cards.info(path)
-        name = printable(path.name.removesuffix(".mcap"))
+        name = shown_name(path)
         return HTMLResponse(
             render(
                 "session.html",
@@ -49,24 +50,25 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
                 at=f"/{place}/{request.path_params['log']}",
                 info=info,
                 cameras=CAMERAS,
+                can_train=place == "sessions" and path.suffix == ".mcap",
                 is_driven=is_driven(topic.topic for topic in info.topics),
                 path=printable(str(path)),
                 log_jobs=shown_log_jobs(path),
-                others=_others(bench, place, path),
+                others=[item for item in bench.folders.finished(place).items() if item[1] != name],
                 play_command=command_of(path),
                 runs=[(key, printable(run.name)) for key, run in bench.folders.run_folders().items()],
             )
         )
 
     def version(request: Request) -> Response:
-        """The versions of the log and its tags, which change when `state`, `rows` or `tags` are outdated."""
+        """The versions of the log, its tags and its lag, which change when what the page shows is outdated."""
         bench.folders.refresh(place)
         bench.logs.drop_changed()
         path = path_of(request)
         is_growing = path.name.endswith(PART_SUFFIX) and is_being_written(path)
-        version_of = bench.folders.version_of
-        versions = {"log": version_of(path), "tags": version_of(tags_path(path)), "growing": is_growing}
-        return JSONResponse(versions | {"problem": bench.folders.problem(place)})
+        files = {"log": path, "tags": tags_path(path), "lag": lag_path(path)}
+        versions = {name: bench.folders.version_of(file) for name, file in files.items()}
+        return JSONResponse(versions | {"growing": is_growing, "problem": bench.folders.problem(place)})
 
     def state(request: Request) -> Response:
         path = path_of(request)
@@ -131,21 +133,12 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
     ]
 
 
-def _others(bench: Workbench, place: Place, path: Location) -> list[tuple[str, str]]:
-    """Keys and names of the finished logs beside it."""
-    logs = bench.folders.logs(place).items()
-    return [
-        (key, printable(log.name.removesuffix(".mcap")))
-        for key, log in logs
-        if log != path and log.name.endswith(".mcap")
-    ]
-
-
 def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
     log, states = opened.log, opened.states
     findings = bench.checks.findings(log)
     return {
         "version": opened.version,
+        "lag": bench.folders.version_of(lag_path(log.path)),
         "fingerprint": log.fingerprint,
         "rows": len(states.row),
         "cameras": [camera for camera in CAMERAS if len(log.pictures(camera_topic(camera)).sequence)],

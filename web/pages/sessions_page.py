@@ -18,9 +18,8 @@ from recorder.log_list_cli import SORTED_BY
 from recorder.rows.odd_stretches import ODD_KINDS
 from web.index.index_view import bins_of_index
 from web.jobs.job_forms import form_of
-from web.logs.found_stretches import SURE
 from web.logs.session_cards import IndexState, SessionCard
-from web.logs.session_stretches import PLAIN_FLAGS
+from web.logs.session_stretches import PLAIN_FLAGS, SURE
 from web.pages.changes import sessions_version
 from web.pages.workbench import Workbench
 from web.server.templates import render

@@ -13,6 +13,7 @@ from starlette.routing import Route
 from common.errors import printable
 from dataset.frames.frames_file import session_name
 from recorder.teleop.open_wheels import open_wheels
+from recorder.topics import PERSON_METADATA
 from web.errors import WebError
 from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of
 from web.jobs.wheels import (
@@ -29,7 +30,7 @@ from web.jobs.wheels import (
     takeovers,
     training,
 )
-from web.pages.form_values import form_values
+from web.pages.request_values import form_values
 from web.pages.workbench import Workbench
 from web.runs.run_origins import origin_of
 from web.server.templates import render
@@ -144,6 +145,7 @@ def _ended(bench: Workbench, request: Request) -> dict[str, Any]:
         states = opened.states
         length_s = float(states.time_ns[-1] - states.time_ns[0]) / 1e9 if len(states.row) else 0.0
         taken = takeovers(opened.log)
+        is_ours = place == "drives" or metadata.get("track") or opened.log.read_metadata(PERSON_METADATA)
         rows = len(states.row)
     runs = bench.folders.run_folders()
     drove = key_of(Path(metadata["run"])) if metadata.get("run") else ""
@@ -155,6 +157,7 @@ def _ended(bench: Workbench, request: Request) -> dict[str, Any]:
         "length_s": length_s,
         "taken": taken,
         "drove": drove if drove in runs else "",
+        "is_ours": is_ours,  # driven here, not imported: it can be driven on
         "is_supervised": place == "drives",
         "job": job,
         "has_curves": job is not None and job.about.made.rpartition("/")[2] in runs,

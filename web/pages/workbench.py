@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Final
 
+from common.location import Url
 from web.folders.cache_folder import CacheFolder
-from web.folders.project_folders import ProjectFolders
+from web.folders.project_folders import PLACES, ProjectFolders
 from web.index.index_trials import IndexTrials
 from web.jobs.jobs import Jobs
 from web.logs.drive_view import DriveViews
@@ -19,22 +22,41 @@ from web.processes.rerun_viewers import RerunViewers
 from web.runs.attention import Attention
 from web.runs.run_cards import RunCards
 
+_FROM_STORES: Final = 8  # logs
 
-@dataclass(frozen=True)
+
 class Workbench:
     """The shared objects of a server. All of them can be built anew from the folders."""
 
-    folders: ProjectFolders
-    cache: CacheFolder
-    logs: OpenLogs
-    cards: SessionCards
-    drives: DriveViews
-    searches: WhereSearches
-    checks: PictureChecks
-    runs: RunCards
-    jobs: Jobs
-    trials: IndexTrials
-    viewers: RerunViewers
-    predictions: Predictions
-    attention: Attention
-    maps: PictureMaps
+    def __init__(self, folders: ProjectFolders, cache: Path) -> None:
+        pool = ThreadPoolExecutor(1, "reading logs")
+        # of a store, several at a time: an answer takes long, however little is asked for
+        from_stores = ThreadPoolExecutor(_FROM_STORES, "reading from stores")
+        pools = {place: from_stores if isinstance(getattr(folders, place), Url) else pool for place in PLACES}
+        self._pools = pool, from_stores
+        self.folders = folders
+        self.cache = CacheFolder(cache)
+        pool.submit(self.cache.tidy)
+        self.logs = OpenLogs(folders)
+        self.cards = SessionCards(folders, self.cache, pools)
+        self.cards.cards("sessions", 0)  # begins to read them before the first request
+        self.drives = DriveViews(folders, self.cache, pools["drives"])
+        self.searches = WhereSearches(folders, pools["sessions"])
+        self.checks = PictureChecks(folders.index_here, self.cache)
+        self.runs = RunCards(folders)
+        self.jobs = Jobs(cache)
+        self.trials = IndexTrials(cache)
+        self.viewers = RerunViewers(self.cache)
+        self.predictions = Predictions(cache)
+        self.maps = PictureMaps(cache)
+        self.attention = Attention()
+
+    def close(self) -> None:
+        self.viewers.close()
+        self.predictions.work.close()
+        self.maps.work.close()
+        for pool in self._pools:
+            pool.shutdown(cancel_futures=True)
+        self.runs.close()
+        self.checks.close()
+        self.logs.close()

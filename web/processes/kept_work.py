@@ -134,6 +134,24 @@ class KeptWork:
             self._requested[key] = work = Work(pictures)
         self._pool.submit(self._run, work, [*words, str(self.path(key).absolute())])
 
+    def state(
+        self, key: str, about: Callable[[], object | None], start: Callable[[], None] | None
+    ) -> dict[str, object]:
+        """The state of a work as its page shows it: what it is `about` once it is kept, else its progress and its
+        problem. Where it is not kept, `start` begins with it."""
+        before = self.requested(key)
+        was_done = before is not None and before.is_done  # then what it has made is there
+        if (found := about()) is not None:
+            return {"key": key, "about": msgspec.to_builtins(found), "problem": ""}
+        if start is not None:
+            start()
+        shown: dict[str, object] = {"key": key, "about": None, "problem": ""}
+        if (work := self.requested(key)) is None:
+            return shown
+        is_lost = was_done and work is before and not work.problem
+        problem = "it could not be kept: the cache folder may be full" if is_lost else work.problem
+        return {**shown, **work.progress, "problem": problem}
+
     def stop(self, key: str) -> None:
         """End it, for all pages that wait for it; one that has ended stays as it is."""
         with self._lock:

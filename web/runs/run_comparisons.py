@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
@@ -19,36 +18,6 @@ from web.folders.project_folders import ProjectFolders
 from web.jobs.jobs import Job
 
 _ENDS_WELL: Final = (0, 1, 3)  # 1: B is worse
-
-
-@dataclass(frozen=True)
-class ComparedMeasure:
-    """A measure of both runs, and the interval of B - A, in the unit of the page; NaN where there is none."""
-
-    heading: str
-    a: float
-    b: float
-    low: float
-    high: float
-    verdict: str
-    digits: int
-
-    @property
-    def reach(self) -> float:
-        """The farthest end of the interval from no difference; 0 where there is none."""
-        ends = (self.low, self.high, self.b - self.a)
-        return max((abs(end) for end in ends if math.isfinite(end)), default=0.0)
-
-
-@dataclass(frozen=True)
-class ShownComparison:
-    frames: int
-    blocks: str  # "120 blocks"
-    unit: SteeringUnit
-    confidence: float
-    apart: float  # the answers of both, root mean square
-    verdict: str
-    measures: Sequence[ComparedMeasure]
 
 
 def compare_command(a: Path, b: Path, session: str, folders: ProjectFolders) -> list[str]:
@@ -77,8 +46,8 @@ def is_outdated(job: Job, runs: Sequence[Path]) -> bool:
     return False
 
 
-def comparison_of(job: Job) -> ShownComparison | None:
-    """The comparison that a job has printed; None where it has printed none."""
+def comparison_of(job: Job) -> dict[str, Any] | None:
+    """The comparison that a job has printed, as its page shows it; None where it has printed none."""
     if job.code not in _ENDS_WELL:
         return None
     lines = [line for line in job.output().splitlines() if line.startswith("{")]
@@ -89,28 +58,35 @@ def comparison_of(job: Job) -> ShownComparison | None:
         return None
 
 
-def _shown(found: dict[str, Any]) -> ShownComparison:
+def _shown(found: dict[str, Any]) -> dict[str, Any]:
+    unit = steering_unit(found.get("max_deg", 0.0))
+    blocks = "sessions" if "sessions" in found else "blocks"
+    return {
+        "frames": int(found["frames"]),
+        "blocks": f"{int(found[blocks]):,} {blocks}",
+        "unit": unit,
+        "confidence": float(found["confidence"]),
+        "apart": unit.of(float(found["answers_apart_deg"])),  # the answers of both, root mean square
+        "verdict": str(found["verdict"]),
+        "measures": [_measure(name, values, unit) for name, values in found["measures"].items()],
+    }
+
+
+def _measure(name: str, values: dict[str, Any], unit: SteeringUnit) -> dict[str, Any]:
+    """A measure of both runs, and the interval of B - A, in the unit of the page; NaN where missing. `reach`:
+    the farthest end of the interval from no difference."""
     from model.evaluation.run_comparison import MEASURES  # loads PyTorch
 
-    headings = {measure.name: measure for measure in MEASURES}
-    unit = steering_unit(found.get("max_deg", 0.0))
-    measures = []
-    for name, values in found["measures"].items():
-        known = headings.get(name)
-        per = unit.per_deg if name.endswith("_deg") else 1.0
-        a, b, low, high = (
-            math.nan if values[key] is None else per * float(values[key]) for key in ("a", "b", "low", "high")
-        )
-        heading = known.heading if known else name.replace("_", " ")
-        digits = 3 if known and known.scale == 1.0 else 2
-        measures.append(ComparedMeasure(heading, a, b, low, high, str(values["verdict"]), digits))
-    units = "sessions" if "sessions" in found else "blocks"
-    return ShownComparison(
-        int(found["frames"]),
-        f"{int(found[units]):,} {units}",
-        unit,
-        float(found["confidence"]),
-        unit.of(float(found["answers_apart_deg"])),
-        str(found["verdict"]),
-        measures,
-    )
+    known = next((measure for measure in MEASURES if measure.name == name), None)
+    per = unit.per_deg if name.endswith("_deg") else 1.0
+    numbers = {
+        key: math.nan if values[key] is None else per * float(values[key]) for key in ("a", "b", "low", "high")
+    }
+    ends = (numbers["low"], numbers["high"], numbers["b"] - numbers["a"])
+    return {
+        **numbers,
+        "reach": max((abs(end) for end in ends if math.isfinite(end)), default=0.0),
+        "heading": known.heading if known else name.replace("_", " "),
+        "digits": 3 if known and known.scale == 1.0 else 2,
+        "verdict": str(values["verdict"]),
+    }

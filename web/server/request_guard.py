@@ -107,7 +107,8 @@ class RequestGuard:
         environ = {"HTTP_HOST": host} if host is not None else {}
         if why := self._hosts.why_refused(environ):
             raise WebError(f"asked {why}: this workbench answers to its own address only", 403)
-        if origin is not None and origin.lower() != f"http://{host}".lower():
+        own = {f"{scheme}://{host}".lower() for scheme in ("http", "https")}  # https: by a proxy in front of it
+        if origin is not None and origin.lower() not in own:
             raise WebError(f"asked by a page from {origin}: only the workbench's own pages may ask", 403)
         if origin is None and scope["type"] == "websocket":  # a browser sends one with each
             raise WebError("a websocket without an Origin: only the workbench's own pages may ask", 403)

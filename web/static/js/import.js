@@ -1,21 +1,14 @@
 // A folder, zip or log is dropped or chosen, and sent in one request: a manifest, then the files one after the other.
 // The browser reads them from the disk while it sends; a broken-off request leaves nothing at the server.
 
+import { by, showProblem } from "./dom.js";
 import { showStatus } from "./live.js";
 
-const drop = document.getElementById("drop");
-const progress = document.getElementById("progress");
+const [drop, progress, cancel] = [by("drop"), by("progress"), by("cancel")];
 const [bar, words] = progress.children;
-const cancel = document.getElementById("cancel");
-const problem = document.getElementById("problem");
-const chosen = [document.getElementById("folder"), document.getElementById("file")];
+const chosen = [by("folder"), by("file")];
 const CANCELLED = "Cancelled: nothing was kept.";
 let sending = null; // what can be aborted
-
-function showProblem(text) {
-  problem.textContent = text;
-  problem.hidden = !text;
-}
 
 function setBusy(isBusy) {
   progress.hidden = !isBusy;

@@ -1,15 +1,15 @@
 // What the points of a map are coloured by: each way puts every point into one of a few buckets, which the legend
 // names, counts and chooses.
 
-import { colourReader } from "../colours.js";
+import { colourReader } from "../dom.js";
+import { angle } from "../session/clock.js";
+import { EXCLUDE, FINE } from "../tag_changes.js";
 
 const SERIES = [0, 1, 2, 3, 4, 5, 6].map((number) => `--series-${number}`);
 const STEPS = [0, 1, 2, 3, 4, 5].map((number) => `--step-${number}`);
 const STEERING = [-0.5, -0.25, -0.1, -0.03, 0.03, 0.1, 0.25, 0.5];
 const ERRORS = [0.02, 0.05, 0.1, 0.2, 0.4];
 const ALONE = [0.5, 1, 1.5, 2, 3];
-export const EXCLUDE = "exclude";
-export const FINE = "fine";
 
 const edges = (values, text) => [
   `below ${text(values[0])}`,
@@ -17,11 +17,6 @@ const edges = (values, text) => [
   `${text(values.at(-1))} and more`,
 ];
 const bucket = (values, value) => values.findIndex((edge) => value < edge) >>> 0;
-
-/** Steering, or a difference of it, in words: degrees where the car is known. */
-export function angle(share, maxDeg, digits = 0) {
-  return maxDeg === null ? `${(100 * share).toFixed(digits)} %` : `${(share * maxDeg).toFixed(digits)}°`;
-}
 
 /** The ways of a map: {name: () => ({names, colours, of})}; `map` has columns, logs, about, and tags of points. */
 export function waysOf(map) {

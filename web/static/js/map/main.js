@@ -1,11 +1,12 @@
 // The page of a map: what lies under the mouse, what a drag chooses, and the tags of what is chosen.
 
+import { button, by, make, number, showProblem } from "../dom.js";
 import { showStatus } from "../live.js";
 import { PointCloud } from "../point_cloud.js";
-import { clock } from "../session/clock.js";
-import { History } from "../session/history.js";
+import { angle, clock } from "../session/clock.js";
 import { listen } from "../session/keys.js";
-import { angle, EXCLUDE, FINE, paletteOf, waysOf } from "./colourings.js";
+import { EXCLUDE, FINE, TagChanges } from "../tag_changes.js";
+import { paletteOf, waysOf } from "./colourings.js";
 import { PictureMap } from "./map_data.js";
 
 const FEW = 60; // pictures that are shown of a large choice
@@ -13,11 +14,10 @@ const LIKE = 24;
 const LONELY_SHARE = 0.01;
 const DOUBLE = 0.05; // of the usual distance to the most alike picture
 
-const by = (id) => document.getElementById(id);
 const page = by("map");
 const of = page.dataset.of.split(" ").filter(Boolean).map((address) => address.slice(1));
 const map = new PictureMap(of, { onChange: show });
-const changes = new History(map);
+const changes = new TagChanges({ change: (...change) => map.change(...change), tag, said, onChange: showTags });
 const cloud = new PointCloud(by("cloud"), {
   onPoint: showUnder,
   onPick: pick,
@@ -26,13 +26,11 @@ const cloud = new PointCloud(by("cloud"), {
 });
 let ways = {};
 let way = null;
-let queue = Promise.resolve();
 let awaited = null; // the picture that is shown once the one before it is there
 
 function show() {
   const { progress, problem } = map;
-  by("problem").textContent = problem;
-  by("problem").hidden = !problem;
+  showProblem(problem);
   by("again").hidden = !problem;
   by("progress").hidden = !map.isWaiting;
   if (map.isWaiting) showProgress(progress);
@@ -53,7 +51,7 @@ function show() {
   showGroups();
   const { step, notes } = map.about;
   const left = step > 1 ? [`Of ${step} pictures, one is shown; a change counts for those after it, too.`] : [];
-  showStatus([`${map.length.toLocaleString("en")} pictures.`, ...left, ...notes].join(" "));
+  showStatus([`${number(map.length)} pictures.`, ...left, ...notes].join(" "));
 }
 
 function showProgress(progress) {
@@ -61,7 +59,7 @@ function showProgress(progress) {
   const { pictures = 0, total = 0, stage = "", left_s: leftS, is_begun: isBegun } = progress ?? {};
   bar.value = total ? pictures / total : 0;
   const left = leftS == null ? "" : `, ${clock(leftS)} left`;
-  const parts = `${pictures.toLocaleString("en")} of ${total.toLocaleString("en")} pictures`;
+  const parts = `${number(pictures)} of ${number(total)} pictures`;
   if (progress && !isBegun) words.textContent = "waits until the map before it has ended";
   else if (!pictures) words.textContent = "begins";
   else words.textContent = stage ? `${stage}: ${Math.round((100 * pictures) / total)} %${left}` : `${parts}${left}`;
@@ -75,14 +73,10 @@ function colour() {
   by("legend").replaceChildren(
     ...way.names.flatMap((name, bucket) => {
       if (!counts[bucket]) return [];
-      const item = document.createElement("li");
-      const button = item.appendChild(document.createElement("button"));
-      button.type = "button";
-      const dot = button.appendChild(document.createElement("i"));
-      dot.style.color = `var(${way.colours[bucket]})`;
-      button.append(`${name} `, Object.assign(document.createElement("span"), { className: "dim", textContent: counts[bucket].toLocaleString("en") }));
-      button.addEventListener("click", () => choose(map.order.filter((at) => way.of[at] === bucket)));
-      return [item];
+      const item = button(make("i"), () => choose(map.order.filter((at) => way.of[at] === bucket)));
+      item.firstChild.style.color = `var(${way.colours[bucket]})`;
+      item.append(`${name} `, make("span", { className: "dim" }, number(counts[bucket])));
+      return [make("li", {}, item)];
     }),
   );
 }
@@ -99,8 +93,7 @@ function words(at) {
 function showUnder(at) {
   const shown = at < 0 ? cloud.pinned : at;
   if (shown < 0) return;
-  const link = Object.assign(document.createElement("a"), { href: map.page(shown), textContent: "open" });
-  by("under-words").replaceChildren(`${words(shown)} · `, link);
+  by("under-words").replaceChildren(`${words(shown)} · `, make("a", { href: map.page(shown) }, "open"));
   const [picture] = by("under").children;
   picture.hidden = false;
   const next = map.picture(shown);
@@ -134,29 +127,25 @@ function choose(points, isWhole = false) {
   by("changes").hidden = !chosen.length;
   by("groups").hidden = by("groups-title").hidden = chosen.length > 0 || !map.about;
   const logs = new Set(chosen.map((at) => map.columns.log[at])).size;
-  const counted = (count, noun) => `${count.toLocaleString("en")} ${noun}${count === 1 ? "" : "s"}`;
+  const counted = (count, noun) => `${number(count)} ${noun}${count === 1 ? "" : "s"}`;
   by("count").textContent = `${counted(chosen.length, "picture")}${logs > 1 ? ` of ${counted(logs, "session")}` : ""}`;
   const step = isWhole ? 1 : Math.max(1, chosen.length / FEW);
   const some = step === 1 ? chosen : Array.from({ length: FEW }, (_, at) => chosen[Math.floor(at * step)]);
   by("pictures").replaceChildren(...some.map(thumbnail));
   by("more").hidden = some.length === chosen.length;
-  by("more").textContent = `Show all ${chosen.length.toLocaleString("en")}`;
+  by("more").textContent = `Show all ${number(chosen.length)}`;
   page.dataset.chosen = chosen.length; // for scripts that wait for it
 }
 
 function thumbnail(at) {
-  const item = document.createElement("li");
   const tags = map.tagsOf(at);
-  item.className = tags.includes(EXCLUDE) ? "excluded" : tags.includes(FINE) ? "fine" : "";
-  const link = item.appendChild(Object.assign(document.createElement("a"), { href: map.page(at), title: words(at) }));
-  link.append(image(at, words(at)));
-  link.addEventListener("mouseenter", () => cloud.point(at));
-  link.addEventListener("focus", () => cloud.point(at));
-  return item;
+  const point = () => cloud.point(at);
+  const link = make("a", { href: map.page(at), title: words(at), onmouseenter: point, onfocus: point }, image(at));
+  return make("li", { className: tags.includes(EXCLUDE) ? "excluded" : tags.includes(FINE) ? "fine" : "" }, link);
 }
 
-function image(at, alt) {
-  return Object.assign(new Image(), { loading: "lazy", decoding: "async", alt, src: map.picture(at) });
+function image(at) {
+  return make("img", { loading: "lazy", decoding: "async", alt: words(at), src: map.picture(at) });
 }
 
 /** The list that is there for those who do not see the map, or do not want to drag. */
@@ -164,62 +153,34 @@ function showGroups() {
   const members = map.about.groups.map(() => []);
   for (const at of map.order) members[map.columns.group[at]].push(at);
   by("groups").replaceChildren(
-    ...map.about.groups.map((middle, number) => {
-      const item = document.createElement("li");
-      const button = item.appendChild(Object.assign(document.createElement("button"), { type: "button" }));
-      const text = `${members[number].length.toLocaleString("en")} like this`;
-      button.append(image(middle, words(middle)), text);
-      button.addEventListener("click", () => choose(members[number]));
-      return item;
+    ...map.about.groups.map((middle, at) => {
+      const group = button(image(middle), () => choose(members[at]));
+      group.append(`${number(members[at].length)} like this`);
+      return make("li", {}, group);
     }),
   );
 }
 
-/** One change after the other, so that they are written in the order of the user's actions. */
-function change(make) {
-  queue = queue.then(async () => {
-    try {
-      await make();
-      await map.loadTags();
-      const before = [...cloud.selected];
-      colour();
-      choose(before);
-    } catch (error) {
-      showStatus(error.message);
-    }
-    showHistory();
-  });
+/** The tags are other ones. */
+async function showTags() {
+  await map.loadTags();
+  const before = [...cloud.selected];
+  colour();
+  choose(before);
 }
 
-function showHistory() {
-  by("undo").disabled = !changes.done.length;
-  by("redo").disabled = !changes.undone.length;
-  by("commands").textContent = changes.commands.join("\n");
+function said(logs) {
+  return `${number(logs.reduce((sum, { rows }) => sum + rows.reduce((more, [first, last]) => more + last - first + 1, 0), 0))} rows`;
 }
-
-const rowsOf = (logs) => logs.reduce((sum, { rows }) => sum + rows.reduce((more, [first, last]) => more + last - first + 1, 0), 0);
 
 function tag(name) {
-  if (!cloud.selected.size) {
-    showStatus("choose pictures first: drag around their dots, or take a group");
-    return;
-  }
+  if (!cloud.selected.size) return showStatus("choose pictures first: drag around their dots, or take a group");
   const logs = map.stretches(cloud.selected);
-  change(async () => {
+  changes.inOrder(async () => {
     const { changed, notice } = await changes.make("add", name, logs);
-    const what = changed.length ? `${rowsOf(changed).toLocaleString("en")} rows` : "nothing new";
-    showStatus([`${name}: ${what}`, notice].filter(Boolean).join("; "));
+    showStatus([`${name}: ${changed.length ? said(changed) : "nothing new"}`, notice].filter(Boolean).join("; "));
   });
 }
-
-function turn(move, words) {
-  change(async () => {
-    const turned = await changes[move]();
-    showStatus(turned ? `${words}: ${turned.name}, ${rowsOf(turned.rows).toLocaleString("en")} rows` : `nothing to ${move}`);
-  });
-}
-const undo = () => turn("undo", "undone");
-const redo = () => turn("redo", "again");
 
 function like() {
   const at = cloud.pointed < 0 ? cloud.pinned : cloud.pointed;
@@ -263,31 +224,10 @@ by("doubles").addEventListener("click", () => {
   choose(found);
   if (!found.length) showStatus("no picture hardly differs from another one");
 });
-by("exclude").addEventListener("click", () => tag(EXCLUDE));
-by("fine").addEventListener("click", () => tag(FINE));
 by("none").addEventListener("click", () => choose([]));
 by("more").addEventListener("click", () => choose([...cloud.selected], true));
-by("undo").addEventListener("click", undo);
-by("redo").addEventListener("click", redo);
-by("name-form").addEventListener("submit", (event) => {
-  event.preventDefault();
-  const name = by("name").value.trim();
-  if (name) tag(name);
-  by("name").blur();
-});
-listen({
-  x: () => tag(EXCLUDE),
-  f: () => tag(FINE),
-  t: () => by("name").focus(),
-  n: like,
-  u: undo,
-  r: redo,
-  undo,
-  redo,
-  Escape: () => choose([]),
-});
+listen({ ...changes.keys, n: like, Escape: () => choose([]) });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => map.about && colour());
 
-changes.restore();
-showHistory();
+changes.restore("the map");
 map.make(by("run").value);

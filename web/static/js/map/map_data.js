@@ -1,14 +1,13 @@
 // A map: asked for, waited for, and its columns; the tags of its logs, and the rows that a choice of points stands for.
 
-import { ask } from "../session/log_data.js";
+import { ask, awaited, columnsOf } from "../session/log_data.js";
+import { changeTags } from "../tag_changes.js";
 
 const COLUMNS = ["x", "y", "log", "row", "steering", "predicted", "nearest", "alone", "group", "odd"]; // web/processes/picture_maps.py
-const POLL_MS = 400;
 
 export class PictureMap {
   /** `of`: the logs as the address has them; `onChange()`: further, or there. */
   constructor(of, { onChange }) {
-    Object.assign(this, { address: "the map", state: { fingerprint: "" } }); // as a history of changes names them
     Object.assign(this, { of, onChange });
     this.clear("");
   }
@@ -29,33 +28,25 @@ export class PictureMap {
     this.clear(run);
     this.onChange();
     try {
-      let found = await this.request({ method: "POST" });
-      while (this.run === run && !found.about && !found.problem) {
-        Object.assign(this, { key: found.key, progress: found });
-        this.onChange();
-        await new Promise((resolve) => setTimeout(resolve, POLL_MS));
-        found = await this.request();
-      }
-      if (this.run !== run || this.problem) return; // another one was asked for, or it was stopped
-      if (found.problem) throw new Error(found.problem);
+      const isWanted = () => this.run === run && !this.problem; // no other one was asked for, and it was not stopped
+      const found = await awaited(`/map.state?${this.query}`, {
+        isWanted,
+        onProgress: (progress) => {
+          Object.assign(this, { key: progress.key, progress });
+          this.onChange();
+        },
+      });
+      if (!isWanted()) return;
       const values = new Float32Array(await (await ask(`/map.points?key=${found.key}`)).arrayBuffer());
       if (this.run !== run) return;
-      this.length = values.length / COLUMNS.length;
-      this.columns = Object.fromEntries(
-        COLUMNS.map((name, at) => [name, values.subarray(at * this.length, (at + 1) * this.length)]),
-      );
-      Object.assign(this, { about: found.about, key: found.key });
-      this.takeLogs(found.logs);
+      this.columns = columnsOf(values, COLUMNS);
+      Object.assign(this, { about: found.about, key: found.key, logs: found.logs, length: this.columns.row.length });
       this.arrange();
     } catch (error) {
       if (this.run !== run) return;
       this.problem = error.message;
     }
     this.onChange();
-  }
-
-  async request(options) {
-    return (await ask(`/map.state?${this.query}`, options)).json();
   }
 
   async stop() {
@@ -66,11 +57,7 @@ export class PictureMap {
 
   /** The tags as they are now. */
   async loadTags() {
-    this.takeLogs((await this.request()).logs);
-  }
-
-  takeLogs(logs) {
-    this.logs = logs;
+    this.logs = (await (await ask(`/map.state?${this.query}`)).json()).logs;
   }
 
   /** `after`: the next point of the same log (-1: none), by rows. */
@@ -103,9 +90,7 @@ export class PictureMap {
     const problems = [];
     for (const { at, log, rows } of logs) {
       try {
-        const body = JSON.stringify({ action, name, rows, log });
-        const options = { method: "POST", headers: { "Content-Type": "application/json" }, body };
-        const { changed, commands } = await (await ask(`${at}/tags`, options)).json();
+        const { changed, commands } = await changeTags(`${at}/tags`, { action, name, rows, log });
         if (changed.length) done.changed.push({ at, log, rows: changed });
         done.commands.push(...commands);
       } catch (error) {

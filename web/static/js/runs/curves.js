@@ -1,6 +1,6 @@
 // The curves of runs over each other, drawn again when another run is chosen or a training has gone on.
 
-import { colourReader } from "../colours.js";
+import { by, colourReader, make } from "../dom.js";
 import { showStatus } from "../live.js";
 import uPlot from "../../vendor/uPlot.esm.js";
 
@@ -14,13 +14,13 @@ const PLOTS = [
   ["Errors, as shares of those of the mean", (line) => line.includes("RMSE")],
   ["Correlation with what was recorded", (line) => line === "correlation"],
 ];
-const section = document.getElementById("plots");
+const section = by("plots");
 let plots = [];
 let shown = "";
 
 function query() {
   if (section.dataset.run) return new URLSearchParams({ run: section.dataset.run });
-  const chosen = new FormData(document.getElementById(section.dataset.form)).getAll("run");
+  const chosen = new FormData(by(section.dataset.form)).getAll("run");
   return new URLSearchParams(chosen.map((key) => ["run", key]));
 }
 
@@ -65,8 +65,7 @@ function draw(runs) {
       });
     });
     if (!tables.length) continue;
-    const figure = section.appendChild(document.createElement("div"));
-    figure.appendChild(document.createElement("h2")).textContent = title;
+    const figure = section.appendChild(make("div", {}, make("h2", {}, title)));
     const axis = { stroke: color("--text"), grid: { stroke: color("--line"), width: 1 }, ticks: { stroke: color("--line") } };
     plots.push(
       new uPlot(
@@ -95,5 +94,5 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
   load();
 });
 document.body.addEventListener("folders-changed", load);
-document.getElementById(section.dataset.form)?.addEventListener("input", load);
+by(section.dataset.form)?.addEventListener("input", load);
 load();

@@ -1,6 +1,6 @@
 // Predicted against driven steering, a point for each picture of a session: each leads to its picture.
 
-import { colourReader } from "../colours.js";
+import { by, colourReader, make } from "../dom.js";
 import { showStatus } from "../live.js";
 import { PointCloud } from "../point_cloud.js";
 import { ask, LogData } from "../session/log_data.js";
@@ -8,7 +8,6 @@ import { Predictions } from "../session/predictions.js";
 
 const TICKS = 4; // to each side, at most
 const ROUND = [0.5, 1, 2, 5, 10, 20, 25]; // units between two ticks
-const by = (id) => document.getElementById(id);
 const section = by("scatter");
 const cloud = new PointCloud(by("scatter-cloud"), {
   onPoint: show,
@@ -113,7 +112,7 @@ function show(at) {
   picture.hidden = false;
   picture.src = `${data.address}/pictures/center/${row[position]}?v=${data.state.version}`;
   const words = `row ${row[position]}: ${angle(predicted[position])} predicted, ${angle(steering[position])} driven · `;
-  by("scatter-under-words").replaceChildren(words, Object.assign(document.createElement("a"), { href: page(shown), textContent: "open" }));
+  by("scatter-under-words").replaceChildren(words, make("a", { href: page(shown) }, "open"));
 }
 
 by("scatter-show").addEventListener("click", load);

@@ -1,6 +1,7 @@
 // The attention map of the chosen run's network, over the centre camera's picture. As with pictures, one is fetched at
 // a time, and then the newest that is wanted.
 
+import { make } from "../dom.js";
 import { ask } from "./log_data.js";
 
 export class Attention {
@@ -46,7 +47,7 @@ export class Attention {
       while (this.isOn && address !== this.wanted()) {
         address = this.wanted();
         const answer = await ask(address);
-        const next = Object.assign(new Image(), { className: "attention", alt: "where the network looks" });
+        const next = make("img", { className: "attention", alt: "where the network looks" });
         next.src = URL.createObjectURL(await answer.blob());
         await next.decode();
         this.hide();

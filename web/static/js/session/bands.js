@@ -88,3 +88,13 @@ function drawBreaks(plot, breaks, color, [top, height]) {
   ctx.stroke();
   ctx.setLineDash([]);
 }
+
+/** Fit a canvas that lies under or over a plot to it; its context, cleared. */
+export function contextBeside(canvas, plot) {
+  const scale = devicePixelRatio;
+  canvas.style.marginLeft = `${plot.bbox.left / scale}px`;
+  canvas.style.width = `${plot.bbox.width / scale}px`;
+  canvas.width = plot.bbox.width;
+  canvas.height = canvas.clientHeight * scale;
+  return canvas.getContext("2d");
+}

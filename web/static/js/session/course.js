@@ -1,6 +1,6 @@
 // What a log has of a drive: who drove, what was predicted and sent, where the car was, and its events.
 
-import { ask } from "./log_data.js";
+import { ask, columnsOf } from "./log_data.js";
 
 const COLUMNS = ["driver", "network", "sent", "expert", "x_m", "y_m"]; // as `drive_course.COLUMNS`
 const LINES = ["network", "sent", "expert"];
@@ -22,9 +22,8 @@ export class Course {
       ask(`${this.data.address}/course/rows`).then((answer) => answer.arrayBuffer()),
     ]);
     const values = new Float32Array(rows);
-    const { length } = this.data;
-    if (values.length !== length * COLUMNS.length) return; // the log has grown meanwhile, and is read again
-    this.columns = Object.fromEntries(COLUMNS.map((name, at) => [name, values.subarray(at * length, (at + 1) * length)]));
+    if (values.length !== this.data.length * COLUMNS.length) return; // the log has grown meanwhile, and is read again
+    this.columns = columnsOf(values, COLUMNS);
     for (const name of LINES) {
       if (this.columns[name].some(Number.isFinite)) this.data.columns[name] = this.columns[name];
     }

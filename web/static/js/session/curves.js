@@ -2,6 +2,7 @@
 // recording that was paused for a day, all is visible; the labels are times.
 
 import uPlot from "../../vendor/uPlot.esm.js";
+import { colourReader, make } from "../dom.js";
 import { drawBands } from "./bands.js";
 import { angle, clock } from "./clock.js";
 
@@ -60,7 +61,7 @@ export class Curves {
     for (const plot of this.plots) plot.destroy();
     this.plots = [];
     if (!this.data.length) return;
-    const color = this.colorReader();
+    const color = colourReader(this.element);
     this.colors = {
       notLearnt: color("--dim"), odd: color("--odd-band"), oddBack: color("--odd-band-back"), tag: color("--tag-band"),
       break: color("--dim"), exclude: color("--exclude-band"), excludeBack: color("--exclude-band-back"), selection: color("--selection"),
@@ -68,25 +69,10 @@ export class Curves {
     };
     const x = Float64Array.from({ length: this.data.length }, (_, at) => at);
     this.plots = PLOTS.map((plot) => this.makePlot(plot, x, color));
-    this.markers = this.plots.map((plot) => {
-      const marker = document.createElement("div");
-      marker.className = "now-line";
-      plot.over.append(marker);
-      return marker;
-    });
+    this.markers = this.plots.map((plot) => plot.over.appendChild(make("div", { className: "now-line" })));
     const view = this.view ?? { min: 0, max: this.data.length - 1 };
     this.show(view.min, view.max);
     this.point(this.position);
-  }
-
-  /** The colours of the style sheet as a canvas understands them: a property may hold `light-dark(...)`. */
-  colorReader() {
-    this.probe ??= this.element.appendChild(document.createElement("i"));
-    const style = getComputedStyle(this.probe);
-    return (name) => {
-      this.probe.style.color = `var(${name})`;
-      return style.color;
-    };
   }
 
   makePlot({ share, scales, lines: all }, x, color) {
@@ -134,15 +120,7 @@ export class Curves {
       [x, ...values],
       this.element,
     );
-    const key = document.createElement("div");
-    key.className = "key";
-    for (const [name] of lines) {
-      const item = document.createElement("span");
-      item.className = name;
-      item.textContent = this.names[name];
-      key.append(item);
-    }
-    plot.over.append(key);
+    plot.over.append(make("div", { className: "key" }, ...lines.map(([name]) => make("span", { className: name }, this.names[name]))));
     // not after a drag: uPlot keeps that one back
     plot.over.addEventListener("click", (event) => this.onClick(this.clamped(Math.round(plot.posToVal(event.offsetX, "x"))), event));
     return plot;

@@ -1,7 +1,8 @@
 // Who drove when, as a band below the curves.
 
+import { colourReader, make } from "../dom.js";
+import { contextBeside } from "./bands.js";
 import { DRIVERS } from "./course.js";
-import { contextBeside } from "./plot_canvas.js";
 
 export class DriverBand {
   constructor(figure, course, curves) {
@@ -13,12 +14,7 @@ export class DriverBand {
   show() {
     const { shares } = this.course;
     this.figure.hidden = !shares.length;
-    const words = shares.map(([style, name, share]) => {
-      const item = document.createElement("span");
-      item.className = `by-${style}`;
-      item.textContent = `${name} ${percent(share)}`;
-      return item;
-    });
+    const words = shares.map(([style, name, share]) => make("span", { className: `by-${style}` }, `${name} ${percent(share)}`));
     this.figure.querySelector("figcaption").replaceChildren("who drove: ", ...words);
     this.draw();
   }
@@ -28,7 +24,7 @@ export class DriverBand {
     const [plot] = this.curves.plots;
     if (this.figure.hidden || !plot) return;
     const context = contextBeside(canvas, plot);
-    const color = this.curves.colorReader();
+    const color = colourReader(canvas);
     const { min, max } = plot.scales.x;
     const across = (at) => ((at - min) / (max - min)) * canvas.width;
     for (const { driver, first, last } of this.course.stretches) {

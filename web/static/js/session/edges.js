@@ -1,5 +1,6 @@
 // Handles at the edges of what is selected, to be dragged.
 
+import { make } from "../dom.js";
 import { withEdge } from "./selection.js";
 
 const MOST = 40; // stretches; of more, an edge is a matter of keys
@@ -39,8 +40,7 @@ export class Edges {
   }
 
   #handle(plot, at) {
-    const handle = document.createElement("div");
-    handle.className = "edge";
+    const handle = make("div", { className: "edge" });
     for (const event of ["mousedown", "click"]) handle.addEventListener(event, (each) => each.stopPropagation()); // the plot's
     handle.addEventListener("pointerdown", (event) => handle.setPointerCapture(event.pointerId));
     handle.addEventListener("gotpointercapture", () => (handle.isDragged = true));

@@ -1,11 +1,11 @@
 // The odd stretches that are gone through: all, those of one kind, or instead of them the rows with a flag, or those
 // for which a condition holds. A filter selects what it finds, so that it can be looked at and tagged at once.
 
+import { button, by, number } from "../dom.js";
 import { ask } from "./log_data.js";
 import { grouped, left } from "./odd.js";
 
 const SURE = "sure";
-const by = (id) => document.getElementById(id);
 
 export class Filter {
   /** `onChange(isSelected)`: other stretches are listed; they are to be selected, or not. */
@@ -68,14 +68,10 @@ export class Filter {
     const kinds = [...[...new Set(odd.map(([flag]) => flag))].sort(), ...Object.keys(flags)];
     if (odd.some((stretch) => stretch[4])) kinds.unshift(SURE);
     const chips = kinds.map((kind) => {
-      const chip = document.createElement("button");
-      chip.type = "button";
+      const count = number(left(this.#groupsOf(kind), this.data.tags).length);
+      const title = `${count} stretches that are neither excluded nor fine`;
+      const chip = button(`${named(kind)} ${count}`, () => this.use(kind === this.kind ? "" : kind), { title, ariaPressed: kind === this.kind });
       chip.dataset.kind = kind;
-      const count = left(this.#groupsOf(kind), this.data.tags).length;
-      chip.textContent = `${named(kind)} ${count.toLocaleString("en")}`;
-      chip.title = `${count.toLocaleString("en")} stretches that are neither excluded nor fine`;
-      chip.setAttribute("aria-pressed", kind === this.kind);
-      chip.addEventListener("click", () => this.use(kind === this.kind ? "" : kind));
       return chip;
     });
     const focused = document.activeElement?.dataset.kind;

@@ -1,5 +1,6 @@
 // The lists under the curves: odd stretches, tags, and the commands that do what was done here.
 
+import { button, make, number } from "../dom.js";
 import { clock } from "./clock.js";
 import { words } from "./odd.js";
 
@@ -7,58 +8,42 @@ const MOST = 200; // of each list; all of them are in the curves
 
 export function listOdd(element, groups, data, { isLeft, onPick }) {
   fill(element, groups, (group) => [
-    button(words(group) || "show", () => onPick(group), isLeft(group) ? "" : "done"),
+    button(words(group) || "show", () => onPick(group), { className: isLeft(group) ? "" : "done" }),
     rowsText(data, group, group.causes.join("; ")),
   ]);
 }
 
 export function listTags(element, data, { canChange, onPick, onRemove }) {
   fill(element, data.tags, (tag) => {
-    const remove = button("remove", () => onRemove(tag), "small");
-    remove.setAttribute("aria-label", `remove ${tag.name}, rows ${tag.rows.join(" to ")}`);
-    remove.disabled = !canChange;
-    return [button(tag.name, () => onPick(tag), tag.name === "exclude" ? "exclude" : "tag"), rowsText(data, tag), remove];
+    const ariaLabel = `remove ${tag.name}, rows ${tag.rows.join(" to ")}`;
+    return [
+      button(tag.name, () => onPick(tag), { className: tag.name === "exclude" ? "exclude" : "tag" }),
+      rowsText(data, tag),
+      button("remove", () => onRemove(tag), { className: "small", disabled: !canChange, ariaLabel }),
+    ];
   });
 }
 
 export function listEvents(element, events, onPick) {
   fill(element, events, (event) => [
-    button(clock(event.seconds), () => onPick(event), event.is_intervention ? "exclude" : "tag"),
-    text("span", event.text, "dim"),
+    button(clock(event.seconds), () => onPick(event), { className: event.is_intervention ? "exclude" : "tag" }),
+    make("span", { className: "dim" }, event.text),
   ]);
 }
 
 export function listWorst(element, moments, onPick) {
-  fill(element, moments, (moment) => [button(moment.short, () => onPick(moment), ""), text("span", moment.words, "dim")]);
+  fill(element, moments, (moment) => [button(moment.short, () => onPick(moment)), make("span", { className: "dim" }, moment.words)]);
 }
 
 function fill(element, items, made) {
-  const lines = items.slice(0, MOST).map((item) => {
-    const line = document.createElement("li");
-    line.append(...made(item));
-    return line;
-  });
-  if (items.length > MOST) lines.push(text("li", `and ${(items.length - MOST).toLocaleString("en")} more`, "dim"));
-  if (!items.length) lines.push(text("li", "none", "dim"));
+  const lines = items.slice(0, MOST).map((item) => make("li", {}, ...made(item)));
+  if (items.length > MOST) lines.push(make("li", { className: "dim" }, `and ${number(items.length - MOST)} more`));
+  if (!items.length) lines.push(make("li", { className: "dim" }, "none"));
   element.replaceChildren(...lines);
 }
 
 function rowsText(data, { first, last }, why = "") {
   const rows = data.rowsOf({ first, last });
   const where = `rows ${rows[0]} to ${rows[1]}, at ${clock(data.columns.driven_s[first])}`;
-  return text("span", why ? `${where}: ${why}` : where, "dim");
-}
-
-function button(label, onClick, kind) {
-  const made = text("button", label, kind);
-  made.type = "button";
-  made.addEventListener("click", onClick);
-  return made;
-}
-
-function text(kind, content, style) {
-  const made = document.createElement(kind);
-  made.textContent = content;
-  if (style) made.className = style;
-  return made;
+  return make("span", { className: "dim" }, why ? `${where}: ${why}` : where);
 }

@@ -3,6 +3,7 @@
 const COLUMNS = ["row", "time_s", "steering", "throttle", "brake", "speed_mph"];
 const GAP_S = 1; // as recorder/rows/row_quality.py: behind a longer pause, or where time goes back, a new drive begins
 const POLL_MS = 2000;
+const WORK_POLL_MS = 400;
 const LOAD_SHARE = 5; // a log that is being recorded is read in full each time: that may take a fifth of the time
 
 export class Refused extends Error {}
@@ -19,8 +20,26 @@ export async function ask(path, options) {
   throw new Refused(why);
 }
 
+/** Columns that lie one after the other. */
+export function columnsOf(values, names) {
+  const length = values.length / names.length;
+  return Object.fromEntries(names.map((name, at) => [name, values.subarray(at * length, (at + 1) * length)]));
+}
+
+/** Work that the server does: begun, and asked for until it is done. It is given up where it `isWanted()` no more. */
+export async function awaited(address, { isWanted, onProgress }) {
+  let found = await (await ask(address, { method: "POST" })).json();
+  while (isWanted() && !found.about && !found.problem) {
+    onProgress(found);
+    await new Promise((resolve) => setTimeout(resolve, WORK_POLL_MS));
+    found = await (await ask(address)).json();
+  }
+  if (isWanted() && found.problem) throw new Error(found.problem);
+  return found;
+}
+
 export class LogData extends EventTarget {
-  /** Events: `rows` (all is new), `tags`, and `problem` with its text as detail (empty: it is over). */
+  /** Events: `rows` (all is new), `tags`, `lag` (of the steering: measured), and `problem` with its text as detail (empty: it is over). */
   constructor(address) {
     super();
     this.address = address;
@@ -42,12 +61,8 @@ export class LogData extends EventTarget {
       ask(`${this.address}/state`).then((answer) => answer.json()),
       ask(`${this.address}/rows`).then((answer) => answer.arrayBuffer()),
     ]);
-    const values = new Float64Array(rows);
-    const length = values.length / COLUMNS.length;
-    this.columns = Object.fromEntries(
-      COLUMNS.map((name, at) => [name, values.subarray(at * length, (at + 1) * length)]),
-    );
-    this.length = length;
+    this.columns = columnsOf(new Float64Array(rows), COLUMNS);
+    this.length = this.columns.row.length;
     this.countDriven();
     this.state = state;
     this.busyUntil = performance.now() + LOAD_SHARE * (performance.now() - began);
@@ -124,6 +139,10 @@ export class LogData extends EventTarget {
       const found = await (await ask(`${this.address}/version`)).json();
       if (found.problem !== this.storeProblem) this.report((this.storeProblem = found.problem));
       if (found.log !== this.state.version) await this.changed(found);
+      if (found.lag !== this.state.lag) {
+        this.state.lag = found.lag;
+        this.dispatchEvent(new Event("lag"));
+      }
       if (found.tags !== this.tagsVersion) {
         this.tagsVersion = found.tags; // fetched once, also where they cannot be read
         await this.loadTags();
@@ -144,17 +163,5 @@ export class LogData extends EventTarget {
     const state = await (await ask(`${this.address}/state`)).json();
     if (state.fingerprint === fingerprint) this.state.version = state.version; // touched, or copied
     else this.report("this log has been replaced by another one: reload the page to see it");
-  }
-
-  /** Add a name to stretches of rows, or remove it; what the server has done. */
-  async change(action, name, rows) {
-    const answer = await ask(`${this.address}/tags`, {
-      method: "POST",
-      headers: { "Content-Type": "application/json" },
-      body: JSON.stringify({ action, name, rows, log: this.state.fingerprint }),
-    });
-    const done = await answer.json();
-    await this.loadTags();
-    return done;
   }
 }

@@ -1,8 +1,7 @@
 // The whole log in a strip above the curves: its steering, its bands, and the part that the curves show. Drag the part
 // along, or drag over the strip to show another part.
 
-import { drawAll, drawTracks } from "./bands.js";
-import { contextBeside } from "./plot_canvas.js";
+import { contextBeside, drawAll, drawTracks } from "./bands.js";
 
 const LANE = 4;
 

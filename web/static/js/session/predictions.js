@@ -2,9 +2,8 @@
 // its worst moments.
 
 import { clock } from "./clock.js";
-import { ask } from "./log_data.js";
+import { ask, awaited } from "./log_data.js";
 
-const POLL_MS = 400;
 const KEPT = ["kept_1", "kept_2", "kept_3"]; // columns of runs whose lines stay beside the chosen one's
 
 export class Predictions {
@@ -57,14 +56,14 @@ export class Predictions {
     this.onChange();
     if (!run) return;
     try {
-      let found = await this.request(run, { method: "POST" });
-      while (this.run === run && !found.about && !found.problem) {
-        this.summary = waiting(found);
-        this.onChange();
-        await new Promise((resolve) => setTimeout(resolve, POLL_MS));
-        found = await this.request(run);
-      }
-      if (found.problem) throw new Error(found.problem);
+      const found = await awaited(this.address(run), {
+        isWanted: () => this.run === run,
+        onProgress: (progress) => {
+          this.summary = waiting(progress);
+          this.onChange();
+        },
+      });
+      if (this.run !== run) return;
       const column = await ask(`${this.data.address}/predictions/rows/${found.key}`);
       const predicted = new Float64Array(await column.arrayBuffer());
       if (this.run !== run) return; // another one was chosen meanwhile
@@ -76,10 +75,6 @@ export class Predictions {
       this.summary = this.problem = error.message;
     }
     this.onChange();
-  }
-
-  async request(run, options) {
-    return (await ask(this.address(run), options)).json();
   }
 
   address(path) {

@@ -1,6 +1,8 @@
 // The log in Rerun's viewer, in a frame of the page. It follows the page's moment. The request that opens it stays
 // open: when it ends, because the page is closed or Rerun is, so does the process that serves the log.
 
+import { make } from "../dom.js";
+
 export class RerunFrame {
   /** `onProblem(why)`: it could not be opened, or has ended. */
   constructor(section, data, { onChange, onProblem }) {
@@ -56,10 +58,7 @@ export class RerunFrame {
     this.lateS = lateS;
     this.isGrowing = isGrowing; // then Rerun follows the recording, not the page
     this.status.textContent = "";
-    this.frame = document.createElement("iframe");
-    this.frame.title = "Rerun";
-    this.frame.src = frame;
-    this.section.append(this.frame);
+    this.frame = this.section.appendChild(make("iframe", { title: "Rerun", src: frame }));
   }
 
   moveTo(position) {

@@ -1,32 +1,19 @@
 // What the list's filter finds in all of its sessions: looked at, tagged, and undone as one.
 
-import { fillGrid, picturesOf } from "../grid.js";
+import { by, number } from "../dom.js";
+import { fillGrid, spread } from "../grid.js";
 import { showStatus } from "../live.js";
-import { History } from "../session/history.js";
 import { ask } from "../session/log_data.js";
 import { counted } from "../session/selection.js";
+import { changeTags, TagChanges } from "../tag_changes.js";
 
-const by = (id) => document.getElementById(id);
 const form = by("filters");
-const done = new History({
-  address: "/sessions",
-  state: { fingerprint: "" },
-  async change(action, name, rows) {
-    const body = JSON.stringify({ action, name, rows });
-    return (await ask("/sessions.tags", { method: "POST", headers: { "Content-Type": "application/json" }, body })).json();
-  },
+const changes = new TagChanges({
+  change: (action, name, rows) => changeTags("/sessions.tags", { action, name, rows }),
+  tag: (name) => changes.inOrder(() => tag(name)),
+  said,
 });
 let looked = null; // the stretches in the grid, and the query that has found them
-let queue = Promise.resolve();
-
-function inOrder(make) {
-  queue = queue.then(make).catch((error) => showStatus(error.message)).then(showHistory);
-}
-
-function showHistory() {
-  by("undo").disabled = !done.done.length;
-  by("redo").disabled = !done.undone.length;
-}
 
 function query() {
   return new URLSearchParams(new FormData(form)).toString();
@@ -51,33 +38,26 @@ function rowsByLog(stretches) {
 
 function said(logs) {
   const rows = logs.flatMap((each) => each.rows).map(([first, last]) => ({ first, last }));
-  return `${counted(rows)} of ${logs.length.toLocaleString("en")} ${logs.length === 1 ? "session" : "sessions"}`;
+  return `${counted(rows)} of ${number(logs.length)} ${logs.length === 1 ? "session" : "sessions"}`;
 }
 
 async function tag(name) {
   const found = looked?.query === query() ? looked : await find();
   const ticked = found.stretches.filter((each) => each.isTicked);
-  if (!ticked.length) {
-    showStatus(["nothing is left of it: all is excluded or fine", ...found.problems].join("; "));
-    return;
-  }
-  const answer = await done.make("add", name, rowsByLog(ticked));
+  if (!ticked.length) return showStatus(["nothing is left of it: all is excluded or fine", ...found.problems].join("; "));
+  const answer = await changes.make("add", name, rowsByLog(ticked));
   showStatus([`${name}: ${said(answer.changed)}`, answer.notice, ...found.problems].filter(Boolean).join("; "));
   close();
 }
 
 async function look() {
-  if (looked) {
-    close();
-    return;
-  }
+  if (looked) return close();
   looked = await find();
   by("looking").hidden = false;
   by("list").hidden = true;
   const { stretches } = looked;
   const shown = stretches.map(({ of, rows: [first, last] }) => {
-    const count = of.camera ? picturesOf(last - first + 1, stretches.length) : 0;
-    const numbers = Array.from({ length: count }, (_, at) => Math.round(first + ((last - first) * at) / Math.max(count - 1, 1)));
+    const numbers = of.camera ? spread(first, last, stretches.length) : [];
     return {
       title: `${of.name}, rows ${first} to ${last}`,
       href: `/sessions/${of.key}#row=${first}`,
@@ -94,12 +74,6 @@ function close() {
   by("list").hidden = false;
 }
 
-async function step(move, words) {
-  const change = await done[move]();
-  const what = change && `${words}: ${change.action} ${change.name}, ${said(change.rows)}`;
-  showStatus([what ?? `nothing is left to ${move}`, change && done.notice].filter(Boolean).join("; "));
-}
-
 /** There is something to tag where the filter is of rows. */
 function show() {
   const { only, where } = Object.fromEntries(new FormData(form));
@@ -107,17 +81,7 @@ function show() {
   close();
 }
 
-by("look-at").addEventListener("click", () => inOrder(look));
-by("exclude").addEventListener("click", () => inOrder(() => tag("exclude")));
-by("fine").addEventListener("click", () => inOrder(() => tag("fine")));
-by("undo").addEventListener("click", () => inOrder(() => step("undo", "undone")));
-by("redo").addEventListener("click", () => inOrder(() => step("redo", "again")));
-by("bulk").addEventListener("submit", (event) => {
-  event.preventDefault();
-  const name = by("name").value.trim();
-  if (name) inOrder(() => tag(name));
-});
+by("look-at").addEventListener("click", () => changes.inOrder(look));
 for (const event of ["input", "change"]) form.addEventListener(event, show);
-done.restore();
+changes.restore("/sessions");
 show();
-showHistory();

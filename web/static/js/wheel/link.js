@@ -32,7 +32,7 @@ export class Link {
   }
 
   #open() {
-    const socket = new WebSocket(`ws://${location.host}${this.path}`);
+    const socket = new WebSocket(new URL(this.path, location.origin.replace(/^http/, "ws")));
     this.#socket = socket;
     socket.binaryType = "arraybuffer";
     socket.addEventListener("message", ({ data }) => {

@@ -1,5 +1,6 @@
 // The page at the wheel: devices, the socket, the picture, and the keys and buttons of the page.
 
+import { by, make, showProblem, toggleHelp } from "../dom.js";
 import { showStatus } from "../live.js";
 import { Delays } from "./delays.js";
 import { Drag } from "./drag.js";
@@ -18,7 +19,6 @@ const MAX_EVENTS = 30;
 const BAD_S = 5;
 const STALE_MS = 100; // an event that has changed nothing by then, such as a button that went down
 const ASK_AGAIN = { times: 4, ms: 2000 }; // a connection that broke may hold the wheel for some seconds
-const by = (id) => document.getElementById(id);
 const page = by("wheel");
 
 export const settings = loadSettings();
@@ -101,7 +101,7 @@ function connected(isOpen) {
   if (isOpen) {
     picture.restart();
     link.send({ type: "view", recorded: settings.recorded });
-    problem("");
+    showProblem("");
     return;
   }
   wasHolder ||= isHolder;
@@ -109,7 +109,7 @@ function connected(isOpen) {
   hands.release();
   delays.forget();
   if (isOver) return;
-  problem("The connection is lost, and all keys are let go. The page connects again by itself.");
+  showProblem("The connection is lost, and all keys are let go. The page connects again by itself.");
   findOut();
 }
 
@@ -119,7 +119,7 @@ async function findOut() {
     const answer = await fetch(page.dataset.at, { method: "HEAD" });
     if (answer.status === 404) ended({ why: "its process has ended" });
   } catch {
-    problem("bc-web does not answer, and all keys are let go. The drive goes on without it, and the page connects again by itself.");
+    showProblem("bc-web does not answer, and all keys are let go. The drive goes on without it, and the page connects again by itself.");
   }
 }
 
@@ -172,16 +172,8 @@ async function show(frame, jpeg) {
 
 function report(text, level = "warning") {
   showStatus(text);
-  const line = document.createElement("li");
-  line.textContent = `${new Date().toTimeString().slice(0, 8)} ${text}`;
-  line.className = level;
-  by("events").prepend(line);
+  by("events").prepend(make("li", { className: level }, `${new Date().toTimeString().slice(0, 8)} ${text}`));
   while (by("events").children.length > MAX_EVENTS) by("events").lastChild.remove();
-}
-
-function problem(text) {
-  by("problem").textContent = text;
-  by("problem").hidden = !text;
 }
 
 function ended({ why }) {
@@ -189,7 +181,7 @@ function ended({ why }) {
   isOver = true;
   isHolder = isFree = false;
   link.close();
-  problem("");
+  showProblem("");
   for (const id of ["drive", "seat", "help"]) by(id).hidden = true;
   for (const element of page.querySelectorAll(".tools, details, #driver, #help-button")) element.hidden = true;
   write("recording", "ended");
@@ -208,11 +200,6 @@ function confirmEnd() {
   by("confirm").showModal();
 }
 by("confirm").addEventListener("close", () => by("confirm").returnValue === "end" && request({ type: "end" }));
-
-function toggleHelp() {
-  const isHidden = (by("help").hidden = !by("help").hidden);
-  by("help-button").setAttribute("aria-expanded", !isHidden);
-}
 
 function change(name, value) {
   saveSetting(settings, name, value);

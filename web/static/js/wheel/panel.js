@@ -1,10 +1,10 @@
 // What a frame has beside its picture: numbers, the steering wheel, the map, who drives.
 
+import { by, number } from "../dom.js";
 import { RoadMap } from "../road_map.js";
 
 const WHEEL_DEG = 135; // of the steering wheel at full lock
 const SLOW_PACE = 0.97;
-const by = (id) => document.getElementById(id);
 const shows = new Map();
 
 /** Only what has changed is written: a screen reader reads it, and nothing is laid out anew. */
@@ -32,7 +32,7 @@ export class Panel {
   /** The numbers of a frame; `isHolder` if this page has the wheel, `delay_ms` what was measured here. */
   show(frame, isHolder, delay_ms) {
     write("speed", (frame.speed_mph ?? 0).toFixed(1));
-    write("rows", `${frame.rows.toLocaleString("en")} rows`);
+    write("rows", `${number(frame.rows)} rows`);
     write("time", clock(frame.recorded_s ?? frame.time_s));
     write("sent", side(frame.steering ?? 0));
     write("pedals", pedal(frame.throttle));
