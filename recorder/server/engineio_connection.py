@@ -127,7 +127,10 @@ class Connection(Socket):  # type: ignore[misc]
     @property
     def has_unread(self) -> bool:
         """True if the client has sent something that is not handled yet."""
-        return self._websocket is not None and (bool(self._websocket.waiting) or self._websocket.has_unread)
+        websocket = self._websocket
+        return websocket is not None and (
+            not websocket.is_handed_over or bool(websocket.waiting) or websocket.has_unread
+        )
 
     @property
     def waiting(self) -> list[str | bytes]:
@@ -187,6 +190,8 @@ class Connection(Socket):  # type: ignore[misc]
         A client of Socket.IO 2 sends no CONNECT packet, without which python-socketio 5 silently drops all of its
         events: the packet is supplied.
         """
+        if self._websocket is not None:
+            self._websocket.is_handed_over = True
         try:
             if not self.is_announced:
                 self.is_announced = True

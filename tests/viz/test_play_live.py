@@ -63,12 +63,12 @@ def running_viewer() -> Iterator[Ports]:
 
 
 @contextlib.contextmanager
-def received(ports: Ports, rrd: Path) -> Iterator[None]:
+def received(ports: Ports, rrd: Path, pictures: int = ROWS) -> Iterator[None]:
     """Another client of the viewer writes all that it has to a file, until the viewer is ended within."""
     line = [str(viewer_program()), ports.data_address, "--save", str(rrd), "--bind", "127.0.0.1", "--port", "auto"]
     with subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment()) as client:
         for camera in CAMERAS:
-            wait_until(lambda: arrived(rrd, f"/camera/{camera}", "EncodedImage:blob") >= ROWS)  # noqa: B023
+            wait_until(lambda: arrived(rrd, f"/camera/{camera}", "EncodedImage:blob") >= pictures)  # noqa: B023
         wait_until(lambda: arrived(rrd, "/steering/recorded", "Scalars:scalars") >= ROWS)
         yield
         client.wait(PATIENCE_S)
@@ -99,6 +99,22 @@ def test_a_viewer_that_runs_gets_all_of_the_log(
     assert said.out == f"a.mcap: sent to 127.0.0.1:{ports.data}\n"
 
 
+def test_of_a_large_log_a_viewer_gets_some_rows_pictures_and_all_curves(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("viz.targets._LARGE", 1)
+    monkeypatch.setattr("viz.targets._SENT", log.stat().st_size / 7.5)
+    with contextlib.ExitStack() as client, running_viewer() as ports:
+        assert call(main, log, "--connect", ports.data) == 0
+        client.enter_context(received(ports, tmp_path / "got.rrd", 5))
+    found = contents(tmp_path / "got.rrd")
+    for camera in CAMERAS:
+        blobs = [bytes(blob[0]) for blob in found[f"/camera/{camera}"]["EncodedImage:blob"]]
+        assert blobs == [picture(camera, row) for row in (0, 8, 16, 24, 29)]
+    assert len(found["/steering/recorded"]["Scalars:scalars"]) >= ROWS
+    assert "one picture of 8" in capsys.readouterr().err
+
+
 def test_what_a_viewer_that_runs_does_not_get_of_a_damaged_log_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -116,7 +132,7 @@ def test_what_a_viewer_that_runs_does_not_get_of_a_damaged_log_is_told(
 def test_a_viewer_that_is_closed_too_early_is_not_called_complete(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def send(recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
+    def send(recording: rr.RecordingStream, flush: Callable[[], object], every: int) -> None:
         raise ViewerGoneError
 
     with running_viewer() as ports:
