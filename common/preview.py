@@ -103,7 +103,7 @@ def _start(command: list[str], notify: Callable[[str], object]) -> subprocess.Po
             creationflags=getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0),  # on Windows
         )
     except OSError as error:  # no memory, too many processes
-        notify(f"viewer: cannot be started ({error.strerror}); all else goes on without it")
+        notify(f"viewer: cannot be started ({error.strerror}); everything else continues")
         return None
 
 

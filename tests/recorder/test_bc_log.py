@@ -370,10 +370,10 @@ def test_a_whole_log_is_not_recovered_but_copied_if_that_is_asked_for(
 ) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1] * 5)
     assert call(main, "recover", place(path)) == 0
-    assert capsys.readouterr().out == f"{place(path)}: whole, nothing to recover; nothing was written\n"
+    assert capsys.readouterr().out == f"{place(path)}: complete, nothing to recover; nothing was written\n"
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
     assert call(main, "recover", place(path), "--to", place(tmp_path / "b.mcap")) == 0
-    assert "a.mcap: whole, nothing to recover\n" in capsys.readouterr().out
+    assert "a.mcap: complete, nothing to recover\n" in capsys.readouterr().out
     assert read_messages(tmp_path / "b.mcap").keys() == read_messages(path).keys()
 
 
@@ -392,7 +392,7 @@ def test_what_is_not_whole_in_every_byte_is_recovered(
     code = 1 if is_all else 3 if what in ("chunk", "metadata") else 0  # what nobody can tell the truth of
     assert call(main, "recover", path) == code
     assert (tmp_path / "a.recovered.mcap").exists() is not is_all
-    assert "whole, nothing to recover" not in capsys.readouterr().out
+    assert "complete, nothing to recover" not in capsys.readouterr().out
 
 
 def test_a_new_tag_is_said_with_what_may_have_been_meant(

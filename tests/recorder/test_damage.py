@@ -273,14 +273,14 @@ def test_damage_that_only_the_crc_of_all_data_shows_is_told(whole: Path) -> None
     written = recover(path, whole.with_name("recovered.mcap"))
     assert contents(written.path).by_topic == contents(whole).by_topic
     assert not len(written.skipped)
-    assert ["metadata, or what describes topics, may be wrong" in notice for notice in written.notices] == [True]
+    assert ["metadata or descriptions of topics may be wrong" in notice for notice in written.notices] == [True]
     assert not len(recover(whole, whole.with_name("copy.mcap")).skipped)
 
 
 def test_a_file_in_which_nothing_is_whole_is_not_recovered(whole: Path) -> None:
     path = whole.with_name("damaged.mcap")
     path.write_bytes(whole.read_bytes()[: contents(whole).chunks[0].end - 1])
-    with pytest.raises(LogError, match=r"damaged\.mcap: not one whole message"):
+    with pytest.raises(LogError, match=r"damaged\.mcap: no complete message"):
         recover(path, whole.with_name("recovered.mcap"))
     assert not whole.with_name("recovered.mcap").exists()
 

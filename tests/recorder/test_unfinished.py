@@ -176,7 +176,7 @@ def test_a_topic_whose_description_is_lost_is_named(killed: tuple[Path, Contents
     zero(path, first.start, first.end)
     rest = [m for chunk in original.chunks[1:] for m in chunk.messages]
     if {message.topic for message in rest} <= described:
-        with pytest.raises(LogError, match="not one whole message"):
+        with pytest.raises(LogError, match="no complete message"):
             recover(path, path.with_name("recovered.mcap"))
     else:
         written = recover(path, path.with_name("recovered.mcap"))
@@ -234,11 +234,11 @@ def test_a_log_that_still_grows_is_told_from_one_that_was_killed(tmp_path: Path)
         with Log(part) as log:
             assert log.problem == "unfinished: its recording is still going on"
         for name in (tmp_path / "lake.mcap", Path(os.path.relpath(tmp_path / "lake.mcap"))):
-            with pytest.raises(LogError, match=r"lake\.mcap: the name that the recording will take"):
+            with pytest.raises(LogError, match=r"lake\.mcap: the running recording will get this name"):
                 recover(part, name)
         written = recover(part, recovered_name(part))
         assert (written.path, written.rows) == (tmp_path / "lake.recovered.mcap", 5)
-        told = "its recording still goes on, and its end is not in lake.recovered.mcap"
+        told = "it is still being recorded; lake.recovered.mcap lacks its end"
         assert written.notices == [f"{part}: {told}"]
         recorder.end(signal.SIGKILL)
     assert not is_being_written(part)

@@ -189,12 +189,12 @@ def test_what_is_no_viewer_is_one_line(
     (nobody,) = free_ports(1)
     assert f"127.0.0.1:{nobody}: no viewer listens there" in said(nobody)
     with answering(b"HTTP/1.0 400 Bad request\r\n\r\n") as port:
-        assert "is no Rerun viewer" in said(port)
+        assert "is not a Rerun viewer" in said(port)
     with answering(b"") as port:
-        assert "is no Rerun viewer" in said(port)
+        assert "is not a Rerun viewer" in said(port)
     with socket.create_server(("127.0.0.1", 0)) as silent, monkeypatch.context() as patched:  # a frozen one
         patched.setattr("viz.viewer_connection._PATIENCE_S", 0.2)
-        assert "does not answer" in said(silent.getsockname()[1])
+        assert "no answer" in said(silent.getsockname()[1])
     assert "no address of a viewer" in said("somewhere", code=2)
     assert "no viewer listens there" in said("99999")
 
@@ -250,7 +250,7 @@ def test_a_viewer_that_cannot_start_says_why_and_disturbs_nothing(
             assert said.startswith(f"viewer: 127.0.0.1:{nobody}: no viewer listens there")
             again = f"bc-play {tmp_path / 'a.mcap'} --follow"
             assert said.endswith(
-                f"; all else goes on without it; `{again}` opens another one, `{again} --web` in a browser\n"
+                f"; everything else continues; `{again}` opens another one, `{again} --web` in a browser\n"
             )
         writer.vehicle(START_NS + STEP_NS, 1, VehicleState(steering=0.5))
     assert call(main, tmp_path / "a.mcap", "--save", tmp_path / "a.rrd") == 0
@@ -269,7 +269,7 @@ def test_a_window_that_cannot_open_names_a_command_and_only_its_own_flags(
     assert said.startswith("viewer: the Rerun viewer ")
     assert "give --web" not in said
     assert said.endswith(
-        f"; all else goes on without it; `{again}` opens another one, `{again} --web` in a browser\n"
+        f"; everything else continues; `{again}` opens another one, `{again} --web` in a browser\n"
     )
 
 

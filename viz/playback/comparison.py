@@ -61,7 +61,7 @@ def prepare_comparison(
     Raises LogError if one cannot be read, UserError if there are too many, or they cannot be compared by place.
     """
     if len(paths) > MAX_LOGS:
-        raise UserError(f"{len(paths)} logs: at most {MAX_LOGS} can be shown beside each other")
+        raise UserError(f"{len(paths)} logs: at most {MAX_LOGS} can be shown next to each other")
     with contextlib.ExitStack() as stack:
         opened = [stack.enter_context(open_whole_log(path)) for path in paths]
         check_moment(at_s, zip(paths, (log for log, _ in opened), strict=True))

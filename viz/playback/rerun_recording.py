@@ -156,7 +156,7 @@ def open_whole_log(path: Path) -> Iterator[tuple[Log, str]]:
     that Rerun cannot take.
     """
     if printable(str(path)) != str(path):
-        raise UserError(f"{path}: Rerun opens names of plain UTF-8 text only; rename the log")
+        raise UserError(f"{path}: Rerun opens only names in UTF-8; rename the log")
     with Log(path, shows_progress=True) as log:
         if not log.problem:
             yield log, ""
