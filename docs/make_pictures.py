@@ -23,6 +23,7 @@ import tyro
 from numpy.typing import NDArray
 from PIL import Image
 
+from common.car import MPS_PER_MPH
 from dataset.figure_style import DPI, figure_style
 from drive.demo import Demo, demo
 from model.runs.history import read_history
@@ -30,7 +31,8 @@ from model.runs.run_figures import draw_curves
 from recorder import Log
 from track_pictures import Picture, hairpin_sheet, layout_sheet, track_sheet
 from viewer_pictures import screenshot
-from viz.timelines import LOG_TIME, SINCE_START
+from viz.playback.comparison import PLACE
+from viz.timelines import LOG_TIME
 
 DEMO: Final = Path("demo/pictures")
 TRACK: Final = "mountain"
@@ -82,6 +84,7 @@ def main(config: Pictures) -> None:
         made = driven(run, session, config.laps, Path(folder))
         for name, picture in viewer_pictures(made, Path(folder)).items():
             write(config.folder / f"{name}.png", picture)
+        write(config.folder / "video.png", video_picture(made, Path(folder)))
     with figure_style():
         draw_curves(read_history(run)[0]).savefig(config.folder / "curves.png", format="png", dpi=DPI)
     docs = Path(__file__).parent
@@ -98,13 +101,13 @@ def driven(run: Path, session: Path, laps: float, folder: Path) -> Made:
 
 
 def viewer_pictures(made: Made, folder: Path) -> dict[str, Picture]:
-    """The viewer as it shows a session, a drive, two drives, and where a network looks."""
+    """The viewer as it shows a session, a drive, two drives by place, and where a network looks."""
     predicted = ["--run", str(made.run), "--attention"]
-    turn_s, driven_s = hardest_turn(made.slow)
+    turn_s, turn_m = hardest_turn(made.slow)
     return {
         "session": played([made.session], [], folder, LOG_TIME, hardest_turn(made.session)[0]),
         "viewer": played([made.slow], [], folder, LOG_TIME, turn_s),
-        "comparison": played([made.slow, made.fast], [], folder, SINCE_START, driven_s),
+        "comparison": played([made.slow, made.fast], ["--by", "place"], folder, PLACE, 100 * turn_m),
         "attention": played([made.session], predicted, folder, LOG_TIME, hardest_turn(made.session)[0]),
     }
 
@@ -116,13 +119,32 @@ def played(logs: list[Path], flags: list[str], folder: Path, timeline: str, at: 
     return screenshot(rrd, timeline, at)
 
 
+def video_picture(made: Made, folder: Path) -> Picture:
+    """Two frames of a video with the instruments: at the beginning, and where it steers most."""
+    video = folder / "drive.mp4"
+    _bc("viz.cli", str(made.slow), "--video", str(video), "--overlay")
+    with Log(made.slow) as log:
+        start_ns, _ = log.time_range_ns
+    read = cv2.VideoCapture(str(video))
+    frames = []
+    for at_s in (3.0, hardest_turn(made.slow)[0] - start_ns * 1e-9):
+        read.set(cv2.CAP_PROP_POS_MSEC, 1000 * at_s)
+        is_there, frame = read.read()
+        if not is_there:
+            raise SystemExit(f"{video}: has no frame at {at_s:.1f} s")
+        frames.append(frame)
+    return np.hstack(frames).astype(np.uint8)
+
+
 def hardest_turn(log: Path) -> tuple[float, float]:
-    """When a log steers most: seconds since 1970, and since its start."""
+    """Where a log steers most: seconds since 1970, and metres from its start."""
     with Log(log) as opened:
         pairs = list(opened.vehicle_states())
     time_s = np.array([message.log_time_ns for message, _ in pairs], np.float64) * 1e-9
+    speed_mps = MPS_PER_MPH * np.array([state.speed_mph for _, state in pairs], np.float64)
+    place_m = np.concatenate([[0.0], np.cumsum(speed_mps[1:] * np.diff(time_s))])
     at = int(np.argmax(np.abs([state.steering for _, state in pairs])))
-    return float(time_s[at]), float(time_s[at] - time_s[0])
+    return float(time_s[at]), float(place_m[at])
 
 
 def write(path: Path, picture: NDArray[np.uint8]) -> None:

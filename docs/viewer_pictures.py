@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 from rerun.experimental import ViewerClient
 
-from viz.timelines import SINCE_START
 from viz.viewer_process import LOCAL, end_viewer, free_port, viewer_program
 
 Picture = NDArray[np.uint8]
@@ -30,14 +29,14 @@ _APART_S: Final = 1.0
 
 
 def screenshot(rrd: Path, timeline: str, at: float, height: int = HEIGHT) -> Picture:
-    """The viewer (height, WIDTH, 3) BGR, showing the recording `rrd` at a moment of a time line: seconds since the
-    start, or since 1970."""
+    """The viewer (height, WIDTH, 3) BGR, showing the recording `rrd` at a place of a time line: a number of a
+    sequence if its name says centimetres, else seconds since 1970."""
     with _viewer(height + TITLE_BAR) as client:
         client.open(str(rrd.absolute()))
         while client.get_state().loading:
             time.sleep(0.2)
-        if timeline == SINCE_START:
-            client.set_time(timeline, duration=at, play_state="paused")
+        if timeline.endswith("_cm"):
+            client.set_time(timeline, sequence=round(at), play_state="paused")
         else:
             client.set_time(timeline, timestamp=at, play_state="paused")
         return _still(client)[TITLE_BAR:]

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import pyarrow as pa
 
 from common.steering_unit import SteeringUnit, assumed_deg
 from dataset import MAX_STEERING_DEG
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 _APART_NS: Final = 1_000_000_000
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)

@@ -72,7 +72,7 @@ def _content(config: Play) -> Content:
     if len(config.logs) > 1:
         _check_logs(config.logs)
         size = sum(path.stat().st_size for path in config.logs if path.is_file())
-        return FinishedContent(lambda: prepare_comparison(config.logs, config.at), size)
+        return FinishedContent(lambda: prepare_comparison(config.logs, config.by, config.at), size)
     path = find_log(config.log) if config.follow else config.log
     if config.follow and not is_finished(path):
         return GrowingLogContent(path)
@@ -104,16 +104,17 @@ def _destination(config: Play) -> Destination:
 
 def _make_video(config: Play, video: Path) -> int:
     from viz.video import HELD_S, check_speed, write_video
+    from viz.video_overlay import clock
 
     with usage_errors(UserError):
         check_speed(config.speed)
     _check_logs(config.logs)
-    made = write_video(config.log, video, speed=config.speed, overwrite=config.force)
+    made = write_video(config.log, video, speed=config.speed, overlay=config.overlay, overwrite=config.force)
     size = f"{made.width} x {made.height}"
-    print_result(f"{video}: written; {counted(made.pictures, 'picture')}, {size}, {made.duration_s:,.1f} s long")
+    print_result(f"{video}: written; {counted(made.pictures, 'picture')}, {size}, {clock(made.duration_s)} long")
     if made.gaps:
         gaps = f"{counted(made.gaps, 'gap')} of more than a second"
-        print_message(f"{gaps} shortened to {HELD_S:g} s: {made.cut_s:,.1f} s of the log in all")
+        print_message(f"{gaps} shortened to {HELD_S:g} s: {clock(made.cut_s)} of the log in all")
     if made.left_out:
         pictures = counted(made.left_out, "picture")
         print_message(

@@ -7,7 +7,7 @@ import os
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -33,6 +33,8 @@ class Play:
         None
     )
     """Open at this time."""
+    by: Literal["time", "place"] = "time"
+    """Compare logs by time, or by place on the first one's way."""
     follow: bool = False
     """Show a growing log."""
     save: Path | None = None
@@ -49,6 +51,8 @@ class Play:
     """Write an .mp4 of the centre camera; open nothing."""
     speed: float = 1.0
     """Speed of the video, as a multiple of the drive's."""
+    overlay: bool = False
+    """Draw instruments below the video: wheel, speed, pedals, clock, driver."""
     run: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="RUN")] = ()
     """Show what this run's network would have steered."""
     network: tuple[str, ...] = ()
@@ -86,7 +90,9 @@ def check_video_flags(config: Play) -> None:
     """Raise UsageError for flags that do not go together with --video."""
     if len(config.places) != 1:
         raise UsageError("--video is made of one log: give one")
-    unfit = flags_given(config, "save", "follow", "web", "connect", "run", "network", "attention", "write", "at")
+    unfit = flags_given(
+        config, "save", "follow", "web", "connect", "run", "network", "attention", "write", "by", "at"
+    )
     if unfit:
         raise UsageError(f"--video writes a file and opens nothing: give it without {unfit}")
 
@@ -94,13 +100,24 @@ def check_video_flags(config: Play) -> None:
 def check_viewer_flags(config: Play) -> None:
     """Raise UsageError for flags that do not go together where logs are shown, or written by --save."""
     if not config.run and (flags := flags_given(config, "network", "attention", "write")):
+<<<<<<< HEAD
+        raise UsageError(f"{flags}: only of networks: give --run NAME as well")
+    if flags := flags_given(config, "speed", "overlay"):
+=======
         raise UsageError(f"{flags}: only for networks: give --run NAME as well")
     if flags := flags_given(config, "speed"):
+>>>>>>> words
         raise UsageError(f"{flags}: only for a video: give --video FILE.mp4 as well")
     if not config.places:
         raise UsageError("no log is given: bc-play LOG, or bc-play LOG LOG to compare")
     if len(config.places) > 1 and (flags := flags_given(config, "follow", "run")):
+<<<<<<< HEAD
+        raise UsageError(f"{flags}: only with one log; several are compared as they are")
+    if len(config.places) == 1 and config.by != "time":
+        raise UsageError("--by place compares several logs: give more than one")
+=======
         raise UsageError(f"{flags}: only with one log")
+>>>>>>> words
     if config.connect is not None and (config.web or config.save is not None):
         raise UsageError("--connect uses an open viewer: give it without --web, --save")
     if config.at is not None:
@@ -115,8 +132,8 @@ def _check_moment(config: Play) -> None:
     """Raise UsageError for an impossible --at."""
     if not 0 <= (config.at or 0) < math.inf:
         raise UsageError(f"--at {config.at}: seconds since the log's start, from 0 on")
-    if config.follow:
-        raise UsageError("--at is a moment of finished logs: give it without --follow")
+    if config.follow or config.by != "time":
+        raise UsageError("--at is a moment of finished logs, by time: give it without --follow, --by place")
 
 
 def _refuse_overwriting_logs(config: Play) -> None:

@@ -22,10 +22,12 @@ from common.errors import counted
 from common.files import refuse_existing, write_remedy
 from common.progress import track
 from common.versions import install_line
-from dataset.preprocessing import Image, decode
+from dataset.preprocessing import decode
 from recorder import Log, LogError
 from recorder.rows.row_quality import GAP_S
 from recorder.topics import camera_topic
+from viz.video_overlay import Image, Panel
+from viz.video_readings import Readings
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -85,12 +87,14 @@ def check_speed(speed: float) -> None:
         raise UserError(f"--speed {speed:g}: how many times as fast must be {MIN_SPEED:g} to {MAX_SPEED:g}")
 
 
-def write_video(path: Path, video: Path, *, speed: float = 1.0, overwrite: bool = False) -> Video:
+def write_video(
+    path: Path, video: Path, *, speed: float = 1.0, overlay: bool = False, overwrite: bool = False
+) -> Video:
     """Write the log at `path` as `video`, an .mp4 that plays `speed` times as fast as was driven.
 
-    Of a log that was never finished, the whole chunks are taken. Raises LogError if the log cannot be read,
-    UserError if PyAV is not installed, for a log without a picture of the centre camera, if `video` exists and may
-    not be overwritten, or where the disk is full.
+    `overlay` puts the instruments below the pictures. Of a log that was never finished, the whole chunks are
+    taken. Raises LogError if the log cannot be read, UserError if PyAV is not installed, for a log without a
+    picture of the centre camera, if `video` exists and may not be overwritten, or where the disk is full.
     """
     _require_av()
     check_speed(speed)
@@ -98,16 +102,22 @@ def write_video(path: Path, video: Path, *, speed: float = 1.0, overwrite: bool 
     with Log(path, shows_progress=True) as log:
         pictures = _Pictures(log)
         plan = schedule(pictures.times_ns, speed)
-        width, height = pictures.width, pictures.height
-        canvas = np.zeros((height, width, 3), np.uint8)
-        with atomic_file(video, overwrite=overwrite) as part, _Mp4(part, video, width, height) as mp4:
+        readings = Readings(log) if overlay else None
+        panel = (
+            Panel(pictures.width, readings.top_mph, readings.max_steering_deg) if readings is not None else None
+        )
+        height = pictures.height + (panel.height if panel is not None else 0)
+        canvas = np.zeros((height, pictures.width, 3), np.uint8)
+        with atomic_file(video, overwrite=overwrite) as part, _Mp4(part, video, pictures.width, height) as mp4:
             for number, begin, end in track(plan.shown(), "video", len(plan.numbers)):
-                pictures.draw(number, canvas)
+                pictures.draw(number, canvas[: pictures.height])
+                if readings is not None and panel is not None:
+                    canvas[pictures.height :] = panel.draw(readings.at(int(pictures.times_ns[number])))
                 mp4.add(canvas, begin, end)
         return Video(
             pictures=len(plan.numbers),
             duration_s=plan.end / TICKS_A_SECOND,
-            width=width,
+            width=pictures.width,
             height=height,
             left_out=len(pictures.times_ns) - len(plan.numbers),
             gaps=plan.gaps,
@@ -168,8 +178,8 @@ class _Pictures:
         )
 
     def _decoded(self, number: int) -> Image | None:
-        pictures = self._found
-        place = int(pictures.offset[number]), int(pictures.length[number]), int(pictures.chunk[number])
+        found = self._found
+        place = int(found.offset[number]), int(found.length[number]), int(found.chunk[number])
         try:
             return decode(self._log.read(*place))
         except (LogError, ValueError):  # its chunk is damaged, or it is no picture

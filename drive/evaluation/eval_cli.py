@@ -191,7 +191,7 @@ def _compare_by_driving(config: Eval, a: Path, b: Path, names: tuple[str, str]) 
         print_result(json.dumps(comparison.as_dict()))
     else:
         print_drive_comparison(comparison, names)
-        print_next(f"bc-play {shlex.join(str(drives[0].log) for drives in (of_a, of_b))}")
+        print_next(f"bc-play {shlex.join(str(drives[0].log) for drives in (of_a, of_b))} --by place")
     return comparison.verdict, code
 
 

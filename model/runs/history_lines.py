@@ -13,7 +13,6 @@ from typing import Any, Final
 
 from common.car import MAX_STEERING_DEG
 from dataset.prediction_targets import TARGET_NAMES
-from dataset.preprocessing import decode, may_be_crop
 from model.metrics import BinErrors, Errors, Measures
 from model.runs.answer_scale import AnswerScale
 from model.runs.training_progress import Epoch, Step
@@ -67,6 +66,8 @@ def parse_step(line: bytes) -> Step:
 
 
 def parse_worst_pictures(line: bytes) -> WorstPictures:
+    from dataset.preprocessing import decode, may_be_crop
+
     values = json.loads(line)
     epoch = _count(values["epoch"], least=1)
     if len(values["frames"]) > WORST_COUNT:

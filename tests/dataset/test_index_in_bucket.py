@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
-import re
-import shutil
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -22,9 +19,8 @@ from common.location import Url
 from common.random_access import open_for_reading
 from common.store_record import Copy, StoreRecord, write_record
 from common.stored_folder import StoredFolder
-from dataset import DatasetError, Samples, build_index, load
+from dataset import Samples, build_index
 from dataset.cli import main
-from disk import files_of_at_most
 from logs import write_log
 from udacity import call
 
@@ -258,39 +254,6 @@ def test_wherever_an_upload_is_cut_samples_that_are_named_are_there(
     assert is_new.count(False) == 3 + 1  # before each part, and before samples.parquet
     assert is_new.count(True) == 1 + 1 + 2 + 1  # frames, state.json, the old parts, and the record of all of it
     assert all(table.equals(after if new else before) for table, new in zip(found, is_new, strict=True))
-
-
-def test_divided_samples_come_here_once_and_those_of_an_earlier_index_go(divided: Bucket, tmp_path: Path) -> None:
-    assert index() == 0
-    divided.requests.clear()
-    with load(INDEX, batch=8), load(INDEX, "validation", batch=8), Samples(INDEX) as samples:
-        assert samples.fingerprint
-    fetched = [path for method, path, _ in divided.requests if method == "GET" and "/samples/" in path]
-    assert len(fetched) == len(set(fetched)) == 2
-    kept = tmp_path / "caches/one/samples"
-    expected, (damaged, *_) = samples_in(INDEX), sorted(kept.rglob("*.parquet"))
-    whole, status = damaged.read_bytes(), damaged.stat()
-    damaged.write_bytes(whole[:200] + bytes([whole[200] ^ 1]) + whole[201:])
-    os.utime(damaged, ns=(status.st_atime_ns, status.st_mtime_ns))  # as a failing disk does
-    assert samples_in(INDEX).equals(expected)
-    assert damaged.read_bytes() == whole
-    shutil.rmtree(kept)
-    with files_of_at_most(1_000), pytest.raises(DatasetError, match=r"caches/one/samples/.*: cannot be written"):
-        samples_in(INDEX)
-    samples_in(INDEX)
-    (earlier,) = kept.glob("*/*")
-    drive(divided, 2)
-    assert index() == 0
-    assert set(samples_in(INDEX)["session"].to_pylist()) == {"0", "1", "2"}
-    (later,) = kept.glob("*/*")
-    assert later.name != earlier.name
-    with Samples(INDEX) as samples:  # and somebody indexes once more
-        drive(divided, 3)
-        assert index() == 0
-        shutil.rmtree(kept)
-        told = "0.parquet is not there, which samples.parquet names; give the command again"
-        with pytest.raises(DatasetError, match=re.escape(told)):
-            _ = samples.table
 
 
 def test_a_bucket_may_be_an_index_but_none_that_logs_are_in(

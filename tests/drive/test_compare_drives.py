@@ -116,4 +116,4 @@ def test_a_run_drives_no_worse_than_itself_and_as_its_own_report_says(
     assert "exists already: give --drives FOLDER for another place, or give --force" in capsys.readouterr().err
     assert call(main, "--compare", "untrained", "untrained", *flags, "--force") == 0
     logs = "drives/a/untrained-lake-10mph.mcap drives/b/untrained-lake-10mph.mcap"
-    assert f"bc-play {logs}`" in capsys.readouterr().err.splitlines()[-1]
+    assert f"bc-play {logs} --by place`" in capsys.readouterr().err.splitlines()[-1]

@@ -243,17 +243,6 @@ def test_commas_are_answered_in_kind_also_after_nonsense(half_right: Pilot) -> N
     ] == [".", ".", ",", ",", ",", ".", "."]
 
 
-def test_a_known_separator_is_kept_and_whole_numbers_change_nothing(half_right: Pilot) -> None:
-    driver = Driver(half_right, DriveConfig())
-    answers = [
-        drive(driver, message(steering_angle="-1,5", throttle="01"[k % 2] if k % 3 else "0,5", speed=speed))
-        for k, speed in enumerate(["9,25", "9", "9,125", "9,1", "9"])
-    ]
-    assert [answer.speed_mph for answer in answers] == [9.25, 9.0, 9.125, 9.1, 9.0]
-    assert {answer.decimal_separator for answer in answers} == {","}
-    assert drive(driver, message(steering_angle="1", throttle="0", speed="9")).decimal_separator == ","
-
-
 # Nonsense
 
 

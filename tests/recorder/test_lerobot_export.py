@@ -115,27 +115,6 @@ def test_what_tells_of_it_is_as_lerobot_writes_it(tmp_path: Path) -> None:
     assert [groups.row_group(number).num_rows for number in range(groups.num_row_groups)] == [8, 12]
 
 
-def test_statistics_are_those_of_the_frames(tmp_path: Path) -> None:
-    log = write_drives(tmp_path / "one.mcap", times_ns=TIMES_NS[:8])  # few enough for all to be looked at
-    export_lerobot([log], tmp_path / "out")
-    stats = json.loads((tmp_path / "out/meta/stats.json").read_text())
-    action = pq.read_table(tmp_path / "out" / DATA)["action"].combine_chunks().flatten().to_numpy().reshape(8, 3)
-    pictures = [decoded(jpeg("left", row))[..., ::-1] / 255 for row in range(8)]
-    for name, values in (("action", action.astype(float)), ("observation.images.left", np.array(pictures))):
-        found = {key: np.squeeze(value) for key, value in stats[name].items()}
-        flat = values.reshape(-1, 3)
-        assert found["count"] == 8
-        np.testing.assert_allclose(found["mean"], flat.mean(axis=0), atol=1e-9)
-        np.testing.assert_allclose(found["std"], flat.std(axis=0), atol=1e-9)
-        np.testing.assert_allclose([found["min"], found["max"]], [flat.min(axis=0), flat.max(axis=0)])
-        if "images" in name:  # one of the 256 levels
-            expected = np.quantile(flat, 0.9, axis=0, method="inverted_cdf")
-        else:
-            expected = np.quantile(flat, 0.9, axis=0)
-        np.testing.assert_allclose(found["q90"], expected, atol=1e-9)
-    assert np.array(stats["observation.images.left"]["mean"]).shape == (3, 1, 1)
-
-
 def test_statistics_of_several_episodes_are_those_of_all(tmp_path: Path) -> None:
     export_lerobot([write_drives(tmp_path / "two.mcap")], tmp_path / "out")
     stats = json.loads((tmp_path / "out/meta/stats.json").read_text())["action"]

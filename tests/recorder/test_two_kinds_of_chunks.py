@@ -12,12 +12,10 @@ from mcap.records import Channel, Message
 from bytes_read import note_reads
 from common.car import CAMERAS
 from dataset import IndexConfig, build_index
-from layouts import write_as_before
 from logs import START_NS, STEP_NS, not_a_picture
 from plain_mcap import Contents, contents
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.upkeep.check import check
 from recorder.upkeep.log_info import describe
 
 PICTURES = {*(f"/camera/{camera}" for camera in CAMERAS), "/pilot/input"}
@@ -110,23 +108,6 @@ def test_what_waits_to_be_written_is_not_lost_by_ctrl_c_while_it_is(tmp_path: Pa
     assert [message.sequence for message in contents(tmp_path / "a.mcap").of("/vehicle")] == given
 
 
-def test_the_places_of_pictures_are_those_of_a_whole_reading(tmp_path: Path) -> None:
-    path = drive(tmp_path / "a.mcap")
-    data = path.read_bytes()
-    found = contents(path).by_topic
-    with Log(path) as log:
-        for topic in sorted(PICTURES):
-            places = log.pictures(topic)
-            assert places.sequence.tolist() == [message.sequence for message in found[topic]]
-            assert places.log_time_ns.tolist() == [message.log_time for message in found[topic]]
-            for at, length, message in zip(places.offset, places.length, found[topic], strict=True):
-                assert data[at : at + length] in message.data
-                assert log.read(int(at), int(length)) == data[at : at + length]
-            assert [(m.offset, m.length) for m in log.messages(topic)] == [
-                (data.index(message.data), len(message.data)) for message in found[topic]
-            ]
-
-
 def test_numbers_are_read_without_a_picture(tmp_path: Path, bytes_read: list[tuple[int, int]]) -> None:
     path = drive(tmp_path / "a.mcap")
     pictures = picture_chunks(contents(path))
@@ -153,26 +134,3 @@ def test_a_picture_costs_its_own_chunk_and_no_other(tmp_path: Path, bytes_read: 
         log.picture(70, "right")
     touched = {(start, end) for start, end in pictures for one in bytes_read if start < one[1] and one[0] < end}
     assert 1 <= len(touched) <= 2
-
-
-def test_a_log_of_an_earlier_version_gives_the_same(tmp_path: Path) -> None:
-    path = drive(tmp_path / "a.mcap")
-    with Log(path) as new, Log(write_as_before(path, tmp_path / "b.mcap")) as old:
-        assert old.vehicle().equals(new.vehicle())
-        assert old.counts == new.counts
-        assert old.frames().num_rows == new.frames().num_rows
-        for row in (0, 77, ROWS - 1):
-            assert old.picture(row, "right") == new.picture(row, "right")
-    assert check(path, look=False).findings == check(tmp_path / "b.mcap", look=False).findings == []
-
-
-def test_a_very_long_log_tells_the_places_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("recorder.mcap.split_chunks.PLACES_AT_ONCE", 100)
-    path = drive(tmp_path / "a.mcap")
-    names = [name for name, _ in contents(path).attachments]
-    assert names.count("bc.pictures") > 5
-    assert names.count("bc.chunks") == 1
-    with Log(path) as log:
-        assert len(log.frames()) == len(CAMERAS) * ROWS
-        assert log.attachments == []
-    assert check(path, look=False).findings == []

@@ -1,4 +1,4 @@
-"""`bc-play LOG LOG`: drives beside each other, as Rerun's own reader sees what is shown."""
+"""`bc-play LOG LOG`: drives beside each other, by time and by place, as Rerun's own reader sees what is shown."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from driving import road_jpeg
@@ -17,6 +18,7 @@ from rrd import contents, view_names
 from simulator.pose import Pose
 from udacity import call
 from viz.cli import main
+from viz.playback.along_track import distances_along
 from viz.playback.comparison import names_of
 
 ROWS = 30
@@ -68,6 +70,19 @@ def test_logs_of_different_days_stand_beside_each_other_from_their_starts(tmp_pa
         assert values(found, f"/{name}/driver", "StateChange:state") == ["pilot"]
     assert values(found, "/b/events", "TextLog:text") == ["begins at 86400 s"]
     assert not {entity for entity in found if not entity.startswith(("/a/", "/b/", "/__"))}
+
+
+def test_by_place_the_same_place_has_the_same_number(tmp_path: Path) -> None:
+    """The second drive is twice as fast: after half the time it is at the same place."""
+    logs = write_drive(tmp_path / "a.mcap"), write_drive(tmp_path / "b.mcap", start_s=50, speed_m_s=20)
+    found = shown(tmp_path / "x.rrd", *logs, "--by", "place")
+    driven_cm = {name: [speed * row * 10 for row in range(ROWS)] for name, speed in (("a", 10), ("b", 20))}
+    assert found["/a/steering/recorded"]["place_cm"] == pytest.approx(driven_cm["a"], abs=2)
+    assert found["/a/camera/center"]["place_cm"] == found["/a/steering/recorded"]["place_cm"]
+    together = [at for at in driven_cm["b"] if at <= driven_cm["a"][-1]]
+    assert found["/b/steering/recorded"]["place_cm"][: len(together)] == pytest.approx(together, abs=2)
+    beyond = driven_cm["b"][len(together) :]  # where the first has not been
+    assert found["/b/camera/center"]["place_cm"][len(together) :] == pytest.approx(beyond, abs=100)
 
 
 def test_the_layout_has_every_view_of_each_log_and_what_they_share(tmp_path: Path) -> None:
@@ -128,8 +143,17 @@ def test_logs_of_one_name_are_told_apart(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_compared_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    drive = write_drive(tmp_path / "a.mcap")
+    drive, still = write_drive(tmp_path / "a.mcap"), write_drive(tmp_path / "still.mcap", poses=False)
+    with LogWriter(tmp_path / "far.mcap", {}) as far:
+        far.pose(START_NS, 0, pose_message(Pose(5e3, 5e3, 0.0, 0.0, 0.0, 0.0), START_NS))
     for words, says, code in (
+        ((drive, still, "--by", "place"), f"{still}: has no poses", 1),
+        (
+            (drive, tmp_path / "far.mcap", "--by", "place"),
+            f"{tmp_path / 'far.mcap'}: not on the road of {drive}",
+            1,
+        ),
+        ((drive, "--by", "place"), "give more than one", 2),
         ((drive, tmp_path / "none.mcap"), "none.mcap: cannot be opened", 1),
         ((drive, tmp_path), "is a folder", 1),
         ((*[drive] * 7,), "at most 6", 1),
@@ -140,3 +164,35 @@ def test_what_cannot_be_compared_is_one_line(tmp_path: Path, capsys: pytest.Capt
         (line,) = capsys.readouterr().err.splitlines()
         assert says in line
     assert not list(tmp_path.glob("*.rrd*"))
+
+
+# Places
+
+
+def test_a_second_lap_goes_on_where_the_first_ended() -> None:
+    angle = np.linspace(0, 4 * np.pi, 800)  # two laps
+    laps = RADIUS_M * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    placed = distances_along(laps[:400], laps)
+    assert placed is not None
+    assert placed == pytest.approx(RADIUS_M * angle, rel=0.02, abs=2)
+
+
+def test_a_road_that_comes_near_itself_is_not_jumped_across() -> None:
+    """There and back, 5 m aside: who drives there is not placed on the way back."""
+    there = np.stack([np.arange(0.0, 200.0), np.zeros(200)], axis=1)
+    back = np.stack([np.arange(199.0, -1.0, -1.0), np.full(200, 5.0)], axis=1)
+    way = np.concatenate([there, back])
+    placed = distances_along(way, way + np.array((0.0, 3.0)))  # nearer to the way back
+    assert placed is not None
+    assert np.all(np.diff(placed) >= 0)
+    assert placed[150] == pytest.approx(150, abs=1)
+
+
+def test_another_road_from_the_same_start_is_refused() -> None:
+    """It leaves to the side, comes back to where the way ends, and goes on from there for long."""
+    way = np.stack([np.arange(0.0, 300.0), np.zeros(300)], axis=1)
+    angle = np.linspace(np.pi, 0, 300)
+    bend = 150 * np.stack([1 + np.cos(angle), np.sin(angle)], axis=1)
+    on = np.stack([np.arange(300.0, 1500.0), np.zeros(1200)], axis=1)
+    assert distances_along(way, np.concatenate([bend, on])) is None
+    assert distances_along(way, way + np.array((0.0, 4.0))) is not None  # the same road, on its other side

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,14 +17,17 @@ from common import UserError
 from disk import files_of_at_most
 from driving import Process, command, road_jpeg
 from logs import START_NS
-from recorder import LogWriter
-from recorder.bc_pb2 import VehicleState
+from recorder import Log, LogWriter
+from recorder.bc_pb2 import PilotCommand, VehicleState
 from udacity import call
 from viz.cli import main
 from viz.video import HELD_S, write_video
+from viz.video_overlay import PREDICTED, RECORDED, WHEEL_DEG, WHEEL_RADIUS, WHEEL_X, WHEEL_Y, clock
+from viz.video_readings import Readings
 
 Image = NDArray[np.uint8]
 WIDTH, HEIGHT = 320, 160  # of the simulator's pictures; in the video twice as large
+PANEL = 160  # rows below them
 TICK_S = 1 / 60
 
 
@@ -42,13 +46,17 @@ def write_log(
     path: Path,
     pictures: Sequence[bytes],
     times_s: Sequence[float] | None = None,
+    state: VehicleState | None = None,
+    command: PilotCommand | None = None,
 ) -> Path:
     """A log of these pictures of the centre camera, a tenth of a second apart if nothing else is given."""
     with LogWriter(path, {"source": "test"}) as log:
         for row, picture in enumerate(pictures):
             time_ns = START_NS + round(1e9 * (times_s[row] if times_s is not None else row / 10))
             log.picture("center", time_ns, row, picture)
-            log.vehicle(time_ns, row, VehicleState(steering=0.0, throttle=0.5, speed_mph=9.0))
+            log.vehicle(time_ns, row, state or VehicleState(steering=0.0, throttle=0.5, speed_mph=9.0))
+            if command is not None:
+                log.command(time_ns, row, command)
     return path
 
 
@@ -143,8 +151,8 @@ def test_a_gap_is_shortened_and_said(tmp_path: Path, play: Callable[..., Done]) 
     assert found.times_s == pytest.approx([0.0, 1.0, 1.0 + HELD_S, 1.0 + 2 * HELD_S], abs=1e-6)
     assert levels(found.frames) == pytest.approx([50, 100, 150, 200], abs=2)
     assert done.code == 0
-    assert done.stderr == "2 gaps of more than a second shortened to 0.5 s: 7,201.2 s of the log in all\n"
-    assert done.stdout == f"{tmp_path / 'x.mp4'}: written; 4 pictures, 640 x 320, 2.5 s long\n"
+    assert done.stderr == "2 gaps of more than a second shortened to 0.5 s: 2:00:01.2 of the log in all\n"
+    assert done.stdout == f"{tmp_path / 'x.mp4'}: written; 4 pictures, 640 x 320, 0:02.5 long\n"
 
 
 def test_where_time_goes_back_another_drive_begins(tmp_path: Path) -> None:
@@ -188,6 +196,113 @@ def test_small_pictures_are_enlarged_whole_times_and_sides_are_even(
     made = write_video(write_log(tmp_path / "x.mcap", [picture] * 2), tmp_path / "x.mp4")
     height, width, _ = decoded(tmp_path / "x.mp4").frames[0].shape
     assert (width, height) == expected == (made.width, made.height)
+
+
+# The instruments
+
+
+def angle_deg(panel: Image, color: tuple[int, int, int], low: float, high: float) -> float:
+    """Where the pixels of a colour lie between two distances from the wheel's middle: degrees clockwise from its
+    top."""
+    places: NDArray[np.float64] = np.indices(panel.shape[:2]).astype(np.float64)
+    right, up = places[1] - WHEEL_X, WHEEL_Y - places[0]
+    distance = np.hypot(right, up)
+    # video keeps colours of areas, and blurs their edges
+    is_of_color = np.abs(panel.astype(int) - color).max(axis=2) < 60
+    found = is_of_color & (distance > low) & (distance < high)
+    assert found.sum() > 20
+    return math.degrees(math.atan2(right[found].mean(), up[found].mean()))
+
+
+@pytest.mark.parametrize(("steering", "predicted"), [(-0.6, -0.3), (0.0, 0.5), (0.35, 0.9), (1.0, -1.0)])
+def test_the_wheel_turns_as_steered_and_the_pointer_as_predicted(
+    tmp_path: Path, steering: float, predicted: float
+) -> None:
+    state = VehicleState(steering=steering, throttle=0.5, speed_mph=9.0)
+    command = PilotCommand(predicted_steering=predicted, steering=predicted, driver=PilotCommand.PILOT)
+    log = write_log(tmp_path / "x.mcap", [grey(90)] * 3, state=state, command=command)
+    write_video(log, tmp_path / "x.mp4", overlay=True)
+    panel = decoded(tmp_path / "x.mp4").frames[1][2 * HEIGHT :]
+    assert panel.shape == (PANEL, 2 * WIDTH, 3)
+    ring = WHEEL_RADIUS - 3, WHEEL_RADIUS + 3
+    assert angle_deg(panel, RECORDED, *ring) == pytest.approx(WHEEL_DEG * steering, abs=2)
+    pointer = WHEEL_RADIUS + 8, WHEEL_RADIUS + 18
+    assert angle_deg(panel, PREDICTED, *pointer) == pytest.approx(WHEEL_DEG * predicted, abs=2)
+
+
+def test_the_instruments_lie_below_the_picture_and_cover_nothing_of_it(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "x.mcap", [grey(90), grey(120)])
+    write_video(log, tmp_path / "bare.mp4")
+    write_video(log, tmp_path / "full.mp4", overlay=True)
+    for bare, full in zip(
+        decoded(tmp_path / "bare.mp4").frames, decoded(tmp_path / "full.mp4").frames, strict=True
+    ):
+        assert np.abs(full[: 2 * HEIGHT - 2].astype(int) - bare[:-2]).max() < 12
+        assert full[2 * HEIGHT :].std() > 10
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5, 1.0])
+def test_the_bars_are_as_long_as_the_pedals_are_down(tmp_path: Path, share: float) -> None:
+    state = VehicleState(throttle=share, brake=share, speed_mph=30 * share)
+    write_video(write_log(tmp_path / "x.mcap", [grey(90)] * 2, state=state), tmp_path / "x.mp4", overlay=True)
+    panel = decoded(tmp_path / "x.mp4").frames[1][2 * HEIGHT :].astype(int)
+    for row in (80, 104, 128):  # speed, throttle, brake
+        bright = np.flatnonzero(panel[row, 260:460].max(axis=1) > 150)
+        assert np.ptp(bright) == pytest.approx(168 * share + 8, abs=4)  # 8: its round ends
+
+
+def test_without_network_or_states_no_pointer_and_a_straight_wheel(tmp_path: Path) -> None:
+    write_video(write_log(tmp_path / "x.mcap", [grey(90)] * 2), tmp_path / "x.mp4", overlay=True)
+    with pytest.raises(AssertionError):
+        angle_deg(decoded(tmp_path / "x.mp4").frames[0][2 * HEIGHT :], PREDICTED, 0, 200)
+    with LogWriter(tmp_path / "bare.mcap", {"source": "test"}) as log:
+        log.picture("center", START_NS, 0, grey(90))
+    write_video(tmp_path / "bare.mcap", tmp_path / "bare.mp4", overlay=True)
+    found = decoded(tmp_path / "bare.mp4")
+    with pytest.raises(AssertionError):
+        angle_deg(found.frames[0][2 * HEIGHT :], RECORDED, 0, 200)
+    assert found.duration_s == pytest.approx(1.0)
+
+
+def test_impossible_numbers_are_shown_as_nothing_or_the_end_of_the_scale(tmp_path: Path) -> None:
+    for i, wrong in enumerate((math.nan, math.inf, -math.inf, 1e308, -1e308)):
+        state = VehicleState(steering=wrong, throttle=wrong, brake=wrong, speed_mph=wrong)
+        command = PilotCommand(predicted_steering=wrong, set_speed_mph=wrong)
+        log = write_log(tmp_path / f"{i}.mcap", [grey(90)] * 2, state=state, command=command)
+        write_video(log, tmp_path / f"{i}.mp4", overlay=True)
+        assert len(decoded(tmp_path / f"{i}.mp4").frames) == 2
+
+
+@pytest.mark.parametrize(
+    ("told", "expected"), [("98.400", 98.4), ("nan", None), ("many", None), ("-3", None), ("", None)]
+)
+def test_who_drives_and_how_autonomously_is_what_the_log_says(
+    tmp_path: Path, told: str, expected: float | None
+) -> None:
+    drivers = (PilotCommand.PILOT, PilotCommand.EXPERT, PilotCommand.HUMAN, PilotCommand.UNKNOWN)
+    with LogWriter(tmp_path / "x.mcap", {"source": "drive", "driver": "pilot"}) as log:
+        for row, driver in enumerate(drivers):
+            log.picture("center", START_NS + row * 10**8, row, grey(90))
+            log.command(START_NS + row * 10**8, row, PilotCommand(driver=driver))
+        log.add_metadata("bc.drive", {"autonomy_percent": told})
+    with Log(tmp_path / "x.mcap") as opened:
+        readings = Readings(opened)
+        found = [readings.at(START_NS + row * 10**8) for row in range(len(drivers))]
+        late = readings.at(START_NS + 2 * 10**9)
+    assert [reading.driver for reading in found] == ["network", "expert", "human", None]
+    assert [reading.time_s for reading in found] == pytest.approx([0.0, 0.1, 0.2, 0.3])
+    assert found[0].autonomy_percent == pytest.approx(expected if expected is not None else math.nan, nan_ok=True)
+    assert late.driver is None  # what is more than a second old is not known any more
+
+
+def test_the_clock_counts_on_to_hours() -> None:
+    assert [clock(s) for s in (0, 7.46, 59.96, 754.4, 3723.4)] == [
+        "0:00.0",
+        "0:07.5",
+        "1:00.0",
+        "12:34.4",
+        "1:02:03.4",
+    ]
 
 
 # What is wrong with the log
@@ -249,7 +364,7 @@ def test_of_an_unfinished_log_what_is_whole_is_shown_and_it_is_said(
     whole = write_log(tmp_path / "whole.mcap", [png(noise)] * 10).read_bytes()
     log = tmp_path / "killed.mcap.ab12cd.part"
     log.write_bytes(whole[: len(whole) // 2])
-    done = play(log, "--video", tmp_path / "x.mp4")
+    done = play(log, "--video", tmp_path / "x.mp4", "--overlay")
     assert done.code == 3
     assert "unfinished" in done.stderr
     assert 2 <= len(decoded(tmp_path / "x.mp4").frames) <= 5
@@ -268,8 +383,8 @@ def test_an_existing_file_is_kept_unless_it_is_forced(tmp_path: Path, play: Call
     assert len(decoded(video).frames) == 3
 
 
-@pytest.mark.parametrize("flags", [("--speed", "2"), ("--video", "x.mp4", "--web"),
-                                   ("--video", "x.mp4", "--connect"),
+@pytest.mark.parametrize("flags", [("--speed", "2"), ("--overlay",), ("--video", "x.mp4", "--web"),
+                                   ("--video", "x.mp4", "--connect"), ("--video", "x.mp4", "--by", "place"),
                                    ("--video", "x.gif"), ("--video", "x.mp4", "--speed", "0"),
                                    ("--video", "x.mp4", "--speed", "nan")])  # fmt: skip
 def test_flags_that_make_no_sense_are_named(
@@ -297,7 +412,7 @@ def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
 
 def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
     log = write_log(tmp_path / "x.mcap", [grey(90), grey(91)] * 3000)
-    with Process(command("bc-play", log, "--video", tmp_path / "x.mp4")) as process:
+    with Process(command("bc-play", log, "--video", tmp_path / "x.mp4", "--overlay")) as process:
         while not list(tmp_path.glob("x.mp4.*.part")):
             assert process.popen.poll() is None
         assert process.end() == 130

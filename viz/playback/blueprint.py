@@ -107,12 +107,14 @@ def log_layout(
     if runs or EVENTS in topics or not topics:
         plots.append((rrb.TextLogView(origin=EVENTS, name=TOPICS[EVENTS].title), 1.0))
     parts = _side_by_side([_pictures(topics, attention_views), _upright(plots)], shares=[2, 3])
-    return _blueprint(parts, _time_panel(grows=grows, at_s=at_s))
+    return _blueprint(parts, _time_panel(SINCE_START, grows=grows, at_s=at_s))
 
 
-def comparison_layout(logs: Mapping[str, Collection[str]], *, at_s: float | None = None) -> rrb.Blueprint:
-    """The layout for several logs beside each other: the topics of each, by its name. It opens at their start, or
-    `at_s` seconds after it."""
+def comparison_layout(
+    logs: Mapping[str, Collection[str]], timeline: str, *, at_s: float | None = None
+) -> rrb.Blueprint:
+    """The layout for several logs beside each other, on `timeline`: the topics of each, by its name. It opens at
+    their start, or `at_s` seconds after it."""
     columns = [_of_one(name, topics) for name, topics in logs.items()]
     together: list[Part] = []
     with_states = [name for name, topics in logs.items() if _has_lines(SPEED, topics)]
@@ -124,7 +126,7 @@ def comparison_layout(logs: Mapping[str, Collection[str]], *, at_s: float | None
         ways = [f"{log_entity(name)}/path/**" for name in with_poses]
         together.append(rrb.Spatial2DView(origin="/", contents=ways, name="paths from above, m"))
     rows = [rrb.Horizontal(*columns), *([rrb.Horizontal(*together)] if together else [])]
-    return _blueprint(rrb.Vertical(*rows, row_shares=[3, 1][: len(rows)]), _time_panel(at_s=at_s))
+    return _blueprint(rrb.Vertical(*rows, row_shares=[3, 1][: len(rows)]), _time_panel(timeline, at_s=at_s))
 
 
 def attention_entity(run: str) -> str:
@@ -223,15 +225,13 @@ def _side_by_side(parts: Sequence[Part | None], shares: Sequence[float]) -> Part
     return rrb.Horizontal(*(part for part, _ in present), column_shares=[share for _, share in present])
 
 
-def _time_panel(*, grows: bool = False, at_s: float | None = None) -> rrb.TimePanel:
+def _time_panel(timeline: str, *, grows: bool = False, at_s: float | None = None) -> rrb.TimePanel:
     """The time panel. A layout cannot place the time cursor: with `at_s`, the time around it plays in a loop."""
     if at_s is None:
-        return rrb.TimePanel(
-            state="collapsed", timeline=SINCE_START, play_state="following" if grows else "paused"
-        )
+        return rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following" if grows else "paused")
     around = AbsoluteTimeRange(min=round(1e9 * max(0.0, at_s - AROUND_S)), max=round(1e9 * (at_s + AROUND_S)))
     return rrb.TimePanel(
-        state="collapsed", timeline=SINCE_START, play_state="playing", loop_mode="selection", time_selection=around
+        state="collapsed", timeline=timeline, play_state="playing", loop_mode="selection", time_selection=around
     )
 
 

@@ -1,4 +1,4 @@
-"""Several logs beside each other on one time line: the time since each one's start."""
+"""Several logs beside each other on one time line: by time since each one's start, or by place along the track."""
 
 from __future__ import annotations
 
@@ -6,13 +6,17 @@ import contextlib
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
+import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 from rerun.chunk import Chunk
 
 from common import Skipped, UserError
 from recorder import Log
+from recorder.topics import POSE
+from viz.playback.along_track import distances_along
 from viz.playback.blueprint import LOG_COLORS, comparison_layout, log_entity
 from viz.playback.curves import Drawing
 from viz.playback.log_chunks import read_chunks
@@ -27,7 +31,12 @@ from viz.playback.rerun_recording import (
     send_chunks,
     topics_with_messages,
 )
-from viz.timelines import Clock, start_clock
+from viz.timelines import SINCE_START, Clock, Times, start_clock
+
+By = Literal["time", "place"]
+
+PLACE: Final = "place_cm"
+"""Centimetres along the path of the first log: of Rerun's time lines, only whole numbers may be no times."""
 
 MAX_LOGS: Final = 6
 _LEFT_OUT: Final = "CoordinateFrame:frame"  # names the entity that a picture would have if its log were alone
@@ -44,22 +53,27 @@ class _ComparedLog:
 
 
 @contextlib.contextmanager
-def prepare_comparison(paths: Sequence[Path], at_s: float | None = None) -> Iterator[PreparedRecording]:
-    """The logs at `paths` beside each other; it opens `at_s` seconds after their starts.
+def prepare_comparison(
+    paths: Sequence[Path], by: By = "time", at_s: float | None = None
+) -> Iterator[PreparedRecording]:
+    """The logs at `paths` beside each other; by time, it opens `at_s` seconds after their starts.
 
-    Raises LogError if one cannot be read, UserError if there are too many.
+    Raises LogError if one cannot be read, UserError if there are too many, or they cannot be compared by place.
     """
     if len(paths) > MAX_LOGS:
         raise UserError(f"{len(paths)} logs: at most {MAX_LOGS} can be shown next to each other")
     with contextlib.ExitStack() as stack:
         opened = [stack.enter_context(open_whole_log(path)) for path in paths]
         check_moment(at_s, zip(paths, (log for log, _ in opened), strict=True))
+        drawn = [DrawnMessages(log) for log, _ in opened]
+        by_time = [start_clock(log.time_range_ns[0]) for log, _ in opened]
+        clocks = _by_place(paths, drawn) if by == "place" else by_time
         logs = [
-            _ComparedLog(name, log, DrawnMessages(log), start_clock(log.time_range_ns[0]))
-            for name, (log, _) in zip(names_of(paths), opened, strict=True)
+            _ComparedLog(name, log, found, clock)
+            for name, (log, _), found, clock in zip(names_of(paths), opened, drawn, clocks, strict=True)
         ]
         topics = {each.name: topics_with_messages(each.log) for each in logs}
-        layout = comparison_layout(topics, at_s=at_s)
+        layout = comparison_layout(topics, PLACE if by == "place" else SINCE_START, at_s=at_s)
         notices = [notice for _, notice in opened if notice]
         name = " | ".join(topics)
         skipped = Skipped()
@@ -85,6 +99,37 @@ def names_of(paths: Sequence[Path]) -> list[str]:
             unique = f"{name} ({next(numbers)})"
         names.append(unique)
     return names
+
+
+def _by_place(paths: Sequence[Path], drawn: Sequence[DrawnMessages]) -> list[Clock]:
+    """Raises UserError if there is a log without poses, or one of another track."""
+    ways = [_way(path, found) for path, found in zip(paths, drawn, strict=True)]
+    first = ways[0][1]
+    clocks = []
+    for path, (time_ns, way) in zip(paths, ways, strict=True):
+        placed_m = distances_along(first, way)
+        if placed_m is None:
+            raise UserError(f"{path}: not on the road of {paths[0]}: compare them by time, without --by place")
+        clocks.append(_place_clock(time_ns, placed_m))
+    return clocks
+
+
+def _place_clock(pose_ns: Times, placed_m: NDArray[np.float64]) -> Clock:
+    def columns(time_ns: Times) -> list[rr.TimeColumn]:
+        place_m = np.interp((time_ns - pose_ns[0]) * 1e-9, (pose_ns - pose_ns[0]) * 1e-9, placed_m)
+        return [rr.TimeColumn(PLACE, sequence=np.round(100 * place_m).astype(np.int64))]
+
+    return columns
+
+
+def _way(path: Path, drawn: DrawnMessages) -> tuple[Times, NDArray[np.float64]]:
+    time_ns, poses = drawn.others.get(POSE, (np.zeros(0, np.int64), []))
+    way = np.array([(each.pose.position.x, each.pose.position.y) for each in poses], np.float64).reshape(-1, 2)
+    known = np.isfinite(way).all(axis=1)
+    order = np.argsort(time_ns[known], kind="stable")
+    if not known.any():
+        raise UserError(f"{path}: has no poses, so no place: compare by time, without --by place")
+    return time_ns[known][order], way[known][order]
 
 
 def _send(

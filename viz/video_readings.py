@@ -1,0 +1,109 @@
+"""The readings of a video's instruments at each moment of a log."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder import Log
+from recorder.bc_pb2 import PilotCommand
+from recorder.log.session_car import known_max_steering_deg
+from recorder.rows.row_quality import GAP_S
+from recorder.topics import DRIVE_METADATA
+from viz.video_overlay import Driver, Reading
+
+_DRIVERS: Final[dict[float, Driver]] = {
+    PilotCommand.PILOT: "network",
+    PilotCommand.HUMAN: "human",
+    PilotCommand.EXPERT: "expert",
+}
+_MIN_TOP_MPH, _MAX_TOP_MPH = 30.0, 300.0  # the simulator's car reaches 30
+
+
+class Readings:
+    """The vehicle states and commands of a log by time: 40 bytes each."""
+
+    def __init__(self, log: Log) -> None:
+        """Raises LogError where the log is damaged."""
+        self._begin_ns = log.time_range_ns[0]
+        self._states, self._commands = _Rows(4), _Rows(3)
+        for message, state in log.vehicle_states():
+            self._states.add(message.log_time_ns, state.steering, state.throttle, state.brake, state.speed_mph)
+        for message, command in log.commands():
+            values = command.predicted_steering, command.set_speed_mph, command.driver
+            self._commands.add(message.log_time_ns, *values)
+        # a session of the built-in simulator; in a drive, each command names the driver
+        self.max_steering_deg = known_max_steering_deg(log)
+        """The wheels' angle at steering 1; None: unknown."""
+        self._driver: Driver | None = "expert" if log.metadata.get("driver") == "expert" else None
+        self._autonomy_percent = _percent(log.read_metadata(DRIVE_METADATA).get("autonomy_percent", ""))
+
+    @property
+    def top_mph(self) -> float:
+        """The speed at which its bar should end."""
+        top = max(_MIN_TOP_MPH, min(self._states.largest(3), _MAX_TOP_MPH))
+        return 10.0 * math.ceil(top / 10)
+
+    def at(self, time_ns: int) -> Reading:
+        """The readings at a log time: those of its picture, or else the last before, up to a second old."""
+        steering, throttle, brake, speed_mph = self._states.at(time_ns)
+        predicted, set_speed_mph, driver = self._commands.at(time_ns)
+        return Reading(
+            time_s=max(0, time_ns - self._begin_ns) / 1e9,
+            steering=steering,
+            predicted_steering=predicted,
+            throttle=throttle,
+            brake=brake,
+            speed_mph=speed_mph,
+            set_speed_mph=set_speed_mph,
+            driver=self._driver if math.isnan(driver) else _DRIVERS.get(driver),
+            autonomy_percent=self._autonomy_percent,
+        )
+
+
+class _Rows:
+    """Rows of `width` numbers at times."""
+
+    def __init__(self, width: int) -> None:
+        self._width = width
+        self._times_ns, self._numbers = array("q"), array("d")
+
+    def add(self, time_ns: int, *values: float) -> None:
+        self._times_ns.append(time_ns)
+        self._numbers.extend(values)
+
+    def at(self, time_ns: int) -> list[float]:
+        """The last row at that time or at most `GAP_S` before it; NaN if there is none."""
+        times_ns, values = self._sorted
+        place = int(np.searchsorted(times_ns, time_ns, "right")) - 1
+        if place < 0 or time_ns - int(times_ns[place]) > GAP_S * 1e9:
+            return [math.nan] * self._width
+        row: list[float] = values[place].tolist()
+        return row
+
+    def largest(self, column: int) -> float:
+        """The largest finite number of a column; 0 if there is none above."""
+        _, values = self._sorted
+        found = values[:, column]
+        return float(np.max(found[np.isfinite(found)], initial=0.0))
+
+    @cached_property
+    def _sorted(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The rows in the order of time: none may be added any more."""
+        times_ns = np.array(self._times_ns, np.int64)
+        order = np.argsort(times_ns, kind="stable")
+        return times_ns[order], np.array(self._numbers, np.float64).reshape(-1, self._width)[order]
+
+
+def _percent(text: str) -> float:
+    """A percentage in a log's metadata; NaN if it is none."""
+    try:
+        value = float(text)
+    except ValueError:
+        return math.nan
+    return value if 0 <= value <= 100 else math.nan
