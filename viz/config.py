@@ -34,7 +34,7 @@ class Play:
     )
     """Open at this time."""
     by: Literal["time", "place"] = "time"
-    """Compare logs by time, or by place on the first one's way."""
+    """Compare logs by time, or by place along the first one's path."""
     follow: bool = False
     """Show a growing log."""
     save: Path | None = None
@@ -100,24 +100,15 @@ def check_video_flags(config: Play) -> None:
 def check_viewer_flags(config: Play) -> None:
     """Raise UsageError for flags that do not go together where logs are shown, or written by --save."""
     if not config.run and (flags := flags_given(config, "network", "attention", "write")):
-<<<<<<< HEAD
-        raise UsageError(f"{flags}: only of networks: give --run NAME as well")
-    if flags := flags_given(config, "speed", "overlay"):
-=======
         raise UsageError(f"{flags}: only for networks: give --run NAME as well")
-    if flags := flags_given(config, "speed"):
->>>>>>> words
+    if flags := flags_given(config, "speed", "overlay"):
         raise UsageError(f"{flags}: only for a video: give --video FILE.mp4 as well")
     if not config.places:
         raise UsageError("no log is given: bc-play LOG, or bc-play LOG LOG to compare")
     if len(config.places) > 1 and (flags := flags_given(config, "follow", "run")):
-<<<<<<< HEAD
-        raise UsageError(f"{flags}: only with one log; several are compared as they are")
+        raise UsageError(f"{flags}: only with one log")
     if len(config.places) == 1 and config.by != "time":
         raise UsageError("--by place compares several logs: give more than one")
-=======
-        raise UsageError(f"{flags}: only with one log")
->>>>>>> words
     if config.connect is not None and (config.web or config.save is not None):
         raise UsageError("--connect uses an open viewer: give it without --web, --save")
     if config.at is not None:
