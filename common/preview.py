@@ -43,7 +43,7 @@ def preview(
     idle_priority: bool = False,
     notify: Callable[[str], object] = warn,
 ) -> Iterator[None]:
-    """Show a log that is being written, or the folder of a run that is (or will be) trained, while this lasts.
+    """Show a log that is being written, while this lasts.
 
     `where` is "window" (without a display: "web"), "web", a file that ends in .rrd, or the address of a viewer
     that runs ("127.0.0.1:9876", or "connect" for one on Rerun's own port). The file, and the viewer that runs,
