@@ -305,7 +305,7 @@ def test_what_cannot_be_done_says_why(
     before = path.read_bytes()
     assert call(main, *(place(path) if word == "LOG" else word for word in line)) == 1
     if line[0] in ("trim", "split") and isinstance(place(path), Url):
-        says = "is needed on this machine; `bc-log copy"
+        says = "must be on this machine: run `bc-log copy"
     assert says in capsys.readouterr().err
     assert path.read_bytes() == before
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
