@@ -21,6 +21,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Final
 
+os.environ["THP_MEM_ALLOC_ENABLE"] = "1"  # as bc-train has it: before PyTorch is imported
+
 import torch
 from driving_servers import start_ours, write_pictures
 from indexing import write_log

@@ -1,6 +1,6 @@
 """The simulator's side of driving_replies.py: the real one's wire behaviour, with exactly one telemetry in flight.
 
-python benchmarks/driving_client.py PORT PICTURES FRAMES [--seconds 30] [--greetings 1]
+python benchmarks/driving_client.py PORT PICTURES FRAMES [--seconds 30]
 
 Tells FRAMES pictures, the JPEG files in the folder PICTURES over and over, each as soon as the one before is
 answered, and prints one line of JSON: what `Turn` in driving_servers.py holds.
@@ -25,20 +25,16 @@ from simulator.protocol.client import (
 )
 
 PATIENCE_S: Final = 10.0  # the server listens already
-SHOWN: Final = 20  # commands that are handed back, to compare networks by
 
 
 class OneInFlight:
     """Tells pictures to a server, and keeps the time of each round trip."""
 
-    def __init__(self, pictures: list[bytes], frames: int, seconds: float, greetings: int) -> None:
-        """`greetings` are the commands that the server sends without being asked when a connection opens."""
+    def __init__(self, pictures: list[bytes], frames: int, seconds: float) -> None:
         self.round_trips_ms: list[float] = []
-        self.commands: list[SteerCommand] = []
         self._pictures = itertools.cycle(pictures)
         self._frames = frames
         self._limit_s = seconds
-        self._greetings = greetings
         self._opened = 0
         self._start_s = self._told_s = self._end_s = 0.0
         self._last = SteerCommand(0.0, 0.0)
@@ -56,14 +52,9 @@ class OneInFlight:
             if self._opened != 2:
                 return "nothing"
             self._start_s = self._end_s
-        elif self._greetings:
-            self._greetings -= 1
-            return "nothing"
         elif isinstance(answer, SteerCommand):
             self.round_trips_ms.append((self._end_s - self._told_s) * 1e3)
             self._last = answer
-            if len(self.commands) < SHOWN:
-                self.commands.append(answer)
         if len(self.round_trips_ms) == self._frames or self._end_s - self._start_s > self._limit_s:
             return None
         self._told_s = time.perf_counter()
@@ -77,21 +68,19 @@ def main() -> None:
     parser.add_argument("pictures", type=Path)
     parser.add_argument("frames", type=int)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="ends the turn before FRAMES are told")
-    parser.add_argument("--greetings", type=int, default=0, help="commands that the server sends unasked")
     chosen = parser.parse_args()
     pictures = [path.read_bytes() for path in sorted(chosen.pictures.glob("*.jpg"))]
-    turn = OneInFlight(pictures, chosen.frames, chosen.seconds, chosen.greetings)
+    turn = OneInFlight(pictures, chosen.frames, chosen.seconds)
     client = SimulatorClient(port=chosen.port, wait_s=PATIENCE_S)
     try:
         client.run(turn.next_telemetry)
     except WaitTimeoutError as error:
         raise SystemExit(str(error)) from None
-    if client.connections != 1 or client.steers != client.telemetries + chosen.greetings:
+    if client.connections != 1 or client.steers != client.telemetries:
         raise SystemExit(
             f"{client.telemetries} telemetries in {client.connections} connections, {client.steers} commands"
         )
-    steering = [command.steering for command in turn.commands]
-    print(json.dumps({"seconds": turn.seconds, "round_trips_ms": turn.round_trips_ms, "steering": steering}))
+    print(json.dumps({"seconds": turn.seconds, "round_trips_ms": turn.round_trips_ms}))
 
 
 if __name__ == "__main__":

@@ -1,15 +1,11 @@
-"""Replies a second and round trips of driving, beside the servers that such projects have used.
+"""Replies a second and round trips of driving.
 
-python -m venv classic
-classic/bin/pip install python-socketio==4.6.1 python-engineio==3.13.2 eventlet pillow opencv-python-headless \
-    tensorflow-cpu torch
-python benchmarks/driving_replies.py RUN --recording lake_windows --classic-python classic/bin/python
+python benchmarks/driving_replies.py RUN --recording lake_windows
 
 The client is `simulator/protocol/client.py`, which has the real simulator's wire behaviour, with one telemetry in
 flight; it and each server are processes of their own. A turn is a connection; the turns go round, and who waits
 for one is suspended with all that it has started. The first round warms up and is not counted. All drive with the
-network of RUN, and whoever steers otherwise is named. Without --recording, the pictures are those of the built-in
-simulator.
+network of RUN. Without --recording, the pictures are those of the built-in simulator.
 The second table is what `bc-drive` wrote down of itself in its log.
 """
 
@@ -27,13 +23,11 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from driving_servers import HERE, Server, free_port, start, start_ours, write_pictures
+from driving_servers import Server, start_ours, write_pictures
 
-from model.runs.run_folder import load_network
 from recorder import Log
 
 WARM_UP: Final = 50  # telemetries
-CLASSIC: Final = "python-socketio 4, Keras `predict`"
 STAGES: Final = ("parse_ms", "decode_ms", "network_ms", "total_ms")
 
 
@@ -60,21 +54,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path, help="the folder of a run")
     parser.add_argument("--recording", type=Path, help="a folder of the Udacity simulator, or a log")
-    parser.add_argument("--classic-python", help="the Python of an environment with what the others need")
     parser.add_argument("--frames", type=int, default=10_000, help="telemetries for each, in all rounds together")
     parser.add_argument("--rounds", type=int, default=5, help="turns that count")
     parser.add_argument("--turn-seconds", type=float, default=30.0, help="the most that a turn takes")
     chosen = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # else the servers would outlive us, suspended
-    if not chosen.classic_python:
-        print("the classic servers are left out: --classic-python says where they are installed", file=sys.stderr)
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder = Path(name)
         (folder / "pictures").mkdir()
         write_pictures(chosen.recording, folder / "pictures")
         servers = [start_contender(ours, chosen.run, folder, stack) for ours in OURS]
-        if chosen.classic_python:
-            servers += start_classic(chosen.classic_python, chosen.run, folder, stack)
         frozen = {ours.name for ours in OURS if ours.frozen}
         for number in range(1 + chosen.rounds):
             frames = chosen.frames // chosen.rounds if number else WARM_UP
@@ -82,10 +71,9 @@ def main() -> None:
                 keep_stopped = number > 0 and server.name in frozen
                 turn = server.drive(folder / "pictures", frames, chosen.turn_seconds, keep_stopped=keep_stopped)
                 print(f"round {number}: {server.name}: {turn.replies_per_s:,.1f} replies/s", file=sys.stderr)
-        check_steering(servers)
         print(f"{chosen.rounds} rounds, {os.cpu_count()} cores\n")
         print_round_trips(servers)
-        print_stages([server for server in servers if server.log is not None])
+        print_stages(servers)
 
 
 def start_contender(ours: Ours, run: Path, folder: Path, stack: ExitStack) -> Server:
@@ -96,47 +84,15 @@ def start_contender(ours: Ours, run: Path, folder: Path, stack: ExitStack) -> Se
     return server
 
 
-def start_classic(python: str, run: Path, folder: Path, stack: ExitStack) -> list[Server]:
-    """The classic server with the weights of `run`: in Keras, and in PyTorch."""
-    weights = {name: tensor.numpy() for name, tensor in load_network(run).state_dict().items()}
-    np.savez(folder / "weights.npz", **weights)
-    os.environ["PYTHONPATH"] = str(HERE.parent)  # for the network
-    os.environ["TF_CPP_MIN_LOG_LEVEL"] = "2"
-    servers = []
-    for name, network in ((CLASSIC, "keras"), ("python-socketio 4, our network as first written", "torch")):
-        port = free_port()
-        line = [python, str(HERE / "driving_classic.py"), str(port), str(folder / "weights.npz")]
-        server = start(name, [*line, "--network", network], port, stack, greetings=1)
-        server.suspend()
-        servers.append(server)
-    return servers
-
-
-def check_steering(servers: list[Server]) -> None:
-    """All have the same network and see the same pictures."""
-    first = servers[0].turns[1].steering
-    for server in servers[1:]:
-        apart = max(abs(a - b) for a, b in zip(first, server.turns[1].steering, strict=False))
-        if apart > 0.02:
-            print(f"{server.name} steers otherwise than {servers[0].name}, by up to {apart:.3f}", file=sys.stderr)
-
-
 def print_round_trips(servers: list[Server]) -> None:
-    """What the client saw; ratios are medians over rounds."""
-    others = [server for server in servers if server.log is None]
-    print("| | replies/s | p50 | p99 | telemetries |" + "".join(f" to {server.name} |" for server in others))
-    print("|---" * (5 + len(others)) + "|")
+    """What the client saw."""
+    print("| | replies/s | p50 | p99 | telemetries |\n|---|---|---|---|---|")
     for server in servers:
         rates = [turn.replies_per_s for turn in server.turns[1:]]
         trips = [trip for turn in server.turns[1:] for trip in turn.round_trips_ms]
         p50, p99 = np.percentile(trips, (50, 99))
         spread = f"{statistics.median(rates):,.1f} ({min(rates):,.1f} to {max(rates):,.1f})"
-        print(f"| {server.name} | {spread} | {p50:.2f} ms | {p99:.2f} ms | {len(trips):,} |", end="")
-        for other in others:
-            against = [turn.replies_per_s for turn in other.turns[1:]]
-            ratio = statistics.median(mine / theirs for mine, theirs in zip(rates, against, strict=True))
-            print(f" {ratio:.2f} |", end="")
-        print()
+        print(f"| {server.name} | {spread} | {p50:.2f} ms | {p99:.2f} ms | {len(trips):,} |")
 
 
 def print_stages(servers: list[Server]) -> None:

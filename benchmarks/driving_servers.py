@@ -38,7 +38,6 @@ class Turn:
 
     seconds: float
     round_trips_ms: list[float]
-    steering: list[float]  # the first commands
 
     @property
     def replies_per_s(self) -> float:
@@ -53,7 +52,6 @@ class Server:
     process: psutil.Popen
     port: int
     errors: IO[str]
-    greetings: int = 0  # commands that it sends unasked when a simulator connects
     log: Path | None = None
     turns: list[Turn] = field(default_factory=list)
 
@@ -62,7 +60,7 @@ class Server:
         started suspended."""
         self.resume(keep_stopped=keep_stopped)
         line = [sys.executable, str(HERE / "driving_client.py"), str(self.port), str(pictures), str(frames)]
-        line += ["--seconds", str(seconds), "--greetings", str(self.greetings)]
+        line += ["--seconds", str(seconds)]
         client = subprocess.run(line, stdout=subprocess.PIPE, text=True, check=False)
         if client.returncode != 0:
             raise SystemExit(f"{self.name}: the client failed\n{self.said()}")
@@ -99,11 +97,11 @@ class Server:
         return self.errors.read()[-2000:]
 
 
-def start(name: str, line: list[str], port: int, stack: ExitStack, *, greetings: int = 0) -> Server:
+def start(name: str, line: list[str], port: int, stack: ExitStack) -> Server:
     """A server that listens on `port`, as `line` says; it ends with `stack`."""
     errors = stack.enter_context(tempfile.TemporaryFile("w+"))  # noqa: SIM115
     process = psutil.Popen(line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors)
-    server = Server(name, process, port, errors, greetings)
+    server = Server(name, process, port, errors)
     stack.callback(_kill, server)
     deadline_s = time.monotonic() + PATIENCE_S
     while not _listens(server):

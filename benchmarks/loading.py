@@ -1,19 +1,15 @@
-"""How fast pictures are loaded in random order, beside OpenCV alone and beside what else is used for it.
+"""How fast pictures are loaded in random order, beside OpenCV alone and PyTorch's DataLoader.
 
 bc-index --no-balance --no-flip --gap-s 0 --index plain    # every picture once
 python benchmarks/loading.py plain
 
-Everything gives the same crops, which is checked, of the same pictures, in batches, from a warm page cache. The
-loaders that are no dependency of this project come with `pip install webdataset datasets`.
+Everything gives the same crops, which is checked, of the same pictures, in batches, from a warm page cache.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib
-import io
 import statistics
-import tarfile
 import tempfile
 import time
 import zlib
@@ -25,18 +21,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
-from mcap.reader import make_reader
 from torch.utils.data import DataLoader
 
-from common.location import local_path
 from dataset import Loader, Samples, decode, preprocess
-from recorder import Log
-from recorder.mcap.compressed_image import image_data
-from recorder.topics import camera_topic
 
 ROUNDS, BATCH = 5, 256
-BY_TIME = 500  # pictures read through mcap's own reader: it is slow
 
 Epoch = Callable[[], Iterable[Any]]  # batches of crops
 
@@ -61,9 +50,6 @@ def main() -> None:
         contenders: dict[str, tuple[int, Epoch]] = {
             **_ours(samples, table),
             **_single_files(Path(name), jpegs),
-            **_web_dataset(Path(name), jpegs),
-            **_hugging_face(Path(name), jpegs),
-            "mcap's own reader, random by time": (1, _mcap_reader(table, samples.logs)),
         }
         expected = sorted(zlib.crc32(preprocess(decode(jpeg)).tobytes()) for jpeg in jpegs)
         counts = {what: _check(what, epoch, expected) for what, (_, epoch) in contenders.items()}
@@ -133,51 +119,6 @@ def _single_files(folder: Path, jpegs: list[bytes]) -> dict[str, tuple[int, Epoc
     return _with_workers("single JPEG files, PyTorch's DataLoader", _Files(paths), shuffle=True)
 
 
-def _web_dataset(folder: Path, jpegs: list[bytes]) -> dict[str, tuple[int, Epoch]]:
-    wds = _if_installed("webdataset")
-    if wds is None:
-        return {}
-    shards = []
-    for first in range(0, len(jpegs), 500):
-        shards.append(str(folder / f"{first:06}.tar"))
-        with tarfile.open(shards[-1], "w") as shard:
-            for number, jpeg in enumerate(jpegs[first : first + 500], first):
-                entry = tarfile.TarInfo(f"{number:06}.jpg")
-                entry.size = len(jpeg)
-                shard.addfile(entry, io.BytesIO(jpeg))
-    pictures = (
-        wds.WebDataset(shards, shardshuffle=len(shards))
-        .shuffle(1000)
-        .map(_decode_entry)
-        .batched(BATCH, collation_fn=np.stack)
-    )
-    return _with_workers("WebDataset", pictures, batch_size=None)
-
-
-def _decode_entry(entry: dict[str, Any]) -> Any:
-    return preprocess(decode(entry["jpg"]))
-
-
-def _hugging_face(folder: Path, jpegs: list[bytes]) -> dict[str, tuple[int, Epoch]]:
-    datasets = _if_installed("datasets")
-    if datasets is None:
-        return {}
-    pq.write_table(pa.table({"jpeg": jpegs}), folder / "jpegs.parquet")
-    datasets.disable_progress_bars()
-    stored = datasets.Dataset.from_parquet(str(folder / "jpegs.parquet"), cache_dir=str(folder / "cache"))
-    return _with_workers(
-        "Hugging Face datasets", stored.with_transform(_decode_column), shuffle=True, collate_fn=_stack_column
-    )
-
-
-def _decode_column(rows: dict[str, Any]) -> dict[str, Any]:
-    return {"crop": [preprocess(decode(jpeg)) for jpeg in rows["jpeg"]]}
-
-
-def _stack_column(rows: list[dict[str, Any]]) -> Any:
-    return np.stack([row["crop"] for row in rows])
-
-
 def _with_workers(what: str, dataset: Any, **settings: Any) -> dict[str, tuple[int, Epoch]]:
     """Through PyTorch's DataLoader; its two workers are started once, before the rounds."""
     found: dict[str, tuple[int, Epoch]] = {}
@@ -188,31 +129,10 @@ def _with_workers(what: str, dataset: Any, **settings: Any) -> dict[str, tuple[i
     return found
 
 
-def _mcap_reader(table: pa.Table, logs: dict[str, Log]) -> Epoch:
-    """Some pictures, each by its camera's topic and its time."""
-    wanted = table.take(np.random.default_rng(0).permutation(len(table))[:BY_TIME]).to_pylist()
-
-    def epoch() -> Iterator[Any]:
-        streams = {session: local_path(log.path).open("rb") for session, log in logs.items()}
-        readers = {session: make_reader(stream) for session, stream in streams.items()}
-        for row in wanted:
-            time_ns = row["log_time_ns"]
-            messages = readers[row["session"]].iter_messages(
-                topics=[camera_topic(row["camera"])], starting_at=time_ns, ending_at=time_ns
-            )
-            for _, _, message in messages:
-                at, length = image_data(message.data, 0, len(message.data))
-                yield [preprocess(decode(message.data[at : at + length]))]
-        for stream in streams.values():
-            stream.close()
-
-    return epoch
-
-
 def _check(what: str, epoch: Epoch, expected: list[int]) -> int:
     """How many crops an epoch gives: all of them, each once."""
     found = sorted(zlib.crc32(np.asarray(crop).tobytes()) for batch in epoch() for crop in batch)
-    if found != expected and not ("by time" in what and set(found) <= set(expected)):
+    if found != expected:
         raise SystemExit(f"{what}: {len(found)} crops, not the {len(expected)} that were expected")
     return len(found)
 
@@ -229,14 +149,6 @@ def _random_read_us(places: list[Any]) -> float:
 def _each_picture_once(table: pa.Table) -> pa.Table:
     """The samples as they were recorded, whatever split they are of."""
     return table.filter(pc.invert(pc.or_(table["flip"], table["copy"])))
-
-
-def _if_installed(name: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        print(f"{name} is left out: `pip install {name}` brings it")
-        return None
 
 
 def _spread(values: list[float], digits: int = 0) -> str:

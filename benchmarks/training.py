@@ -132,12 +132,14 @@ def start(name: str, command: list[str], folder: Path, stack: ExitStack) -> Cont
     """A contender that waits for its first turn; it ends with `stack`."""
     python, script, *arguments = command
     errors = stack.enter_context(tempfile.TemporaryFile("w+"))  # noqa: SIM115
+    pages = {} if "plain" in arguments else {"THP_MEM_ALLOC_ENABLE": "1"}  # as bc-train has it
     process = stack.enter_context(
         subprocess.Popen(
             [python, HERE / script, folder, *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=errors,
+            env={**os.environ, **pages},
             text=True,
         )
     )

@@ -23,6 +23,9 @@ from typing import Final
 
 import cv2
 import numpy as np
+
+os.environ["THP_MEM_ALLOC_ENABLE"] = "1"  # as bc-train has it: before PyTorch is imported
+
 import torch
 from torch import Tensor, nn
 
@@ -133,7 +136,7 @@ def print_gpu(folder: Path) -> None:
         print(f"| {row} |", flush=True)
 
 
-def print_products(_: Path) -> None:
+def print_products(_folder: Path) -> None:
     """On one thread, in its processor time, which other programs disturb least; the rounds take turns."""
     config = TrainConfig(device="cpu", threads=1)
     machine = choose_machine(config)
@@ -155,8 +158,11 @@ def print_products(_: Path) -> None:
         for number, (layer, inputs) in enumerate(seen)
     }  # each with how often a batch needs it
     network.train()
-    options = {"dtype": machine.dtype, "micro_batch": machine.micro_batch}
-    parts["step"] = [(lambda: training_step(network, optimizer, pictures, steering, **options), 1)]
+
+    def step() -> None:
+        training_step(network, optimizer, pictures, steering, dtype=machine.dtype, micro_batch=machine.micro_batch)
+
+    parts["step"] = [(step, 1)]
     seconds: dict[str, list[list[float]]] = {name: [[] for _ in jobs] for name, jobs in parts.items()}
     for _ in range(ROUNDS):
         for name, jobs in parts.items():

@@ -2,13 +2,12 @@
 
 python benchmarks/web_pages.py [--sessions 1000] [--minutes 60] [--seconds 20] [--hours-of-use 1]
 
-The mouse moves 30 times a second along the curves of a session of an hour with three cameras. Measured is the
-time from each move until every camera shows its picture, or that of a later move. The page beside it puts the
-addresses of the same bytes, as files, into three <img>. An hour of use is as many pictures as an hour of scrubbing
-asks for, as fast as they come. Ten windows then do so at once, of the workbench and of the page beside it; and ten
-clients ask for the pictures alone. On a machine that does other things too, only processor times and the ratios of
-what was measured in turns say something; the load is printed. Needs Playwright, Chromium, and 1.2 GB in the folder
-for temporary files.
+The mouse moves 30 times a second along the curves of a session of an hour with three cameras. Measured is the time
+from each move until every camera shows its picture, or that of a later move. The page beside it puts the addresses
+of the same bytes, as files, into three <img>. An hour of use is as many pictures as an hour of scrubbing asks for,
+as fast as they come. Ten clients then ask for the pictures alone. On a machine that does other things too, only
+processor times and the ratios of what was measured in turns say something; the load is printed. Needs Playwright,
+Chromium, and 1.2 GB in the folder for temporary files.
 """
 
 from __future__ import annotations
@@ -30,15 +29,15 @@ from typing import Final
 import cv2
 import numpy as np
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
-from numpy.typing import NDArray
 from playwright.sync_api import Browser, Page, sync_playwright
-from web_crowd import BROWSERS, MOVES_HZ, Crowd, Scrubbed, crowd
 
 from common.car import CAMERAS
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 
 RATE_HZ: Final = 10
+MOVES_HZ: Final = 30  # of the mouse
+CLIENTS: Final = 10
 DIFFERENT: Final = 200  # pictures; each row has one of them
 PROGRAM: Final = "/usr/bin/chromium"
 PORT: Final = 8123
@@ -213,7 +212,7 @@ def clients(rows: int, seconds: float) -> list[float]:
             time.sleep(max(0.0, start_s + (at + 1) / MOVES_HZ - time.perf_counter()))
 
     start_s = time.perf_counter()
-    threads = [threading.Thread(target=ask, args=(number,)) for number in range(BROWSERS)]
+    threads = [threading.Thread(target=ask, args=(number,)) for number in range(CLIENTS)]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -235,29 +234,6 @@ def hours_of_use(server: psutil.Process, rows: int, hours: float) -> None:
         f"{pictures:,} pictures, {hours:g} h of scrubbing: {(cpu_s(server) - used_s) / pictures * 1e3:.2f} ms of a"
         f" processor each; memory {', '.join(f'{each:.0f}' for each in memory_mb)} MB; {load()}"
     )
-
-
-def of_session(rows: int) -> Scrubbed:
-    over = "#curves .u-over"
-    asked = [over, rows, r"pictures/\w+/(\d+)"]
-    return Scrubbed(f"http://127.0.0.1:{PORT}/sessions/hour", "#session[data-ready]", over, WATCH, asked)
-
-
-def of_static_page(rows: int) -> Scrubbed:
-    return Scrubbed(f"http://127.0.0.1:{PORT}/", "#over", "#over", WATCH, ["#over", rows, r"\.(\d+)$"])
-
-
-def crowded(server: psutil.Process, page: Scrubbed, flags: list[str], seconds: float) -> NDArray[np.float64]:
-    """Median and p95 of ten windows, in milliseconds."""
-    used_s = cpu_s(server)
-    found: Crowd = crowd(PROGRAM, flags, page, seconds)
-    print(
-        f"{BROWSERS} windows at once, {page.address}: {percentiles(found.waits_ms)};"
-        f" {found.moves / found.seconds / BROWSERS:.1f} moves a second in each,"
-        f" {len(found.waits_ms) / found.moves:.0%} of them followed by their pictures;"
-        f" {(cpu_s(server) - used_s) / found.seconds:.2f} of a processor for the server; {load()}"
-    )
-    return np.percentile(found.waits_ms, [50, 95])
 
 
 def percentiles(waits: list[float]) -> str:
@@ -308,12 +284,11 @@ def main() -> None:
                 )
                 page.close()
                 waits = clients(rows, asked.seconds / 2)
-                print(f"{BROWSERS} clients at once: a picture in {percentiles(waits)}; {load()}")
-                of_workbench_crowd = crowded(server, of_session(rows), flags, asked.seconds)
+                print(f"{CLIENTS} clients at once: a picture in {percentiles(waits)}; {load()}")
                 memory_mb.append(server.memory_info().rss / 1e6)
                 if turn:
                     hours_of_use(server, rows, asked.hours_of_use)
-                print("memory when opened, scrubbed, crowded:", ", ".join(f"{each:.0f} MB" for each in memory_mb))
+                print("memory when opened, scrubbed, asked:", ", ".join(f"{each:.0f} MB" for each in memory_mb))
             with static_server(folder) as server:
                 page = browser.new_page(viewport={"width": 1280, "height": 800})
                 page.goto(f"http://127.0.0.1:{PORT}/")
@@ -326,8 +301,6 @@ def main() -> None:
                     f" the workbench takes {ratios[0]:.1f} times as long, p95 {ratios[1]:.1f}"
                 )
                 page.close()
-                ratios = of_workbench_crowd / crowded(server, of_static_page(rows), flags, asked.seconds)
-                print(f"  the workbench takes {ratios[0]:.1f} times as long, p95 {ratios[1]:.1f}")
         browser.close()
 
 

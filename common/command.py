@@ -23,6 +23,7 @@ import tyro
 from common.errors import Skipped, UsageError, UserError
 from common.flag_errors import flag_errors_in_one_line
 from common.flag_help import asks_for_help, print_help
+from common.flag_types import quick_types
 from common.interrupts import GracefulStop, handle_signals
 from common.location import refuse_collapsed
 from common.output import MessageHandler, clear_live_displays, print_message, print_result
@@ -150,8 +151,9 @@ def _run(
             return DONE
         flags = (tyro.conf.FlagCreatePairsOff,)
         if asks_for_help(sys.argv[1:]):
-            print_help(prog, config, about, sys.argv[1:], given.get("default"))
-        with flag_errors_in_one_line(config):
+            with quick_types():
+                print_help(prog, config, about, sys.argv[1:], given.get("default"))
+        with flag_errors_in_one_line(config), quick_types():
             given_flags = tyro.cli(config, prog=prog, description=about, config=flags, **given)
         _refuse_urls(given_flags)
         return action(given_flags)

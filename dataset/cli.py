@@ -36,8 +36,6 @@ class Index:
     """Folder of the index; a URL for logs in stores."""
     look: bool = False
     """Decode all pictures; flag broken, frozen and contradicting ones."""
-    report: bool = False
-    """List stretches of odd frames."""
     check: bool = False
     """Check the split for leaks; exit code 1 if there is one."""
     figures: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None

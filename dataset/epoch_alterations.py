@@ -131,15 +131,15 @@ def _key(seed: int, epoch: int) -> np.uint64:
     return np.uint64(np.random.SeedSequence((seed, epoch)).generate_state(1, np.uint64)[0])
 
 
-def _matrix(of: Mapping[EpochAlteration, Floats], height: int, width: int) -> Floats | None:
+def _matrix(draws: Mapping[EpochAlteration, Floats], height: int, width: int) -> Floats | None:
     """Zoomed and turned around the middle, then moved: from the new picture's px to the old one's."""
-    count = max((len(of[name]) for name in ("move", "zoom", "turn") if name in of), default=0)
+    count = max((len(draws[name]) for name in ("move", "zoom", "turn") if name in draws), default=0)
     if not count:
         return None
     still = np.zeros((count, 2))
-    scale = 1 / (1 + _ZOOM * of.get("zoom", still)[:, 0])
-    angle = _TURN_RAD * of.get("turn", still)[:, 0]
-    shift = of.get("move", still) * _MOVE * (width, height)
+    scale = 1 / (1 + _ZOOM * draws.get("zoom", still)[:, 0])
+    angle = _TURN_RAD * draws.get("turn", still)[:, 0]
+    shift = draws.get("move", still) * _MOVE * (width, height)
     cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
     matrix = np.empty((count, 2, 3))
     matrix[:, 0, 0], matrix[:, 0, 1] = cosine, sine
@@ -149,16 +149,16 @@ def _matrix(of: Mapping[EpochAlteration, Floats], height: int, width: int) -> Fl
     return matrix
 
 
-def _colours(of: Mapping[EpochAlteration, Floats]) -> Floats | None:
+def _colours(draws: Mapping[EpochAlteration, Floats]) -> Floats | None:
     """Contrast around the middle grey, brightness, and the share of each colour, in one."""
-    count = max((len(of[name]) for name in ("contrast", "brightness", "colours") if name in of), default=0)
+    count = max((len(draws[name]) for name in ("contrast", "brightness", "colours") if name in draws), default=0)
     if not count:
         return None
     none = np.zeros((count, 1))
-    contrast = 1 + _CONTRAST * of.get("contrast", none)
+    contrast = 1 + _CONTRAST * draws.get("contrast", none)
     colours = np.zeros((count, 3, 4))
-    colours[:, (0, 1, 2), (0, 1, 2)] = contrast * (1 + _COLOUR * of.get("colours", none))
-    colours[:, :, 3] = _MIDDLE * (1 - contrast) + _BRIGHTNESS * of.get("brightness", none)
+    colours[:, (0, 1, 2), (0, 1, 2)] = contrast * (1 + _COLOUR * draws.get("colours", none))
+    colours[:, :, 3] = _MIDDLE * (1 - contrast) + _BRIGHTNESS * draws.get("brightness", none)
     return colours
 
 

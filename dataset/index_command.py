@@ -21,7 +21,6 @@ from dataset.frames.image_check_cache import check_all_images
 from dataset.index.build import Indexed, build_index, check_settings
 from dataset.index.index_report import balance_table, labels_table, print_log_notices, sessions_table
 from dataset.index.leaks import find_leaks
-from dataset.index.quality_report import find_flagged_frames, print_quality_report
 from dataset.index.sessions import find_logs, sessions_beside
 from dataset.index.stored_index import index_here
 from dataset.parquet_file import read_columns
@@ -79,8 +78,6 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
     if config.figures is not None:
         for path in write_figures(folder, config.figures, seed=config.config.seed, overwrite=config.force):
             print_result(str(path))
-    if config.report:
-        print_quality_report(find_flagged_frames(folder))
     if config.check:
         leaks = find_leaks(folder)
         for leak in leaks:

@@ -1,4 +1,4 @@
-"""Four figures of an index for a paper: preprocessing, augmentation, balance, and the sessions' steering.
+"""Three figures of an index for a paper: preprocessing, augmentation and balance.
 
     write_figures(Path("index"), Path("figures"))
 
@@ -39,13 +39,12 @@ from dataset.figure_style import (
 from dataset.picture_spec import ORIGINAL
 from dataset.preprocessing import Image, preprocess
 from dataset.samples.samples_reader import Samples
-from dataset.steering_figure import draw_steering, steered_sessions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_NAMES: Final = ("preprocessing", "augmentation", "balance", "steering")
+_NAMES: Final = ("preprocessing", "augmentation", "balance")
 
 
 def check_figures(folder: Path | str, overwrite: bool = False) -> None:
@@ -60,7 +59,7 @@ def check_figures(folder: Path | str, overwrite: bool = False) -> None:
 
 
 def write_figures(index: Path | str, folder: Path | str, *, seed: int = 0, overwrite: bool = False) -> list[Path]:
-    """Write preprocessing, augmentation, balance and steering, each as PNG (200 dpi) and PDF; their paths.
+    """Write preprocessing, augmentation and balance, each as PNG (200 dpi) and PDF; their paths.
 
     `seed` chooses the frames and the alterations shown. Same index, seed and matplotlib: the same bytes.
     Raises DatasetError if the index or its logs cannot be used, or if matplotlib is not installed; UserError
@@ -72,13 +71,11 @@ def write_figures(index: Path | str, folder: Path | str, *, seed: int = 0, overw
         config = samples.settings
         moments = find_moments(samples, seed)
         distribution = steering_distribution(samples, config)
-        steered = steered_sessions(samples)
     turn = max(moments, key=lambda moment: abs(moment.steering))
     draw: dict[str, Callable[[], Figure]] = {
         "preprocessing": lambda: draw_preprocessing(moments),
         "augmentation": lambda: draw_augmentation(turn, config, seed),
         "balance": lambda: draw_balance(distribution, config),
-        "steering": lambda: draw_steering(steered),
     }
     with figure_style():
         for name in _NAMES:

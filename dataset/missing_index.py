@@ -30,7 +30,7 @@ def missing_index(index: Location) -> DatasetError:
             f"{index}: {what}, no index; `bc-index --index FOLDER` builds one in a folder of its own"
         )
     folder = index.parent if index.parent.is_dir() else Path()
-    beside = [str(found.parent) for found in sorted(folder.glob(f"*/{SAMPLES_NAME}"))]
+    beside = [str(samples.parent) for samples in sorted(folder.glob(f"*/{SAMPLES_NAME}"))]
     hint = did_you_mean(str(index), beside)
     if beside and not hint:
         more = " and others" if len(beside) > _MAX_NAMED else ""

@@ -100,10 +100,10 @@ def metadata_of(picture: PictureSpec) -> dict[str, str]:
 
 def _number(stored: Mapping[str, Any], name: str, form: re.Pattern[str]) -> int:
     text = stored.get(name)
-    found = form.fullmatch(text) if isinstance(text, str) else None
-    if found is None:
+    match = form.fullmatch(text) if isinstance(text, str) else None
+    if match is None:
         raise ValueError(f"{name} {text!r:.40}")
-    return int(found[form.groups])
+    return int(match[form.groups])
 
 
 ORIGINAL: Final = PictureSpec()

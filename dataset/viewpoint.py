@@ -2,13 +2,12 @@
 
 Below the horizon every pixel is taken for a point of a level road, above it for one infinitely far away: the first
 move as the plane of the road does, the second only turn with the car. What stands up from the road near by (curbs,
-posts, trees, hills) is bent. With the pictures of the side cameras, the one that was taken nearest is warped.
+posts, trees, hills) is bent. Where nothing is known, the picture goes on as at the edge of what is.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,7 +15,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from common.car import CAMERAS, Camera
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
 from recorder.log.session_car import OUTLINE_PX, Car, Outline
@@ -26,20 +24,10 @@ Matrix = NDArray[np.float64]
 
 MAX_TURN_RAD: Final = math.pi / 3
 """No camera here sees as far to the side; a view that is turned further has nothing in it."""
-_KNOWN: Final = 255
-
-
-@dataclass(frozen=True)
-class WarpedView:
-    """A picture from a place where none was taken."""
-
-    picture: Image  # (height, width, 3) BGR
-    is_known: Mask  # (height, width); where nothing is known, the picture goes on as at the edge of what is
-    camera: Camera  # whose picture was warped
 
 
 class Viewpoint:
-    """Warps pictures of one size, taken by the cameras of one car, or crops of them."""
+    """Warps pictures of one size, taken by the centre camera of one car, or crops of them."""
 
     def __init__(
         self, geometry: Car, width_px: int, height_px: int, *, of_crops: PictureSpec | None = None
@@ -68,71 +56,48 @@ class Viewpoint:
         scale = height_px / OUTLINE_PX[1]  # about the middle: a wider picture shows more to either side
         beside_px = (width_px - scale * OUTLINE_PX[0]) / 2
         outline = shown @ np.array([[scale, 0.0, beside_px], [0.0, scale, 0.0], [0.0, 0.0, 1.0]])
-        self._bonnets = {
-            name: _bonnet(geometry.bonnet.get(name, ()), outline, self.width_px, self.height_px)
-            for name in CAMERAS
-        }
-
-    def nearest(self, left_m: float, turn_rad: float, cameras: Collection[Camera]) -> Camera:
-        """The one of `cameras` that stands nearest to the centre camera of a car that is moved and turned."""
-        aside_m = left_m + self.geometry.forward_m * math.sin(turn_rad)
-        return min(cameras, key=lambda camera: abs(self.geometry.left_m[camera] - aside_m))
-
-    def view(
-        self, pictures: Mapping[Camera, Image], left_m: float, turn_rad: float, camera: Camera | None = None
-    ) -> WarpedView:
-        """The picture of the centre camera of a car whose rear axle is `left_m` to the left of where it was (below
-        0: to the right), and which is turned to the left by `turn_rad` (below 0: to the right).
-
-        `pictures` are those of one moment, (height, width, 3) BGR; that of `camera` is warped, by default the
-        nearest. The car's bonnet stays where it is in the centre camera's, if that is among them. Raises
-        ValueError for a picture of another size, or a turn of more than `MAX_TURN_RAD`.
-        """
-        camera = camera or self.nearest(left_m, turn_rad, pictures.keys())
-        picture = self._picture(pictures, left_m, turn_rad, camera)
-        if camera == "center" and left_m == turn_rad == 0.0:
-            return WarpedView(picture, np.ones(picture.shape[:2], np.bool_), camera)
-        known = np.where(self._bonnets[camera].mask, 0, _KNOWN).astype(np.uint8)
-        is_known = self._warp(known, left_m, turn_rad, camera, cv2.BORDER_CONSTANT) == _KNOWN
-        if "center" in pictures:
-            is_known |= self._bonnets["center"].mask
-        return WarpedView(picture, is_known, camera)
+        self._bonnet = _bonnet(geometry.bonnet.get("center", ()), outline, self.width_px, self.height_px)
 
     def picture(self, picture: Image, left_m: float, turn_rad: float) -> Image:
-        """The picture of `view`, from one of the centre camera, without the mask of its known pixels."""
-        return self._picture({"center": picture}, left_m, turn_rad, "center")
+        """The picture (height, width, 3) BGR of the centre camera of a car whose rear axle is `left_m` to the left
+        of where `picture` was taken (below 0: to the right), and which is turned to the left by `turn_rad` (below
+        0: to the right). The car's bonnet stays where it is.
 
-    def _picture(self, pictures: Mapping[Camera, Image], left_m: float, turn_rad: float, camera: Camera) -> Image:
+        Raises ValueError for a picture of another size, or a turn of more than `MAX_TURN_RAD`.
+        """
         if not (abs(turn_rad) <= MAX_TURN_RAD and math.isfinite(left_m)):
             raise ValueError(f"no picture can be warped by {left_m} m and {turn_rad} rad")
-        picture = pictures[camera]
         if picture.shape != (self.height_px, self.width_px, 3):
             raise ValueError(f"a picture of {picture.shape}, not {(self.height_px, self.width_px, 3)}")
-        if camera == "center" and left_m == turn_rad == 0.0:
+        if left_m == turn_rad == 0.0:
             return picture
-        bonnet, own = self._bonnets[camera], self._bonnets["center"]
+        bonnet = self._bonnet
         road = picture.copy()
         road[bonnet.first :] = picture[bonnet.above[bonnet.first :], np.arange(self.width_px)]
-        found = self._warp(road, left_m, turn_rad, camera, cv2.BORDER_REPLICATE)
-        if "center" in pictures:
-            np.copyto(found[own.first :], pictures["center"][own.first :], where=own.mask[own.first :, :, None])
-        return found
+        warped = self._warp(road, left_m, turn_rad)
+        below = slice(bonnet.first, None)
+        np.copyto(warped[below], picture[below], where=bonnet.mask[below, :, None])
+        return warped
 
-    def _warp(self, picture: Image, left_m: float, turn_rad: float, camera: Camera, border: int) -> Image:
+    def _warp(self, picture: Image, left_m: float, turn_rad: float) -> Image:
         forward_m = self.geometry.forward_m
-        aside_m = left_m + forward_m * math.sin(turn_rad) - self.geometry.left_m[camera]
+        aside_m = left_m + forward_m * math.sin(turn_rad) - self.geometry.left_m["center"]
         ahead_m = forward_m * (math.cos(turn_rad) - 1.0)
-        found = np.empty_like(picture)
+        warped = np.empty_like(picture)
         for first, end, matrix in (
             (0, self._horizon_px, self._far(turn_rad)),
             (self._horizon_px, self.height_px, self._road(ahead_m, aside_m, turn_rad)),
         ):
             if first < end:
                 matrix = matrix @ np.array([[1.0, 0.0, 0.0], [0.0, 1.0, first], [0.0, 0.0, 1.0]])
-                flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-                size = (self.width_px, end - first)
-                found[first:end] = cv2.warpPerspective(picture, matrix, size, flags=flags, borderMode=border)
-        return found
+                warped[first:end] = cv2.warpPerspective(
+                    picture,
+                    matrix,
+                    (self.width_px, end - first),
+                    flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+                    borderMode=cv2.BORDER_REPLICATE,
+                )
+        return warped
 
     def _far(self, turn_rad: float) -> Matrix:
         """The map from pixels of the turned camera to those of the recorded one, for points at infinity."""

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +21,6 @@ from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
 from common.random_access import is_there
 from common.streams import end_process
-from common.versions import package_line
 from model.config import TrainConfig
 from model.epoch_printer import EpochPrinter
 from model.network.names import is_own
@@ -74,15 +71,14 @@ def train(config: Train) -> int:
     if is_first:
         print_result(f"{run}: {summary}{_going_on(run) if is_resumed else ''}")
     try:
-        with _viewer(config, run) if is_first else contextlib.nullcontext():
-            if workers is None:
-                trained = train_network(index, run, settings, listeners, init=init, like=like, resume=is_resumed)
-            else:
-                from model.training.ray_workers import train_on_cluster
+        if workers is None:
+            trained = train_network(index, run, settings, listeners, init=init, like=like, resume=is_resumed)
+        else:
+            from model.training.ray_workers import train_on_cluster
 
-                trained = train_on_cluster(
-                    *workers, index, run, settings, listeners, init=init, like=like, resume=is_resumed
-                )
+            trained = train_on_cluster(
+                *workers, index, run, settings, listeners, init=init, like=like, resume=is_resumed
+            )
     except (KeyboardInterrupt, RunWriteError):
         if is_first and run.exists():
             to = f" --copy-to {copies}" if copies is not None else ""
@@ -215,8 +211,6 @@ def _network_flag(run: Path) -> str:
 
 def _listeners(config: Train, run: Path) -> list[Listener]:
     """Raises UserError where what one of them needs is not installed."""
-    if config.viewer and find_spec("rerun") is None:
-        raise UserError(f"--viewer: the viewer is not installed here: `{package_line('rerun-sdk')}` brings it")
     listeners: list[Listener] = [EpochPrinter()]
     if config.tensorboard:
         from model.training.tensorboard import TensorBoard
@@ -241,14 +235,6 @@ def _own_listener(name: str, run: Path, config: TrainConfig) -> Listener:
             f" {' and no '.join(missing)}"
         )
     return listener
-
-
-def _viewer(config: Train, run: Path) -> contextlib.AbstractContextManager[None]:
-    if not config.viewer:
-        return contextlib.nullcontext()
-    from common.preview import preview
-
-    return preview(run)
 
 
 def _run_of(config: Train) -> Path:

@@ -129,10 +129,10 @@ def _bin_errors(predicted: Floats, recorded: Floats, bins: int, max_deg: float |
     off = _off_deg(predicted, recorded, max_deg)
     exact: NDArray[np.float64] = recorded.astype(np.float64)
     bin_index = bin_of(np.round(exact, 6), bins)  # in float32, a value on an edge is beside it
-    found = []
+    errors_of_bins = []
     for number in np.unique(bin_index).tolist():
         part = off[bin_index == number]
-        found.append(
+        errors_of_bins.append(
             BinErrors(
                 number,
                 -1 + 2 * number / bins,
@@ -143,4 +143,4 @@ def _bin_errors(predicted: Floats, recorded: Floats, bins: int, max_deg: float |
                 float(part.mean()),
             )
         )
-    return found
+    return errors_of_bins

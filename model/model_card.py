@@ -8,8 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import msgspec
-
 from common.errors import printable
 from common.markdown import as_markdown, rendered, shown_number
 from common.steering_unit import assumed_deg
@@ -17,6 +15,7 @@ from common.versions import TOOLKIT, version_of
 from dataset.prediction_targets import TARGETS, TargetName
 from model.metrics import Measures
 from model.runs.kept_results import KeptResult
+from model.runs.run_numbers import StoredCounts, StoredIndex, StoredLabels, index_of_config
 from model.runs.training_progress import Epoch
 
 
@@ -37,43 +36,23 @@ class ModelCard:
     pictures: Sequence[str]  # of how it was learnt, by file name
 
 
-class _Counts(msgspec.Struct):
-    training: int = 0
-    validation: int = 0
-
-
-class _Plan(msgspec.Struct):
-    why: str = ""
-
-
-class _Labels(msgspec.Struct):
-    plan: _Plan = msgspec.field(default_factory=_Plan)
-
-
-class _Data(msgspec.Struct):
-    """The data of a run's config.json, as far as a card lists them."""
-
-    logs: dict[str, Any] = {}
-    counts: dict[str, _Counts] = {}
-    labels: dict[str, _Labels] = {}
-
-
-def card(of: ModelCard) -> str:
+def card(about: ModelCard) -> str:
     """The text of a card: the hub's YAML, then Markdown."""
-    data, measures = _data(of), of.epoch.measures if of.epoch and of.epoch.measures.frames else None
-    drives = [kept for kept in of.results if kept.way != "frames"]
+    data = index_of_config(about.config)
+    measures = about.epoch.measures if about.epoch and about.epoch.measures.frames else None
+    drives = [kept for kept in about.results if kept.way != "frames"]
     places = [
-        (heading, [_place(of, kept) for kept in drives if (kept.result.get("interventions") == 0) is is_clean])
+        (heading, [_place(about, kept) for kept in drives if (kept.result.get("interventions") == 0) is is_clean])
         for heading, is_clean in (("Without an intervention", True), ("Not without an intervention", False))
     ]
     return rendered(
         "model",
         "model_card.md.jinja",
-        card=of,
+        card=about,
         toolkit=TOOLKIT,
         version=version_of(),
-        network=_network(of),
-        answers=_answers(of),
+        network=_network(about),
+        answers=_answers(about),
         data=data,
         held_out=f"held out of {printable(', '.join(data.logs) or 'its logs')}",
         sessions=[_session(name, log, data) for name, log in data.logs.items()],
@@ -81,50 +60,43 @@ def card(of: ModelCard) -> str:
         metrics=_metrics(measures) if measures else [],
         errors=_errors(measures) if measures else [],
         unit=_unit(measures) if measures else "",
-        drives=[_drive(of, kept) for kept in drives],
+        drives=[_drive(about, kept) for kept in drives],
         places=places,
     )
 
 
 def _metrics(measures: Measures) -> list[tuple[str, str, float]]:
-    found = [
+    metrics = [
         ("rmse", "RMSE of the steering", measures.network.rmse_deg),
         ("rmse", "balanced RMSE of the steering", measures.balanced_rmse_deg),
         ("mae", "MAE of the steering", measures.network.mae_deg),
     ]
     unit = measures.unit
-    return [(kind, f"{name} in {unit.name}", unit.of(deg)) for kind, name, deg in found if math.isfinite(deg)]
+    return [(kind, f"{name} in {unit.name}", unit.of(deg)) for kind, name, deg in metrics if math.isfinite(deg)]
 
 
-def _network(of: ModelCard) -> str:
-    stored = of.config.get("network")
+def _network(about: ModelCard) -> str:
+    stored = about.config.get("network")
     name = stored.get("name") if isinstance(stored, dict) else None
     return f"`{printable(name)}`" if isinstance(name, str) and "`" not in name else "`original`"
 
 
-def _answers(of: ModelCard) -> str:
-    degrees = f"{assumed_deg(of.max_steering_deg):g} degrees of the wheels"
-    if of.max_steering_deg is None:
+def _answers(about: ModelCard) -> str:
+    degrees = f"{assumed_deg(about.max_steering_deg):g} degrees of the wheels"
+    if about.max_steering_deg is None:
         degrees = "full lock, an unknown angle"
-    others = [f"{name} ({TARGETS[name].unit or '-1 to 1'})" for name in of.targets[1:]]
+    others = [f"{name} ({TARGETS[name].unit or '-1 to 1'})" for name in about.targets[1:]]
     answers = ", and the ".join([f"steering, -1 (left) to 1 (right), where 1 is {degrees}", *others])
     return f"It answers the {answers}; nothing is clamped."
 
 
-def _data(of: ModelCard) -> _Data:
-    try:
-        return msgspec.convert(of.config.get("data", {}), _Data)
-    except msgspec.ValidationError:
-        return _Data()
-
-
-def _session(name: str, log: object, data: _Data) -> dict[str, object]:
-    counts = data.counts.get(name, _Counts())
+def _session(name: str, log: object, data: StoredIndex) -> dict[str, object]:
+    counts = data.counts.get(name, StoredCounts())
     return {
         "name": name,
         "training": counts.training,
         "validation": counts.validation,
-        "why": data.labels.get(name, _Labels()).plan.why,
+        "why": data.labels.get(name, StoredLabels()).plan.why,
         "fingerprint": str(log.get("fingerprint", ""))[:16] if isinstance(log, dict) else "",
     }
 
@@ -140,19 +112,19 @@ def _errors(measures: Measures) -> list[tuple[str, list[float]]]:
         ("always the mean", measures.mean, measures.mean_balanced_rmse_deg),
         ("always straight on", measures.zero, math.nan),
     ]
-    found = []
+    table = []
     for name, errors, balanced in rows:
         angles = (errors.mae_deg, errors.rmse_deg, balanced, errors.turning_mae_deg)
-        found.append((name, [*map(measures.unit.of, angles), errors.correlation]))
-    return found
+        table.append((name, [*map(measures.unit.of, angles), errors.correlation]))
+    return table
 
 
-def _drive(of: ModelCard, kept: KeptResult) -> dict[str, object]:
+def _drive(about: ModelCard, kept: KeptResult) -> dict[str, object]:
     """A row of the table of drives."""
     ending, unit = ("", " of half the road") if kept.way == "simulator" else ("_m", " m")
     distance_m = kept.result.get("distance_m")
     return {
-        "place": _place(of, kept),
+        "place": _place(about, kept),
         "km": distance_m / 1000 if isinstance(distance_m, int | float) else math.nan,
         "interventions": kept.result.get("interventions"),
         "autonomy": kept.result.get("autonomy_percent"),
@@ -163,12 +135,12 @@ def _drive(of: ModelCard, kept: KeptResult) -> dict[str, object]:
     }
 
 
-def _place(of: ModelCard, kept: KeptResult) -> str:
-    found = kept.result
+def _place(about: ModelCard, kept: KeptResult) -> str:
+    result = kept.result
     if kept.way == "recording":
-        session = str(found.get("session", "?"))
-        learnt = ", which it has learnt from" if session in _data(of).logs else ""
+        session = str(result.get("session", "?"))
+        learnt = ", which it has learnt from" if session in index_of_config(about.config).logs else ""
         return f"the recording {as_markdown(session)}{learnt}"
-    laps = f"{shown_number(found.get('laps'))} laps at {shown_number(found.get('set_speed_mph'), 0)} mph"
+    laps = f"{shown_number(result.get('laps'))} laps at {shown_number(result.get('set_speed_mph'), 0)} mph"
     supervised = ", supervised by a person" if kept.way == "supervised" else ""
-    return f"{as_markdown(str(found.get('track', '?')))} ({laps}{supervised})"
+    return f"{as_markdown(str(result.get('track', '?')))} ({laps}{supervised})"

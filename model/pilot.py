@@ -91,10 +91,10 @@ class Pilot:
     def answer(self, crop: Image) -> NetworkAnswer:
         """All that the network answers to a crop (`picture.shape`) BGR uint8."""
         values = self._answers(crop).tolist()
-        found = {TARGETS[name].answer_name: value for name, value in zip(self.targets, values, strict=True)}
-        if "speed_mph" in found:
-            found["speed_mph"] *= TARGETS["speed"].per_unit
-        return NetworkAnswer(**found)
+        answers = {TARGETS[name].answer_name: value for name, value in zip(self.targets, values, strict=True)}
+        if "speed_mph" in answers:
+            answers["speed_mph"] *= TARGETS["speed"].per_unit
+        return NetworkAnswer(**answers)
 
     @torch.inference_mode()
     def _answers(self, crop: Image) -> NDArray[np.float32]:

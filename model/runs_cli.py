@@ -61,11 +61,11 @@ def list_runs(config: Runs) -> int:
     if isinstance(config.runs, Path) and not config.runs.is_dir():
         problem = "a file, no folder of runs" if config.runs.exists() else "no such folder"
         raise UserError(f"{config.runs}: {problem}; train a run with `bc-train`, or give --runs FOLDER")
-    found = list(summarize_runs(config.runs))
-    if not found:
+    summaries = list(summarize_runs(config.runs))
+    if not summaries:
         flag = f" --runs {config.runs}" if isinstance(config.runs, Url) else ""
         raise UserError(f"{config.runs}: no run in it; train one with `bc-train{flag}`")
-    runs = in_order([run for run in found if not run.problem], config.sort)
+    runs = in_order([run for run in summaries if not run.problem], config.sort)
     if config.json:
         _print_json(runs)
     elif runs:
@@ -74,7 +74,7 @@ def list_runs(config: Runs) -> int:
             print_message(notice)
         if (verdict := in_order(runs, "newest")[0].verdict) is not None:
             print_next(verdict.advice.command, verdict.advice.why)
-    return max([DONE, *(warn(run.problem) for run in found if run.problem)])
+    return max([DONE, *(warn(run.problem) for run in summaries if run.problem)])
 
 
 def in_order(runs: Sequence[RunSummary], by: str) -> list[RunSummary]:

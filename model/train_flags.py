@@ -47,8 +47,6 @@ class Train:
     """Also write the curves for TensorBoard."""
     listener: str | None = None
     """Your code for the progress: FILE.py:CLASS or MODULE:CLASS."""
-    viewer: bool = False
-    """Show the curves in Rerun."""
     ray: Annotated[
         tuple[str, ...] | None, tyro.conf.arg(metavar="N [ADDRESS]", help_behavior_hint="(default: none)")
     ] = None

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import pyarrow as pa
 
 from common.steering_unit import SteeringUnit, assumed_deg
 from dataset import MAX_STEERING_DEG
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 _APART_NS: Final = 1_000_000_000
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
@@ -42,16 +44,18 @@ def worst_frames(frames: pa.Table, count: int, max_deg: float | None = MAX_STEER
     columns = ("log_time_ns", "row", "predicted", "recorded")
     time_ns, row, predicted, recorded = (frames[name].to_numpy() for name in columns)
     taken: dict[tuple[int, int], int] = {}  # times, by session and whole second
-    found: list[WorstFrame] = []
+    worst: list[WorstFrame] = []
     for at in np.argsort(-np.abs(predicted - recorded), kind="stable").tolist():
-        if len(found) == count:
+        if len(worst) == count:
             break
         drive, now_ns = int(session[at]), int(time_ns[at])
         near = (taken.get((drive, now_ns // _APART_NS + step)) for step in (-1, 0, 1))
         if all(other is None or abs(other - now_ns) >= _APART_NS for other in near):
             taken[drive, now_ns // _APART_NS] = now_ns
-            predicted_deg, recorded_deg = (assumed_deg(max_deg) * float(of[at]) for of in (predicted, recorded))
-            found.append(
+            predicted_deg, recorded_deg = (
+                assumed_deg(max_deg) * float(steering[at]) for steering in (predicted, recorded)
+            )
+            worst.append(
                 WorstFrame(
                     frames["session"][at].as_py(),
                     int(row[at]),
@@ -62,4 +66,4 @@ def worst_frames(frames: pa.Table, count: int, max_deg: float | None = MAX_STEER
                     predicted_deg - recorded_deg,
                 )
             )
-    return found
+    return worst

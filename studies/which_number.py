@@ -98,7 +98,7 @@ def main() -> None:
             jobs.each(study.index, arguments.recipes)
             trained = jobs.each(lambda one: study.train(*one), trainings)
             networks = [network for epoch in reversed(list(zip(*trained, strict=True))) for network in epoch]
-            steps = (study.predict, study.drive_recordings, study.drive)
+            steps = (study.predict, study.drive)
             jobs.each(lambda step: step[1](step[0]), list(itertools.product(networks, steps)))
     report.write(folder)
 
@@ -235,14 +235,6 @@ class Study:
             return
         logs = [self.folder / "sessions" / f"{session(*drive)}.mcap" for drive in self.held_out_drives()]
         self.jobs.run(self.folder, "predict", [str(PREDICT)], self.folder / "networks" / network, kept, *logs)
-
-    def drive_recordings(self, network: str) -> None:
-        kept = self.folder / "recordings_driven" / f"{network}.jsonl"
-        if not kept.exists():
-            sessions = [session(*drive) for drive in self.held_out_drives() if drive[1] == "keyboard"]
-            told = self.jobs.bc(self.folder, "eval", network, "--runs", "networks", "--on", *sessions, "--json")
-            with atomic_file(kept, overwrite=True) as part:
-                part.write_text(told)
 
     def drive(self, network: str) -> None:
         """Drive the simulator. The logs, 100 MB each, are not kept."""

@@ -1,4 +1,4 @@
-"""`bc-play`: logs, or the training of a run, in the Rerun viewer."""
+"""`bc-play`: logs in the Rerun viewer."""
 
 from __future__ import annotations
 
@@ -29,10 +29,6 @@ def play(config: Play) -> int:
         from recorder.log_copy_cli import brought_here
 
         (check_video_flags if config.video is not None else check_viewer_flags)(config)
-        if len(config.places) == 1 and config.places[0].suffix != ".mcap":
-            from model.runs.runs_in_store import bring_curves
-
-            return play(replace(config, places=(bring_curves(str(config.places[0])),)))
         with brought_here(config.places) as logs:
             return play(replace(config, places=logs))
     check_files(config)
@@ -59,7 +55,7 @@ def _show_or_save(config: Play, content: Content) -> int:
     if config.save is None:
         code = content.show(_destination(config))
         if code in (DONE, DONE_BUT_SKIPPED) and not config.follow:
-            print_next(_next_of(config))
+            print_next(f"bc-log info {shlex.quote(str(config.log))}")
         return code
     code = content.save(config.save, overwrite=config.force)
     print_result(f"{config.save}: written")
@@ -67,35 +63,16 @@ def _show_or_save(config: Play, content: Content) -> int:
     return code
 
 
-def _next_of(config: Play) -> str:
-    place = shlex.quote(str(config.log))
-    return f"bc-eval {place}" if config.is_run else f"bc-log info {place}"
-
-
 def _content(config: Play) -> Content:
     from viz.live.live_log import find_log, is_finished
     from viz.playback.comparison import prepare_comparison
     from viz.playback.rerun_recording import prepare_log
-    from viz.targets import FinishedContent, GrowingLogContent, GrowingTrainingContent
-    from viz.training_curves import prepare_training, refuse_no_training
+    from viz.targets import FinishedContent, GrowingLogContent
 
     if len(config.logs) > 1:
-        folders = [path for path in config.logs if path.is_dir()]
-        if folders:
-            raise UserError(f"{folders[0]} is a folder: logs are compared; a run's training is shown alone")
         _check_logs(config.logs)
         size = sum(path.stat().st_size for path in config.logs if path.is_file())
         return FinishedContent(lambda: prepare_comparison(config.logs, config.by, config.at), size)
-    if config.is_run:
-        refuse_no_training(config.log, is_awaited=config.follow)
-        return (
-            GrowingTrainingContent(config.log)
-            if config.follow
-            else FinishedContent(lambda: prepare_training(config.log))
-        )
-    if not config.log.exists() and (Path("runs") / config.log).is_dir():
-        run = shlex.quote(str(Path("runs") / config.log))
-        raise UserError(f"{config.log}: no log; to see how a run was trained, `bc-play {run}`")
     path = find_log(config.log) if config.follow else config.log
     if config.follow and not is_finished(path):
         return GrowingLogContent(path)
@@ -155,8 +132,6 @@ def _play_predicted(config: Play) -> int:
     from viz.playback.predicted_recording import prepare_predictions
     from viz.targets import FinishedContent
 
-    if config.log.is_dir():
-        raise UserError(f"{config.log} is a folder: --run shows a network's predictions for a log; give one")
     if config.follow:
         raise UsageError("--run: predictions are made for a log that does not grow: give it without --follow")
     is_only_written = config.write is not None and config.save is None
@@ -169,8 +144,8 @@ def _play_predicted(config: Play) -> int:
     runs = [find_run(name, config.runs) for name in config.run]
     load_named(config.network, [load_config(run) for run in runs] if config.network else [])
     if is_only_written:
-        found = predict_log(config.log, runs)
-        code = max(_report_predictions(config, found), _warn_unfinished(found.notice))
+        predictions = predict_log(config.log, runs)
+        code = max(_report_predictions(config, predictions), _warn_unfinished(predictions.notice))
         print_next(f"bc-play {shlex.quote(str(config.write))}")
         return code
     codes = [DONE]
@@ -178,7 +153,7 @@ def _play_predicted(config: Play) -> int:
         lambda: prepare_predictions(
             config.log,
             runs,
-            lambda found: codes.append(_report_predictions(config, found)),
+            lambda predictions: codes.append(_report_predictions(config, predictions)),
             attention=config.attention,
             at_s=config.at,
         ),
@@ -187,16 +162,16 @@ def _play_predicted(config: Play) -> int:
     return max(_show_or_save(config, whole), *codes)
 
 
-def _report_predictions(config: Play, found: LogPredictions) -> int:
+def _report_predictions(config: Play, predictions: LogPredictions) -> int:
     """Write predictions to --write, if given, and print their summaries; return the exit code."""
     from viz.playback.prediction_log import write_predictions
 
     if config.write is not None:
-        write_predictions(found, config.write, overwrite=config.force)
+        write_predictions(predictions, config.write, overwrite=config.force)
         print_result(f"{config.write}: written")
-    for run in found.predicted:
-        print_result(found.summary(run))
-    return warn_skipped(found.skipped)
+    for run in predictions.predicted:
+        print_result(predictions.summary(run))
+    return warn_skipped(predictions.skipped)
 
 
 def _warn_unfinished(notice: str) -> int:

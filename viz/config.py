@@ -24,12 +24,11 @@ from recorder.log_flag import LogFlag
 class Play:
     """Show a log in the Rerun viewer, or compare several.
 
-    Given a run's folder, show its training: losses and errors.
     Without a display, the viewer is served to browsers on this machine.
     """
 
     places: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
-    """The log to show, by name or path, several to compare, or a run's folder."""
+    """The log to show, by name or path, or several to compare."""
     at: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: at its start)")] = (
         None
     )
@@ -37,7 +36,7 @@ class Play:
     by: Literal["time", "place"] = "time"
     """Compare logs by time, or by place on the first one's way."""
     follow: bool = False
-    """Show a growing log, or a run in training."""
+    """Show a growing log."""
     save: Path | None = None
     """Write an .rrd file for Rerun; open nothing."""
     connect: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[ADDRESS]")] = None
@@ -77,17 +76,11 @@ class Play:
         """The only log, or the first of several."""
         return self.logs[0]
 
-    @property
-    def is_run(self) -> bool:
-        """True for a run's folder, existing or to come: --follow waits for a run, but not for a log."""
-        if self.log.is_dir():
-            return True
-        is_awaited = self.follow and self.save is None and not os.path.lexists(self.log)
-        return is_awaited and ".mcap" not in self.log.suffixes
-
 
 def check_files(config: Play) -> None:
-    """Raise UserError or UsageError for files that may not be written, and for logs taken for addresses."""
+    """Raise UserError or UsageError for folders, files that may not be written, and logs taken for addresses."""
+    if folder := next((log for log in config.logs if log.is_dir()), None):
+        raise UserError(f"{folder} is a folder: give a log; `bc-web --open` shows how runs were trained")
     _refuse_overwriting_logs(config)
     _refuse_other_suffixes(config)
     _refuse_logs_as_addresses(config)
@@ -105,7 +98,7 @@ def check_video_flags(config: Play) -> None:
 
 
 def check_viewer_flags(config: Play) -> None:
-    """Raise UsageError for flags that do not go together where logs or a run are shown, or written by --save."""
+    """Raise UsageError for flags that do not go together where logs are shown, or written by --save."""
     if not config.run and (flags := flags_given(config, "network", "attention", "write")):
         raise UsageError(f"{flags}: only of networks: give --run NAME as well")
     if flags := flags_given(config, "speed", "overlay"):
@@ -131,9 +124,7 @@ def _check_moment(config: Play) -> None:
     if not 0 <= (config.at or 0) < math.inf:
         raise UsageError(f"--at {config.at}: seconds since the log's start, from 0 on")
     if config.follow or config.by != "time":
-        raise UsageError("--at is a moment of logs that are shown by time: give it without --follow, --by place")
-    if config.is_run:
-        raise UserError(f"--at is a moment of a log, and {config.log} is a folder: give a log, or leave it out")
+        raise UsageError("--at is a moment of finished logs, by time: give it without --follow, --by place")
 
 
 def _refuse_overwriting_logs(config: Play) -> None:

@@ -18,7 +18,6 @@ from common.preview import has_display
 from viz.console import print_error, print_notice, print_skipped
 from viz.live.follow import VIEWER_MEMORY, follow_log, save_growing
 from viz.playback.rerun_recording import PreparedRecording, save_prepared
-from viz.training_curves import follow_training, prepare_training, wait_until_trained
 from viz.viewer_connection import check_viewer, set_time, viewer_url
 from viz.viewer_feed import ViewerFeed, ViewerGoneError, feed_viewer
 from viz.viewer_process import Ports, Viewer, free_port, open_viewer
@@ -39,7 +38,7 @@ class Destination:
 
 
 class Content(Protocol):
-    """Logs, or the training of a run, to be shown."""
+    """Logs to be shown."""
 
     def save(self, rrd: Path, *, overwrite: bool) -> int:
         """Write it to a file; return the exit code."""
@@ -49,7 +48,7 @@ class Content(Protocol):
 
 
 class FinishedContent:
-    """Content that does not grow: logs, or how a training went."""
+    """Logs that do not grow."""
 
     def __init__(self, prepare: Callable[[], AbstractContextManager[PreparedRecording]], size: int = 0) -> None:
         """`size` is that of what is shown, in bytes."""
@@ -94,21 +93,6 @@ class GrowingLogContent:
             return follow_log(self._path, url, viewer)
 
 
-class GrowingTrainingContent:
-    """A run that is being trained."""
-
-    def __init__(self, run: Path) -> None:
-        self._run = run
-
-    def save(self, rrd: Path, *, overwrite: bool) -> int:
-        wait_until_trained(self._run)
-        return FinishedContent(lambda: prepare_training(self._run)).save(rrd, overwrite=overwrite)
-
-    def show(self, destination: Destination) -> int:
-        with open_destination(destination, memory=VIEWER_MEMORY, server_memory=VIEWER_MEMORY) as (url, viewer):
-            return follow_training(self._run, url, viewer)
-
-
 @contextlib.contextmanager
 def open_destination(
     destination: Destination, *, memory: str | None = None, server_memory: str | None = None
@@ -148,8 +132,7 @@ class _ContentFeed(ViewerFeed):
 
     def run(self) -> None:
         recording = self._connected(self._prepared.name)
-        if self._prepared.layout is not None:
-            recording.send_blueprint(self._prepared.layout)
+        recording.send_blueprint(self._prepared.layout)
         try:
             try:
                 self._prepared.send(recording, lambda: self._flush(recording))

@@ -76,10 +76,10 @@ def set_time(url: str, recording: rr.RecordingStream, at_s: float, stop: threadi
     name = recording.get_recording_id()
     try:
         while not stop.wait(_POLL_S):
-            for known in client.get_state().recordings:
-                times = [line.name for line in known.timelines]
-                if name is not None and known.store_id.endswith(name) and SINCE_START in times:
-                    client.set_time(SINCE_START, duration=at_s, play_state="paused", recording=known.store_id)
+            for shown in client.get_state().recordings:
+                times = [line.name for line in shown.timelines]
+                if name is not None and shown.store_id.endswith(name) and SINCE_START in times:
+                    client.set_time(SINCE_START, duration=at_s, play_state="paused", recording=shown.store_id)
                     return
     except (OSError, RuntimeError):  # it has no cursor to set, or is closed
         return

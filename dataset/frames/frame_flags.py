@@ -58,11 +58,11 @@ def frame_flags(states: States, frames: Mapping[Camera, Paired], findings: Image
     lacks = _lacks_a_picture(len(states.row), frames)
     flags["missing_picture"] = _joined(lacks[paired.state] for paired in frames.values())
     if findings is not None:
-        found: dict[PictureFlag, Mapping[Camera, Stretches]] = {
+        of_pictures: dict[PictureFlag, Mapping[Camera, Stretches]] = {
             "broken_picture": findings.broken,
             "frozen_picture": findings.frozen,
         }
-        for flag, stretches in found.items():
+        for flag, stretches in of_pictures.items():
             flags[flag] = _joined(
                 _is_within(paired.picture, stretches.get(camera, ())) for camera, paired in frames.items()
             )

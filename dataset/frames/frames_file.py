@@ -182,6 +182,6 @@ def extent_of(path: Path) -> Extent:
 
 def codes(column: pa.ChunkedArray, names: Sequence[str]) -> NDArray[np.int8]:
     """The position of each string among `names` (N,); -1 for others."""
-    found = pc.index_in(column.cast(pa.string()), pa.array(names, pa.string()))
-    positions: NDArray[np.int8] = pc.fill_null(found, -1).to_numpy().astype(np.int8)
+    indices = pc.index_in(column.cast(pa.string()), pa.array(names, pa.string()))
+    positions: NDArray[np.int8] = pc.fill_null(indices, -1).to_numpy().astype(np.int8)
     return positions

@@ -88,13 +88,13 @@ def frames_of(
     parts: list[dict[str, NDArray[Any]]] = []
     paired: dict[Camera, Paired] = {}
     for number, camera in enumerate(CAMERAS):
-        state, found = paired_rows(pictures[camera], states)
-        paired[camera] = Paired(state, found)
+        state, picture = paired_rows(pictures[camera], states)
+        paired[camera] = Paired(state, picture)
         parts.append(
             {
                 "state": state,
                 "camera": np.full(len(state), number, np.int8),
-                **{name: getattr(pictures[camera], name)[found] for name in ("offset", "length", "chunk")},
+                **{name: getattr(pictures[camera], name)[picture] for name in ("offset", "length", "chunk")},
             }
         )
     places = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -19,13 +20,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from common import atomic_file
 from common.car import CAMERAS, Camera
 from common.location import Location
 from common.progress import progress_bar
 from common.stretches import consecutive, stretches
 from common.tasks import Tasks, one_by_one
-from dataset.errors import log_problem
-from dataset.findings_file import read_findings, write_findings
+from dataset.errors import index_write_errors, log_problem
 from dataset.frames.frame_flags import ImageFindings, Position, Stretches
 from recorder import Log, LogError
 from recorder.mcap.message_index import UNCOMPRESSED
@@ -89,8 +90,8 @@ def check_all_images(
     pictures: dict[str, int] = {}
     for session, path in logs.items():
         with contextlib.suppress(*unreadable), Log(path) as log:
-            found = read_image_check(index, session, log.fingerprint)
-            if found is None or found.against is None or (found.lag is None and lacks_lag(log)):
+            findings = read_image_check(index, session, log.fingerprint)
+            if findings is None or findings.against is None or (findings.lag is None and lacks_lag(log)):
                 counts = log.counts
                 pictures[session] = sum(counts.get(camera_topic(camera), 0) for camera in CAMERAS)
     names, checked = list(pictures), []
@@ -133,17 +134,23 @@ class _Stored(msgspec.Struct):
     lag: LagFinding | None = None
 
 
-def write_image_check(index: Path, session: str, fingerprint: str, found: ImageFindings) -> None:
+def write_image_check(index: Path, session: str, fingerprint: str, findings: ImageFindings) -> None:
     """Keep what was found in the log with this fingerprint."""
-    broken, frozen = (dict[str, Stretches](each.items()) for each in (found.broken, found.frozen))
-    stored = _Stored(1, fingerprint, found.pictures, broken, frozen, found.against, found.lag)
-    write_findings(image_check_path(index, session), stored)
+    broken, frozen = (dict[str, Stretches](each.items()) for each in (findings.broken, findings.frozen))
+    stored = _Stored(1, fingerprint, findings.pictures, broken, frozen, findings.against, findings.lag)
+    path = image_check_path(index, session)
+    with index_write_errors(path), atomic_file(path, overwrite=True) as part:
+        part.write_text(json.dumps(msgspec.to_builtins(stored)) + "\n", encoding="utf-8")
 
 
 def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindings | None:
-    """The findings in the log with this fingerprint; None if it was not checked, or the file is damaged."""
-    stored = read_findings(image_check_path(index, session), _Stored, _MAX_BYTES)
-    if stored is None:
+    """The findings in the log with this fingerprint; None without a sound file of them."""
+    path = image_check_path(index, session)
+    try:
+        if path.is_symlink() or path.stat().st_size > _MAX_BYTES:
+            return None
+        stored = msgspec.convert(json.loads(path.read_bytes()), _Stored)
+    except (OSError, ValueError, RecursionError):
         return None
     of_all = itertools.chain(stored.broken.values(), stored.frozen.values(), [stored.against or ()])
     if stored.fingerprint != fingerprint or not all(map(_are_ascending, of_all)):
@@ -165,9 +172,11 @@ def _in_order_of_the_file(log: Log) -> Iterator[tuple[Camera, int, int, int, int
     """Camera, row, log time, offset, length and chunk of each picture: a compressed chunk is unpacked once."""
     parts: list[tuple[NDArray[np.int64], ...]] = []
     for number, camera in enumerate(CAMERAS):
-        found = log.pictures(camera_topic(camera))
-        numbers = np.full(len(found.sequence), number, np.int64)
-        parts.append((numbers, found.sequence, found.log_time_ns, found.offset, found.length, found.chunk))
+        pictures = log.pictures(camera_topic(camera))
+        numbers = np.full(len(pictures.sequence), number, np.int64)
+        parts.append(
+            (numbers, pictures.sequence, pictures.log_time_ns, pictures.offset, pictures.length, pictures.chunk)
+        )
     columns = [np.concatenate(part) for part in zip(*parts, strict=True)]
     offsets, chunks = columns[3], columns[5]
     order = np.lexsort((offsets, np.where(chunks == UNCOMPRESSED, offsets, chunks)))

@@ -31,13 +31,13 @@ def paired_rows(
         np.concatenate([states.time_ns, messages.log_time_ns]), np.concatenate([states.row, messages.sequence])
     )
     state = first[number[count:]]  # the first of those alike: a state, if there is one
-    found = np.flatnonzero(state < count)
-    return state[found], found
+    paired = np.flatnonzero(state < count)
+    return state[paired], paired
 
 
 def moments(frames: pa.Table) -> NDArray[np.void]:
     """Row and log time of each frame (N,), which identify a moment of a log."""
-    found = np.empty(len(frames), [("row", np.int64), ("log_time_ns", np.int64)])
+    identities = np.empty(len(frames), [("row", np.int64), ("log_time_ns", np.int64)])
     for name in ("row", "log_time_ns"):
-        found[name] = frames[name].to_numpy()
-    return found
+        identities[name] = frames[name].to_numpy()
+    return identities

@@ -51,7 +51,7 @@ from dataset.index.build_state import (
 )
 from dataset.index.duplicates import shared_standing_rows
 from dataset.index.log_entries import car_to_warp, log_entries
-from dataset.index.session_labels import LAGS_FOLDER, labels_of_sessions
+from dataset.index.session_labels import labels_of_sessions
 from dataset.index.sessions import by_session_name
 from dataset.index.staging import finish_interrupted_build, staged, stale_frames_files
 from dataset.missing_index import other_folder, refuse_file
@@ -168,7 +168,7 @@ def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -
     refuse_file(index)
     if what := other_folder(index):
         raise DatasetError(f"{index}: {what}; an index needs a folder of its own: give --index another name")
-    for folder in (index / name for name in (FRAMES_FOLDER, IMAGE_CHECKS_FOLDER, LAGS_FOLDER, SAMPLES_FOLDER)):
+    for folder in (index / name for name in (FRAMES_FOLDER, IMAGE_CHECKS_FOLDER, SAMPLES_FOLDER)):
         # what is written and deleted in a link would be somebody else's
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise DatasetError(f"{folder}: not a plain folder; remove it")
@@ -242,8 +242,8 @@ class _Build:
     def _entries(self, state: BuildState, damaged: Mapping[str, str], stage: Path) -> dict[str, BuiltLog]:
         """The entry of each session; without a fingerprint where its log cannot be read, and may be left out."""
         entries: dict[str, BuiltLog] = {}
-        found = log_entries(self.by_name, self.index, self.config, state, damaged, stage, self.tasks)
-        for name, entry in track(found, "indexing", len(self.by_name)):
+        read = log_entries(self.by_name, self.index, self.config, state, damaged, stage, self.tasks)
+        for name, entry in track(read, "indexing", len(self.by_name)):
             if isinstance(entry, LogError):
                 if not self.leave_out_unreadable or name in self.config.validation:
                     raise entry
@@ -263,7 +263,7 @@ class _Build:
         """Write the samples of these sessions. Raises LogError or FramesError for a damaged file."""
         extents = {name: extent_of(file) for name, file in frames.items()}
         standing = shared_standing_rows(frames, self.by_name, extents, self.tasks)
-        labels = labels_of_sessions(frames, self.by_name, held, self.index, self.config, self.tasks)
+        labels = labels_of_sessions(frames, held, self.config, self.tasks)
         labels |= {name: replace(labels[name], shared_rows=rows) for name, rows in standing.items()}
         with index_write_errors(self.index / SAMPLES_NAME):
             if sum(extent.frames for extent in extents.values()) < self.divide_from_frames:
@@ -328,8 +328,6 @@ def _up_to_date(
         labels = {name: msgspec.convert(stored["labels"][name], SessionLabels) for name in held}
         if any(count.not_measured is None for count in counts.values()):
             return None  # earlier versions measured by crashes
-        if any(each.lag is not None and each.lag.margin_s is None for each in labels.values()):
-            return None  # earlier versions went by lags that are not believed
         is_divided = sum(count.frames for count in counts.values()) >= divide_from_frames
         parts = Division.of(stored)
         if stored["format"] != (DIVIDED_FORMAT if is_divided else SAMPLES_FORMAT) or (parts is None) == is_divided:

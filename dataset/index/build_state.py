@@ -38,13 +38,13 @@ class BuiltLog(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     notice: str = ""  # for a person
     has_crcs: bool = True
     driven_by: str = ""  # the machine that drove it
-    set_speeds_mph: tuple[float, ...] | None = None  # of its driver; None in what earlier versions have written
+    set_speeds_mph: tuple[float, ...] = ()  # of its driver
     sizes_px: list[tuple[int, int]] = []  # width and height of the first picture of each camera
     max_steering_deg: float | None = MAX_STEERING_DEG  # of its wheels, at steering 1; None: unknown
     source: str = ""  # where others' data come from (`foreign_source`)
     car: str = ""  # as the log stores it, in JSON
     implied_car: str = ""  # its name, if the log stores none and it is known from the session's source
-    has_several_sizes: bool | None = None  # of pictures, one camera; None in what earlier versions have written
+    has_several_sizes: bool = False  # of pictures, one camera
     lag: LagFinding | None = None  # of the steering, as it was known
     lag_file: Stat = None  # beside the log
     is_mixed: bool = False  # in a store, with its rows among its pictures: all of it was moved
@@ -73,8 +73,8 @@ class Stats:
         if place.parent not in self._listed:
             from common.object_store import list_objects  # an extra
 
-            found = list_objects(place.parent)
-            self._listed[place.parent] = {each.url: (each.size, each.version) for each in found}
+            objects = list_objects(place.parent)
+            self._listed[place.parent] = {each.url: (each.size, each.version) for each in objects}
         return self._listed[place.parent].get(place)
 
 
@@ -91,8 +91,8 @@ def stat_of(path: Location) -> Stat:
     if isinstance(path, Url):
         from common.object_store import find_object  # an extra
 
-        found = find_object(path)
-        return None if found is None else (found.size, found.version)
+        stored = find_object(path)
+        return None if stored is None else (stored.size, stored.version)
     try:
         status = path.stat()
     except OSError:

@@ -58,8 +58,8 @@ def shared_standing_rows(
     calls = [(frames[name],) for name in names]
     if not calls:
         return {}
-    found = dict(track(tasks(_keys, calls), "comparing sessions", len(calls)))
-    keys, positions = ([found[number][i] for number in range(len(names))] for i in range(2))
+    by_number = dict(track(tasks(_keys, calls), "comparing sessions", len(calls)))
+    keys, positions = ([by_number[number][i] for number in range(len(names))] for i in range(2))
     key = np.sort(np.concatenate(keys))
     if not (key[1:] == key[:-1]).any():  # as nearly always
         return {}
@@ -101,16 +101,16 @@ def shared_standing_rows(
 
 def _overlapping(extents: Mapping[str, Extent]) -> list[str]:
     """The sessions during which there was another one, in their order."""
-    found: set[str] = set()
+    overlapping: set[str] = set()
     latest = ""
     for name in sorted(extents, key=lambda name: extents[name].first_ns):
         if not extents[name].frames:
             continue
         if latest and extents[name].first_ns <= extents[latest].last_ns:
-            found |= {name, latest}
+            overlapping |= {name, latest}
         if not latest or extents[name].last_ns > extents[latest].last_ns:
             latest = name
-    return [name for name in extents if name in found]
+    return [name for name in extents if name in overlapping]
 
 
 def _why_alike(one: Mapping[str, str], two: Mapping[str, str]) -> str:

@@ -35,14 +35,14 @@ def find_leaks(index: Path | str) -> list[str]:
     metadata = read_metadata(path)
     if metadata is None:
         raise DatasetError(f"{path}: no index, or a damaged one; build it with `bc-index`")
-    found: list[str] = []
+    leaks: list[str] = []
     try:
         gap_s = float(metadata["settings"]["gap_s"])
         for file in sample_files(index):
-            found += _leaks_in(file, index, gap_s)
+            leaks += _leaks_in(file, index, gap_s)
     except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
         raise DatasetError(f"{index}: damaged ({error}); remove it and build it again with `bc-index`") from None
-    return found
+    return leaks
 
 
 def _leaks_in(file: Path, index: Path, gap_s: float) -> list[str]:
@@ -53,29 +53,29 @@ def _leaks_in(file: Path, index: Path, gap_s: float) -> list[str]:
     order = np.argsort(session.indices.to_numpy(), kind="stable")
     names = session.dictionary.to_pylist()
     ends = np.cumsum(np.bincount(session.indices.to_numpy(), minlength=len(names)))
-    found: list[str] = []
+    leaks: list[str] = []
     for name, start, end in zip(names, [0, *ends[:-1].tolist()], ends.tolist(), strict=True):
         frames = pq.read_table(index / FRAMES_FOLDER / f"{name}.parquet", columns=["row", "log_time_ns", "tags"])
-        found += [f"{name}: {what}" for what in _leaks_of(samples.take(order[start:end]), frames, gap_s)]
-    return found
+        leaks += [f"{name}: {what}" for what in _leaks_of(samples.take(order[start:end]), frames, gap_s)]
+    return leaks
 
 
 def _leaks_of(samples: pa.Table, frames: pa.Table, gap_s: float) -> list[str]:
     is_validation = pc.equal(samples["split"], "validation").to_numpy()
     rows = moments(samples)
     training, validation = np.unique(rows[~is_validation]), np.unique(rows[is_validation])
-    found = []
+    leaks = []
     if len(both := np.intersect1d(training, validation)):
-        found.append(f"{_rows(both)} in training and in validation, the first is row {both[0]['row']}")
+        leaks.append(f"{_rows(both)} in training and in validation, the first is row {both[0]['row']}")
     is_altered = pc.not_equal(samples["alteration"], "").to_numpy() | samples["copy"].to_numpy()
     if altered := int((is_altered & is_validation).sum()):
-        found.append(f"{counted(altered, 'sample')} of validation {_are(altered)} altered, or a copy")
+        leaks.append(f"{counted(altered, 'sample')} of validation {_are(altered)} altered, or a copy")
     excluded = np.unique(moments(frames)[is_excluded(frames)])
     if len(used := np.intersect1d(excluded, rows)):
-        found.append(f"{_rows(used)} tagged `exclude` and used, the first is row {used[0]['row']}")
+        leaks.append(f"{_rows(used)} tagged `exclude` and used, the first is row {used[0]['row']}")
     if close := _close(np.unique(moments(frames)), training, validation, gap_s):
-        found.append(close)
-    return found
+        leaks.append(close)
+    return leaks
 
 
 def _rows(rows: NDArray[np.void]) -> str:

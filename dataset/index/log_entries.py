@@ -96,11 +96,6 @@ def _unchanged(
         or entry.lag_file != stats(lag_path(log))
     ):
         return None
-    if not entry.file:  # as an earlier version left it, to which a rewritten log was another one, without its tags
-        with Log(log) as opened:
-            if opened.fingerprint != entry.fingerprint:
-                return None
-        entry = msgspec.structs.replace(entry, file=entry.fingerprint)
     expected = {
         "format": FRAMES_FORMAT,
         "settings": frames_settings(config, name),
@@ -149,7 +144,7 @@ def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Pa
             source=foreign_source(log),
             car=metadata_of(car).get(CAR_KEY, ""),
             implied_car=_implied_car(log) if car is None else "",
-            has_several_sizes=_has_several_sizes(log),
+            has_several_sizes="picture_sizes" in log.read_metadata(QUALITY_METADATA),
             lag=_lag(log, index, name, has_file=lag_file is not None),
             lag_file=lag_file,
             is_mixed=isinstance(path, Url) and log.is_mixed,
@@ -166,28 +161,26 @@ def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Pa
 
 def _lag(log: Log, index: Path, session: str, *, has_file: bool) -> LagFinding | None:
     """The lag of a log's steering as it is known; no picture is looked at."""
-    found = noted_lag(log.read_metadata(QUALITY_METADATA)) or (kept_lag(log) if has_file else None)
-    if found is None and (images := read_image_check(index, session, log.fingerprint)) is not None:
+    lag = noted_lag(log.read_metadata(QUALITY_METADATA)) or (kept_lag(log) if has_file else None)
+    if lag is None and (images := read_image_check(index, session, log.fingerprint)) is not None:
         return images.lag
-    return found
+    return lag
 
 
 def car_to_warp(path: Location, entry: BuiltLog) -> Car:
     """The car of a session; its log is opened again only if the car is unknown. Raises DatasetError for one whose
     pictures cannot be warped: the places of its cameras are unknown, or how much their crops show to either
     side."""
-    has_several_sizes = entry.has_several_sizes
     car = car_in({CAR_KEY: entry.car}, path) if entry.car else None
     if car is None and entry.implied_car:
         car = named_car(entry.implied_car)
-    if car is None or has_several_sizes is None:
+    if car is None:
         with Log(path) as log:
-            has_several_sizes = _has_several_sizes(log)
             try:
-                car = car or car_of(log)
+                car = car_of(log)
             except RecordingError as error:
                 raise DatasetError(f"--viewpoints: {error}") from None
-    if has_several_sizes:
+    if entry.has_several_sizes:
         raise DatasetError(
             f"--viewpoints: {path}: a camera's pictures are of several sizes; views are warped only from pictures"
             " of one (`bc-log trim`, `bc-log split`)"
@@ -203,22 +196,18 @@ def _implied_car(log: Log) -> str:
         return ""
 
 
-def _has_several_sizes(log: Log) -> bool:
-    return "picture_sizes" in log.read_metadata(QUALITY_METADATA)
-
-
 def _sizes_px(log: Log) -> list[tuple[int, int]]:
     """Width and height of the first picture of each camera, as its header has it.
 
     A log's summary of its rows has them; those of earlier versions do not.
     """
-    if (known := first_picture_sizes(log)) is not None:
-        return [known[topic] for topic in map(camera_topic, CAMERAS) if topic in known]
+    if (noted := first_picture_sizes(log)) is not None:
+        return [noted[topic] for topic in map(camera_topic, CAMERAS) if topic in noted]
     sizes = []
     for camera in CAMERAS:
-        found = log.pictures(camera_topic(camera))
-        if len(found.sequence):
-            data = log.read(int(found.offset[0]), int(found.length[0]), int(found.chunk[0]))
+        pictures = log.pictures(camera_topic(camera))
+        if len(pictures.sequence):
+            data = log.read(int(pictures.offset[0]), int(pictures.length[0]), int(pictures.chunk[0]))
             sizes += [size for size in [width_and_height(data)] if size]
     return sizes
 

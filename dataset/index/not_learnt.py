@@ -35,7 +35,7 @@ def not_learnt_line(counts: Mapping[str, SessionCounts]) -> list[str]:
     more = f" and {len(parts) - _MAX_NAMES:,} more" if len(parts) > _MAX_NAMES else ""
     return [
         f"neither learnt nor held out: {', '.join(parts[:_MAX_NAMES])}{more};"
-        " `bc-index --report` lists their rows, `--labels as-recorded` keeps them"
+        " `bc-log info` lists their rows, `--labels as-recorded` keeps them"
     ]
 
 

@@ -1,7 +1,6 @@
 """The steering habits of each session of an index, and the plan of its labels.
 
-No picture is looked at. Where a log's lag is not known, one that an earlier version has measured and kept in
-`index/lags/SESSION.json` holds.
+No picture is looked at.
 """
 
 from __future__ import annotations
@@ -9,75 +8,59 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Literal
 
-import msgspec
 import numpy as np
 import pyarrow as pa
 
 from common.car import MAX_STEERING_DEG
-from common.location import Location
 from common.progress import track
 from common.steering_unit import assumed_deg
 from common.tasks import Tasks, one_by_one
 from dataset.config import IndexConfig
-from dataset.findings_file import read_findings
 from dataset.frames.distinct_rows import number_distinct
 from dataset.frames.frames_file import codes, read_frames
 from dataset.index.build_state import BuiltLog
 from dataset.samples.samples_format import SessionLabels
-from recorder import Log
 from recorder.rows.devices import DEVICES, most_used_of
 from recorder.rows.label_plan import AS_RECORDED, goes_by_lag, plan_labels
 from recorder.rows.row_quality import States
-from recorder.rows.steering_habits import LagFinding, SteeringHabits, SteeringLag, steering_habits
+from recorder.rows.steering_habits import LagFinding, SteeringHabits, steering_habits
 from recorder.topics import VEHICLE_COLUMNS
-from recorder.upkeep.log_info import set_speeds_mph
-
-LAGS_FOLDER: Final = "lags"
-_MAX_BYTES: Final = 1 << 16
 
 
 def labels_of_sessions(
     frames: Mapping[str, Path],
-    logs: Mapping[str, Location],
     built: Mapping[str, BuiltLog],
-    index: Path,
     config: IndexConfig,
     tasks: Tasks = one_by_one,
 ) -> dict[str, SessionLabels]:
-    """The habits and label plan of each session, from its frames file, its log, and the log's entry. Raises
-    LogError or FramesError for a damaged file."""
+    """The habits and label plan of each session, from its frames file and its log's entry. Raises FramesError for
+    a damaged file."""
     names = list(frames)
     steered = tasks(
         habits_of_frames, [(frames[name], assumed_deg(built[name].max_steering_deg)) for name in names]
     )
-    habits = {names[number]: found for number, found in track(steered, "looking at the steering", len(names))}
+    habits = {
+        names[number]: of_session for number, of_session in track(steered, "looking at the steering", len(names))
+    }
     lagging = [name for name in frames if goes_by_lag(habits[name], built[name].driven_by)]
-    lags = {name: built[name].lag or _read_lag(index, name, built[name].fingerprint) for name in lagging}
+    lags = {name: built[name].lag for name in lagging}
     return {
         name: replace(
             _labels(config, habits[name], lags.get(name), built[name].driven_by),
-            set_speeds_mph=_set_speeds_mph(logs[name], built[name]),
+            set_speeds_mph=built[name].set_speeds_mph,
         )
         for name in frames
     }
 
 
-def _set_speeds_mph(log: Location, built: BuiltLog) -> tuple[float, ...]:
-    if built.set_speeds_mph is not None:
-        return built.set_speeds_mph
-    with Log(log) as opened:
-        return set_speeds_mph(opened)
-
-
-def _labels(config: IndexConfig, habits: SteeringHabits, found: LagFinding | None, driver: str) -> SessionLabels:
-    plan = AS_RECORDED if config.labels == "as-recorded" else plan_labels(habits, found, driver)
+def _labels(config: IndexConfig, habits: SteeringHabits, lag: LagFinding | None, driver: str) -> SessionLabels:
+    plan = AS_RECORDED if config.labels == "as-recorded" else plan_labels(habits, lag, driver)
     if config.label_smooth_s is not None:
         plan = replace(plan, smooth_s=config.label_smooth_s, why=AS_RECORDED.why)
     if config.label_shift_s is not None:
         plan = replace(plan, shift_s=config.label_shift_s, why=AS_RECORDED.why)
-    return SessionLabels(habits, found.lag if found else None, plan)
+    return SessionLabels(habits, lag.lag if lag else None, plan)
 
 
 def habits_of_frames(file: Path, max_steering_deg: float = MAX_STEERING_DEG) -> SteeringHabits:
@@ -91,15 +74,3 @@ def habits_of_frames(file: Path, max_steering_deg: float = MAX_STEERING_DEG) -> 
     device = most_used_of(np.maximum(codes(frames["device"], DEVICES)[rows], 0))
     states = States(row.astype(np.int64), time_ns.astype(np.int64), *values)
     return steering_habits(states, max_steering_deg, device)
-
-
-class _Stored(msgspec.Struct):
-    format: Literal[2]
-    fingerprint: str
-    lag: SteeringLag | None
-
-
-def _read_lag(index: Path, session: str, fingerprint: str) -> LagFinding | None:
-    """The lag measured in the log with this fingerprint; None if none was, or the file is damaged."""
-    stored = read_findings(index / LAGS_FOLDER / f"{session}.json", _Stored, _MAX_BYTES)
-    return LagFinding(stored.lag) if stored is not None and stored.fingerprint == fingerprint else None

@@ -60,12 +60,12 @@ def find_unchanged_log(session: Location | str, folder: Location | str, fingerpr
 
 def by_session_name(logs: Iterable[Location]) -> dict[str, Location]:
     """Each log once, by the name of its session. Raises DatasetError if two of them have the same one."""
-    found: dict[str, Location] = {}
+    by_name: dict[str, Location] = {}
     for log in logs:
-        other = found.setdefault(session_name(log), log)
+        other = by_name.setdefault(session_name(log), log)
         if absolute(other) != absolute(log):
             raise DatasetError(f"{log} and {other}: two sessions of one name; rename one of them")
-    return found
+    return by_name
 
 
 def _expected(given: str, log: Location) -> Location | str:
@@ -128,14 +128,14 @@ def logs_not_indexed(index: Path, logs: Sequence[Location], stat: Callable[[Loca
     if not isinstance(held, dict):
         return []
     state = read_state(index)
-    found = []
+    missing = []
     for log in logs:
         name = session_name(log)
         entry = state.logs.get(name)
         is_reported = name in state.passed_over or (entry and entry.sources == sources_of(name, log, index, stat))
         if name not in held and not is_reported:
-            found.append(name)
-    return found
+            missing.append(name)
+    return missing
 
 
 def unfinished_recordings(folder: Location, sessions: Sequence[str]) -> list[str]:

@@ -29,7 +29,6 @@ from dataset.samples.samples_format import SAMPLES_FOLDER, SAMPLES_NAME, Divisio
 
 _STAGE: Final = "new"
 _OLD: Final = "old"
-_LEFT_BY_OLDER_VERSIONS: Final = (SAMPLES_NAME, STATE_NAME)  # they wrote parts of these into the index itself
 
 
 @contextlib.contextmanager
@@ -56,16 +55,12 @@ def finish_interrupted_build(index: Path) -> None:
     """Carry through what a killed build had decided on, and remove the rest. Call it with the index locked."""
     for path in sorted(index.iterdir()):
         name = final_path(path).name
-        if path.name == name or path.is_symlink():
-            continue
-        if name == _STAGE and path.is_dir():
+        if name == _STAGE and path.name != name and path.is_dir() and not path.is_symlink():
             folders = (path / _OLD, path / FRAMES_FOLDER)
             with uninterrupted():
                 if all(folder.is_dir() and not folder.is_symlink() for folder in folders):
                     _publish_all(path, index)
                 shutil.rmtree(path, ignore_errors=True)
-        elif name in _LEFT_BY_OLDER_VERSIONS and path.is_file():
-            path.unlink()
 
 
 def stale_frames_files(sessions: set[str], index: Path) -> list[Path]:
@@ -113,23 +108,23 @@ def _publish_all(stage: Path, index: Path) -> None:
 def _bring_parts(stage: Path, index: Path) -> None:
     """Give new divided samples their names; where some were lost, the others have the same bytes."""
     for folder in folders_of_parts(stage):
-        there = index / SAMPLES_FOLDER / folder.name
-        there.mkdir(parents=True, exist_ok=True)
+        target = index / SAMPLES_FOLDER / folder.name
+        target.mkdir(parents=True, exist_ok=True)
         for file in folder.iterdir():
-            file.replace(there / file.name)
+            file.replace(target / file.name)
 
 
 def _remove_other_parts(index: Path) -> None:
     """Remove divided samples that samples.parquet does not name."""
-    there = folders_of_parts(index)
+    folders = folders_of_parts(index)
     try:
-        parts = Division.of(read_metadata(index / SAMPLES_NAME) or {}) if there else None
+        parts = Division.of(read_metadata(index / SAMPLES_NAME) or {}) if folders else None
     except (KeyError, TypeError, ValueError):  # damaged: which of them are its own nobody knows
         return
-    for folder in there:
+    for folder in folders:
         if parts is None or folder != parts.folder(index):
             shutil.rmtree(folder, ignore_errors=True)
-    if there:
+    if folders:
         with contextlib.suppress(OSError):
             (index / SAMPLES_FOLDER).rmdir()
 

@@ -35,9 +35,9 @@ def index_here(index: Location, logs: Sequence[Location]) -> Iterator[tuple[Path
     if isinstance(index, Path):
         yield index, lambda: None
         return
-    if here := next((log for log in logs if isinstance(log, Path)), None):
+    if local := next((log for log in logs if isinstance(log, Path)), None):
         raise UsageError(
-            f"--index {index}: {here} is on this machine, where no other one would find it; `bc-log copy` it to"
+            f"--index {index}: {local} is on this machine, where no other one would find it; `bc-log copy` it to"
             f" the store, and give --sessions {index.parent / 'sessions'}"
         )
     if within := next((log for log in logs if isinstance(log, Url) and log.is_in(index)), None):

@@ -118,10 +118,10 @@ class Crops:
         log, offset, chunk = self._logs[rows.session[number]], int(rows.offset[number]), rows.chunk[number]
         with contextlib.suppress(LogError):  # a damaged log of an earlier version, whose rows are not listed
             for camera in CAMERAS:
-                found = log.pictures(camera_topic(camera))
-                at = np.flatnonzero((found.offset == offset) & (found.chunk == chunk))
+                pictures = log.pictures(camera_topic(camera))
+                at = np.flatnonzero((pictures.offset == offset) & (pictures.chunk == chunk))
                 if len(at):
-                    return f"{rows.sessions[rows.session[number]]} row {found.sequence[at[0]]} {camera}"
+                    return f"{rows.sessions[rows.session[number]]} row {pictures.sequence[at[0]]} {camera}"
         return f"{log.path} byte {offset}"  # an index that was not made here
 
     def _crop(self, number: int) -> Image:

@@ -91,11 +91,11 @@ class LookAhead(Closeable):
         for session in np.unique(self._session[pictures]).tolist():
             log = self._logs[session]
             assert log.fetched is not None  # noqa: S101
-            known = requested.setdefault(session, np.zeros(len(log.chunks), np.bool_))
+            is_requested = requested.setdefault(session, np.zeros(len(log.chunks), np.bool_))
             of_session = pictures[self._session[pictures] == session]
             chunks, first = np.unique(self._chunk[of_session], return_index=True)
-            is_new = ~known[chunks]
-            known[chunks[is_new]] = True
+            is_new = ~is_requested[chunks]
+            is_requested[chunks[is_new]] = True
             chosen.append(of_session[first[is_new]])
             size += log.fetched.sizes(chunks[is_new].tolist())
         return np.concatenate([*chosen, np.zeros(0, np.int64)]), size

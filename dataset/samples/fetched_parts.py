@@ -27,8 +27,8 @@ def part_files_here(parts: Division, index: Location) -> list[Path]:
     Raises DatasetError where they are gone, or cannot be kept here; StoreError.
     """
     folder = parts.folder(index)
-    here = _brought(folder) if isinstance(folder, Url) else folder
-    files = [here / f"{session}.parquet" for session in parts.sessions]
+    local = _brought(folder) if isinstance(folder, Url) else folder
+    files = [local / f"{session}.parquet" for session in parts.sessions]
     if missing := next((file for file in files if not file.is_file()), None):
         raise DatasetError(
             f"{folder}: {missing.name} is not there, which {SAMPLES_NAME} names; give the command again if"

@@ -49,13 +49,13 @@ class Condition:
 
     def holds(self, frames: pa.Table) -> NDArray[np.bool_]:
         """For which rows of `frames` (N,) it is true. Raises DatasetError if it is no condition on them."""
-        found, again = self._answered(
+        rows, again = self._answered(
             frames, lambda chosen: [np.sort(chosen.fetchnumpy()[_NUMBER]) for _ in range(2)]
         )
-        if not np.array_equal(found, again):
+        if not np.array_equal(rows, again):
             raise DatasetError(f"--where {self._where!r}: depends on chance, so that no index could be made again")
         mask = np.zeros(len(frames), np.bool_)
-        mask[found] = True
+        mask[rows] = True
         return mask
 
     def _answered(self, frames: pa.Table, what: Callable[[DuckDBPyRelation], Answer]) -> Answer:

@@ -98,13 +98,13 @@ def labels_of(
     if (smooth_s == 0 and shift_s == 0) or not len(frames):
         return steering
     rows = _rows_of(frames, is_usable, split)
-    found = np.where(rows.is_usable, steering[rows.frame], 0.0)  # an unusable row is a stretch of its own
+    labels = np.where(rows.is_usable, steering[rows.frame], 0.0)  # an unusable row is a stretch of its own
     if smooth_s:
-        found = _smoothed(found, rows.stretches, round(smooth_s * 1e9 / 2))
+        labels = _smoothed(labels, rows.stretches, round(smooth_s * 1e9 / 2))
     if shift_s:
-        found = _shifted(found, rows.stretches, round(shift_s * 1e9))
-    found[~rows.is_usable] = np.nan
-    return found[rows.of_frame]
+        labels = _shifted(labels, rows.stretches, round(shift_s * 1e9))
+    labels[~rows.is_usable] = np.nan
+    return labels[rows.of_frame]
 
 
 def later_speed_mph(
@@ -118,8 +118,8 @@ def later_speed_mph(
     if not len(frames):
         return speed_mph
     rows = _rows_of(frames, is_usable & is_speed, split)
-    found = np.where(rows.is_usable, speed_mph[rows.frame], np.nan)
-    return _shifted(found, rows.stretches, round(ahead_s * 1e9))[rows.of_frame]
+    of_rows = np.where(rows.is_usable, speed_mph[rows.frame], np.nan)
+    return _shifted(of_rows, rows.stretches, round(ahead_s * 1e9))[rows.of_frame]
 
 
 @dataclass(frozen=True)

@@ -46,8 +46,8 @@ def rows_of(table: pa.Table, sources: Mapping[str, object], targets: Sequence[Ta
     alteration, alterations = words_as_numbers(table["alteration"])
     if unknown := set(sessions) - sources.keys():
         raise ValueError(f"its session {min(unknown)!r} has no log")
-    known = {"", VIEWPOINT, *ALTERATIONS}
-    if len(alterations) > 255 or any(not known.issuperset(names.split("+")) for names in alterations):
+    allowed = {"", VIEWPOINT, *ALTERATIONS}
+    if len(alterations) > 255 or any(not allowed.issuperset(names.split("+")) for names in alterations):
         raise ValueError("an unknown alteration")
     offset, length, chunk = (numbers(table[name], np.int64) for name in ("offset", "length", "chunk"))
     seed, label = numbers(table["seed"], np.int64), numbers(table["label"], np.float64)

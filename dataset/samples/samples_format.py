@@ -90,10 +90,10 @@ class Division:
 def folders_of_parts(index: Path) -> list[Path]:
     """The folders of divided samples that are there, of whatever digest."""
     try:
-        found = sorted((index / SAMPLES_FOLDER).iterdir())
+        paths = sorted((index / SAMPLES_FOLDER).iterdir())
     except OSError:
         return []
-    return [path for path in found if _FOLDER_OF_DIGEST.fullmatch(path.name) and not path.is_symlink()]
+    return [path for path in paths if _FOLDER_OF_DIGEST.fullmatch(path.name) and not path.is_symlink()]
 
 
 def sample_files(index: Path) -> list[Path]:

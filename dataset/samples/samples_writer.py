@@ -203,19 +203,21 @@ def _with_views(
     session: UsableFrames,
     speed_mph: NDArray[np.float64],
     has_views: NDArray[np.bool_],
-    each: int,
+    views: int,
     car: Car,
     random: np.random.Generator,
 ) -> UsableFrames:
     """A session's frames, and behind each that `has_views` its views from beside the line."""
-    times = np.where(has_views, 1 + each, 1)
+    times = np.where(has_views, 1 + views, 1)
     frame = np.repeat(np.arange(len(times)), times)
     is_view = np.ones(len(frame), np.bool_)
     is_view[np.cumsum(times) - times] = False
-    found = session.taken(frame)
-    found.view[is_view] = draw_views(int(is_view.sum()), random)
-    found.label[is_view] = label_back(found.label[is_view], speed_mph[frame[is_view]], found.view[is_view], car)
-    return found
+    with_views = session.taken(frame)
+    with_views.view[is_view] = draw_views(int(is_view.sum()), random)
+    with_views.label[is_view] = label_back(
+        with_views.label[is_view], speed_mph[frame[is_view]], with_views.view[is_view], car
+    )
+    return with_views
 
 
 def _of_camera(

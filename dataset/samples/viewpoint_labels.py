@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from common.car import MPS_PER_MPH
 from dataset.drawn_views import Numbers, Values, place_of
-from dataset.recorded_line import SLOW_MPH
 from recorder.log.session_car import Car
 
+SLOW_MPH: Final = 5.0
+"""Slower than this, people set off, or manoeuvre at walls with the wheels turned to their stop."""
 BACK_S: Final = 2.0
 """The time in which labels lead back to the line (Bojarski et al. 2016, section 5.2)."""
 

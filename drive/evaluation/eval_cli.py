@@ -1,4 +1,4 @@
-"""`bc-eval`: measures a trained network on recorded frames, driving a recording, or driving the simulator."""
+"""`bc-eval`: measures a trained network on recorded frames, or driving the simulator."""
 
 from __future__ import annotations
 
@@ -42,8 +42,6 @@ def evaluate(config: Eval) -> int:
         allow_places(config.sessions)
     if config.compare is not None:
         return _compare(config, config.compare)
-    if config.on is not None:
-        return _drive_recordings(config, config.on)
     return _measure(config) if config.simulator is None else _drive(config)
 
 
@@ -301,46 +299,6 @@ def _driven_on_cluster(
             overwrite=config.force,
         )
         yield from track(results, "driving", len(runs) * len(drives))
-
-
-def _drive_recordings(config: Eval, sessions: tuple[str, ...]) -> int:
-    from dataset import find_logs
-    from dataset.loader.log_views import LogViews
-    from drive.kept_drive import keep
-    from model import load_pilot
-    from model.evaluation.recorded_drive import DEPARTURE_M, drive_views
-    from model.runs.car_of_run import refuse_other_steering
-    from recorder import RecordingError
-
-    logs = find_logs(sessions, config.sessions or Path("sessions"))
-    (run,) = _found_runs(config, config.run)
-    pilot = load_pilot(run, config.precision or "auto")
-    pilot.warm_up()
-    departure_m = DEPARTURE_M if config.departure is None else config.departure
-    drives, codes = [], [DONE]
-    try:
-        for log in logs:
-            try:
-                with LogViews(log, config.car or "auto", pilot.picture) as views:
-                    refuse_other_steering(run, views.geometry.max_steering_deg, str(log))
-                    drive = drive_views(pilot.predict, views, departure_m)
-            except RecordingError as error:
-                raise UserError(f"{error}; else name it with --car") from None
-            drives.append(drive)
-            codes.append(keep(run, "recording", drive.as_dict()))
-            if config.json:
-                print_result(json.dumps({"run": pilot.run, **drive.as_dict()}))
-    finally:  # what was measured is shown, whatever stops the rest
-        if drives and not config.json:
-            from drive.evaluation.eval_report import print_recorded_drives
-
-            print_recorded_drives(pilot.run, drives)
-    for drive in drives:
-        codes.append(warn_skipped(drive.skipped))
-        if drive.notice:
-            codes.append(warn(drive.notice))
-    _print_verdict(config, run)
-    return max(codes)
 
 
 def main() -> None:

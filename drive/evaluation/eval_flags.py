@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal
@@ -22,16 +21,15 @@ def _default(metavar: str, value: str) -> Any:
 
 @dataclass(frozen=True)
 class Eval:
-    """Measure a trained network: on held-out frames, driving a recording, or in the simulator.
+    """Measure a trained network: on held-out frames, or in the simulator.
 
     bc-eval first
     bc-eval first --session sunday
-    bc-eval first --on sunday
     bc-eval first --simulator lake mountain
     bc-eval --compare first second
     """
 
-    RARE: ClassVar[str] = "network tolerance split departure car precision drives ray"
+    RARE: ClassVar[str] = "network tolerance split precision drives ray"
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
     """Name or folder; by default the newest."""
     network: tuple[str, ...] = ()
@@ -49,17 +47,11 @@ class Eval:
     session: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
     """Measure on these whole sessions, without an index."""
     sessions: Annotated[LocationFlag | None, _default("PATH|URL", "sessions")] = None
-    """The logs, for --session, --on and foreign indexes."""
+    """The logs, for --session and foreign indexes."""
     bins: bool = False
     """Also show the errors in each steering bin."""
     worst: Annotated[int | None, _default("INT", "none; 10 with --json")] = None
     """Worst frames to list, at most one a second."""
-    on: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
-    """Drive these recordings, in warped pictures."""
-    departure: Annotated[float | None, _default("METRES", "1")] = None
-    """Distance from the recorded line that is an intervention."""
-    car: Annotated[str | None, _default("udacity|built-in|FILE.toml", "the one in the log")] = None
-    """The recording's car: cameras and turning."""
     simulator: Annotated[tuple[str, ...] | None, _default("TRACK [TRACK ...]", "none")] = None
     """Drive these: lake, mountain, random:SEED, hairpins:SEED."""
     laps: Annotated[float | None, _default("FLOAT", "1")] = None
@@ -82,30 +74,19 @@ class Eval:
     """Print JSON: one object, or one a drive."""
 
 
-RECORDED: Final = "recorded frames"
-WAYS: Final = {
-    RECORDED: ("index", "split", "session", "sessions", "bins", "worst"),
-    "--simulator TRACK": ("laps", "speed", "precision", "drives", "force", "ray"),
-    "--on SESSION": ("sessions", "departure", "car", "precision"),
-}
-"""The flags that belong to each way of measuring."""
+OF_FRAMES: Final = ("index", "split", "session", "sessions", "bins", "worst")
+OF_DRIVES: Final = ("laps", "speed", "precision", "drives", "force", "ray")
 
 
 def refuse_contradictions(config: Eval) -> None:
     """Raise UsageError for flags that do not go together, and for values that make no sense."""
-    if config.on is not None and config.simulator is not None:
-        raise UsageError("--on drives recordings and --simulator tracks: give one or the other")
-    way = "--on SESSION" if config.on is not None else RECORDED
-    way = "--simulator TRACK" if config.simulator is not None else way
-    for other, names in WAYS.items():
-        if flags := flags_given(config, *(name for name in names if name not in WAYS[way])):
-            raise UsageError(_misplaced(flags, other, way))
+    if config.simulator is None and (flags := flags_given(config, *OF_DRIVES)):
+        raise UsageError(f"{flags}: only with --simulator TRACK: without it, recorded frames are measured")
+    if config.simulator is not None and (flags := flags_given(config, *OF_FRAMES)):
+        raise UsageError(f"{flags}: of recorded frames, and --simulator drives: give one or the other")
     if config.simulator == () or config.speed == ():
         raise UsageError("nothing to drive: give --simulator at least one track, and --speed at least one speed")
-    if config.on == ():
-        raise UsageError("nothing to drive: give --on at least one session")
-    given_once = (("--on", config.on), ("--simulator", config.simulator), ("--speed", config.speed))
-    for flag, given in given_once:
+    for flag, given in (("--simulator", config.simulator), ("--speed", config.speed)):
         if given is not None and len(set(given)) < len(given):
             raise UsageError(f"{flag} {' '.join(map(str, given))}: give each once")
     if config.session == ():
@@ -121,19 +102,7 @@ def refuse_contradictions(config: Eval) -> None:
         raise UsageError(f"{config.run}: --compare names its two runs itself: leave it out")
     elif flags := flags_given(config, "bins", "worst"):
         raise UsageError(f"{flags}: of one run, and --compare of two: give one or the other")
-    elif config.on is not None:
-        raise UsageError("--on drives with one run, and --compare takes two: give one or the other")
     if config.tolerance is not None and not 0 <= config.tolerance < 1:
         raise UsageError(f"--tolerance {config.tolerance:g}: a share from 0 to 1 was expected")
     if config.worst is not None and config.worst < 0:
         raise UsageError(f"--worst {config.worst:,}: a number of frames was expected, 0 for none")
-    if config.departure is not None and not 0 < config.departure < math.inf:
-        raise UsageError(f"--departure {config.departure:g}: a distance above 0 metres was expected")
-
-
-def _misplaced(flags: str, other: str, way: str) -> str:
-    if way == RECORDED:
-        return f"{flags}: only with {other}: without it, recorded frames are measured"
-    if other == RECORDED:
-        return f"{flags}: of recorded frames, and {way.split()[0]} drives: give one or the other"
-    return f"{flags}: only with {other}"

@@ -17,7 +17,6 @@ from common.output import plain_table, print_result, print_table
 from common.steering_unit import SteeringUnit
 from dataset.prediction_targets import TARGETS
 from model.evaluation.evaluate import Evaluation
-from model.evaluation.recorded_drive import RecordedDrive
 from model.metrics import Measures
 from model.runs.answer_scale import AnswerScale
 from model.runs.run_arguments import run_argument
@@ -71,28 +70,6 @@ def print_drives(results: Sequence[DriveResult]) -> None:
         )
     print_table(table)
     print_result(f"look at a drive with `bc-play {shlex.quote(str(results[-1].log))}`")
-
-
-def print_recorded_drives(run: str, drives: Sequence[RecordedDrive]) -> None:
-    """Print the table of drives of recordings."""
-    put_back = f"put back from {drives[0].departure_m:g} m on"
-    table = plain_table(
-        f"{escape(printable(run))} on recordings; metres from the recorded line, {put_back}",
-        *("session", "rows", "left out", "km", "interventions", "autonomy", "mean", "max", "known"),
-    )
-    for drive in drives:
-        table.add_row(
-            escape(printable(drive.session)),
-            f"{drive.rows:,}",
-            f"{drive.rows_left_out:,}",
-            f"{drive.distance_m / 1000:.2f}",
-            f"{drive.interventions:,}",
-            f"{drive.autonomy_percent:.1f} %",
-            f"{drive.mean_offset_m:.2f}",
-            f"{drive.max_offset_m:.2f}",
-            f"{100 * drive.known_share:.1f} %",
-        )
-    print_table(table)
 
 
 def _play(evaluation: Evaluation, frame: WorstFrame) -> str:

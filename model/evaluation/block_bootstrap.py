@@ -38,12 +38,12 @@ def intervals(sums: Floats, statistic: Statistic, confidence: float, draws: int 
     at_once = max(1, _CHUNK // blocks)
     sizes = [min(at_once, draws - first) for first in range(0, draws, at_once)]
     shares = np.full(blocks, 1 / blocks)
-    found = np.concatenate([statistic(generator.multinomial(blocks, shares, size=size) @ sums) for size in sizes])
+    drawn = np.concatenate([statistic(generator.multinomial(blocks, shares, size=size) @ sums) for size in sizes])
     tail = _tail(blocks, confidence)
-    low, high = np.full(found.shape[1], np.nan), np.full(found.shape[1], np.nan)
-    for measure, values in enumerate(found.T):
-        if len(known := values[np.isfinite(values)]):
-            low[measure], high[measure] = np.quantile(known, [tail, 1 - tail])
+    low, high = np.full(drawn.shape[1], np.nan), np.full(drawn.shape[1], np.nan)
+    for measure, values in enumerate(drawn.T):
+        if len(finite := values[np.isfinite(values)]):
+            low[measure], high[measure] = np.quantile(finite, [tail, 1 - tail])
     return low, high
 
 

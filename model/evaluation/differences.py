@@ -57,8 +57,8 @@ class Difference:
     def as_dict(self) -> dict[str, Any]:
         """For JSON; what does not exist is None."""
         numbers = {"a": self.a, "b": self.b, "difference": self.b - self.a, "low": self.low, "high": self.high}
-        found: dict[str, Any] = without_nan({**numbers, "allowed": self.allowed})
-        return {**found, "verdict": self.verdict}
+        stored: dict[str, Any] = without_nan({**numbers, "allowed": self.allowed})
+        return {**stored, "verdict": self.verdict}
 
 
 def compare_sums(

@@ -132,14 +132,14 @@ class Evaluation:
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, in the words of metrics.jsonl; a measure that does not exist (NaN) is None."""
-        found = _as_dict(self.measures)
-        found["zero"]["balanced_rmse_deg"] = self.balanced_rmse_deg["zero"]
+        whole = _as_dict(self.measures)
+        whole["zero"]["balanced_rmse_deg"] = self.balanced_rmse_deg["zero"]
         return {
             "run": run_name(self.run),
             "learnt": self.trained_on,
             **({"max_deg": None} if self.max_deg is None else {}),
             "skipped": dict(self.skipped.counts),
-            **found,
+            **whole,
             "answers": asdict(self.answers),
             "as_learnt": without_nan(asdict(self.as_learnt)),
             **(
@@ -167,8 +167,8 @@ def evaluate(run: Path | str, index: Location | str, split: Split = "validation"
     Raises RunError if the run is incomplete or damaged, DatasetError if the index is, or if the split is empty,
     LogError for a damaged log.
     """
-    (found,) = evaluate_runs([run], index, split)
-    return found
+    (evaluation,) = evaluate_runs([run], index, split)
+    return evaluation
 
 
 def evaluate_runs(
@@ -190,8 +190,8 @@ def evaluate_sessions(run: Path | str, logs: Sequence[Location | str]) -> Evalua
 
     Raises RunError if the run is incomplete or damaged, LogError or DatasetError if a log is.
     """
-    (found,) = evaluate_runs_on_sessions([run], logs)
-    return found
+    (evaluation,) = evaluate_runs_on_sessions([run], logs)
+    return evaluation
 
 
 def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Location | str]) -> list[Evaluation]:
@@ -207,14 +207,14 @@ def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Locatio
     )
     with tempfile.TemporaryDirectory(prefix="bc-eval-") as folder:
         indexed = build_index(list(paths.values()), Path(folder), config)
-        found = evaluate_runs(runs, folder)
-    notices = [*found[0].notices, *indexed.notices] + [
+        evaluations = evaluate_runs(runs, folder)
+    notices = [*evaluations[0].notices, *indexed.notices] + [
         f"{path}: not measured: no picture of the centre camera that can be used"
         for session, path in paths.items()
-        if session not in found[0].sessions
+        if session not in evaluations[0].sessions
     ]
     remarks = tuple(indexed.remarks)
-    return [replace(each, logs=paths, notices=tuple(notices), remarks=remarks) for each in found]
+    return [replace(each, logs=paths, notices=tuple(notices), remarks=remarks) for each in evaluations]
 
 
 def _evaluate(runs: Sequence[Path], samples: Samples, view: pa.Table) -> list[Evaluation]:
@@ -264,18 +264,18 @@ def _evaluate(runs: Sequence[Path], samples: Samples, view: pa.Table) -> list[Ev
 def _unmeasured(run: Path, samples: Samples) -> dict[TargetName, str]:
     """The targets of a run that cannot be measured by these samples, and why."""
     targets = targets_of_run(run)
-    found = {
+    reasons = {
         name: f"{samples.path}: has no labels of the {name}, which is not measured; run `bc-index` again"
         for name in samples.missing(targets)
     }
     answered_s, recorded_s = speed_ahead_s_of_run(run), samples.speed_ahead_s
-    if "speed" in targets and "speed" not in found and answered_s != recorded_s:
-        found["speed"] = (
+    if "speed" in targets and "speed" not in reasons and answered_s != recorded_s:
+        reasons["speed"] = (
             f"{run}: answers the speed of {answered_s:g} s later, and the labels are of {recorded_s:g} s later:"
             " its speed is not measured; measure it alone, with --session or an index of `bc-index"
             f" --speed-ahead {answered_s:g}`"
         )
-    return found
+    return reasons
 
 
 def _with_answers(

@@ -46,27 +46,27 @@ class LogPredictions:
 
     def worst(self, run: str, count: int = WORST_MOMENTS) -> list[WorstFrame]:
         """The moments at which a run is off the most: see `worst_frames`."""
-        known = np.isfinite(self.recorded)
+        is_recorded = np.isfinite(self.recorded)
         frames = {
-            "session": pa.array([self.session] * int(known.sum()), pa.string()),
-            "row": self.row[known],
-            "log_time_ns": self.log_time_ns[known],
-            "recorded": self.recorded[known],
-            "predicted": self.predicted[run][known],
+            "session": pa.array([self.session] * int(is_recorded.sum()), pa.string()),
+            "row": self.row[is_recorded],
+            "log_time_ns": self.log_time_ns[is_recorded],
+            "recorded": self.recorded[is_recorded],
+            "predicted": self.predicted[run][is_recorded],
         }
         return worst_frames(pa.table(frames), count, self.max_deg)
 
     def summary(self, run: str) -> str:
         """The errors of a run, in a line."""
-        known = np.isfinite(self.recorded)
-        if not known.any():
+        is_recorded = np.isfinite(self.recorded)
+        if not is_recorded.any():
             return f"{run}: {counted(len(self.row), 'frame')}, nothing recorded with them to compare with"
-        found = measure(self.predicted[run][known], self.recorded[known], max_deg=self.max_deg)
-        unit = found.unit
+        measures = measure(self.predicted[run][is_recorded], self.recorded[is_recorded], max_deg=self.max_deg)
+        unit = measures.unit
         return (
-            f"{run}: {counted(found.frames, 'frame')}, RMSE {unit.of(found.network.rmse_deg):.2f} {unit.name} from"
-            f" what was recorded (always the mean: {unit.of(found.mean.rmse_deg):.2f}), MAE"
-            f" {unit.of(found.network.mae_deg):.2f}"
+            f"{run}: {counted(measures.frames, 'frame')}, RMSE {unit.of(measures.network.rmse_deg):.2f}"
+            f" {unit.name} from what was recorded (always the mean: {unit.of(measures.mean.rmse_deg):.2f}),"
+            f" MAE {unit.of(measures.network.mae_deg):.2f}"
         )
 
     def worst_moments(self, run: str) -> list[tuple[int, str]]:

@@ -145,8 +145,8 @@ def _sums_of_targets(frames: pa.Table, unit: NDArray[np.int64], targets: Sequenc
 
 
 def _rmse_of(target: TargetName) -> Measure:
-    found = TARGETS[target]
-    return Measure(f"{found.answer_name}_rmse", f"RMSE of {target}{f' ({found.unit})' if found.unit else ''}")
+    about = TARGETS[target]
+    return Measure(f"{about.answer_name}_rmse", f"RMSE of {target}{f' ({about.unit})' if about.unit else ''}")
 
 
 def _summed(per_frame: Floats, unit: NDArray[np.int64]) -> Floats:

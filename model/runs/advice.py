@@ -39,7 +39,7 @@ class Advice:
 
 def advice(numbers: RunNumbers) -> Advice:
     """The advice of the first rule that has one."""
-    return next(found for rule in RULES if (found := rule(numbers)) is not None)
+    return next(advised for rule in RULES if (advised := rule(numbers)) is not None)
 
 
 def is_being_trained(numbers: RunNumbers) -> Advice | None:
@@ -54,8 +54,8 @@ def has_wrong_labels(numbers: RunNumbers) -> Advice | None:
         check = f"bc-log check {numbers.log_of(name)}"
         session, kind = printable(name), labels.habits.kind
         if labels.lag is not None and labels.lag.correlation < 0 and not labels.plan.why.startswith("driven by"):
-            found = f"{labels.lag.correlation:.2f} correlation"
-            return Advice(f"the pictures of {session} turn the other way than its steering ({found})", check)
+            correlation = f"{labels.lag.correlation:.2f} correlation"
+            return Advice(f"the pictures of {session} turn the other way than its steering ({correlation})", check)
         if kind in ("none", "constant", "other scale"):
             what = {"none": "is always 0", "constant": "never changes", "other scale": "is not of -1 to 1"}[kind]
             return Advice(f"the steering of {session} {what} ({counted(labels.habits.rows, 'row')})", check)
@@ -83,17 +83,17 @@ def has_worse_answers(numbers: RunNumbers) -> Advice | None:
         return None
     natural, learnt = kept.measures.driving_error, kept.learnt_driving_error
     command = f"bc-train --like {numbers.run} --answers as-learnt"
-    of, without, mean = kept.measures.network, kept.learnt, kept.measures.mean
-    is_worse = of.rmse_deg > without.rmse_deg and of.turning_mae_deg > without.turning_mae_deg
-    if natural > WORSE_ANSWERS * learnt and not of.rmse_deg < mean.rmse_deg <= without.rmse_deg:
+    as_natural, as_learnt, mean = kept.measures.network, kept.learnt, kept.measures.mean
+    is_worse = as_natural.rmse_deg > as_learnt.rmse_deg and as_natural.turning_mae_deg > as_learnt.turning_mae_deg
+    if natural > WORSE_ANSWERS * learnt and not as_natural.rmse_deg < mean.rmse_deg <= as_learnt.rmse_deg:
         return Advice(
             f"natural answers make it worse: driving error {natural:.2f}, as learnt {learnt:.2f}", command
         )
-    is_cure = without.rmse_deg < mean.rmse_deg <= of.rmse_deg and learnt <= WORSE_ANSWERS * natural
+    is_cure = as_learnt.rmse_deg < mean.rmse_deg <= as_natural.rmse_deg and learnt <= WORSE_ANSWERS * natural
     if is_cure or (math.isnan(learnt) and is_worse):
         shown = kept.measures.unit.of
-        found = f"RMSE {shown(of.rmse_deg):.2f}, as learnt {shown(without.rmse_deg):.2f}"
-        return Advice(f"natural answers make it worse: {found}", command)
+        errors = f"RMSE {shown(as_natural.rmse_deg):.2f}, as learnt {shown(as_learnt.rmse_deg):.2f}"
+        return Advice(f"natural answers make it worse: {errors}", command)
     return None
 
 
@@ -169,10 +169,10 @@ def has_one_side(numbers: RunNumbers) -> Advice | None:
     if not left + right or min(left, right) >= FEW_OF_A_SIDE * (left + right):
         return None
     side, share = "left" if left < right else "right", min(left, right) / (left + right)
-    found = f"{100 * share:.0f} % of the turns held out go {side}"
+    one_sided = f"{100 * share:.0f} % of the turns held out go {side}"
     if not numbers.data.settings.flip:
-        return Advice(f"{found}, and nothing is mirrored", _index(numbers, "--flip"))
-    return Advice(f"{found}: drive the road the other way round, too", _record(numbers))
+        return Advice(f"{one_sided}, and nothing is mirrored", _index(numbers, "--flip"))
+    return Advice(f"{one_sided}: drive the road the other way round, too", _record(numbers))
 
 
 def has_one_camera(numbers: RunNumbers) -> Advice | None:
@@ -236,10 +236,10 @@ def _turns_learnt(numbers: RunNumbers) -> int | None:
 
 def _record(numbers: RunNumbers) -> str:
     """The command that records more of what these sessions are of, by a name that none of them has."""
-    known = numbers.data.logs
-    name = "more" if "more" not in known else f"more-{len(known)}"
+    sessions = numbers.data.logs
+    name = "more" if "more" not in sessions else f"more-{len(sessions)}"
     if numbers.is_built_in:
-        return f"bc-record {name} --track random:{len(known)}"
+        return f"bc-record {name} --track random:{len(sessions)}"
     return f"bc-record {name} --from {'~/mycar/data' if numbers.is_donkeycar else '~/recording'}"
 
 

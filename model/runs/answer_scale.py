@@ -55,8 +55,10 @@ class AnswerScale:
         if not len(learnt) or np.ptp(learnt) == 0:
             return cls()
         line, bend, wanted = (values - values.mean() for values in (learnt, learnt * np.abs(learnt), steering))
-        found = [*_inside(line, bend, wanted), *_at_edges(line, bend, wanted)]
-        scale, curve = min(found, key=lambda each: float(np.sum((wanted - each[0] * line - each[1] * bend) ** 2)))
+        candidates = [*_inside(line, bend, wanted), *_at_edges(line, bend, wanted)]
+        scale, curve = min(
+            candidates, key=lambda each: float(np.sum((wanted - each[0] * line - each[1] * bend) ** 2))
+        )
         offset = np.mean(steering - cls(scale, 0.0, curve).natural(learnt))
         return cls(scale, float(np.clip(offset, -MAX_OFFSET, MAX_OFFSET)), curve)
 
@@ -69,7 +71,9 @@ class AnswerScale:
     @classmethod
     def from_metadata(cls, metadata: Mapping[str, str]) -> AnswerScale:
         """The scale in the metadata of weights; as learnt without one. Raises ValueError beyond the bounds."""
-        return cls(**{name: float(metadata.get(_PREFIX + name, of)) for name, of in asdict(cls()).items()})
+        return cls(
+            **{name: float(metadata.get(_PREFIX + name, default)) for name, default in asdict(cls()).items()}
+        )
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -108,6 +112,6 @@ def _at_edges(line: Floats, bend: Floats, wanted: Floats) -> list[tuple[float, f
     return of_curves + [(scale, _slope(bend, wanted - scale * line, *curves)) for scale in scales]
 
 
-def _slope(of: Floats, wanted: Floats, least: float, most: float) -> float:
-    square = float(of @ of)
-    return float(np.clip(of @ wanted / square, least, most)) if square > 0 else least
+def _slope(values: Floats, wanted: Floats, least: float, most: float) -> float:
+    square = float(values @ values)
+    return float(np.clip(values @ wanted / square, least, most)) if square > 0 else least

@@ -16,8 +16,8 @@ def max_steering_deg_of_run(run: Path) -> float:
     """The angle of the front wheels where the run answers 1; 25 where it is unknown. Raises RunError as
     `load_config` does."""
     degrees = {_number(log.get("max_steering_deg", MAX_STEERING_DEG)) for log in _logs(run).values()}
-    found = degrees.pop() if len(degrees) == 1 else MAX_STEERING_DEG
-    return found if 0 < found < 90 else MAX_STEERING_DEG
+    angle_deg = degrees.pop() if len(degrees) == 1 else MAX_STEERING_DEG
+    return angle_deg if 0 < angle_deg < 90 else MAX_STEERING_DEG
 
 
 def known_max_steering_deg_of_run(run: Path) -> float | None:

@@ -128,9 +128,9 @@ def load_checkpoint(run: Path, network: nn.Module, averaged: nn.Module, optimize
     stepped = {
         name: parameter for name, parameter in network.named_parameters() if f"{_MOMENTS[0]}.{name}" in tensors
     }
-    known = {f"{kind}.{name}" for kind in networks for name in network.state_dict()}
-    known |= {f"{kind}.{name}" for kind in _MOMENTS for name in stepped}
-    if tensors.keys() != known:
+    expected = {f"{kind}.{name}" for kind in networks for name in network.state_dict()}
+    expected |= {f"{kind}.{name}" for kind in _MOMENTS for name in stepped}
+    if tensors.keys() != expected:
         raise RunError(f"{path}: {_ANOTHER}")
     with torch.no_grad():
         for kind, each in networks.items():

@@ -78,9 +78,9 @@ def _band(driving_error: float, hand: Hand) -> Band:
     return next((band for band in STUDY[hand] if driving_error < band.below), STUDY[hand][-1])
 
 
-def wilson_interval(count: int, of: int, z: float = 1.96) -> tuple[float, float]:
+def wilson_interval(count: int, total: int, z: float = 1.96) -> tuple[float, float]:
     """The 95 % interval of a share, `count` of `of` (E. B. Wilson 1927), within 0..1 also of all or none."""
-    share, square = count / of, z * z / of
+    share, square = count / total, z * z / total
     middle = (share + square / 2) / (1 + square)
-    half = z / (1 + square) * math.sqrt(share * (1 - share) / of + square / (4 * of))
+    half = z / (1 + square) * math.sqrt(share * (1 - share) / total + square / (4 * total))
     return max(0.0, middle - half), min(1.0, middle + half)

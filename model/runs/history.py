@@ -119,13 +119,13 @@ class _HistoryFile(Generic[Line]):
         lines = self._new_lines()
         if lines is None:
             return None
-        found = []
+        parsed = []
         for number, content in lines:
             try:
-                found.append(self._next(content))
+                parsed.append(self._next(content))
             except (ValueError, KeyError, TypeError, RecursionError):
                 self._skipped.add("lines that no training writes", f"{self._tail.path.name} line {number}")
-        return found
+        return parsed
 
     def skip_unfinished_line(self) -> None:
         for number, _ in self._tail.rest():
@@ -149,13 +149,13 @@ class _HistoryFile(Generic[Line]):
                 raise RunError(f"{file.path}: a link; a run's files lie in its folder, copy it there")
             if status.st_size > _MAX_BYTES:
                 raise RunError(f"{file.path}: larger than {_MAX_BYTES >> 20} MiB, no training writes so much")
-            found = file.new_lines(status.st_size)
+            lines = file.new_lines(status.st_size)
             while file.is_behind:
-                found += file.new_lines(status.st_size)
+                lines += file.new_lines(status.st_size)
         except FileNotFoundError:
             return None if file.line_count else []
         except OSError as error:
             raise RunError(
                 f"{file.path}: cannot be read ({error.strerror}); was it written by bc-train?"
             ) from None
-        return None if file.was_replaced else found
+        return None if file.was_replaced else lines

@@ -13,7 +13,6 @@ from typing import Any, Final
 
 from common.car import MAX_STEERING_DEG
 from dataset.prediction_targets import TARGET_NAMES
-from dataset.preprocessing import decode, may_be_crop
 from model.metrics import BinErrors, Errors, Measures
 from model.runs.answer_scale import AnswerScale
 from model.runs.training_progress import Epoch, Step
@@ -67,6 +66,8 @@ def parse_step(line: bytes) -> Step:
 
 
 def parse_worst_pictures(line: bytes) -> WorstPictures:
+    from dataset.preprocessing import decode, may_be_crop
+
     values = json.loads(line)
     epoch = _count(values["epoch"], least=1)
     if len(values["frames"]) > WORST_COUNT:
@@ -83,10 +84,10 @@ def parse_worst_pictures(line: bytes) -> WorstPictures:
 def _max_deg(values: Any) -> float | None:
     if values.get("max_deg", MAX_STEERING_DEG) is None:
         return None
-    found = _number(values.get("max_deg", MAX_STEERING_DEG))
-    if not 0 < found < 90:
+    angle_deg = _number(values.get("max_deg", MAX_STEERING_DEG))
+    if not 0 < angle_deg < 90:
         raise ValueError("no angle of the wheels")
-    return found
+    return angle_deg
 
 
 def _answers(values: Any) -> AnswerScale:

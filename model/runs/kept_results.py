@@ -23,7 +23,8 @@ from model.runs.run_files import append_json_line
 _MAX_BYTES: Final = 64 << 20  # a hundred thousand results
 
 Way = Literal["frames", "recording", "simulator", "supervised"]
-"""Of "supervised", a person took over from the network (`bc-drive --takeover me`)."""
+"""Of "supervised", a person took over from the network (`bc-drive --takeover me`). Earlier versions let a network
+drive a recording, too."""
 
 
 class KeptResult(msgspec.Struct, frozen=True):
@@ -52,10 +53,10 @@ def kept_results(run: Path) -> tuple[list[KeptResult], int]:
         return [], 0
     except (OSError, ValueError) as error:
         raise RunError(f"{path}: cannot be read ({error}); remove it, and measure again") from None
-    found, lines = [], [line for line in content.splitlines() if line.strip()]
+    results, lines = [], [line for line in content.splitlines() if line.strip()]
     for line in lines:
         try:
-            found.append(msgspec.convert(json.loads(line), KeptResult))
+            results.append(msgspec.convert(json.loads(line), KeptResult))
         except (ValueError, RecursionError):  # msgspec's errors are ValueErrors
             continue
-    return found, len(lines) - len(found)
+    return results, len(lines) - len(results)

@@ -48,11 +48,11 @@ def stored_network(config: dict[str, Any], folder: Path) -> StoredNetwork:
     if stored == _EARLIER:
         return StoredNetwork()
     try:
-        found = msgspec.convert(stored, StoredNetwork)
-        check_network_name(found.name)
+        network = msgspec.convert(stored, StoredNetwork)
+        check_network_name(network.name)
     except ValueError as error:
         raise RunError(f"{folder}: its network is unknown ({printable(str(error))}); train it again") from None
-    return found
+    return network
 
 
 def stored_targets(config: dict[str, Any], folder: Path) -> tuple[TargetName, ...]:

@@ -20,7 +20,7 @@ from common.steering_unit import DEGREES, assumed_deg
 from dataset import MAX_STEERING_DEG
 from dataset.figure_style import BLUE, DPI, GREEN, GREY, ORANGE, figure_style, new_figure, require_matplotlib
 from model.errors import RunError
-from model.metrics import BinErrors, Measures, measure
+from model.metrics import Measures, measure
 from model.runs.history import History, read_history
 from model.runs.run_files import CURVES, STEERING, replaced_file
 from model.runs.training_progress import Epoch
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MAX_MARKED: Final = 40  # epochs: beyond that, marks touch each other
-_SHOWN_FRAMES: Final = 300  # in a row, so that single frames can be told apart
 _TICKS: Final = (-1.0, -0.5, 0.0, 0.5, 1.0)
 _FARTHEST: Final = 1.25  # a prediction beyond is drawn at the edge
 
@@ -113,20 +112,13 @@ def draw_curves(history: History) -> Figure:
 
 
 def draw_steering(predicted: Floats, recorded: Floats, max_deg: float | None = MAX_STEERING_DEG) -> Figure:
-    """Predicted against recorded steering (N,) of the frames held out, errors by bin, and a stretch of frames."""
-    if not len(recorded):
-        figure = new_figure(1)
-        _write_note(figure.subplots(), "no frames were held out")
-        return figure
-    measures = measure(predicted, recorded, max_deg=max_deg)
-    figure = new_figure(5.4)
-    grid = figure.add_gridspec(3, 2, width_ratios=(1.1, 1), height_ratios=(1, 1, 1.05))
-    errors = figure.add_subplot(grid[0, 1])
-    frames = figure.add_subplot(grid[1, 1], sharex=errors)
-    _draw_scatter(figure.add_subplot(grid[:2, 0]), predicted, recorded, measures)
-    _draw_bins(errors, frames, measures, measure(np.zeros(len(recorded)), recorded, max_deg=max_deg).bins)
-    _draw_stretch(figure.add_subplot(grid[2, :]), predicted, recorded)
-    figure.align_ylabels((errors, frames))
+    """Predicted against recorded steering (N,) of the frames held out."""
+    figure = new_figure(5.4 if len(recorded) else 1)
+    axes = figure.subplots()
+    if len(recorded):
+        _draw_scatter(axes, predicted, recorded, measure(predicted, recorded, max_deg=max_deg))
+    else:
+        _write_note(axes, "no frames were held out")
     return figure
 
 
@@ -178,44 +170,3 @@ def _draw_scatter(axes: Axes, predicted: Floats, recorded: Floats, measures: Mea
     full = "full lock" if measures.max_deg is None else f"{measures.max_deg:g}°"
     axes.set_xlabel(f"recorded steering (1: {full} to the right)")
     axes.set_ylabel("predicted steering")
-
-
-def _draw_bins(errors: Axes, frames: Axes, measures: Measures, zero: Sequence[BinErrors]) -> None:
-    bins, unit = measures.bins, measures.unit
-    middles = [(part.low + part.high) / 2 for part in bins]
-    width = 0.9 * min(part.high - part.low for part in bins)
-    errors.bar(middles, [unit.of(part.rmse_deg) for part in bins], width, color=ORANGE, label="RMSE")
-    errors.plot(middles, [unit.of(part.rmse_deg) for part in zero], color=GREY, linestyle=":", label="always zero")
-    errors.plot(middles, [unit.of(part.bias_deg) for part in bins], "k.", label="bias (+ right)")
-    errors.axhline(0, color="black", linewidth=0.6)
-    errors.set_ylabel(f"error ({unit.name})")
-    errors.tick_params(labelbottom=False)
-    errors.legend(
-        loc="lower left", bbox_to_anchor=(0, 1), ncols=3, borderaxespad=0.3, columnspacing=0.8, handlelength=1.2
-    )
-    frames.bar(middles, [part.frames for part in bins], width, color=BLUE)
-    frames.set_yscale("log")
-    frames.set_ylim(0.7, max(2.0 * part.frames for part in bins))  # one frame is a bar
-    frames.set_ylabel("frames")
-    frames.set(xlim=(-1.03, 1.03), xticks=_TICKS)
-    frames.set_xlabel("recorded steering")
-
-
-def _draw_stretch(axes: Axes, predicted: Floats, recorded: Floats) -> None:
-    """Frames that follow one another in the order of the index, where steering moves most."""
-    from matplotlib.ticker import MaxNLocator
-
-    length = min(_SHOWN_FRAMES, len(recorded))
-    moved = np.cumsum(np.abs(np.diff(recorded, prepend=recorded[0])))
-    start = int(np.argmax(moved[length - 1 :] - moved[: len(moved) - length + 1]))
-    rows = slice(start, start + length)
-    numbers = np.arange(start, start + length)
-    axes.plot(numbers, recorded[rows], color="black", linewidth=1, label="recorded")
-    axes.plot(numbers, predicted[rows], color=ORANGE, linewidth=1.2, label="predicted")
-    axes.axhline(0, color=GREY, linewidth=0.6, zorder=0)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    most = f": the {length} in a row in which steering moves most" if length < len(recorded) else ""
-    axes.set_xlabel(f"frame held out{most}")
-    axes.set_ylabel("steering")
-    axes.set_ylim(-_FARTHEST, _FARTHEST)
-    axes.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)

@@ -125,8 +125,8 @@ def find_run(name: str | None, runs: Location | str) -> Path:
     runs = location(runs)
     if (copy := _brought(name, runs)) is not None:
         if not (copy / WEIGHTS).is_file() and not is_last_weights(copy):
-            there = read_record(config_folder(copy)).url
-            raise RunError(f"{there}: its first epoch is not finished; `bc-train --resume {there}`")
+            url = read_record(config_folder(copy)).url
+            raise RunError(f"{url}: its first epoch is not finished; `bc-train --resume {url}`")
         return copy
     runs = _here(runs)
     if name is None:
@@ -173,11 +173,11 @@ def _brought(name: str | None, runs: Location) -> Path | None:
     """A copy of a run in a store, as it is there now; None for a run of this machine."""
     of_run, _, last = (name or "").rstrip("/").rpartition("/")
     is_last = bool(of_run) and last == LAST
-    found = find_in_store(of_run if is_last else name, runs)
-    if found is None:
+    stored = find_in_store(of_run if is_last else name, runs)
+    if stored is None:
         return None
     with progress_bar() as progress:
-        copy = bring_run(found, progress=progress)
+        copy = bring_run(stored, progress=progress)
     return copy / LAST if is_last else copy
 
 

@@ -143,10 +143,10 @@ class RunNumbers:
     def of_rows(self, measured: Measures | None, sessions: Sequence[str]) -> RunNumbers:
         """The same with the errors on rows of these sessions."""
         hands = [self.data.labels.get(name, StoredLabels()).hand for name in sessions]
-        known = frozenset(hand for hand in hands if hand) if all(hands) else frozenset()
+        sure_hands = frozenset(hand for hand in hands if hand) if all(hands) else frozenset()
         counts = [self.data.counts.get(name, StoredCounts()) for name in sessions]
         is_unseen = bool(counts) and not any(count.training for count in counts)
-        return replace(self, measured=measured, hands=known, is_unseen=is_unseen, has_crashes=False)
+        return replace(self, measured=measured, hands=sure_hands, is_unseen=is_unseen, has_crashes=False)
 
 
 def run_numbers(
@@ -159,7 +159,7 @@ def run_numbers(
 ) -> RunNumbers:
     """The numbers of the run in `run`: of its config.json, its epochs, the last results of its weights. What the
     config lacks, or has otherwise than a training writes it, is left out."""
-    training, data = _part(config, "training", StoredTraining), _part(config, "data", StoredIndex)
+    training, data = _part(config, "training", StoredTraining), index_of_config(config)
     index = stored if isinstance(stored := config.get("index"), str) else ""
     if index and "://" not in index:
         index = os.path.normpath(run / index)
@@ -182,6 +182,11 @@ def run_numbers(
         since = _measured_since(results)
     held_out = [name for name, count in data.counts.items() if count.validation]
     return replace(numbers.of_rows(since or measured, held_out), has_crashes=has_crashes and since is None)
+
+
+def index_of_config(config: Mapping[str, Any]) -> StoredIndex:
+    """The index in a run's config.json; an empty one where it has none that a training writes."""
+    return _part(config, "data", StoredIndex)
 
 
 def _held_out_crashes(data: StoredIndex) -> bool:

@@ -133,9 +133,9 @@ def summarize_runs(runs: Location) -> Iterator[RunSummary]:
             yield summarize_run(config.parent)
         return
     for stored, copy in bring_summaries(runs):
-        found = summarize_run(copy)
-        problem = found.problem.replace(str(copy), str(stored.url))
-        yield replace(found, folder=str(stored.url), problem=problem)
+        summary = summarize_run(copy)
+        problem = summary.problem.replace(str(copy), str(stored.url))
+        yield replace(summary, folder=str(stored.url), problem=problem)
 
 
 def judge(run: Path | str, measured: Measures | None = None, sessions: Sequence[str] = ()) -> Verdict:
@@ -210,11 +210,11 @@ def last_results(run: Path) -> list[KeptResult]:
     checksum = left.sha256 if left is not None else weights_checksum(run) if results else ""
     last: dict[tuple[object, ...], KeptResult] = {}
     for kept in results:
-        found = kept.result
+        result = kept.result
         if kept.weights_sha256 == checksum and _is_whole(kept):
             names = ("track", "set_speed_mph", "session", "departure_m", "index", "split")
             # frames of whole sessions are of no index: what was measured is told by their names
-            last[kept.way, *(str(found.get(name)) for name in names), *measured_sessions(found)] = kept
+            last[kept.way, *(str(result.get(name)) for name in names), *measured_sessions(result)] = kept
     return list(last.values())
 
 

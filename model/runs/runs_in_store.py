@@ -67,8 +67,8 @@ def runs_in_store(runs: Url) -> list[RunInStore]:
         name, slash, _ = each.url.name_in(runs).partition("/")
         if slash and is_name(name):
             by_run.setdefault(name, []).append(each)
-    found = (_run_of(runs / name, objects) for name, objects in sorted(by_run.items()))
-    return [run for run in found if CONFIG in run.files]
+    all_runs = (_run_of(runs / name, objects) for name, objects in sorted(by_run.items()))
+    return [run for run in all_runs if CONFIG in run.files]
 
 
 def run_at(url: Url) -> RunInStore | None:
@@ -93,8 +93,8 @@ def find_in_store(name: str | None, runs: Location) -> RunInStore | None:
     run = run_at(url)
     if run is None:
         names = [each.name for each in runs_in_store(url.parent)] if url.parent.key else []
-        known = suggest_runs(url.name, names, url.parent)
-        raise RunError(f"{url}: no run there ({CONFIG} is missing); {known}")
+        suggestion = suggest_runs(url.name, names, url.parent)
+        raise RunError(f"{url}: no run there ({CONFIG} is missing); {suggestion}")
     return run
 
 
@@ -113,27 +113,19 @@ def bring_summaries(runs: Url) -> Iterator[tuple[RunInStore, Path]]:
     The weights are fetched too where only they show whether a run's results are theirs, because no toolkit has
     written its record there. Raises StoreError.
     """
-    found = runs_in_store(runs)
+    stored_runs = runs_in_store(runs)
     with ThreadPoolExecutor(_AT_ONCE) as pool:
-        brought = zip(found, pool.map(bring_summary, found), strict=True)
-        yield from track(brought, "fetching runs", len(found))
+        brought = zip(stored_runs, pool.map(bring_summary, stored_runs), strict=True)
+        yield from track(brought, "fetching runs", len(stored_runs))
 
 
 def bring_summary(run: RunInStore) -> Path:
     """The same of one run."""
-    here = bring_run(run, SUMMARY_FILES)
-    left = read_record(here).left.get(WEIGHTS)
+    copy = bring_run(run, SUMMARY_FILES)
+    left = read_record(copy).left.get(WEIGHTS)
     if left is not None and not left.sha256 and RESULTS_FILE in run.files:
         return bring_run(run, (*SUMMARY_FILES, WEIGHTS))
-    return here
-
-
-def bring_curves(url: str) -> Path:
-    """All of a run, named by its URL, but its weights and checkpoints. Raises RunError if there is none;
-    StoreError."""
-    run = find_in_store(url, Path())
-    assert run is not None  # noqa: S101
-    return bring_run(run, [name for name in run.files if name != WEIGHTS and "/" not in name])
+    return copy
 
 
 def send_results(run: Path) -> bool:

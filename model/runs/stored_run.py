@@ -26,29 +26,29 @@ def bring_run_to(runs: Path, name: str) -> Path:
     """A copy of a run in a store, named by its URL, among those of this machine, to go on with; what this machine
     has learnt of it and never copied there stays. Raises RunError where there is none, or another one has its name
     here; StoreError."""
-    found = find_in_store(name, runs)
-    assert found is not None  # noqa: S101
-    here = runs / found.name
-    _bring_to(here, found)
-    return here
+    stored = find_in_store(name, runs)
+    assert stored is not None  # noqa: S101
+    local = runs / stored.name
+    _bring_to(local, stored)
+    return local
 
 
-def copy_of_run(url: Url, here: Path) -> RunCopy:
+def copy_of_run(url: Url, local: Path) -> RunCopy:
     """The copier of the run `here` to a store, for a new run or one to go on with: one that is there is brought.
     Raises as `bring_run_to` does."""
-    if (found := run_at(url)) is not None:
-        _bring_to(here, found)
-    return RunCopy(here, url)
+    if (stored := run_at(url)) is not None:
+        _bring_to(local, stored)
+    return RunCopy(local, url)
 
 
-def _bring_to(here: Path, found: RunInStore) -> None:
-    if here.exists() and read_record(here).url != str(found.url):
+def _bring_to(local: Path, stored: RunInStore) -> None:
+    if local.exists() and read_record(local).url != str(stored.url):
         raise RunError(
-            f"{here}: is here already, and no copy of {found.url}; move it away, or give another --runs"
+            f"{local}: is here already, and no copy of {stored.url}; move it away, or give another --runs"
         )
-    with stored_run_folder(found.url, here) as folder, progress_bar() as progress:
-        folder.bring(keeps_ours=True, objects=found.files.values(), progress=progress)
-    remember_places(here, here.parent.parent, [Url(found.url.scheme, found.url.bucket)])
+    with stored_run_folder(stored.url, local) as folder, progress_bar() as progress:
+        folder.bring(keeps_ours=True, objects=stored.files.values(), progress=progress)
+    remember_places(local, local.parent.parent, [Url(stored.url.scheme, stored.url.bucket)])
 
 
 def place_of_copies(to: Location, run: Path, *, is_new: bool) -> Url:

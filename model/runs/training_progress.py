@@ -64,8 +64,11 @@ class Epoch:
         for predictor in ("network", "mean", "zero"):
             errors = asdict(getattr(measures, predictor))
             values |= {f"{name}/{predictor}": value for name, value in errors.items()}
-        for of in self.targets:
-            values |= {f"{of.target}_rmse/network": of.rmse, f"{of.target}_rmse/mean": of.mean_rmse}
+        for target in self.targets:
+            values |= {
+                f"{target.target}_rmse/network": target.rmse,
+                f"{target.target}_rmse/mean": target.mean_rmse,
+            }
         return finite(values)
 
     def as_dict(self) -> dict[str, Any]:

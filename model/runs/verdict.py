@@ -18,6 +18,9 @@ from model.runs.run_numbers import RunNumbers
 
 OF_THE_MEAN: Final = 2.0
 """The driving error of always predicting the mean."""
+FEW_FRAMES: Final = 300
+"""Half a minute at ten frames a second: six stretches of 5 s, within which errors are alike. Of fewer, an interval
+is a guess (`model.evaluation.differences`)."""
 _UNKNOWN: Final = Drivable(None, "")
 
 
@@ -49,6 +52,7 @@ class Verdict:
     driven: str = ""  # how it has driven, where it has: that goes before what its errors foretell
     interventions: int | None = None  # in these drives
     has_crashes: bool = False  # among these rows, perhaps
+    frames: int = FEW_FRAMES  # that were measured
 
     @property
     def is_no_better(self) -> bool:
@@ -83,6 +87,8 @@ class Verdict:
         shown = better if worse else words or [rmse]
         if shown:
             parts.append(f"better than {'it' if worse else 'always predicting the mean'}: {_joined(shown)}")
+        if self.frames < FEW_FRAMES:
+            parts.append(f"only {counted(self.frames, 'frame')} measured, so these errors are unsure")
         crashes = ["crashes were held out, too: `bc-eval` measures without them"] * self.has_crashes
         return "; ".join([*parts, self.driven or self._to_drive(), *crashes])
 
@@ -110,7 +116,8 @@ def verdict_of(numbers: RunNumbers) -> Verdict:
     if interventions is not None:
         tracks = counted(len(numbers.drives), "track")
         driven = f"has driven {tracks} with {counted(interventions, 'intervention')}"
-    return Verdict(errors, judged, advice(numbers), driven, interventions, numbers.has_crashes)
+    frames = measured.frames if measured is not None else 0
+    return Verdict(errors, judged, advice(numbers), driven, interventions, numbers.has_crashes, frames)
 
 
 def _beside_the_mean(measured: Measures) -> tuple[BesideTheMean, ...]:
@@ -119,11 +126,11 @@ def _beside_the_mean(measured: Measures) -> tuple[BesideTheMean, ...]:
     unit = measured.unit
     name = f" {unit.name}"
     turns = (unit.of(network.turning_mae_deg), unit.of(mean.turning_mae_deg))
-    found = [BesideTheMean("on turns", *turns, name)]
+    pairs = [BesideTheMean("on turns", *turns, name)]
     if measured.mean_balanced_rmse_deg > 0:
-        found.append(BesideTheMean("driving error", measured.driving_error, OF_THE_MEAN))
-    found.append(BesideTheMean("RMSE", unit.of(network.rmse_deg), unit.of(mean.rmse_deg), name))
-    return tuple(error for error in found if error.mean > 0)
+        pairs.append(BesideTheMean("driving error", measured.driving_error, OF_THE_MEAN))
+    pairs.append(BesideTheMean("RMSE", unit.of(network.rmse_deg), unit.of(mean.rmse_deg), name))
+    return tuple(error for error in pairs if error.mean > 0)
 
 
 def _joined(errors: list[BesideTheMean]) -> str:

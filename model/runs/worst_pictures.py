@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import base64
 from dataclasses import asdict, dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-import cv2
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from common.steering_unit import assumed_deg
-from dataset import MAX_STEERING_DEG, Loader
-from dataset.preprocessing import Image, as_bgr
+from dataset import MAX_STEERING_DEG
 from model.worst_moments import WorstFrame, worst_frames
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from dataset import Loader
+    from dataset.preprocessing import Image
 
 WORST_FILE: Final = "worst.jsonl"
 """One line an epoch: `WorstPictures.as_dict`."""
@@ -62,6 +65,10 @@ def find_worst(
     `measured` has `WORST_COLUMNS` for each sample of `loader`; the steering arrays (N,) are of those that decode;
     `max_deg` is the wheels' angle at steering 1, None if it is unknown.
     """
+    import pyarrow as pa  # here: `bc-runs` reads what was found, and starts without
+
+    from dataset.preprocessing import as_bgr
+
     decoded = np.flatnonzero(loader.decoded)
     frames = measured.take(decoded).append_column("predicted", pa.array(predicted))
     frames = frames.append_column("recorded", pa.array(recorded))
@@ -84,4 +91,6 @@ def find_worst(
 
 
 def _jpeg(crop: Image) -> bytes:
+    import cv2
+
     return cv2.imencode(".jpg", crop, (cv2.IMWRITE_JPEG_QUALITY, _QUALITY))[1].tobytes()

@@ -12,25 +12,17 @@ import contextlib
 import math
 import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
 from common.files import write_remedy
 from common.versions import install_line
 from model.errors import RunError
-from model.metrics import Measures
 from model.runs.history import HistoryReader
 from model.runs.training_progress import Epoch, Step
 
 FOLDER: Final = "tensorboard"
-
-# Under "Custom Scalars", the lines of a plot together; under "Scalars", each tag has a plot of its own.
-_PLOTS: Final = {
-    "beside constant predictors": {
-        name: ["Multiline", [f"{name}/.*"]] for name in ("loss", "mae_deg", "rmse_deg", "turning_mae_deg")
-    }
-}
 
 
 class TensorBoard:
@@ -91,7 +83,6 @@ class TensorBoard:
             raise RunError(f"{self._folder}: a link; TensorBoard's files lie in the run's folder, remove the link")
         file = _EventFile(self._folder)
         try:
-            file.add_plots(_PLOTS)
             for step in history.steps:
                 if step.samples < samples:
                     self._add_step(file, step)
@@ -110,8 +101,6 @@ class TensorBoard:
     def _add_epoch(self, file: _EventFile, epoch: Epoch) -> None:
         samples = self._epoch_ends.get(epoch.epoch, epoch.epoch)
         file.add_scalars(epoch.scalars, samples)
-        if epoch.measures.bins:
-            file.add_text("errors by steering", _table(epoch.measures), samples)
 
 
 class _EventFile:
@@ -139,12 +128,6 @@ class _EventFile:
         for tag, value in values.items():
             self._add(step=samples, summary=self._summary.scalar(tag, value))
 
-    def add_text(self, tag: str, markdown: str, samples: int) -> None:
-        self._add(step=samples, summary=self._summary.text(tag, markdown))
-
-    def add_plots(self, plots: Mapping[str, Mapping[str, Sequence[object]]]) -> None:
-        self._add(summary=self._summary.custom_scalars(plots))
-
     def close(self) -> None:
         with contextlib.suppress(OSError):  # of what could not be written when it was added
             self._stream.close()
@@ -152,16 +135,3 @@ class _EventFile:
     def _add(self, **content: object) -> None:
         self._records.write(self._event(wall_time=time.time(), **content).SerializeToString())
         self._stream.flush()
-
-
-def _table(measures: Measures) -> str:
-    """In Markdown, as TensorBoard shows it."""
-    unit = measures.unit
-    rows = ["| steering | frames | MAE | RMSE | bias (+: right) |", "|---|---|---|---|---|"]
-    for part in measures.bins:
-        mae, rmse, bias = map(unit.of, (part.mae_deg, part.rmse_deg, part.bias_deg))
-        rows.append(
-            f"| {part.low:+.2f} .. {part.high:+.2f} | {part.frames:,}"
-            f" | {mae:.2f}{unit.sign} | {rmse:.2f}{unit.sign} | {bias:+.2f}{unit.sign} |"
-        )
-    return "\n".join(rows)

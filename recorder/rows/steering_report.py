@@ -6,7 +6,6 @@ from typing import Final
 
 from common.errors import counted
 from common.steering_unit import DEGREES, SteeringUnit
-from recorder.rows.label_plan import LabelPlan
 from recorder.rows.steering_habits import Kind, SteeringHabits, SteeringLag
 
 STEERING_HEADINGS: Final = ("steered", "zeros", "presses", "Hz", "ceiling", "lag, s")
@@ -69,10 +68,3 @@ def _how(habits: SteeringHabits) -> str:
 
 def _formatted(value: float | None, form: str) -> str:
     return "-" if value is None else form.format(value)
-
-
-def in_words(habits: SteeringHabits, lag: SteeringLag | None, plan: LabelPlan) -> str:
-    """Short enough for the title of a figure."""
-    ceiling = f"ceiling {_formatted(habits.ceiling[1], '{:.2f}')}"
-    late = "" if lag is None else f"lag {_lag_words(lag)} s; ".replace("-", "\N{MINUS SIGN}")
-    return f"{_how(habits)}; {_formatted(habits.zeros, '{:.0%}')} zeros; {ceiling}; {late}{plan}"

@@ -102,7 +102,7 @@ def evil_commands(log: Path, index: Path) -> dict[str, list[str]]:
         "trim": command("bc-log", "trim", log, "--to", other, "--start", "0"),
         "recover": command("bc-log", "recover", log, "--to", other),
         "merge": command("bc-log", "merge", log, log, "--to", other),
-        "index": command("bc-index", log, "--index", index, "--report"),
+        "index": command("bc-index", log, "--index", index),
         "save": command("bc-play", log, "--save", log.with_suffix(".rrd")),
         "missing": command("bc-log", "info", log.with_name(f"{EVIL}3.mcap")),
         "usage": command("bc-log", "info", f"--{EVIL}"),

@@ -27,12 +27,10 @@ from dataset.figure_data import Kind, Moment, crop_rows, find_moments, steering_
 from dataset.figure_style import figure_style
 from dataset.index_figures import draw_augmentation, draw_balance, draw_preprocessing, write_figures
 from dataset.preprocessing import Image
-from dataset.steering_figure import draw_steering, steered_sessions
 from logs import write_log
-from panorama import write_drive
 from udacity import jpeg
 
-NAMES = ["preprocessing", "augmentation", "balance", "steering"]
+NAMES = ["preprocessing", "augmentation", "balance"]
 # 50 rows in 5 s: one block of time, which is all for training. The cap leaves the right turns short of the mean.
 STEERING = [0.0] * 36 + [-0.3] * 12 + [0.5, 0.5]
 CONFIG = IndexConfig(max_uses=2)
@@ -342,55 +340,3 @@ def test_of_an_alteration_the_two_draws_that_differ_most_are_shown() -> None:
     dark, bright = sorted(two_draws(crop, "brightness", 0), key=lambda seed: brightness_level(crop, seed))
     levels = [brightness_level(crop, seed) for seed in range(12)]
     assert (brightness_level(crop, dark), brightness_level(crop, bright)) == (min(levels), max(levels))
-
-
-# How sessions were steered
-
-
-def test_steering_is_drawn_as_recorded_and_learnt_and_crashes_are_shaded(tmp_path: Path) -> None:
-    """Keys, and four seconds at a wall."""
-
-    def wheel(at_s: np.ndarray) -> np.ndarray:
-        return np.asarray(np.where(at_s % 1 < 0.5, np.where(at_s % 2 < 1, 0.6, -0.6), 0.0))
-
-    def speed(at_s: np.ndarray) -> np.ndarray:
-        return np.asarray(np.where((at_s >= 10) & (at_s < 14), 0.1, 25.0))
-
-    pictures = [f"{row}".encode() for row in range(650)]
-    log = write_drive(tmp_path / "keyboard.mcap", pictures, wheel, speed)
-    config = IndexConfig(balance=False, flip=False, validation_share=0.0)
-    index = build_index([log], tmp_path / "index", config).path
-    with Samples(index) as samples:
-        (session,) = steered_sessions(samples)
-        learnt = {row["row"]: row["label"] for row in samples.table.to_pylist()}
-    assert session.recorded.tolist() == wheel(np.arange(650) / 10).tolist()
-    assert {row: float(label) for row, label in enumerate(session.label) if not np.isnan(label)} == learnt
-    shaded = np.flatnonzero(session.is_crash).tolist()  # and a second before it, and the way out
-    assert {*range(90, 140)} <= {*shaded} <= {*range(90, 170)}
-    with figure_style():
-        figure = draw_steering([session])
-    course, histogram = figure.axes
-    title = course.get_title(loc="left")
-    assert title.startswith("keyboard: keys; 50% zeros; ceiling ")
-    assert title.endswith("; mean of 0.5 s, 0.2 s later")
-    drawn = [np.size(line.get_ydata()) for line in course.lines]
-    assert drawn == [pytest.approx(300, abs=2)] * 2  # rows of 30 s
-    assert len(histogram.patches) > 0
-    assert "as learnt" in [text.get_text() for text in figure.legends[0].get_texts()]
-
-
-def test_a_session_without_frames_is_not_drawn_and_a_name_is_no_formula(tmp_path: Path) -> None:
-    logs = [
-        write_log(tmp_path / "a.mcap", STEERING, grey, cameras=[]),
-        write_log(tmp_path / "$_$.mcap", STEERING, grey, cameras=["center"]),
-    ]
-    built = build_index(logs, tmp_path / "index", CONFIG)
-    assert write_figures(built.path, tmp_path / "figures")
-    with Samples(built.path) as samples:
-        assert [session.name for session in steered_sessions(samples)] == ["$_$"]
-
-
-def test_an_index_without_its_steering_settings_is_to_be_built_again(samples: Samples) -> None:
-    del samples.metadata["labels"]
-    with pytest.raises(DatasetError, match="build it again with `bc-index`"):
-        steered_sessions(samples)

@@ -19,18 +19,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.car import Camera
-from dataset import DatasetError, IndexConfig, Samples, build_index
+from dataset import DatasetError, IndexConfig, build_index
 from dataset.cli import main
 from dataset.frames.split import near_validation
 from dataset.index.leaks import find_leaks
 from dataset.samples.balance import balance
 from dataset.samples.filter import Condition
-from layouts import write_as_before
 from logs import write_log
-from plain_mcap import contents
 from recorder import Log
 from recorder.log.tags import Tag, add_tags
-from recorder.upkeep.edit import rewrite
 from udacity import call
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s
@@ -273,43 +270,6 @@ def test_an_unchanged_index_is_not_even_opened(tmp_path: Path, monkeypatch: pyte
     assert again.read == []
     assert (again.counts, again.balance.as_dict()) == (first.counts, first.balance.as_dict())
     assert again.samples.equals(first.samples)
-
-
-def as_left_by_the_version_before(index: Path) -> None:
-    """It did not keep which file a log was."""
-    state = json.loads((index / "state.json").read_text())
-    for log in state["logs"].values():
-        del log["file"]
-    (index / "state.json").write_text(json.dumps(state))
-
-
-def test_the_logs_of_an_index_of_the_version_before_are_not_read_again(tmp_path: Path) -> None:
-    log = write_as_before(log_of(tmp_path / "a.mcap"), tmp_path / "b.mcap")
-    build_index([log], tmp_path / "index")
-    as_left_by_the_version_before(tmp_path / "index")
-    status, data = log.stat(), bytearray(log.read_bytes())
-    data[contents(log).chunks[0].start + 300] ^= 1  # whoever reads it notices
-    log.write_bytes(data)
-    os.utime(log, ns=(status.st_atime_ns, status.st_mtime_ns))
-    assert build_index([log], tmp_path / "index").read == []
-    with Samples(tmp_path / "index"):
-        pass
-
-
-def test_a_rewritten_log_that_was_taken_for_another_gets_its_tags(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    old = log_of(tmp_path / "a.mcap")
-    with Log(old) as log:
-        add_tags(old, log.fingerprint, [Tag(10, 20, "exclude")])
-    new = rewrite(old, tmp_path / "b.mcap").path
-    monkeypatch.setattr("recorder.topics.REWRITTEN_METADATA", "not known to the version before")
-    assert 15 in build_index([new], tmp_path / "index").samples["row"].to_pylist()
-    as_left_by_the_version_before(tmp_path / "index")
-    monkeypatch.undo()
-    indexed = build_index([new], tmp_path / "index")
-    assert indexed.read == ["b"]
-    assert 15 not in indexed.samples["row"].to_pylist()
 
 
 @pytest.mark.parametrize("what", ["state.json", "samples.parquet", "frames/a.parquet"])

@@ -101,17 +101,6 @@ def test_presses_are_shifted_more_where_their_record_is_late(
     assert plan["shift_s"] == pytest.approx(shift_s, abs=0.051)
 
 
-def test_an_index_that_went_by_a_lag_of_unknown_margin_is_built_anew(tmp_path: Path) -> None:
-    """Those of earlier versions, which believed any."""
-    log = write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: hand(at_s - 0.3))
-    index = indexed(tmp_path, log)
-    samples, stored = index.samples, metadata(index)
-    del stored["labels"]["a"]["lag"]["margin_s"]
-    stored["labels"]["a"]["plan"]["shift_s"] = 0.4
-    replace_samples(index, samples, stored)
-    assert metadata(indexed(tmp_path, log))["labels"]["a"]["plan"]["shift_s"] == 0
-
-
 def replace_samples(index: Indexed, samples: pa.Table, stored: dict[str, Any]) -> None:
     """As the version that wrote them would have left the index."""
     file = index.path / "samples.parquet"
@@ -199,22 +188,6 @@ def test_a_look_at_all_pictures_measures_the_lag(is_kept_beside: bool, tmp_path:
     stored = json.loads(pq.read_schema(tmp_path / "index" / "samples.parquet").metadata[b"bc.index"])
     assert stored["labels"]["a"]["plan"]["shift_s"] == pytest.approx(0.6, abs=0.051)
     assert log.stat().st_size
-
-
-def test_an_index_keeps_the_lag_that_an_earlier_version_has_measured(tmp_path: Path) -> None:
-    log = without_lag(write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: pressed(at_s - 0.3)))
-    with Log(log) as opened:
-        lag = {"lag_s": 0.3, "correlation": 0.9, "pictures": 650, "margin_s": 0.05}
-        stored = {"format": 2, "fingerprint": opened.fingerprint, "lag": lag}
-    kept = tmp_path / "index" / "lags" / "a.json"
-    kept.parent.mkdir(parents=True)
-    kept.write_text(json.dumps(stored))
-    plan = metadata(indexed(tmp_path, log))["labels"]["a"]["plan"]
-    assert (plan["shift_s"], plan["why"]) == (0.6, "steering is 0.4 s late")
-    for damaged in ("{", json.dumps(stored | {"fingerprint": "another"}), json.dumps(stored | {"lag": 3})):
-        kept.write_text(damaged)
-        plan = metadata(indexed(tmp_path, log, seed=len(damaged)))["labels"]["a"]["plan"]
-        assert (plan["shift_s"], plan["why"]) == (0.2, "lag not measured")
 
 
 def crashing(at_s: np.ndarray) -> np.ndarray:

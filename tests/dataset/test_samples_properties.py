@@ -66,7 +66,7 @@ def write_index(
         files[f"s{number}"] = folder / f"s{number}.parquet"
         write_table(files[f"s{number}"], table, {})
     built = {name: BuiltLog(("", None, None, None), set_speeds_mph=()) for name in files}
-    labels = labels_of_sessions(files, files, built, folder, config)  # so short, that no log is looked into
+    labels = labels_of_sessions(files, built, config)  # so short, that no log is looked into
     write_samples(files, folder / "samples.parquet", config, {}, labels)
     return frames, pq.read_table(folder / "samples.parquet").to_pylist()
 

@@ -59,7 +59,7 @@ def test_what_is_measured_of_a_run_is_kept_where_the_run_is(
 
     bucket.answer = lambda handler: handler.command == "PUT" and bool(handler.fail(403, "AccessDenied"))
     capsys.readouterr()
-    assert call(bc_eval, "--on", "one", "--car", "built-in", *measured[:3], "--json") == 3
+    assert call(bc_eval, *measured) == 3
     shown = capsys.readouterr()
     assert json.loads(shown.out)["run"] == "night"
     assert "the result is kept on this machine only" in shown.err
@@ -68,7 +68,7 @@ def test_what_is_measured_of_a_run_is_kept_where_the_run_is(
     bucket.answer = lambda handler: False  # it is sent along with the next one
     assert call(bc_eval, *measured) == 3
     ways = [kept.way for kept in kept_results(bucket.folder / "runs/night")[0]]
-    assert ways == ["frames", "recording", "frames"]
+    assert ways == ["frames", "frames", "frames"]
 
 
 def test_a_sweep_of_a_store_does_nothing_again_on_another_machine(

@@ -31,7 +31,7 @@ LOADED = (
 )
 LOADED_IF_INSTALLED = (
     *("pandas", "matplotlib.figure", "matplotlib.backends.backend_agg"),  # by pyarrow; for figures
-    *("rerun", "viz.playback.rerun_recording", "viz.training_curves"),
+    *("rerun", "viz.playback.rerun_recording"),
     *("web.cli", "web.app", "web.server.workbench_server"),
 )
 

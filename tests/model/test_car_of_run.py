@@ -79,7 +79,6 @@ def test_a_run_has_the_steering_and_the_car_of_its_sessions(
     assert epoch.validation_loss == pytest.approx((epoch.measures.network.rmse_deg / 30) ** 2)
     for line in (
         (bc_eval, "own", "--index", "index-plain"),
-        (bc_eval, "own", "--on", "plain"),
         (bc_train, "--init", "own", "--index", "index-plain", "--name", "both", *SMALL),
     ):
         assert call(*line) == 1

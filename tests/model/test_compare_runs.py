@@ -211,7 +211,6 @@ def test_the_table_tells_what_the_json_does(here: Path, capsys: pytest.CaptureFi
     [
         (["good", "--compare", "good", "shifted"], "good: --compare names its two runs"),
         (["--compare", "good", "shifted", "--worst", 3], "--worst"),
-        (["--compare", "good", "shifted", "--on", "new"], "--on"),
         (["--compare", "good", "shifted", "--tolerance", -0.1], "--tolerance -0.1"),
         (["--compare", "good", "shifted", "--laps", 1], "--laps: only with --simulator"),
         (["good", "--tolerance", 0.1], "--compare"),

@@ -72,16 +72,6 @@ def test_every_step_and_epoch_is_a_point_over_the_samples_learnt(tmp_path: Path)
     assert "correlation/zero" not in written(run).Tags()["scalars"]  # null: a constant has none
 
 
-def test_the_errors_by_steering_are_a_table(tmp_path: Path) -> None:
-    run, board = tmp_path / "first", TensorBoard(tmp_path / "first")
-    train(run, [1], board)
-    board.close()
-    (event,) = written(run).Tensors("errors by steering/text_summary")
-    table = event.tensor_proto.string_val[0].decode()
-    assert "| -0.76 .. -0.68 | 10 | 3.00° | 18.00° | -0.50° |" in table
-    assert "| -0.04 .. +0.04 | 90 | 3.00° | 6.00° | -0.50° |" in table
-
-
 def test_what_is_told_can_be_seen_at_once(tmp_path: Path) -> None:
     run, board = tmp_path / "first", TensorBoard(tmp_path / "first")
     train(run, [1], board, stop_after_step=1)

@@ -94,6 +94,15 @@ def test_the_two_lines_of_a_good_network() -> None:
     )
 
 
+@pytest.mark.parametrize(("frames", "is_few"), [(81, True), (299, True), (300, False)])
+def test_a_verdict_on_few_frames_says_that_it_is_unsure(frames: int, is_few: bool) -> None:
+    few = measured(0.1, np.linspace(-0.6, 0.6, frames))
+    said = f"; only {frames} frames measured, so these errors are unsure; "
+    for driven in ((), ({"track": "lake", "set_speed_mph": 10.0, "interventions": 0},)):
+        summary = verdict_of(numbers(measured=few, drives=driven)).summary
+        assert (said in summary) is ("unsure" in summary) is is_few
+
+
 def test_a_network_that_is_worse_than_the_mean_says_so_first() -> None:
     """Better in two of the three is no excuse."""
     recorded = np.where(RECORDED == 0, 0.0, np.sign(RECORDED) * 0.06)

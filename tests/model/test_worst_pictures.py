@@ -1,4 +1,4 @@
-"""The frames held out at which a network is worst after each epoch: found, kept in the run, and shown."""
+"""The frames held out at which a network is worst after each epoch: found, and kept in the run."""
 
 from __future__ import annotations
 
@@ -18,10 +18,7 @@ from logs import START_NS, STEP_NS
 from model import Epoch, train
 from model.network.choice import built_in
 from model.runs.history import read_history
-from rrd import contents, view_names
 from toy import SMALL, STEERING, road, toy_index
-from udacity import call
-from viz.cli import main
 
 CONFIG = replace(SMALL, epochs=3, batch=16)  # what is worst needs no good network
 SEEN = built_in("small", {}).picture
@@ -65,25 +62,6 @@ def test_the_pictures_are_what_the_network_saw_there(here: Path) -> None:
         for frame, jpeg in zip(worst.frames, worst.jpegs, strict=True):
             seen = preprocess(decode(road("center", frame.row)), SEEN)
             assert np.abs(decode(jpeg).astype(int) - seen).mean() < 3  # a JPEG of it
-
-
-def test_the_viewer_gets_them_with_each_epoch(here: Path, tmp_path: Path) -> None:
-    assert call(main, here / "run", "--save", tmp_path / "x.rrd") == 0
-    found, history = contents(tmp_path / "x.rrd"), read_history(here / "run")[0]
-    count = len(history.worst[0].frames)
-    for number in range(count):
-        blobs = [bytes(blob[0]) for blob in found[f"/worst/{number + 1}"]["EncodedImage:blob"] if blob]
-        assert blobs == [worst.jpegs[number] for worst in history.worst]
-        for name in ("recorded", "predicted"):
-            arcs = [strip[0] for strip in found[f"/worst/{number + 1}/{name}"]["LineStrips2D:strips"] if strip]
-            sides = [arc[-1][0] - SEEN.width_px / 2 for arc in arcs]
-            told = [getattr(worst.frames[number], f"{name}_deg") for worst in history.worst]
-            assert np.sign(sides).tolist() == np.sign(told).tolist()
-    words = [text[0] for text in found["/worst/words"]["TextDocument:text"] if text]
-    assert [text.split("\n")[0] for text in words] == [f"epoch {epoch}" for epoch in (1, 2, 3)]
-    assert f"toy row {history.worst[0].frames[0].row}: " in words[0]
-    assert found["/worst/words"]["epoch"] == [1, 2, 3]
-    assert {"worst 1", "worst 6", "worst frames held out"} <= view_names(tmp_path / "x.rrd")
 
 
 def test_a_picture_that_does_not_decode_moves_no_other_picture(

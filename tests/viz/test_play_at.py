@@ -104,7 +104,7 @@ def test_a_viewer_stands_at_the_moment_that_was_asked_for(log: Path, monkeypatch
         (("--at", "60"), f"--at 60: {{log}} is {LENGTH_S:.1f} s long"),
         (("--at", "-1"), "--at -1.0: seconds since the log's start"),
         (("--at", "nan"), "--at nan: seconds since the log's start"),
-        (("--at", "1", "--follow"), "without --follow, --by place"),
+        (("--at", "1", "--follow"), "give it without --follow"),
         (("{log}", "--at", "1", "--by", "place"), "without --follow, --by place"),
         (("--at", "1", "--video", "x.mp4"), "give it without --at"),
     ],
@@ -118,11 +118,6 @@ def test_a_moment_that_cannot_be_is_one_line(
     (line,) = capsys.readouterr().err.splitlines()
     assert says.format(log=log) in line
     assert not list(tmp_path.iterdir())
-
-
-def test_a_folder_has_no_moment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(main, tmp_path, "--at", 1) == 1
-    assert f"--at is a moment of a log, and {tmp_path} is a folder" in capsys.readouterr().err
 
 
 # A viewer that cannot draw

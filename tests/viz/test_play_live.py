@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import os
 import random
 import signal
@@ -30,8 +29,7 @@ from recorder.bc_pb2 import VehicleState
 from rrd import arrived, contents, lives
 from udacity import call
 from viz.cli import main
-from viz.live.live_messages import LiveMessage
-from viz.live.picture_rate import PictureRate
+from viz.playback.blueprint import log_layout
 from viz.playback.rerun_recording import PreparedRecording
 from viz.targets import Destination, FinishedContent
 from viz.viewer_connection import viewer_url
@@ -122,7 +120,9 @@ def test_a_viewer_that_is_closed_too_early_is_not_called_complete(
         raise ViewerGoneError
 
     with running_viewer() as ports:
-        shown = FinishedContent(lambda: contextlib.nullcontext(PreparedRecording("a.mcap", None, send, [])))
+        shown = FinishedContent(
+            lambda: contextlib.nullcontext(PreparedRecording("a.mcap", log_layout(()), send, []))
+        )
         assert shown.show(Destination(web=False, connect=str(ports.data), ports=ports)) == 1
     said = capsys.readouterr()
     assert "the viewer has lost its connection" in said.err.splitlines()[-1]
@@ -390,42 +390,3 @@ def test_a_file_that_is_never_finished_is_said_and_nothing_of_it_stays(
     assert waits.startswith(f"finishing {rrd}, ")
     assert line.startswith(f"{rrd}: not written")
     assert f"`bc-play {tmp_path / 'a.mcap'} --save {rrd}`" in line
-
-
-# How many pictures are shown
-
-
-def pictures(count: int, topic: str = "/camera/center") -> list[LiveMessage]:
-    return [LiveMessage(topic, time_ns, time_ns, None) for time_ns in range(count)]
-
-
-def test_a_drive_faster_than_the_clock_shows_thirty_pictures_a_second() -> None:
-    rate = PictureRate(0.0)
-    shown = []
-    for second in range(1, 11):
-        rate.tick(float(second))
-        kept, thinned = rate.thin(pictures(300))
-        assert len(kept) + len(thinned) == 300
-        assert kept[-1].log_time_ns == 299  # the newest
-        gaps = {after.log_time_ns - before.log_time_ns for before, after in itertools.pairwise(kept)}
-        assert gaps == {10}
-        shown.append(len(kept))
-    assert shown == [30] * 10
-
-
-def test_other_topics_are_always_shown_and_each_camera_has_its_rate() -> None:
-    rate = PictureRate(0.0)
-    rate.tick(1.0)
-    messages = pictures(100) + pictures(1000, "/vehicle") + pictures(20, "/camera/left")
-    kept, thinned = rate.thin(messages)
-    assert [each for each in kept if each.topic == "/vehicle"] == pictures(1000, "/vehicle")
-    assert [each for each in kept if each.topic == "/camera/left"] == pictures(20, "/camera/left")
-    assert {each.topic for each in thinned} == {"/camera/center"}
-    assert len(thinned) == 70
-
-
-def test_pictures_at_the_pace_of_a_camera_are_all_shown() -> None:
-    rate = PictureRate(0.0)
-    for tick in range(1, 200):  # five pictures every 0.2 s
-        rate.tick(tick * 0.2)
-        assert rate.thin(pictures(5))[1] == []

@@ -33,15 +33,6 @@ def test_a_file_that_was_written_is_opened_by_the_command_that_is_named(
     assert suggested(capsys.readouterr().err)[-1] == str(kept)
 
 
-def test_a_run_that_was_taken_for_a_log_is_named_with_its_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    untrained_run(Path("runs") / "the first")
-    assert call(main, "the first") == 1
-    assert suggested(capsys.readouterr().err)[-1] == "runs/the first"
-
-
 def test_the_named_command_recovers_a_killed_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = write_log(tmp_path / "a.mcap", STEERING, road, cameras=["center"]).read_bytes()
     killed = tmp_path / "sunday morning.mcap"

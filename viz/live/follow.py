@@ -19,7 +19,6 @@ from recorder.mcap.mcap_file import WITHOUT_CRCS
 from viz.console import print_error, print_notice, print_skipped
 from viz.live.live_log import GrowingLog
 from viz.live.live_messages import LiveMessageSender
-from viz.live.picture_rate import THINNED, PictureRate
 from viz.rrd_file import rrd_file
 from viz.viewer_feed import POLL_S, ViewerFeed, ViewerGoneError, feed_viewer
 from viz.viewer_process import Viewer
@@ -112,21 +111,17 @@ def _send(
     """Send the log as it grows, until it ends, `stop` is set (after sending what is there) or the viewer is gone.
     Return True if all was taken.
 
-    With `flush`, which waits until a viewer has taken what was sent, it keeps up: pictures that are too many or
-    too old are not sent, but counted in `log.skipped`.
+    With `flush`, which waits until a viewer has taken what was sent, it keeps up: pictures that are too old
+    are not sent, but counted in `log.skipped`.
     """
     keep_up = flush is not None
     sender = LiveMessageSender(recording)
     pictures_of_last_s = HISTORY_S if keep_up else None
     last_s = whole_s = time.monotonic()
-    rate: PictureRate | None = None  # of what was there before, all of `HISTORY_S` is shown
     while not has_failed.is_set():
         is_last = stop.is_set()
         for messages in log.read(pictures_of_last_s):
-            kept, dropped = rate.thin(messages) if rate is not None else (messages, [])
-            for message in dropped:
-                log.skipped.add(THINNED, f"{message.topic} row {message.row}")
-            sender.send(kept)
+            sender.send(messages)
         is_last = is_last or log.is_finished or bool(log.notice)
         now_s = time.monotonic()
         # A file is looked at when it is whole, and would keep each of them.
@@ -145,9 +140,6 @@ def _send(
         now_s = time.monotonic()
         pictures_of_last_s = BEHIND_S if keep_up and now_s - last_s > BEHIND_S else None
         last_s = now_s
-        if keep_up:
-            rate = rate or PictureRate(now_s)
-            rate.tick(now_s)
     return False
 
 

@@ -52,9 +52,9 @@ class LiveMessageSender:
         if not self._topics <= PICTURE_TOPICS:  # those come first; what belongs to them comes within a second
             self._lay_out()
         for topic in sorted(by_topic, key=lambda topic: topic not in PICTURE_TOPICS):
-            found = by_topic[topic]
-            time_ns = np.array([message.log_time_ns for message in found], np.int64)
-            contents = [message.content for message in found]
+            of_topic = by_topic[topic]
+            time_ns = np.array([message.log_time_ns for message in of_topic], np.int64)
+            contents = [message.content for message in of_topic]
             if TOPICS[topic].is_picture:
                 self._send_pictures(topic, time_ns, contents)
             else:

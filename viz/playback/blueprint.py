@@ -171,41 +171,41 @@ def _plots(topics: Collection[str], *, has_errors: bool) -> list[Shared]:
     return plots
 
 
-def _driving(topics: Collection[str], at: str, of: str, *, has_steering: bool) -> list[Shared]:
+def _driving(topics: Collection[str], at: str, prefix: str, *, has_steering: bool) -> list[Shared]:
     """The views of the driver and the steering; entities begin with `at`, names of views with `of`."""
     plots: list[Shared] = []
     if PILOT_COMMAND in topics:
-        plots.append((rrb.StateTimelineView(origin=at + DRIVER, name=of + DRIVER_VIEW), _DRIVER_SHARE))
+        plots.append((rrb.StateTimelineView(origin=at + DRIVER, name=prefix + DRIVER_VIEW), _DRIVER_SHARE))
     if has_steering:
-        plots.append(_plot(STEERING, at, of))
+        plots.append(_plot(STEERING, at, prefix))
     return plots
 
 
-def _plot(plot: Plot, at: str = "", of: str = "") -> Shared:
+def _plot(plot: Plot, at: str = "", prefix: str = "") -> Shared:
     axis = None if plot.range is None else rrb.ScalarAxis(range=plot.range, zoom_lock=True)
-    return rrb.TimeSeriesView(origin=at + plot.path, name=of + plot.title, axis_y=axis), plot.height
+    return rrb.TimeSeriesView(origin=at + plot.path, name=prefix + plot.title, axis_y=axis), plot.height
 
 
 def _has_lines(plot: Plot, topics: Collection[str]) -> bool:
     return any(line.plot == plot for name in topics if name in TOPICS for line in TOPICS[name].lines)
 
 
-def _view(picture: Topic, at: str = "", of: str = "") -> rrb.View:
-    return rrb.Spatial2DView(origin=at + picture.name, name=of + picture.title)
+def _view(picture: Topic, at: str = "", prefix: str = "") -> rrb.View:
+    return rrb.Spatial2DView(origin=at + picture.name, name=prefix + picture.title)
 
 
 def _of_one(name: str, topics: Collection[str]) -> rrb.Container:
     """The column of one of several logs."""
-    at, of = log_entity(name), f"{name}: "
+    at, prefix = log_entity(name), f"{name}: "
     frames: list[Part] = []
-    frames += [_view(TOPICS[name], at, of) for name in (CENTER, PILOT_INPUT) if name in topics]
+    frames += [_view(TOPICS[name], at, prefix) for name in (CENTER, PILOT_INPUT) if name in topics]
     parts: list[Shared] = [(_side_by_side(frames, shares=[2, 1][: len(frames)]), _FRAME_SHARE)] if frames else []
     has_predictions = _has_predictions(topics)
-    parts += _driving(topics, at, of, has_steering=has_predictions or _has_lines(STEERING, topics))
+    parts += _driving(topics, at, prefix, has_steering=has_predictions or _has_lines(STEERING, topics))
     if has_predictions:
-        parts.append((rrb.TimeSeriesView(origin=at + ERRORS, name=of + ERROR), 1.0))
+        parts.append((rrb.TimeSeriesView(origin=at + ERRORS, name=prefix + ERROR), 1.0))
     if EVENTS in topics or not parts:
-        parts.append((rrb.TextLogView(origin=at + EVENTS, name=of + TOPICS[EVENTS].title), 1.0))
+        parts.append((rrb.TextLogView(origin=at + EVENTS, name=prefix + TOPICS[EVENTS].title), 1.0))
     return rrb.Vertical(*(part for part, _ in parts), row_shares=[share for _, share in parts], name=name)
 
 
@@ -221,8 +221,8 @@ def _upright(parts: Sequence[Shared]) -> Part | None:
 
 
 def _side_by_side(parts: Sequence[Part | None], shares: Sequence[float]) -> Part:
-    there = [(part, share) for part, share in zip(parts, shares, strict=True) if part is not None]
-    return rrb.Horizontal(*(part for part, _ in there), column_shares=[share for _, share in there])
+    present = [(part, share) for part, share in zip(parts, shares, strict=True) if part is not None]
+    return rrb.Horizontal(*(part for part, _ in present), column_shares=[share for _, share in present])
 
 
 def _time_panel(timeline: str, *, grows: bool = False, at_s: float | None = None) -> rrb.TimePanel:

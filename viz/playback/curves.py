@@ -134,8 +134,8 @@ class Drawing:
             self._recording.log(self._prefix + PATH, way, static=True)
 
     def _count(self, steering: Values) -> None:
-        known = np.clip(steering[np.isfinite(steering)], -1.0, 1.0)
-        self._counts += np.bincount(bin_of(known, BINS), minlength=BINS)
+        in_range = np.clip(steering[np.isfinite(steering)], -1.0, 1.0)
+        self._counts += np.bincount(bin_of(in_range, BINS), minlength=BINS)
         self._has_new = True
 
     def _drivers(self, time_ns: Times, drivers: Times) -> None:
@@ -155,8 +155,8 @@ class Drawing:
         x, y, z, qx, qy, qz, qw = _places_and_turns(poses).T
         heading = np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy**2 + qz**2))  # radians from x towards y
         placed = np.stack([x, y, heading], axis=1)
-        known = np.isfinite(placed).all(axis=1) & (np.abs(placed) < 1e6).all(axis=1)
-        placed = placed[known]
+        is_known = np.isfinite(placed).all(axis=1) & (np.abs(placed) < 1e6).all(axis=1)
+        placed = placed[is_known]
         points = placed[:, :2] * (1, -1)  # in a picture, y points down
         self._trail.add(points)
         entity = self._prefix + CAR
@@ -164,11 +164,12 @@ class Drawing:
             style = rr.Arrows2D.from_fields(colors=[(255, 255, 255)], radii=[-3.0], draw_order=50.0)
             self._recording.log(entity, style, static=True)
         ahead = _CAR_M * np.stack([np.cos(placed[:, 2]), -np.sin(placed[:, 2])], axis=1)
-        self._send(entity, time_ns[known], rr.Arrows2D.columns(origins=points, vectors=ahead))
+        self._send(entity, time_ns[is_known], rr.Arrows2D.columns(origins=points, vectors=ahead))
         in_space = rr.InstancePoses3D.columns(
-            translations=np.stack([x, y, z], axis=1)[known], quaternions=np.stack([qx, qy, qz, qw], axis=1)[known]
+            translations=np.stack([x, y, z], axis=1)[is_known],
+            quaternions=np.stack([qx, qy, qz, qw], axis=1)[is_known],
         )
-        self._send(self._prefix + POSE, time_ns[known], in_space)
+        self._send(self._prefix + POSE, time_ns[is_known], in_space)
         self._has_new = True
 
     def _events(self, time_ns: Times, events: Sequence[Any]) -> None:
@@ -267,8 +268,8 @@ def histogram(counts: NDArray[np.int64]) -> rr.BarChart:
 
 def _places_and_turns(messages: Sequence[Any]) -> Values:
     """Positions in m and attitudes as quaternions of N poses: x, y, z, x, y, z, w (N, 7)."""
-    found = np.empty((len(messages), 7))
-    for row, message in zip(found, messages, strict=True):
+    places = np.empty((len(messages), 7))
+    for row, message in zip(places, messages, strict=True):
         at, turn = message.pose.position, message.pose.orientation
         row[:] = at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w
-    return found
+    return places

@@ -129,8 +129,8 @@ def _pictures(log: Log, topics: Collection[str], clock: Clock, skipped: Skipped)
     yield from _columns(waiting, clock)
 
 
-def _columns(found: Mapping[str, Sequence[tuple[int, CompressedImage]]], clock: Clock) -> Iterator[Chunk]:
-    for topic, timed in found.items():
+def _columns(by_topic: Mapping[str, Sequence[tuple[int, CompressedImage]]], clock: Clock) -> Iterator[Chunk]:
+    for topic, timed in by_topic.items():
         times, pictures = zip(*timed, strict=True)
         yield Chunk.from_columns(
             rr.new_entity_path(topic.strip("/").split("/")),
@@ -143,9 +143,9 @@ def _add_damaged(log: Log, topics: Collection[str], chunk: LogChunk, skipped: Sk
     """Name the pictures that lie in a damaged chunk, by the log's own index of messages."""
     reason = damaged_pictures(log.path)
     for topic in topics:
-        found = log.pictures(topic)
-        is_inside = (found.offset >= chunk.start) & (found.offset < chunk.end)
-        for row in found.sequence[is_inside].tolist():
+        pictures = log.pictures(topic)
+        is_inside = (pictures.offset >= chunk.start) & (pictures.offset < chunk.end)
+        for row in pictures.sequence[is_inside].tolist():
             skipped.add(reason, f"{topic} row {row}")
 
 

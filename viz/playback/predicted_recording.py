@@ -41,22 +41,22 @@ def prepare_predictions(
         def on_attention(run: str, time_ns: NDArray[np.int64], crops: Image, maps: NDArray[np.float32]) -> None:
             send_overlays(recording, attention_entity(run), drawing.clock, time_ns, crops, maps)
 
-        found = predict_log(path, runs, on_attention if attention else None, flush)
-        _draw(found, recording, drawing)
+        predictions = predict_log(path, runs, on_attention if attention else None, flush)
+        _draw(predictions, recording, drawing)
         flush()
-        on_found(found)
+        on_found(predictions)
 
     with prepare_log(path, PredictionLayer(run_names(runs), attention, send), at_s) as prepared:
         yield prepared
 
 
-def _draw(found: LogPredictions, recording: rr.RecordingStream, drawing: Drawing) -> None:
-    for curve, time_ns, values in prediction_curves(found):
+def _draw(predictions: LogPredictions, recording: rr.RecordingStream, drawing: Drawing) -> None:
+    for curve, time_ns, values in prediction_curves(predictions):
         drawing.curve(curve, time_ns, values)
         if curve.entity.startswith(STEERING.path):
             drawing.arcs(curve, time_ns, values)
-    for run in found.predicted:
-        if moments := found.worst_moments(run):
+    for run in predictions.predicted:
+        if moments := predictions.worst_moments(run):
             times, texts = zip(*moments, strict=True)
             columns = rr.TextLog.columns(text=texts, level=["WARN"] * len(texts))
             recording.send_columns(

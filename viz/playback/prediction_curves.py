@@ -16,17 +16,17 @@ COLORS: Final = ((240, 90, 190), (240, 220, 90), (90, 220, 220), (170, 120, 240)
 
 
 def prediction_curves(
-    found: LogPredictions, first: int = 0
+    predictions: LogPredictions, first: int = 0
 ) -> Iterator[tuple[Curve, NDArray[np.int64], NDArray[np.float64]]]:
     """The lines of each run: the curve, log times (N,) in ns, values (N,). `first` is the first run's number,
     which gives its colour. There is no error where nothing was recorded."""
-    known = np.isfinite(found.recorded)
-    for number, (run, steering) in enumerate(found.predicted.items(), first):
+    is_recorded = np.isfinite(predictions.recorded)
+    for number, (run, steering) in enumerate(predictions.predicted.items(), first):
         color, part = COLORS[number % len(COLORS)], entity_part(run)
-        yield Curve(f"{STEERING.path}/predicted_by/{part}", run, color), found.log_time_ns, steering
-        if known.any():
+        yield Curve(f"{STEERING.path}/predicted_by/{part}", run, color), predictions.log_time_ns, steering
+        if is_recorded.any():
             yield (
                 Curve(f"{ERRORS}/{part}", run, color),
-                found.log_time_ns[known],
-                found.unit.per_deg * found.error_deg(run)[known],
+                predictions.log_time_ns[is_recorded],
+                predictions.unit.per_deg * predictions.error_deg(run)[is_recorded],
             )

@@ -17,21 +17,21 @@ from recorder.log.session_car import known_max_steering_deg
 from recorder.topics import PREDICTIONS
 
 
-def write_predictions(found: LogPredictions, path: Path, *, overwrite: bool = False) -> None:
+def write_predictions(predictions: LogPredictions, path: Path, *, overwrite: bool = False) -> None:
     """Keep predictions as a new log: a topic for each run, and the worst moments as events.
 
     Raises UserError if `path` exists and may not be overwritten, or cannot be written.
     """
-    with LogWriter(path, {"source": "prediction", **found.about}, overwrite=overwrite) as writer:
-        columns = (found.row, found.log_time_ns, found.recorded, *found.predicted.values())
+    with LogWriter(path, {"source": "prediction", **predictions.about}, overwrite=overwrite) as writer:
+        columns = (predictions.row, predictions.log_time_ns, predictions.recorded, *predictions.predicted.values())
         for row, time_ns, recorded, *predicted in zip(*(column.tolist() for column in columns), strict=True):
-            for run, steering in zip(found.predicted, predicted, strict=True):
+            for run, steering in zip(predictions.predicted, predicted, strict=True):
                 prediction = Prediction(steering=steering)
                 if math.isfinite(recorded):
                     prediction.recorded_steering = recorded
                 writer.prediction(run, time_ns, row, prediction)
-        for run in found.predicted:
-            for time_ns, text in found.worst_moments(run):
+        for run in predictions.predicted:
+            for time_ns, text in predictions.worst_moments(run):
                 writer.event(time_ns, text, "WARNING", "prediction")
 
 
@@ -47,11 +47,11 @@ def read_predictions(log: Log) -> Iterator[LogPredictions]:
     for topic in prediction_topics(log):
         run = topic.removeprefix(PREDICTIONS)
         rows, times_ns, recorded, predicted = array("q"), array("q"), array("d"), array("d")
-        for message, found in log.predictions(run):
+        for message, prediction in log.predictions(run):
             rows.append(message.sequence)
             times_ns.append(message.log_time_ns)
-            recorded.append(found.recorded_steering if found.HasField("recorded_steering") else math.nan)
-            predicted.append(found.steering)
+            recorded.append(prediction.recorded_steering if prediction.HasField("recorded_steering") else math.nan)
+            predicted.append(prediction.steering)
         yield LogPredictions(
             session_name(log.path),
             np.array(rows, np.int64),

@@ -56,24 +56,24 @@ class DrawnMessages:
         """Log times (N,) in ns and values (N,) of each field, by topic."""
         for topic in _of_registry(log):
             if fields := number_fields(topic):
-                found = log.numbers(topic, fields)
-                times = found["log_time_ns"].to_numpy()
-                self.numbers[topic] = times, {name: found[name].to_numpy() for name in fields}
+                table = log.numbers(topic, fields)
+                times = table["log_time_ns"].to_numpy()
+                self.numbers[topic] = times, {name: table[name].to_numpy() for name in fields}
         self.picture_size = _picture_size(log)
         """Width and height of the centre camera's first picture that can be read."""
 
     @cached_property
     def others(self) -> dict[str, tuple[Times, list[Any]]]:
         """Poses and events: log times (N,) in ns and N contents, by topic."""
-        found = {}
+        by_topic = {}
         for topic in _of_registry(self._log):
             if topic in self.numbers:
                 continue
             messages = _poses(self._log) if topic == POSE else self._log.decoded(topic)
             pairs = list(track(messages, f"reading {topic}", self._log.counts[topic]))
             time_ns = np.array([message.log_time_ns for message, _ in pairs], np.int64)
-            found[topic] = time_ns, [content for _, content in pairs]
-        return found
+            by_topic[topic] = time_ns, [content for _, content in pairs]
+        return by_topic
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class PreparedRecording:
     are sent."""
 
     name: str
-    layout: rrb.Blueprint | None  # None: `send` sends one
+    layout: rrb.Blueprint
     send: Callable[[rr.RecordingStream, Callable[[], object]], object]
     """Sends to a recording. The second argument waits until what was sent is taken, and may raise to end it."""
     notices: Sequence[str]  # of logs that were never finished
@@ -250,8 +250,8 @@ def _poses(log: Log) -> Iterator[tuple[Any, PoseInFrame]]:
 def _picture_size(log: Log) -> tuple[int, int] | None:
     if CENTER not in topics_with_messages(log) or not _is_ours(log, CENTER):
         return None
-    found = log.pictures(CENTER)
-    for place in zip(found.offset, found.length, found.chunk, strict=True):
+    pictures = log.pictures(CENTER)
+    for place in zip(pictures.offset, pictures.length, pictures.chunk, strict=True):
         with contextlib.suppress(LogError):  # that chunk is damaged, which is reported when pictures are sent
             return frame_size(log.read(*map(int, place)))
     return None

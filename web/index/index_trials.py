@@ -10,7 +10,6 @@ from typing import Final
 
 from common.untrusted import real_path
 from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
-from dataset.index.session_labels import LAGS_FOLDER
 from web.errors import WebError
 
 _KEPT: Final = 4
@@ -29,9 +28,8 @@ class IndexTrials:
             shutil.rmtree(path, ignore_errors=True)
         folder = self._folder / secrets.token_hex(6)
         folder.mkdir(parents=True)
-        for name in (IMAGE_CHECKS_FOLDER, LAGS_FOLDER):
-            with contextlib.suppress(OSError, shutil.Error):
-                shutil.copytree(index / name, folder / name)
+        with contextlib.suppress(OSError, shutil.Error):
+            shutil.copytree(index / IMAGE_CHECKS_FOLDER, folder / IMAGE_CHECKS_FOLDER)
         return folder.name, folder
 
     def get(self, key: str) -> Path:

@@ -7,10 +7,11 @@ const MOST = 200; // stretches
 const PICTURES = 96; // of all of them, and of one
 const OF_ONE = [3, 48];
 
-/** Numbers of pictures for stretches of these lengths in rows: a row's is shown at most once. */
-export function picturesOf(rows, stretches) {
+/** The numbers from `first` to `last`, or as many of them, evenly spread, as one of so many stretches has pictures. */
+export function spread(first, last, stretches) {
   const most = Math.min(Math.max(Math.floor(PICTURES / stretches), OF_ONE[0]), OF_ONE[1]);
-  return Math.min(rows, most);
+  const count = Math.min(last - first + 1, most);
+  return Array.from({ length: count }, (_, at) => Math.round(first + ((last - first) * at) / Math.max(count - 1, 1)));
 }
 
 /** `stretches`: [{ title, href, pictures: [{ address, title, pick }] }]; `onChange(numbers)`: those that are ticked. */

@@ -1,6 +1,6 @@
 // The selected stretches as a grid of pictures, in the place of the cameras.
 
-import { fillGrid, picturesOf } from "../grid.js";
+import { fillGrid, spread } from "../grid.js";
 import { clock } from "./clock.js";
 import { at } from "./selection.js";
 import { words } from "./odd.js";
@@ -20,10 +20,8 @@ export class Looking {
       const rows = this.data.rowsOf(stretch);
       const group = at(groups, first);
       const kind = group?.flags.size ? `${words(group)}, ` : "";
-      const count = picturesOf(last - first + 1, stretches.length);
-      const places = Array.from({ length: count }, (_, number) => Math.round(first + ((last - first) * number) / Math.max(count - 1, 1)));
       const title = `${kind}rows ${rows[0]} to ${rows[1]}, at ${clock(this.data.columns.driven_s[first])}`;
-      return { title, pictures: places.map((position) => this.picture(position)) };
+      return { title, pictures: spread(first, last, stretches.length).map((position) => this.picture(position)) };
     });
     fillGrid(this.element.querySelector("ol"), shown, (ticked) => this.onChange(stretches.filter((_, number) => ticked[number] ?? true)));
   }

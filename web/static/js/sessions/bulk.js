@@ -1,7 +1,7 @@
 // What the list's filter finds in all of its sessions: looked at, tagged, and undone as one.
 
 import { by, number } from "../dom.js";
-import { fillGrid, picturesOf } from "../grid.js";
+import { fillGrid, spread } from "../grid.js";
 import { showStatus } from "../live.js";
 import { ask } from "../session/log_data.js";
 import { counted } from "../session/selection.js";
@@ -57,8 +57,7 @@ async function look() {
   by("list").hidden = true;
   const { stretches } = looked;
   const shown = stretches.map(({ of, rows: [first, last] }) => {
-    const count = of.camera ? picturesOf(last - first + 1, stretches.length) : 0;
-    const numbers = Array.from({ length: count }, (_, at) => Math.round(first + ((last - first) * at) / Math.max(count - 1, 1)));
+    const numbers = of.camera ? spread(first, last, stretches.length) : [];
     return {
       title: `${of.name}, rows ${first} to ${last}`,
       href: `/sessions/${of.key}#row=${first}`,

@@ -1,0 +1,196 @@
+"""The history of a run: all that its files hold, also while they grow, and whoever wrote them."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from histories import epoch_line, step_lines, write_lines, write_run
+from model import RunError
+from model.runs.history import HistoryReader, read_history
+from model.runs.training_progress import Epoch, Step
+
+
+def wrong_epochs() -> list[str]:
+    """Lines in place of the second epoch's."""
+    good = epoch_line(2)
+    no_numbers: list[Any] = [0, -1, 1, 1.5, True, "2", None, 10**40, []]
+    no_losses: list[Any] = ["0", [], True, 1e200, 10**400, float("nan")]
+
+    def with_bin(**changed: Any) -> dict[str, Any]:
+        return {**good, "bins": [{**good["bins"][0], **changed}]}
+
+    return [
+        *("", "oops", "[]", "null", "7", '"text"', "[" * 100_000, " " * 2_000_000 + json.dumps(good)),
+        *(json.dumps({name: value for name, value in good.items() if name != gone}) for gone in ("bins", "zero")),
+        *(json.dumps({**good, "epoch": number}) for number in no_numbers),
+        *(json.dumps({**good, "training_loss": loss}) for loss in no_losses),
+        json.dumps(good).replace("0.1", "1e999", 1),
+        json.dumps(good).replace("0.1", "9" * 5000, 1),
+        json.dumps(with_bin(low=0.5)),
+        json.dumps(with_bin(low=None)),
+        json.dumps(with_bin(frames=0)),
+        json.dumps({**good, "bins": {"a": 1}}),
+        json.dumps({**good, "validation": [1, 2]}),
+        "\udcff",
+    ]
+
+
+def test_lines_that_no_training_writes_are_named_and_the_others_read(tmp_path: Path) -> None:
+    run, wrong = write_run(tmp_path / "first", 1), wrong_epochs()
+    with (run / "metrics.jsonl").open("ab") as stream:
+        stream.writelines(line.encode("utf-8", "surrogateescape") + b"\n" for line in wrong)
+    write_lines(run / "metrics.jsonl", [epoch_line(3)])
+    history, skipped = read_history(run)
+    assert [epoch.epoch for epoch in history.epochs] == [1, 3]
+    assert [name for _, name in skipped] == [f"metrics.jsonl line {2 + i}" for i in range(len(wrong))]
+    assert [epoch.training_loss for epoch in history.epochs] == pytest.approx([0.2, 0.2 / 3])
+
+
+def test_fields_that_nobody_reads_may_hold_anything(tmp_path: Path) -> None:
+    """Those of a later version, or of somebody else's tools."""
+    run = write_run(tmp_path / "first", 1)
+    before, _ = read_history(run)
+    anything: list[Any] = [10**40, 1e200, float("nan"), None, True, "\ud800", [], {"deep": -(10**400)}]
+    for number, value in enumerate(anything, 2):
+        good, step = epoch_line(number), step_lines(number)[0]
+        changed = {name: {**good[name], "balanced_rmse_deg": value} for name in ("validation", "zero")}
+        bins = [{**part, "later": value} for part in good["bins"]]
+        write_lines(
+            run / "metrics.jsonl", [{**good, **changed, "bins": bins, "balanced_rmse_deg": value, "x": value}]
+        )
+        write_lines(run / "steps.jsonl", [{**step, "later": value}])
+    history, skipped = read_history(run)
+    assert list(skipped) == []
+    assert [epoch.epoch for epoch in history.epochs] == list(range(1, 2 + len(anything)))
+    assert len(history.steps) == len(before.steps) + len(anything)
+
+
+def test_numbers_are_taken_as_any_json_has_them(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "first", 1)
+    wide: dict[str, Any] = {"training_loss": 10**30, "validation_loss": None, "is_best": 1, "bins": {}}
+    line = json.dumps({**epoch_line(2), **wide}).encode()
+    with (run / "metrics.jsonl").open("ab") as stream:
+        stream.write(b"\xef\xbb\xbf" + line + b"\n")  # a mark of its encoding, as some editors write it
+    history, skipped = read_history(run)
+    assert list(skipped) == []
+    epoch = history.epochs[-1]
+    assert (epoch.training_loss, epoch.is_best, epoch.measures.frames) == (1e30, False, 0)
+
+
+def test_steps_that_no_training_writes_are_named(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "first", 1)
+    good = step_lines(2)[0]
+    wrong: list[dict[str, Any]] = [{"samples": 1}, {"batch": 0}, {"batch": 26}, {"epoch": 0}]
+    write_lines(run / "steps.jsonl", [*({**good, **each} for each in wrong), good])
+    history, skipped = read_history(run)
+    assert [step.samples for step in history.steps][3:] == [good["samples"]]
+    assert [name for _, name in skipped] == [f"steps.jsonl line {number}" for number in range(4, 8)]
+
+
+def test_a_last_line_that_a_kill_has_cut_off_is_named(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "first", 2)
+    data = (run / "metrics.jsonl").read_bytes()
+    (run / "metrics.jsonl").write_bytes(data[:-20])
+    history, skipped = read_history(run)
+    assert len(history.epochs) == 1
+    assert list(skipped) == [("lines that were cut off", "metrics.jsonl line 2")]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_damaged_files_are_read_as_far_as_they_make_sense(tmp_path: Path, seed: int) -> None:
+    run, chance = write_run(tmp_path / "first", 3), random.Random(seed)
+    whole = (run / "metrics.jsonl").read_bytes()
+    for _ in range(200):
+        damaged = bytearray(whole)
+        for _ in range(3):
+            damaged[chance.randrange(len(damaged))] = chance.choice(b'0123456789"{}[],:.-e\n\0\xff')
+        (run / "metrics.jsonl").write_bytes(damaged)
+        history, skipped = read_history(run)
+        assert len(history.epochs) + len(skipped) >= 1
+        assert all(epoch.epoch > 0 for epoch in history.epochs)
+
+
+@pytest.mark.parametrize("name", ["metrics.jsonl", "steps.jsonl"])
+def test_a_link_a_folder_or_a_pipe_is_refused(tmp_path: Path, name: str) -> None:
+    elsewhere = write_run(tmp_path / "elsewhere", 1)
+    kinds: dict[str, Callable[[Path], object]] = {
+        "link": lambda path: path.symlink_to(elsewhere / name),
+        "folder": Path.mkdir,
+        "pipe": os.mkfifo,
+    }
+    for kind, make in kinds.items():
+        run = write_run(tmp_path / kind, 1)
+        (run / name).unlink()
+        make(run / name)
+        with pytest.raises(RunError) as refused:
+            read_history(run)
+        assert str(refused.value).startswith(f"{run / name}: ")
+
+
+def test_a_file_that_is_all_hole_is_not_read(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "first", 1)
+    os.truncate(run / "steps.jsonl", 10**11)
+    with pytest.raises(RunError, match=r"steps\.jsonl: larger than"):
+        read_history(run)
+
+
+def test_a_folder_without_a_training_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match=r"no training in it \(metrics.jsonl is missing\); `bc-train` makes a run"):
+        read_history(tmp_path)
+
+
+# While it is trained
+
+
+def test_however_the_files_grow_every_line_is_read_once(tmp_path: Path) -> None:
+    whole, run, chance = write_run(tmp_path / "whole", 4), tmp_path / "first", random.Random(0)
+    run.mkdir()
+    reader = HistoryReader(run)
+    epochs: list[Epoch] = []
+    steps: list[Step] = []
+    for name in ("steps.jsonl", "metrics.jsonl"):
+        data = (whole / name).read_bytes()
+        cuts = sorted(chance.sample(range(len(data)), 20))
+        for start, end in zip([0, *cuts], [*cuts, len(data)], strict=True):
+            with (run / name).open("ab") as stream:
+                stream.write(data[start:end])
+            history, is_replaced = reader.read()
+            assert not is_replaced
+            epochs += history.epochs
+            steps += history.steps
+    expected, _ = read_history(whole)
+    assert (tuple(epochs), tuple(steps)) == (expected.epochs, expected.steps)
+    assert len(reader.skipped) == 0
+
+
+def test_files_that_a_resumed_training_has_replaced_are_read_anew(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "first", 3)
+    reader = HistoryReader(run)
+    assert len(reader.read()[0].epochs) == 3
+    for name, kept in (("metrics.jsonl", 2), ("steps.jsonl", 7)):
+        lines = (run / name).read_bytes().splitlines(keepends=True)[:kept]
+        (run / "new").write_bytes(b"".join(lines))
+        (run / "new").replace(run / name)
+    history, is_replaced = reader.read()
+    assert is_replaced
+    assert [epoch.epoch for epoch in history.epochs] == [1, 2]
+    assert len(history.steps) == 7
+    write_lines(run / "metrics.jsonl", [epoch_line(3)])
+    history, is_replaced = reader.read()
+    assert ([epoch.epoch for epoch in history.epochs], is_replaced) == ([3], False)
+
+
+def test_a_run_that_is_gone_is_an_error_and_not_waited_for(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "first", 1)
+    reader = HistoryReader(run)
+    reader.read()
+    run.rename(tmp_path / "other")
+    with pytest.raises(RunError, match="first: "):
+        reader.read()
