@@ -107,7 +107,8 @@ def answer(folder: Path) -> Iterator[Callable[[], float]]:
             begin = server.process.cpu_times()
             turn = server.drive(pictures, REPLIES, 60.0)
             end = server.process.cpu_times()
-            return len(turn.round_trips_ms) / (end.user + end.system - begin.user - begin.system)
+            used_s = float(end.user + end.system - begin.user - begin.system)
+            return len(turn.round_trips_ms) / used_s
 
         yield round_of
 
