@@ -1,10 +1,11 @@
 """The training step, the index and the reply of a drive, beside what they have been on this kind of processor.
 
-python benchmarks/bench.py            # make bench: five minutes; exit code 1 if something is 10 % slower
+python benchmarks/bench.py            # make bench: five minutes; exit code 1 if something takes 10 % more
 python benchmarks/bench.py --keep     # keeps these figures for this kind of processor
 
-benchmarks/kept_figures.json has the kept ones. Each figure is the best of its rounds: whatever else a machine does
-only slows it. The rounds take turns, so that a slow minute meets all of them.
+benchmarks/kept_figures.json has the kept ones. Each figure is the best of its rounds, by processor time: whatever
+else a machine does only slows it. The rounds take turns, so that a slow minute meets all of them. What looks
+slower is measured once more. A wait is not found: it takes no processor time.
 """
 
 from __future__ import annotations
@@ -38,12 +39,12 @@ sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 from driving import untrained_run
 
 KEPT: Final = Path(__file__).with_name("kept_figures.json")
-MOVED: Final = 0.1
+MOVED: Final = 0.07  # 10 % more time is 9 % fewer a second
 ROUNDS: Final = 5
 BATCHES: Final = 4  # of 256, in a round
 ROWS: Final = 20_000  # of the log that is indexed
 REPLIES: Final = 1_500  # in a round
-UNITS: Final = {"training step": "samples/s", "index": "frames/s of processor time", "reply": "replies/s"}
+UNITS: Final = {"training step": "samples", "index": "frames", "reply": "replies"}  # a second of processor time
 
 
 def processor() -> str:
@@ -66,12 +67,12 @@ def train_steps() -> Callable[[], float]:
     network.train()
 
     def round_of() -> float:
-        begin_s = time.perf_counter()
+        begin_s = time.process_time()
         for _ in range(BATCHES):
             training_step(
                 network, optimizer, pictures, steering, dtype=machine.dtype, micro_batch=machine.micro_batch
             )
-        return BATCHES * config.batch / (time.perf_counter() - begin_s)
+        return BATCHES * config.batch / (time.process_time() - begin_s)
 
     return round_of
 
@@ -101,7 +102,14 @@ def answer(folder: Path) -> Iterator[Callable[[], float]]:
             "bc-drive", untrained_run(folder / "run", network="original"), folder / "drive.mcap", stack
         )
         server.suspend()
-        yield lambda: server.drive(pictures, REPLIES, 60.0).replies_per_s
+
+        def round_of() -> float:
+            begin = server.process.cpu_times()
+            turn = server.drive(pictures, REPLIES, 60.0)
+            end = server.process.cpu_times()
+            return len(turn.round_trips_ms) / (end.user + end.system - begin.user - begin.system)
+
+        yield round_of
 
 
 def measure() -> dict[str, float]:
@@ -117,6 +125,10 @@ def measure() -> dict[str, float]:
     return {what: max(rates[1:]) for what, rates in found.items()}  # the first warms up
 
 
+def slower(found: dict[str, float], kept: dict[str, float]) -> list[str]:
+    return [what for what, rate in found.items() if what in kept and rate < (1 - MOVED) * kept[what]]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--keep", action="store_true", help="keep the figures for this kind of processor")
@@ -125,20 +137,21 @@ def main() -> None:
     all_kept = json.loads(KEPT.read_text(encoding="utf-8"))
     kept: dict[str, float] = all_kept.get(kind, {})
     found = measure()
-    print(f"{kind}:\n\n| | now | kept | ratio | |\n|---|---|---|---|---|")
-    is_slower = False
+    if slower(found, kept):
+        again = measure()
+        found = {what: max(rate, again[what]) for what, rate in found.items()}
+    print(f"{kind}:\n\n| a second of processor time | now | kept | ratio | |\n|---|---|---|---|---|")
     for what, rate in found.items():
         if what not in kept:
             print(f"| {what}, {UNITS[what]} | {rate:,.0f} | - | - | nothing kept: --keep |")
             continue
         ratio = rate / kept[what]
-        moved = "**slower**" if ratio < 1 - MOVED else "faster: --keep" if ratio > 1 + MOVED else ""
-        is_slower |= ratio < 1 - MOVED
+        moved = "**slower**" if what in slower(found, kept) else "faster: --keep" if ratio > 1 + MOVED else ""
         print(f"| {what}, {UNITS[what]} | {rate:,.0f} | {kept[what]:,.0f} | {ratio:.2f} | {moved} |")
     if arguments.keep:
         all_kept[kind] = {what: round(rate) for what, rate in found.items()}
         KEPT.write_text(json.dumps(all_kept, indent=2, sort_keys=True) + "\n", encoding="utf-8")
-    raise SystemExit(int(is_slower))
+    raise SystemExit(int(bool(slower(found, kept))))
 
 
 if __name__ == "__main__":

@@ -159,12 +159,14 @@ def print_products(_folder: Path) -> None:
     }  # each with how often a batch needs it
     network.train()
 
-    def step() -> None:
-        training_step(network, optimizer, pictures, steering, dtype=machine.dtype, micro_batch=machine.micro_batch)
+    def step() -> torch.Tensor:
+        return training_step(
+            network, optimizer, pictures, steering, dtype=machine.dtype, micro_batch=machine.micro_batch
+        )
 
     parts["step"] = [(step, 1)]
     seconds: dict[str, list[list[float]]] = {name: [[] for _ in jobs] for name, jobs in parts.items()}
-    for _ in range(ROUNDS):
+    for _round in range(ROUNDS):
         for name, jobs in parts.items():
             for (job, times), taken in zip(jobs, seconds[name], strict=True):
                 job()

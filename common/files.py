@@ -28,7 +28,7 @@ _REMEDIES: Final = {
 
 def write_remedy(error: OSError) -> str:
     """The next step of somebody whose file could not be written."""
-    return _REMEDIES.get(error.errno or 0, "look at what lies there")
+    return _REMEDIES.get(error.errno or 0, "look at what is there")
 
 
 def part_path(path: Path) -> Path:
@@ -63,7 +63,7 @@ def refuse_existing(path: Path, overwrite: bool, instead: str = "choose another 
     """Raise UserError if `path` exists (a dangling link counts) and may not be overwritten. `instead` is what else
     somebody can do."""
     if path.is_dir():
-        raise UserError(f"{path} is a folder, a file name was expected: give another name")
+        raise UserError(f"{path} is a folder: give a file name")
     if not overwrite and (path.exists() or path.is_symlink()):
         raise UserError(f"{path} exists already: {instead}, or give --force to replace it")
 
@@ -80,7 +80,7 @@ def publish(part: Path, path: Path, overwrite: bool) -> None:
         else:
             _name_unless_taken(part, path)
     except OSError as error:
-        raise UserError(f"{path} cannot get its name ({error.strerror}): what was made here is {part}") from None
+        raise UserError(f"{path} cannot get its name ({error.strerror}): the new file is {part}") from None
     _sync_folder(path.parent)
 
 
@@ -88,11 +88,13 @@ def _name_unless_taken(part: Path, path: Path) -> None:
     try:
         os.link(part, path)  # unlike rename, link fails if the name is taken: no window for a second writer
     except FileExistsError:
-        raise UserError(f"{path} was written by someone else meanwhile: what was made here is {part}") from None
+        raise UserError(
+            f"{path} was written by another process at the same time: the new file is {part}"
+        ) from None
     except OSError:  # a file system without hard links (FAT, some network shares)
         if path.exists() or path.is_symlink():
             raise UserError(
-                f"{path} was written by someone else meanwhile: what was made here is {part}"
+                f"{path} was written by another process at the same time: the new file is {part}"
             ) from None
         part.rename(path)
     else:

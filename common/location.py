@@ -98,7 +98,7 @@ def location(text: str | Location) -> Location:
         return Path(unquote(urlsplit(text).path))
     if scheme not in SCHEMES:
         kinds = ", ".join(f"{each}://" for each in SCHEMES)
-        raise UsageError(f"{text}: neither a path nor the URL of a store, which begins with {kinds} or file://")
+        raise UsageError(f"{text}: not a path, nor a URL that begins with {kinds} or file://")
     bucket, _, key = rest.partition("/")
     if not bucket:
         raise UsageError(f"{text}: no bucket in it; {scheme}://BUCKET/NAME is expected")
@@ -119,7 +119,7 @@ def absolute(place: Location) -> Location:
 def local_path(place: Location) -> Path:
     """The place if it is on this machine. Raises UserError for one in a store."""
     if isinstance(place, Url):
-        raise UserError(f"{place}: is needed on this machine; `bc-log copy {place} FOLDER` brings it here")
+        raise UserError(f"{place} must be on this machine: run `bc-log copy {place} FOLDER`")
     return place
 
 

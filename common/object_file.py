@@ -148,7 +148,7 @@ class ObjectFile(Closeable):
                     continue
                 if len(data) == length:
                     return data
-        raise StoreError(f"{self.url}: bytes {offset:,} to {offset + length:,} came incomplete {CUT_OFF} times")
+        raise StoreError(f"{self.url}: bytes {offset:,} to {offset + length:,} were cut off {CUT_OFF} times")
 
     def _changed(self) -> NoReturn:
         raise ObjectChangedError(
@@ -187,7 +187,7 @@ def read_part(url: Url, part: tuple[int, int] | SuffixRange) -> tuple[ObjectMeta
             continue
         if len(data) == result.range[1] - result.range[0]:
             return result.meta, data
-    raise StoreError(f"{url}: came incomplete {CUT_OFF} times")
+    raise StoreError(f"{url}: the download was cut off {CUT_OFF} times")
 
 
 def _range_of(offset: int, length: int, version: str) -> GetOptions:

@@ -131,7 +131,9 @@ def put_file(url: Url, file: Path, replaces: ObjectVersion | None) -> ObjectVers
         except (failures.PreconditionError, failures.AlreadyExistsError):
             if (version := _version_if_same(url, file)) is not None:  # by this very call, and the answer was lost
                 return version
-            raise ObjectChangedError(f"{url}: was written by another machine meanwhile; that stays") from None
+            raise ObjectChangedError(
+                f"{url}: another machine has changed it at the same time; its version stays"
+            ) from None
     return ObjectVersion(made["e_tag"] or "", made["version"])
 
 

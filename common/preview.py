@@ -43,7 +43,7 @@ def preview(
     idle_priority: bool = False,
     notify: Callable[[str], object] = warn,
 ) -> Iterator[None]:
-    """Show a log that is being written, or the folder of a run that is (or will be) trained, while this lasts.
+    """Show a log that is being written, while this lasts.
 
     `where` is "window" (without a display: "web"), "web", a file that ends in .rrd, or the address of a viewer
     that runs ("127.0.0.1:9876", or "connect" for one on Rerun's own port). The file, and the viewer that runs,
@@ -103,7 +103,7 @@ def _start(command: list[str], notify: Callable[[str], object]) -> subprocess.Po
             creationflags=getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0),  # on Windows
         )
     except OSError as error:  # no memory, too many processes
-        notify(f"viewer: cannot be started ({error.strerror}); all else goes on without it")
+        notify(f"viewer: cannot be started ({error.strerror}); everything else continues")
         return None
 
 

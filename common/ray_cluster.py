@@ -126,7 +126,7 @@ def connection(address: str) -> Iterator[Any]:
             ray.init(address or None, log_to_driver=False, logging_level="ERROR")
     except ray.exceptions.AuthenticationError:  # before anybody is asked
         raise ClusterError(
-            f"--ray {address or 'auto'}: RAY_AUTH_MODE is set, but there is no token here: put the one that"
+            f"--ray {address or 'auto'}: RAY_AUTH_MODE is set, but this machine has no token: put the one that"
             " `ray get-auth-token` prints on its head into ~/.ray/auth_token"
         ) from None
     except (ConnectionError, TimeoutError, RuntimeError, ValueError) as error:
@@ -173,7 +173,7 @@ def _check_answers(address: str) -> None:
             if os.environ.get("RAY_USE_TLS", "0") in ("0", ""):
                 stream.settimeout(UNREACHABLE_S / 2)
                 if not speaks_grpc(stream):
-                    raise ClusterError(f"--ray {address}: something else than Ray listens there")
+                    raise ClusterError(f"--ray {address}: a program other than Ray listens there")
     except (OSError, OverflowError) as error:
         why = "no answer" if isinstance(error, TimeoutError) else getattr(error, "strerror", None) or str(error)
         raise ClusterError(
@@ -241,7 +241,7 @@ def _get(ray: Any, reference: Any) -> list[Any]:
         raise
     except ray.exceptions.RayError as error:
         why = printable(" ".join(str(error).split())[:300])
-        raise _LostError(f"the cluster has given a task up after {MAX_RETRIES + 1} trials: {why}") from None
+        raise _LostError(f"a task has failed {MAX_RETRIES + 1} times: {why}") from None
     return results
 
 

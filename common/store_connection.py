@@ -51,7 +51,7 @@ def store_of(url: Url, is_patient: bool) -> ObjectStore:
     global _used_by
     if _used_by not in (0, os.getpid()):  # obstore's threads are not in it: it would wait forever
         raise StoreError(
-            f"{url}: cannot be read in a process that was forked from one which has read from a store; start it"
+            f"{url}: cannot be read in this process, because its parent had read from a store; start it"
             ' anew (a DataLoader: multiprocessing_context="spawn")'
         )
     _used_by = os.getpid()

@@ -33,7 +33,7 @@ def check_environment(scheme: str, config: Mapping[str, object]) -> None:
             raise StoreError(f"{name}={printable(value[:100])}: a region was expected, such as us-east-1")
     for name, value in _given(scheme, _KEYS, {}, ""):
         if not value.isprintable():
-            raise StoreError(f"{name}: has a line end or another invisible character in it; set it without")
+            raise StoreError(f"{name}: contains a line end or another invisible character; remove it")
 
 
 def _given(

@@ -41,7 +41,7 @@ _ENDPOINTS: Final = {
 }
 _NOT_VALID: Final = ("InvalidAccessKeyId", "SignatureDoesNotMatch", "ExpiredToken", "InvalidToken")
 _RIGHTS: Final = {
-    "s3": "the rights s3:GetObject and s3:ListBucket (without which S3 refuses what is not there), to write"
+    "s3": "the rights s3:GetObject and s3:ListBucket (without it, S3 refuses missing objects), to write"
     " s3:PutObject and s3:DeleteObject, too",
     "gs": "the role Storage Object User",
     "az": "the role Storage Blob Data Contributor",
@@ -79,7 +79,7 @@ def store_error(url: Url, error: Exception, text: str) -> StoreError:
     if isinstance(error, exceptions.AlreadyExistsError):
         return ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
     if is_no_bucket(text):
-        return NoSuchObjectError(f"{bucket}: no such bucket{_endpoint(url)}; give the name of one that is there")
+        return NoSuchObjectError(f"{bucket}: no such bucket{_endpoint(url)}; give the name of an existing one")
     if "NoSuchUpload" in text:
         return StoreError(f"{url}: the store has given the upload up{_endpoint(url)}; give the command again")
     if isinstance(error, FileNotFoundError):
@@ -97,7 +97,7 @@ def store_error(url: Url, error: Exception, text: str) -> StoreError:
         rights = f"; they need {_RIGHTS[url.scheme]}" if _code(text) in _NO_RIGHT else ""
         return StoreError(f"{url}: the store refuses that to these credentials{_code(text)}{rights}")
     if isinstance(error, exceptions.NotSupportedError) or "NotImplemented" in text:
-        return StoreError(f"{url}: the store does not know what was asked of it{_code(text)}")
+        return StoreError(f"{url}: the store does not support this request{_code(text)}")
     return StoreError(f"{url}: {_reason(text)}{_endpoint(url)}")
 
 

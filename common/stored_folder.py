@@ -70,7 +70,7 @@ class StoredFolder(Closeable):
             lock(self._stream)
         elif not try_lock(self._stream):
             self._stream.close()
-            raise UserError(f"{url}: another process of this machine works on it; wait until that is done")
+            raise UserError(f"{url}: another process on this machine is using it; wait until it has ended")
         record = read_record(self.here)
         self._record = record if record.url == str(url) else StoreRecord(str(url))
         self._copies = dict(self._record.files)
@@ -211,7 +211,7 @@ class StoredFolder(Closeable):
     def _differs(self, name: str, stored: StoredObject, *, keeps_ours: bool) -> bool:
         """True if a file has to be fetched for the local folder to hold it. Raises UserError as `bring` does."""
         if not is_within(name):
-            raise UserError(f"{stored.url}: a name that no file here may have; remove it there")
+            raise UserError(f"{stored.url}: no file on this machine can have this name; remove it there")
         ours = self._copies.get(name)
         is_ours = ours is not None and _version_of(ours).name == stored.version
         is_changed = self._is_changed(name)
@@ -219,7 +219,7 @@ class StoredFolder(Closeable):
             return not is_ours or not (self.here / name).exists()
         if keeps_ours and is_changed and ours is not None and not is_ours:
             raise UserError(
-                f"{stored.url}: was changed there, and its copy {self.here / name} here; remove one of the two"
+                f"{stored.url}: was changed, and so was its copy {self.here / name}; remove one of the two"
             )
         return not is_ours or (is_changed and not keeps_ours)
 

@@ -26,7 +26,7 @@ def check_wheel_page() -> None:
     """Raise UserError if bc-web is not installed, without which nobody can steer."""
     if missing := [name for name in ("starlette", "uvicorn", "jinja2") if find_spec(name) is None]:
         raise UserError(
-            f"{missing[0]} is not installed, and the wheel is a page: `{install_line('web')}` brings it"
+            f"{missing[0]} is not installed, but --driver me needs a page: `{install_line('web')}` brings it"
         )
 
 
@@ -64,6 +64,6 @@ def wheel_page(key: str, folders: Mapping[str, Location], *, opens: bool) -> Ite
 def wait_until_left(log: Path) -> None:
     """Wait for Ctrl-C when a drive was ended on its page, which has buttons for what comes next."""
     if GracefulStop.current is None or not GracefulStop.current.is_requested:
-        print_message(f"{log} is finished; the page goes on until Ctrl-C")
+        print_message(f"{log} is finished; the page stays until Ctrl-C")
         with stop_signals() as stopped:
             stopped.wait()

@@ -57,7 +57,9 @@ def alter(picture: Image, names: str, seed: int, cameras: Viewpoint | None = Non
     """
     wanted = names.split("+") if names else []
     if seed < 0 or not {VIEWPOINT, *ALTERATIONS}.issuperset(wanted) or len(set(wanted)) < len(wanted):
-        raise DatasetError(f"{names!r} with seed {seed} is no alteration; build the index again with `bc-index`")
+        raise DatasetError(
+            f"{names!r} with seed {seed} is not an alteration; build the index again with `bc-index`"
+        )
     random = np.random.default_rng(seed)
     for name in wanted:
         picture = crop_from(picture, seed, cameras) if name == VIEWPOINT else ALTERATIONS[name](picture, random)

@@ -33,9 +33,9 @@ class Index:
     folder: Annotated[LocationFlag, tyro.conf.arg(name="sessions")] = Path("sessions")
     """The logs."""
     index: LocationFlag = Path("index")
-    """Folder of the index; a URL for logs in stores."""
+    """Folder of the index, or a URL if the logs are in a bucket."""
     look: bool = False
-    """Decode all pictures; flag broken, frozen and contradicting ones."""
+    """Decode all pictures; flag broken and frozen ones, and those that contradict the steering."""
     check: bool = False
     """Check the split for leaks; exit code 1 if there is one."""
     figures: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None

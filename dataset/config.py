@@ -23,7 +23,7 @@ Labels = Literal["auto", "as-recorded"]
 
 @dataclass(frozen=True)
 class IndexConfig:
-    """Settings that make balanced samples of frames. Those that no recipe sets are as in the original project."""
+    """How frames become balanced samples. Defaults that --recipe does not set are the original project's."""
 
     EARLIER: ClassVar[Mapping[str, Any]] = {"recipe": "original", "labels": "as-recorded"}
     """The values by which the original project worked, and earlier versions of this one without these settings."""
@@ -37,11 +37,11 @@ class IndexConfig:
     bins: int = BINS
     """Equal steering bins over -1..1."""
     balance: Annotated[bool, arg(help_behavior_hint="(default: balanced)")] = True
-    """Take every sample once; fill and prune no bins."""
+    """Use every sample once; do not balance the bins."""
     per_bin: Annotated[Literal["mean", "median"] | int, arg(metavar="mean|median|N")] = "mean"
     """Samples in a bin: mean or median of the non-empty ones, or N."""
     max_uses: int = 10
-    """Most uses of a picture, and of its mirror image, in a bin."""
+    """How often a bin may use a picture, and its mirror image."""
     flip: Annotated[bool, arg(help_behavior_hint="(default: with them)")] = True
     """Add no mirrored copies."""
     cameras: tuple[Camera, ...] = tuple(CORRECTION_SIGNS)
@@ -51,15 +51,15 @@ class IndexConfig:
     labels: Labels = "auto"
     """auto: smooth and shift people's steering, leave out crashes."""
     label_smooth_s: Annotated[float | None, arg(name="label-smooth", metavar="SECONDS")] = None
-    """Average the steering over this time; 0: not."""
+    """Average the steering over this time; 0: off."""
     label_shift_s: Annotated[float | None, arg(name="label-shift", metavar="SECONDS")] = None
-    """Take the steering this much later; 0: not."""
+    """Take the steering this much later; 0: off."""
     speed_ahead_s: Annotated[float, arg(name="speed-ahead", metavar="SECONDS")] = 0.5
     """For --targets speed: learn the speed this much later."""
     alter: tuple[Alteration | Literal["none"], ...] = ("blur", "brightness", "shadow")
     """Changes to copies, each with probability one half."""
     viewpoints: int = 0
-    """Warped views from off the line for each centre picture."""
+    """Warped views from beside the line, for each centre picture."""
     drives: Drives = "all"
     """Frames of drives: all, or takeovers only."""
     where: Annotated[str | None, arg(metavar="SQL")] = None
@@ -118,7 +118,7 @@ class IndexConfig:
                 "--alter",
                 " ".join(self.alter),
                 len(set(self.alter)) == len(self.alter) and is_none_alone,
-                "each alteration once, or none alone",
+                "each alteration once, or only none",
             ),
         )
         for flag, value, holds, what in expected:

@@ -93,7 +93,7 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
 def _refuse_contradictions(config: Index) -> None:
     """Raise UsageError for flags that would be passed over, and for a condition that is none."""
     if config.force and config.figures is None:
-        raise UsageError("--force: only of figures: give --figures FOLDER as well")
+        raise UsageError("--force only replaces figures: give --figures FOLDER as well")
     if config.ray not in (None, ("local",)) and isinstance(config.index, Url):
         raise UsageError(
             f"--index {config.index}: nodes of a cluster write into a folder that all of them see; without --ray"
@@ -115,7 +115,7 @@ def _one_sided(indexed: Indexed, config: Index) -> list[str]:
         ]
     if config.config.validation_share > 0 and not any(count.validation for count in counts):
         return [
-            f"{config.index}: no sample for validation, the drives are too short; give a smaller --block-s, or"
+            f"{config.index}: no sample for validation: the drives are too short; give a smaller --block-s, or"
             " hold out whole sessions with --validation SESSION"
         ]
     return []

@@ -37,7 +37,9 @@ def export_index(index: Location, folder: Path, *, where: str | None = None, **o
         chosen = _chosen_rows(index, samples, where)
         logs = {session: log.path for session, log in samples.logs.items() if len(chosen[session].row)}
         if not logs:
-            raise UserError(f"{index}: no row is used{'' if where is None else f' and fulfils --where {where!r}'}")
+            raise UserError(
+                f"{index}: {'no row is used' if where is None else f'no used row meets --where {where!r}'}"
+            )
         cameras = samples.settings.cameras
     by_path = {path: chosen[session] for session, path in logs.items()}
     return export_lerobot(list(by_path), folder, chosen=by_path, cameras=cameras, **options)

@@ -30,7 +30,7 @@ class Demo:
     """
 
     folder: Path | None = None
-    """Folder to work in, without a project; by default demo/DATE."""
+    """Folder to work in, which must not hold a project; by default demo/DATE."""
     quick: bool = False
     """Only a seventh of a lap and a small network: two minutes."""
     epochs: int = 4
@@ -111,7 +111,7 @@ def demo(config: Demo) -> int:
 def _refuse_unusable_settings(config: Demo, folder: Path) -> None:
     """Raise UserError, or UsageError, now for settings that a later step would refuse, after minutes."""
     if config.quick and (flags := flags_given(config, "epochs", "laps", "share")):
-        raise UsageError(f"{flags}: --quick has its own: give one or the other")
+        raise UsageError(f"{flags}: --quick sets these itself: give one or the other")
     if existing := [name for name in _MADE if (folder / name).exists()]:
         raise UserError(f"{folder}: has {', '.join(existing)} already; give another --folder")
     if folder.exists() and not folder.is_dir():
@@ -121,9 +121,7 @@ def _refuse_unusable_settings(config: Demo, folder: Path) -> None:
     if not 0 < config.laps <= 1000:
         raise UsageError(f"--laps {config.laps:g}: a number above 0, and up to 1,000, was expected")
     if not 0.05 <= config.share <= 1000:
-        raise UsageError(
-            f"--share {config.share:g}: a number of laps from 0.05 on was expected: less trains nothing"
-        )
+        raise UsageError(f"--share {config.share:g}: give at least 0.05 laps: less is not enough to train on")
     for step in steps_of(config):
         _program(step.command.split()[0])
 
@@ -140,7 +138,7 @@ def _program(name: str) -> str:
     # beside this Python first: its virtual environment need not be active
     program = shutil.which(name, path=sysconfig.get_path("scripts")) or shutil.which(name)
     if program is None:
-        raise UserError(f"{name}: not beside {sys.executable}; install the toolkit again")
+        raise UserError(f"{name}: not next to {sys.executable}; install the toolkit again")
     return program
 
 

@@ -47,7 +47,7 @@ def examine(project: Path | str = ".") -> Diagnosis:
     if not sessions and not drives:
         wanted.begin.append(Advice("see all of it at work", "bc-demo"))
         wanted.begin.append(Advice("the built-in simulator's expert drives", "bc-record lake --track lake"))
-        wanted.begin.append(Advice("take what was driven elsewhere", "bc-record mine --from ~/recording"))
+        wanted.begin.append(Advice("import a drive from elsewhere", "bc-record mine --from ~/recording"))
     if drives:
         newest = max(drives, key=lambda info: info.start)
         wanted.last.append(Advice("the newest drive", f"bc-play {_shown(project, Path(newest.path))}"))
@@ -150,7 +150,7 @@ def _index(project: Path, diagnosis: Diagnosis, wanted: _Wanted, *, has_sessions
         diagnosis.odd.append(
             "index: an earlier version made it, which held out crashes and did not know all that is odd"
         )
-        wanted.learn.append(Advice("what is odd is then neither learnt nor held out", "bc-index"))
+        wanted.learn.append(Advice("training and validation then leave out the odd rows", "bc-index"))
     tags = map(tags_path, logs_in(sessions)) if has_sessions else ()
     if any(_time_ns(path) > _time_ns(index / SAMPLES_NAME) for path in tags):
         wanted.learn.append(Advice("tags are newer than the index", "bc-index"))

@@ -35,7 +35,7 @@ class Doctor:
 def doctor(config: Doctor) -> int:
     if not config.project.is_dir():
         raise UserError(
-            f"{config.project}: no such folder; a project's was expected, which holds sessions/ or runs/"
+            f"{config.project}: no such folder; give the folder of a project, which has sessions/ or runs/"
         )
     from drive.doctor import examine  # NumPy, Arrow
 

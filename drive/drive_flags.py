@@ -47,11 +47,11 @@ class Drive:
     real_time: bool = False
     """Run --simulator no faster than the clock."""
     takeover: Annotated[Literal["expert", "me"] | None, tyro.conf.arg(metavar="[expert|me]")] = None
-    """The expert takes over outside the lane, or you in a browser."""
+    """Let the expert take over outside the lane, or you in a browser (me)."""
     open: bool = False
     """With --takeover me: open the browser."""
     page: bool = True
-    """With --takeover me: serve no page; a running bc-web does."""
+    """With --takeover me: serve no page, but use that of a running bc-web."""
     aggregate: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: not)")] = None
     """Drive, train on the expert's takeovers, drive again: N times."""
     epochs: int = 5
@@ -69,7 +69,7 @@ class Drive:
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Arithmetic; auto: the fastest."""
     viewer: Annotated[str, tyro.conf.arg(metavar="auto|window|web|ADDRESS|FILE.rrd|off")] = "auto"
-    """Show the drive in Rerun; auto: a window, with a display."""
+    """Show the drive in Rerun; auto: a window if there is a display."""
     server: Literal["eventlet", "threading"] = "eventlet"
     """The Socket.IO server."""
     host: str = "127.0.0.1"
@@ -99,12 +99,12 @@ def with_default_driver(words: Sequence[str]) -> list[str]:
 def refuse_contradictions(config: Drive) -> None:
     """Raise UsageError for flags that would be passed over, and for what is no port."""
     if config.log is not None and (flags := flags_given(config, "drives")):
-        raise UsageError(f"{flags}: is for a log that --log does not name: give one of both")
+        raise UsageError(f"{flags}: not needed with --log, which names the log: give one of them")
     if config.environment.gym is not None:
         others = ("simulator", "laps", "start", "real_time", "takeover", "aggregate", "server", "host", "port")
         if flags := flags_given(config, *others, "epochs", "sessions"):
             raise UsageError(
-                f"{flags}: not with --gym, which neither connects to a port nor knows where its car is"
+                f"{flags}: not with --gym: an environment has no port and does not say where its car is"
             )
         if config.seed < 0:
             raise UsageError(f"--seed {config.seed}: a whole number from 0 on was expected")
@@ -127,7 +127,7 @@ def refuse_contradictions(config: Drive) -> None:
     if config.simulator is None and (flags := flags_given(config, "real_time", "start")):
         raise UsageError(f"{flags}: only with the built-in simulator: give --simulator TRACK as well")
     if config.simulator is None and config.aggregate is None and (flags := flags_given(config, "laps")):
-        raise UsageError(f"{flags}: only with --simulator TRACK or --aggregate N: else it drives until Ctrl-C")
+        raise UsageError(f"{flags}: only with --simulator TRACK or --aggregate N; other drives end with Ctrl-C")
     if config.simulator is not None and (flags := flags_given(config, "car")):
         raise UsageError(f"{flags}: the built-in simulator's car is known; leave it out")
     if config.simulator is not None and (flags := flags_given(config, "host", "port")):

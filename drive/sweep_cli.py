@@ -52,7 +52,7 @@ class Sweep:
     index: LocationFlag = Path("index")
     """The index."""
     runs: LocationFlag = Path("runs")
-    """Folder of the runs; copied to a URL, which several machines may share."""
+    """Folder of the runs; copied to a URL, which machines may share."""
     drives: LocationFlag = Path("drives")
     """Folder of the drives' logs; finished logs are copied to a URL."""
     ray: RayAddress = None
@@ -92,7 +92,7 @@ def sweep(config: Sweep) -> int:
                 done.append(swept)
                 _print_one(swept, as_json=config.json)
     except KeyboardInterrupt:
-        print_message("bc-sweep: what is learnt and driven is kept; the same command goes on")
+        print_message("bc-sweep: finished trainings and drives are kept; the same command continues")
         raise
     finally:
         if done and not config.json:

@@ -82,7 +82,7 @@ def train(config: Train) -> int:
     except (KeyboardInterrupt, RunWriteError):
         if is_first and run.exists():
             to = f" --copy-to {copies}" if copies is not None else ""
-            print_message(f"bc-train: what is learnt is kept; go on with `{_resume(run, index)}{to}`")
+            print_message(f"bc-train: the run is kept; continue with `{_resume(run, index)}{to}`")
         raise
     except FirstRankError:
         return FAILED  # the first one prints why

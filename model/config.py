@@ -31,7 +31,7 @@ _RANGES: Final = {
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """The settings of a training. Those that are not of the recipe are the original project's."""
+    """The settings of a training. Defaults that --recipe does not set are the original project's."""
 
     EARLIER: ClassVar[Mapping[str, Any]] = {
         "recipe": "original",
@@ -52,15 +52,15 @@ class TrainConfig:
     network_args: tuple[str, ...] = ()
     """Arguments of your own network: NAME=VALUE."""
     targets: tuple[TargetName, ...] = STEERING_ONLY
-    """What it learns: steering, and speed or throttle."""
+    """What the network learns: steering, also speed or throttle."""
     target_weights: tuple[float, ...] = ()
     """Weight of each target's squared error (speed / 30 mph); by default 1."""
     picture_px: tuple[int, int] | None = None
-    """Width and height of its picture."""
+    """Width and height of the network's picture."""
     crop_rows: tuple[int, int] | None = None
     """Rows of 160 cut off at top and bottom."""
     channels: Literal["BGR", "RGB", "YUV"] | None = None
-    """Colours of its picture."""
+    """Colour order of the network's picture."""
     alter_each_epoch: tuple[EpochAlteration | Literal["all", "none"], ...] = ("none",)
     """Changes to every picture, drawn anew in every epoch: all, or some."""
     epochs: int = 10
@@ -70,7 +70,7 @@ class TrainConfig:
     rate: float = 1e-4
     """Learning rate of Adam."""
     average_steps: int = 100
-    """Average the weights over about this many steps; 1: not."""
+    """Average the weights over about this many steps; 1: off."""
     answers: Answers = "natural"
     """natural: undo the balancing's effect on answers."""
     keep: Keep = "driving-error"
@@ -84,7 +84,7 @@ class TrainConfig:
     device: Device = "auto"
     """auto: a GPU if there is one."""
     precision: Precision = "auto"
-    """Arithmetic; auto: bfloat16 where the device has it."""
+    """Arithmetic; auto: bfloat16 if the device has it."""
     micro_batch: int = 0
     """Samples in the network at once; 0: by device."""
     threads: int = 0
@@ -119,12 +119,12 @@ class TrainConfig:
         if not all(0 <= each < math.inf for each in self.target_weights) or sum(self.target_weights or (1,)) <= 0:
             raise ValueError("--target-weights: numbers of 0 or more, not all 0, were expected")
         if self.keep == "last" and self.patience:
-            raise ValueError(f"--patience {self.patience}: with --keep last no epoch is better than a later one")
+            raise ValueError(
+                f"--patience {self.patience}: cannot be used with --keep last, which always prefers the last epoch"
+            )
         names = self.alter_each_epoch
         if len(set(names)) < len(names) or (len(names) > 1 and {"all", "none"}.intersection(names)):
-            raise ValueError(
-                f"--alter-each-epoch {' '.join(names)}: each once, or all or none alone, was expected"
-            )
+            raise ValueError(f"--alter-each-epoch {' '.join(names)}: give each once, or only all or none")
         if not 0 < self.rate < math.inf:
             raise ValueError(f"--rate {self.rate:g}: a number above 0 was expected")
         if not 0 <= self.dropout < 1:

@@ -33,7 +33,7 @@ class OnnxPilot:
         self._network = onnxruntime.InferenceSession(str(network), options, providers=["CPUExecutionProvider"])
         if [given.name for given in self._network.get_inputs()] != ["picture"]:
             raise ValueError(
-                f"{network}: no network for a camera: write it with `bc-train export RUN --donkeycar`"
+                f"{network}: not for camera pictures: write it with `bc-train export RUN --donkeycar`"
             )
         predicts_throttle = "throttle" in [given.name for given in self._network.get_outputs()]
         if throttle is None and not predicts_throttle:

@@ -61,9 +61,9 @@ def _refuse_contradictions(config: Export) -> None:
     if [config.onnx, config.donkeycar, config.hub].count(None) != 2:
         raise UsageError("give --onnx for a file, --donkeycar FOLDER for a DonkeyCar, or --hub FOLDER for the hub")
     if config.hub is None and config.license is not None:
-        raise UsageError("--license: only of a folder for the hub: give --hub FOLDER as well")
+        raise UsageError("--license is only for a folder for the hub: give --hub FOLDER as well")
     if config.hub is not None and config.force:
-        raise UsageError("--force: only of a file: a folder is never replaced")
+        raise UsageError("--force is only for a file: a folder is never replaced")
 
 
 def _export_onnx(run: Path, config: Export) -> int:
@@ -75,7 +75,7 @@ def _export_onnx(run: Path, config: Export) -> int:
     difference = export_onnx(run, path, overwrite=config.force)
     picture = picture_of_run(run)
     print_result(_written(path, difference), f"input {input_line(picture)}")
-    print_message("to run it with onnxruntime and opencv-python-headless alone:")
+    print_message("to run it with only onnxruntime and opencv-python-headless:")
     _print_code(example(picture, json.dumps(str(path)), '"picture.jpg"'))
     print_next("python -m pip install onnxruntime opencv-python-headless", "where it is to run")
     return DONE

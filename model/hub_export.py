@@ -60,7 +60,7 @@ def export_to_hub(run: Path | str, folder: Path | str, *, licence: str | None = 
     """
     run, folder = Path(run), Path(folder)
     if config_folder(run) != run:
-        raise RunError(f"{run}: weights that go on being trained; a whole run was expected: {config_folder(run)}")
+        raise RunError(f"{run}: a run in training has no final weights; give a finished run: {config_folder(run)}")
     require_onnx()
     config = load_config(run)
     network = load_network(run)

@@ -196,7 +196,7 @@ def _exported(
         try:
             traced = torch.export.export(module.eval(), (sample,), dynamic_shapes=sizes)
         except Exception as error:  # of its own code, asked for what is only known of pictures
-            raise RunError(f"its way depends on what it sees ({in_one_line(error)})") from None
+            raise RunError(f"its path through the layers depends on the picture ({in_one_line(error)})") from None
         try:
             program = torch.onnx.export(
                 traced,
@@ -245,7 +245,7 @@ def _largest_difference_of_camera(
         *answers, seen = session.run([*names, "crop"], {"picture": np.ascontiguousarray(bgr[..., ::-1])})
         off = int(np.abs(seen.astype(np.int16) - preprocess(bgr, picture)).max())
         if off > MAX_CROP_DIFFERENCE:
-            raise RunError(f"{path}: not written: its crop is {off} levels off the crop of training")
+            raise RunError(f"{path}: not written: its crop differs from training's by {off} grey levels")
         expected = network(as_input(seen[None])).numpy()
         differences.append(_difference(np.stack(answers, axis=1), expected, targets))
     return float(np.max(differences))  # not a number if one is not

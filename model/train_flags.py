@@ -38,15 +38,15 @@ class Train:
     init: str | None = None
     """Start from this run's weights."""
     on: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SESSION [SESSION ...]")] = ()
-    """Train on these sessions alone; builds index-NAME."""
+    """Train only on these sessions; builds index-NAME."""
     takeovers: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = ()
     """Add these drives' takeovers to the samples of --init."""
     like: str | None = None
-    """Repeat this run's settings and index, except other flags."""
+    """Use this run's settings and index, except for flags that you give."""
     tensorboard: bool = False
     """Also write the curves for TensorBoard."""
     listener: str | None = None
-    """Your code for the progress: FILE.py:CLASS or MODULE:CLASS."""
+    """Your code that receives the progress: FILE.py:CLASS or MODULE:CLASS."""
     ray: Annotated[
         tuple[str, ...] | None, tyro.conf.arg(metavar="N [ADDRESS]", help_behavior_hint="(default: none)")
     ] = None
@@ -68,17 +68,19 @@ def refuse_contradictions(config: Train) -> None:
     """Raise UsageError for flags that do not go together."""
     others = {"--name": config.name, "--init": config.init, "--like": config.like}
     if config.resume is not None and (unfit := [flag for flag, value in others.items() if value]):
-        raise UsageError(f"{' and '.join(unfit)} make another run, --resume goes on with one: give one of them")
+        raise UsageError(f"{' and '.join(unfit)} make a new run, --resume continues one: give one of them")
     if config.takeovers and config.init is None:
-        raise UsageError("--takeovers: is learnt on top of a run: give it with --init RUN")
+        raise UsageError("--takeovers continues a run: give it with --init RUN")
     if (config.on or config.takeovers) and (config.resume is not None or config.like is not None):
-        raise UsageError("--on and --takeovers choose what is learnt; --resume and --like have it already")
+        raise UsageError(
+            "--on and --takeovers choose the samples; with --resume and --like they are already chosen"
+        )
     if config.on and config.takeovers:
         raise UsageError("--on, --takeovers: give one of them")
     if (config.on or config.takeovers) and "WORLD_SIZE" in os.environ:
         raise UsageError("--on and --takeovers build an index: do that with `bc-index` before torchrun")
     if isinstance(config.runs, Url) and config.copy_to is not None:
-        raise UsageError(f"--runs {config.runs}: is where the run is copied to: leave out --copy-to")
+        raise UsageError(f"--runs {config.runs}: the run is already copied there: leave out --copy-to")
     if Path(config.name).name != config.name or config.name.startswith("."):
         raise UsageError(f"--name {config.name!r}: a plain name was expected; give the folder with --runs")
 

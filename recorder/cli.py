@@ -42,12 +42,12 @@ class Record:
     port: int = 4567
     """Port for --listen."""
     car: Annotated[str | None, tyro.conf.arg(metavar="udacity|built-in|FILE.toml")] = None
-    """Angle, cameras, unit of speed; by default Udacity's."""
+    """The car: steering angle, cameras, unit of speed; by default Udacity's."""
     topics: tyro.conf.OmitArgPrefixes[Topics] = field(default_factory=Topics)
     columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHAT=COLUMN [WHAT=COLUMN ...]")] = ()
     """Columns of a csv: image=frame steering=angle, and more."""
     rate: float | None = None
-    """Rows a second; simulated: 10, or another divisor of 50."""
+    """Rows a second; in the built-in simulator 10, or another divisor of 50."""
     udacity: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Also write the simulated drive as a Udacity recording."""
     sessions: LocationFlag = Path("sessions")
@@ -59,7 +59,7 @@ class Record:
     open: bool = False
     """With --driver me: open the browser."""
     page: bool = True
-    """With --driver me: serve no page; a running bc-web does."""
+    """With --driver me: serve no page, but use that of a running bc-web."""
     drive: tyro.conf.OmitArgPrefixes[SimulatedDrive] = field(default_factory=SimulatedDrive)
     environment: tyro.conf.OmitArgPrefixes[GymFlags] = field(default_factory=GymFlags)
     wander: float = 0.0

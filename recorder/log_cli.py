@@ -26,12 +26,12 @@ from recorder.log_tag_cli import NameRows, warn_stale
 
 @dataclass(frozen=True)
 class ShowInfo:
-    """Show what logs hold, their origin, and how they were steered. Reads only their ends."""
+    """Show what logs contain, their origin, and how they were steered. Reads only their ends."""
 
     logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to describe."""
     look: bool = False
-    """Also measure the lag of the steering, in up to 1,500 pictures, if it is not known; it is kept next to the
+    """If the steering's lag is unknown, measure it in up to 1,500 pictures, and keep it next to the
     log."""
     json: bool = False
     """Print one JSON object a log."""
@@ -57,13 +57,13 @@ class ShowInfo:
 
 @dataclass(frozen=True)
 class Check:
-    """Check whole logs: CRCs, indexes, order, gaps, broken or frozen pictures, rows without one, stuck or
-    contradicting steering, values out of range; measure the steering's lag. Exit code 3 if something is wrong."""
+    """Check whole logs: CRCs, indexes, order, gaps, broken, frozen or missing pictures, stuck or contradicting
+    steering, values out of range; measure the steering's lag. Exit code 3 if something is wrong."""
 
     logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to check."""
     look: bool = True
-    """Decode every picture; --no-look does not, and is several times faster."""
+    """Decode every picture; --no-look skips this and is several times faster."""
     json: bool = False
     """Print one JSON object a log, with every finding."""
 
@@ -96,7 +96,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Cameras:
-    """Measure the side cameras' distance and the `bc-index --side-correction` for it (Udacity's: 0.2)."""
+    """Measure the side cameras' distance, and the `bc-index --side-correction` that fits (Udacity's: 0.2)."""
 
     logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """Logs with pictures of all three cameras."""

@@ -28,8 +28,8 @@ _MAX_NAMED: Final = 8
 
 @dataclass(frozen=True)
 class CopyLogs:
-    """Copy logs and tags to or from a store, whole or not at all, with every CRC compared. The same command
-    continues a stopped download, and skips what is there."""
+    """Copy logs and tags to or from a bucket, and compare every CRC. The same command
+    continues a stopped download, and skips logs that are there."""
 
     places: Annotated[tuple[LocationFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...] TO")]
     """Logs or folders of logs, then the target: a folder, a URL, or a new name."""
@@ -89,7 +89,7 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
 def _unreadable_or_full(log: Location, target: Location, error: OSError) -> UserError:
     """The error to raise where the system refuses to read a file of this machine, or to write any more to it."""
     if error.filename is None and isinstance(target, Path):
-        return UserError(f"{target}: {error.strerror}; the same command goes on where this one has ended")
+        return UserError(f"{target}: {error.strerror}; the same command continues")
     return UserError(f"{error.filename or log}: {error.strerror}")
 
 
@@ -162,7 +162,7 @@ def _pairs(places: Sequence[Location], to: Location) -> list[tuple[Location, Loc
         raise UsageError(f"{to}: one log, but {len(logs):,} are given; give a folder")
     names = [target.name for _, target in pairs]
     if twice := {name for name in names if names.count(name) > 1}:
-        raise UsageError(f"{min(twice)}: two logs of one name; copy them to different folders")
+        raise UsageError(f"{min(twice)}: two logs have this name; copy them to different folders")
     return pairs
 
 

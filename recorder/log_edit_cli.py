@@ -40,15 +40,15 @@ class Recover:
 
         path, to = self.log, recovered_name(self.log) if self.to is None else _named(self.to)
         if final_path(path) == path and is_whole(path):
-            print_result(f"{path}: whole, nothing to recover{'' if self.to else '; nothing was written'}")
+            print_result(f"{path}: complete, nothing to recover{'' if self.to else '; nothing was written'}")
             if self.to is None:
                 return DONE
         with Log(path) as log:
             if log.problem:
-                print_message(f"{path}: {log.problem}; all that is whole in it is recovered")
+                print_message(f"{path}: {log.problem}; everything complete in it is recovered")
             remark_crcs(path, log.has_crcs)
         code = print_written(recover(path, to, overwrite=self.force))
-        print_message(f"{path} is as it was; once {to} is checked it can be removed")
+        print_message(f"{path} is unchanged; check {to}, then you can remove it")
         return _made(to, code)
 
 
@@ -103,7 +103,7 @@ class Merge:
 
 @dataclass(frozen=True)
 class Rewrite:
-    """Rewrite an old log so that numbers are read without pictures. Content, tags and fingerprint stay."""
+    """Rewrite an old log so that numbers can be read without pictures. Content, tags and fingerprint stay."""
 
     log: LocalLog
     """The log to rewrite."""
@@ -117,7 +117,7 @@ class Rewrite:
 
         to = _named(self.to)
         code = print_written(rewrite(self.log, to, overwrite=self.force))
-        print_message(f"{self.log} is as it was; once {to} is checked it can take its place")
+        print_message(f"{self.log} is unchanged; check {to}, then you can replace it")
         return _made(to, code)
 
 
@@ -165,7 +165,7 @@ def noted(path: Location) -> int:
 
 def _named(to: Path) -> Path:
     if to.suffix != ".mcap":
-        raise UsageError(f"{to}: a log ends in .mcap, or no other command finds it; give {to}.mcap")
+        raise UsageError(f"{to}: the name of a log ends in .mcap; give {to}.mcap")
     return to
 
 

@@ -39,7 +39,7 @@ class NameRows:
     log: LogPlace
     """The log to tag."""
     tag: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[TAG]")] = None
-    """The tag: `exclude`, `fine` (looked at, and not odd), or any name; none: list tags."""
+    """The tag: `exclude`, `fine` (not odd after all), or any name; without one, list the tags."""
     start: float | None = None
     """First second, counted from the log's first row."""
     end: float | None = None
@@ -53,7 +53,7 @@ class NameRows:
     where: Annotated[str | None, tyro.conf.arg(metavar="CONDITION")] = None
     """Tag all rows that meet this condition: "speed_mph < 2 and throttle = 0"."""
     yes: bool = False
-    """Tag what --odd or --where finds without asking."""
+    """Do not ask before tagging what --odd or --where finds."""
     remove: bool = False
     """Remove the tag from these rows, or from all."""
 
@@ -158,7 +158,7 @@ class NameRows:
             chosen = self._chosen(name)
         if not chosen and not self.remove:
             if self.where is not None:
-                raise UserError(f"{self.log}: no row for which that holds; nothing was tagged")
+                raise UserError(f"{self.log}: no row meets this condition; nothing was tagged")
             print_message(f"{self.log}: nothing that is surely odd; nothing was tagged")
             return tags
         if self.remove and not set(chosen) & set(tags):

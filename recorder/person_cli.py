@@ -66,11 +66,11 @@ def listen_at_the_wheel(settings: ListenSettings, hold_mph: float, wheel: AtTheW
 def check_at_the_wheel(drive: SimulatedDrive, rate: float | None, *, listens: bool) -> None:
     """Raise UsageError for flags that are others' than a person's."""
     if flags := flags_given(drive, "recovery", "noise", "seed"):
-        raise UsageError(f"{flags}: a simulated driver's, not with --driver me")
+        raise UsageError(f"{flags}: only for a simulated driver, not with --driver me")
     if len(drive.speed) != 1 or not 0 < drive.speed[0] <= MAX_SPEED_MPH:
         raise UsageError(
-            f"--speed: with --driver me, one speed above 0 mph and up to {MAX_SPEED_MPH} is expected, for the page"
-            " to hold"
+            f"--speed: with --driver me, give the one speed that the page holds, above 0 mph and up to"
+            f" {MAX_SPEED_MPH}"
         )
     if listens:
         if flags := flags_given(drive, "track", "laps", "start") or ("--rate" if rate is not None else ""):

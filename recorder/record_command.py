@@ -113,7 +113,7 @@ def _record_to(config: Record, log: Path) -> Imported:
         if config.drive == SimulatedDrive():  # nobody has asked for it: perhaps --from was forgotten
             print_message(
                 f"bc-record: the built-in simulator's expert drives {config.drive.track};"
-                " --from FOLDER takes what was recorded elsewhere"
+                " --from FOLDER imports a recording"
             )
         return record_simulated(_drive_of(config), log, udacity=config.udacity, overwrite=config.force)
 
@@ -131,7 +131,7 @@ def _gym_recording(config: Record) -> GymRecording:
 def _refuse_contradictions(config: Record) -> None:
     name = config.name
     if isinstance(config.sessions, Url) and config.copy_to is not None:
-        raise UsageError(f"--sessions {config.sessions}: is where the log is copied to: leave out --copy-to")
+        raise UsageError(f"--sessions {config.sessions}: the log is already copied there: leave out --copy-to")
     if not name or name.startswith(".") or set(name) & set('/\\:*?"<>|') or printable(name) != name:
         raise UsageError(f"{name!r}: not a name for a session; give a plain one, such as `bc-record lake`")
     if name.endswith(".mcap"):
@@ -146,10 +146,10 @@ def _refuse_contradictions(config: Record) -> None:
         and not (config.listen and config.drive.driver == "me")
     ):
         raise UsageError(
-            "--from and --listen record what others drive; --udacity and --track and its like are the simulator's"
+            "--from and --listen record other drives; --udacity, --track and so on are for the built-in simulator"
         )
     if config.listen and config.rate is not None:
-        raise UsageError("--rate: telemetry has the time at which it comes; leave it out")
+        raise UsageError("--rate: telemetry is recorded when it comes; leave it out")
     if not (config.watch or config.listen) and (config.idle is not None or config.viewer):
         raise UsageError("--idle and --viewer go with --watch or --listen")
     if config.topics != Topics() and (config.source is None or config.watch):
@@ -164,7 +164,7 @@ def _refuse_contradictions(config: Record) -> None:
     if config.drive.driver != "me" and persons:
         raise UsageError(f"{persons}: only with --driver me")
     if config.drive.driver == "me" and config.udacity is not None:
-        raise UsageError("--udacity: a simulated driver's, not with --driver me")
+        raise UsageError("--udacity: only for a simulated driver, not with --driver me")
     if config.environment.gym is not None:
         _refuse_beside_gym(config)
         return
@@ -189,5 +189,5 @@ def _refuse_beside_gym(config: Record) -> None:
     if flags := flags_given(config, "source", "watch", "listen", "udacity"):
         raise UsageError(f"{flags.replace('--source', '--from')}: not with --gym, which is recorded itself")
     if replace(config.drive, seed=0) != SimulatedDrive():
-        raise UsageError("--track, --driver and their like are the built-in simulator's: not with --gym")
+        raise UsageError("--track, --driver and so on are for the built-in simulator, not for --gym")
     check_recording(_gym_recording(config))

@@ -61,9 +61,9 @@ class Sim:
 def sim(config: Sim) -> int:
     check_port("--port", config.port)
     if not 0 <= config.wait < math.inf:
-        raise UsageError(f"--wait {config.wait:g}: how long to wait is a number of seconds")
+        raise UsageError(f"--wait {config.wait:g}: give a number of seconds")
     if config.count is not None and (config.count < 1 or config.replay is None):
-        raise UsageError(f"--count {config.count}: how many pictures of --replay to send is a number above 0")
+        raise UsageError(f"--count {config.count}: give a number of pictures above 0")
     client = SimulatorClient(config.host, config.port, wait_s=config.wait)
     try:
         return _run_replay(config, client) if config.replay is not None else _run_drive(config, client)
@@ -83,13 +83,13 @@ def _run_drive(config: Sim, client: SimulatorClient) -> int:
 
     if not 0 < config.expert_speed <= MAX_SPEED_MPH:
         raise UsageError(
-            f"--expert-speed {config.expert_speed:g}: a set speed is above 0 mph and up to {MAX_SPEED_MPH} (the"
+            f"--expert-speed {config.expert_speed:g}: give a set speed above 0 mph and up to {MAX_SPEED_MPH} (the"
             " car reaches 30)"
         )
     if not 0 < config.laps <= MAX_LAPS:
-        raise UsageError(f"--laps {config.laps:g}: how far to drive is a number above 0 and up to {MAX_LAPS:,}")
+        raise UsageError(f"--laps {config.laps:g}: give a number above 0 and up to {MAX_LAPS:,}")
     if not 0 <= config.start < math.inf:
-        raise UsageError(f"--start {config.start:g}: where to begin is a number of metres, 0 or more")
+        raise UsageError(f"--start {config.start:g}: give a number of metres, 0 or more")
     with usage_errors(ValueError):
         steps_each(config.rate)
     cv2.setNumThreads(1)  # the network that drives needs the other cores more
@@ -101,8 +101,8 @@ def _run_drive(config: Sim, client: SimulatorClient) -> int:
         print_message(f"bc-sim: connecting to {client.url}")
     if not config.real_time and not config.tell_world:
         print_message(
-            "bc-sim: time passes faster here than by the clock, which bc-drive goes by: give --real-time or"
-            " --tell-world where distances and times of its log shall be right"
+            "bc-sim: this simulator runs faster than the clock that bc-drive uses: give --real-time or"
+            " --tell-world to get right distances and times in its log"
         )
     expert = Expert(simulation.track.line, config.expert_speed) if config.tell_world else None
     with progress_bar() as bar:
@@ -139,10 +139,10 @@ def _run_replay(config: Sim, client: SimulatorClient) -> int:
 
     assert config.replay is not None  # noqa: S101
     if config.tell_world:
-        raise UsageError("--tell-world: nobody knows the world of --replay's pictures; leave one of them out")
+        raise UsageError("--tell-world: for the pictures of --replay the world is unknown; leave one of them out")
     driven = ("track", "laps", "start", "rate", "real_time", "leave_off_road", "expert_speed")
     if flags := flags_given(config, *driven):
-        raise UsageError(f"{flags}: of driving, and --replay only sends pictures; leave them out")
+        raise UsageError(f"{flags}: only for driving, but --replay only sends pictures; leave them out")
     pictures = pictures_of(config.replay)[: config.count]
     print_message(f"bc-sim: connecting to {client.url}")
     start_s = 0.0

@@ -5,7 +5,7 @@ python studies/which_number.py FOLDER [--jobs 2] [--seeds 0 1 2] [--epochs 1 4] 
 
 Records half laps of both tracks by the expert and by someone at a keyboard, and other drives that no network
 learns from; trains each recipe with each seed, and takes the network of each of these epochs; lets each predict
-the recordings held out, drive those of the keyboard (`bc-eval --on`), and the simulator (`bc-eval --simulator`).
+the recordings held out, and drive the simulator (`bc-eval --simulator`).
 
 What FOLDER has already is not made again: stop it (Ctrl-C) and start it again as often as you like. Every job has
 one thread, and --jobs of them run at once. At the end, or at any time with --report alone, which_number_report.py

@@ -298,7 +298,7 @@ def test_a_cluster_with_a_token_that_is_not_here_is_told(tmp_path: Path, monkeyp
             other.submit(answer)
             # a process of its own: in one that Ray has been in, it does not look for a token again, and waits
             done = run("bc-index", "--ray", address, cwd=tmp_path)
-    assert "no token here: put the one that" in one_line_of(done)
+    assert "no token: put the one that" in one_line_of(done)
     assert done.returncode == 1
 
 
@@ -322,7 +322,7 @@ def test_an_address_where_nothing_listens_or_something_else_does_is_told() -> No
     gone = f"127.0.0.1:{free_ports(1)[0]}"
     with pytest.raises(ClusterError, match=f"--ray {gone}: no cluster can be reached there"), cluster_tasks(gone):
         pass
-    is_told = pytest.raises(ClusterError, match="something else than Ray listens there")
+    is_told = pytest.raises(ClusterError, match="a program other than Ray listens there")
     with serving_pages() as page, is_told, cluster_tasks(page):
         pass
 
@@ -416,7 +416,7 @@ def test_a_training_on_a_cluster_that_is_stopped_keeps_what_it_has_learnt(tmp_pa
         wait_until((tmp_path / "runs" / "stopped" / "metrics.jsonl").exists)
         training.popen.send_signal(signal.SIGINT)
         assert training.join() == 130, training.stderr
-    assert "what is learnt is kept; go on with" in " ".join(training.stderr)
+    assert "the run is kept; continue with" in " ".join(training.stderr)
     assert 1 <= read_position(tmp_path / "runs" / "stopped").epoch < 1000
 
 

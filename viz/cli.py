@@ -133,7 +133,7 @@ def _play_predicted(config: Play) -> int:
     from viz.targets import FinishedContent
 
     if config.follow:
-        raise UsageError("--run: predictions are made for a log that does not grow: give it without --follow")
+        raise UsageError("--run: a growing log cannot be predicted: give it without --follow")
     is_only_written = config.write is not None and config.save is None
     if is_only_written and (flags := flags_given(config, "attention", "web", "connect", "at")):
         raise UsageError(f"--write opens nothing: give it without {flags}")

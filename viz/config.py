@@ -34,7 +34,7 @@ class Play:
     )
     """Open at this time."""
     by: Literal["time", "place"] = "time"
-    """Compare logs by time, or by place on the first one's way."""
+    """Compare logs by time, or by place along the first one's path."""
     follow: bool = False
     """Show a growing log."""
     save: Path | None = None
@@ -100,17 +100,17 @@ def check_video_flags(config: Play) -> None:
 def check_viewer_flags(config: Play) -> None:
     """Raise UsageError for flags that do not go together where logs are shown, or written by --save."""
     if not config.run and (flags := flags_given(config, "network", "attention", "write")):
-        raise UsageError(f"{flags}: only of networks: give --run NAME as well")
+        raise UsageError(f"{flags}: only for networks: give --run NAME as well")
     if flags := flags_given(config, "speed", "overlay"):
         raise UsageError(f"{flags}: only for a video: give --video FILE.mp4 as well")
     if not config.places:
         raise UsageError("no log is given: bc-play LOG, or bc-play LOG LOG to compare")
     if len(config.places) > 1 and (flags := flags_given(config, "follow", "run")):
-        raise UsageError(f"{flags}: only with one log; several are compared as they are")
+        raise UsageError(f"{flags}: only with one log")
     if len(config.places) == 1 and config.by != "time":
         raise UsageError("--by place compares several logs: give more than one")
     if config.connect is not None and (config.web or config.save is not None):
-        raise UsageError("--connect shows it in a viewer that runs: give it without --web, --save")
+        raise UsageError("--connect uses an open viewer: give it without --web, --save")
     if config.at is not None:
         _check_moment(config)
     if config.save is not None and config.web:
@@ -133,9 +133,9 @@ def _refuse_overwriting_logs(config: Play) -> None:
     written = [(flag, path) for flag, path in flags if path is not None]
     for at, (flag, path) in enumerate(written):
         if path.exists() and any(log.exists() and path.samefile(log) for log in config.logs):
-            raise UserError(f"{flag} {path}: the log itself, which stays as it is; give another name")
+            raise UserError(f"{flag} {path}: is the log itself, which is not changed; give another name")
         if any(real_path(path) == real_path(other) for _, other in written[:at]):
-            raise UsageError(f"{flag} {path}: two files of one name; give another one")
+            raise UsageError(f"{flag} {path}: two files would have this name; give another one")
 
 
 def _refuse_other_suffixes(config: Play) -> None:
@@ -158,4 +158,4 @@ def _refuse_logs_as_addresses(config: Play) -> None:
     logs = " ".join(shlex.quote(str(log)) for log in (*config.logs, *swallowed)) or "LOG"
     addresses = [name for name in given if name not in swallowed]
     line = f"bc-play {logs} --connect {' '.join(addresses) if len(addresses) < 2 else 'HOST:PORT'}".rstrip()
-    raise UsageError(f"--connect takes one address, and stands behind the logs: {line}")
+    raise UsageError(f"--connect takes one address; put it after the logs: {line}")

@@ -25,7 +25,7 @@ def _show(config: Play) -> int:
             raise
         again = f"bc-play {shlex.quote(str(final_path(config.log)))} --follow"
         another = f"`{again}` opens another one, `{again} --web` in a browser"
-        raise UserError(f"{error}; all else goes on without it; {another}") from None
+        raise UserError(f"{error}; everything else continues; {another}") from None
 
 
 def main() -> None:

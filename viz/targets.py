@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from viz.viewer_feed import ViewerFeed, ViewerGoneError, feed_viewer
 from viz.viewer_process import Ports, Viewer, free_port, open_viewer
 
 _LARGE: Final = 2_000_000_000  # bytes
+_SENT: Final = 1_200_000_000  # bytes of larger content
 WINDOW_MEMORY: Final = "1MB"
 """Memory of the server of a window: no viewer connects late, and the window has its own copy."""
 _ROOM: Final = 300_000_000  # bytes that a server needs for more than the logs, so that it drops nothing
@@ -62,16 +64,17 @@ class FinishedContent:
 
     def show(self, destination: Destination) -> int:
         # The viewer starts while the logs are read. The server of a page holds all of them: it may be opened late.
-        memory_mb = max(1000, int(1.2 * self._size + _ROOM) // 1_000_000)
-        if self._size > _LARGE and destination.connect is None:
-            less = "a file needs less memory: --save FILE.rrd, then `rerun FILE.rrd`"
-            print_notice(f"{self._size / 1e9:.1f} GB to show: {less}")
+        every = 1 if self._size <= _LARGE else math.ceil(self._size / _SENT)
+        memory_mb = max(1000, int(1.2 * self._size / every + _ROOM) // 1_000_000)
+        if every > 1:
+            part = f"one picture of {every}, or 2 GB of memory would not do"
+            print_notice(f"{self._size / 1e9:.1f} GB to show: {part}; all: --save FILE.rrd, then `rerun FILE.rrd`")
         with (
             open_destination(destination, server_memory=f"{memory_mb}MB") as (url, viewer),
             self._prepare() as prepared,
         ):
             notice_code = warn_all(prepared.notices)
-            code = feed_viewer(_ContentFeed(url, prepared), viewer)
+            code = feed_viewer(_ContentFeed(url, prepared, every), viewer)
             if viewer is None and code in (DONE, DONE_BUT_SKIPPED):
                 print_result(f"{prepared.name}: sent to {urlsplit(url).netloc}")
             return max(notice_code, code)
@@ -126,16 +129,17 @@ def warn_all(notices: Sequence[str]) -> int:
 class _ContentFeed(ViewerFeed):
     """Sends content that does not grow."""
 
-    def __init__(self, url: str, prepared: PreparedRecording) -> None:
+    def __init__(self, url: str, prepared: PreparedRecording, every: int) -> None:
         super().__init__(url)
         self._prepared = prepared
+        self._every = every
 
     def run(self) -> None:
         recording = self._connected(self._prepared.name)
         recording.send_blueprint(self._prepared.layout)
         try:
             try:
-                self._prepared.send(recording, lambda: self._flush(recording))
+                self._prepared.send(recording, lambda: self._flush(recording), self._every)
                 if self._prepared.at_s is not None:
                     set_time(self.url, recording, self._prepared.at_s, self.stop)
             except ViewerGoneError:

@@ -156,11 +156,11 @@ class _Pictures:
         first = next(sound, None)
         if first is None:
             many = f"none of {counted(len(self.times_ns), 'picture')}" if len(self.times_ns) else "no picture"
-            raise UserError(f"{log.path}: {many} of the centre camera can be shown, and a video is made of those")
+            raise UserError(f"{log.path}: {many} of the centre camera can be shown, and a video needs them")
         self.width, self.height = _video_size(first.shape[1], first.shape[0])
         if min(self.width, self.height) < _MIN_SIDE:
             size = f"{first.shape[1]} x {first.shape[0]}"
-            raise UserError(f"{log.path}: pictures of {size} pixels, of which no video can be made")
+            raise UserError(f"{log.path}: pictures of {size} pixels cannot become a video")
 
     def draw(self, number: int, canvas: Image) -> None:
         """Draw a picture on `canvas` (height, width, 3) BGR; a broken one is counted, and leaves it as it is."""

@@ -101,8 +101,12 @@ def _refuse_others(url: str, where: str) -> None:
         try:
             is_viewer = speaks_grpc(connection)
         except TimeoutError:
-            raise UserError(f"{where}: what listens there does not answer: a frozen viewer, or none") from None
+            raise UserError(
+                f"{where}: no answer: the viewer is frozen, or another program listens there"
+            ) from None
         except OSError:
             is_viewer = False
     if not is_viewer:
-        raise UserError(f"{where}: what listens there is no Rerun viewer; open one with `rerun --port PORT`")
+        raise UserError(
+            f"{where}: the program that listens there is not a Rerun viewer; open one with `rerun --port PORT`"
+        )

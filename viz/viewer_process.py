@@ -160,6 +160,6 @@ def _refuse_taken(port: int) -> None:
         socket.create_server((LOCAL, port)).close()
     except (OSError, OverflowError) as error:
         raise UserError(
-            f"port {port} cannot be listened on ({error}): end what has it, perhaps a viewer, or give bc-play"
-            " others: --port, --web-port"
+            f"port {port} cannot be listened on ({error}): end the program that uses it, perhaps a viewer,"
+            " or give bc-play others: --port, --web-port"
         ) from None

@@ -27,7 +27,7 @@ class Web:
     port: int = 8080
     """Port of the workbench."""
     host: str = "127.0.0.1"
-    """Address to listen on; beyond this machine, a token is needed (no encryption)."""
+    """Address to listen on; other machines need a token; nothing is encrypted."""
     open: bool = False
     """Open the browser."""
     sessions: LocationFlag = Path("sessions")
@@ -61,10 +61,7 @@ def serve(config: Web, page: str = "") -> int:
     give_memory_back()
     folders = ProjectFolders(config.sessions, config.index, config.runs, config.drives)
     token = token_for(config.host)
-    with (
-        stop_signals() as stopped,
-        workbench_app(folders, config.host, token, default_cache_folder()) as app,
-    ):
+    with stop_signals() as stopped, workbench_app(folders, config.host, token, default_cache_folder()) as app:
         server = WorkbenchServer(app, config.host, config.port)
         server.start()
         name = f"[{config.host}]" if ":" in config.host else config.host
@@ -94,7 +91,7 @@ def _check_folders(config: Web) -> None:
         if folder.exists() and not folder.is_dir():
             raise UserError(f"--{name} {folder}: a file; a folder was expected")
         if not folder.exists() and folder != getattr(Web, name):
-            print_message(f"--{name} {folder}: no such folder yet; it is shown as soon as there is one")
+            print_message(f"--{name} {folder}: no such folder yet; it will be shown when it exists")
 
 
 def main() -> None:

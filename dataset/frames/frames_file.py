@@ -101,7 +101,9 @@ def log_place(named: str, index: Location) -> Location:
             return location(named)
         return index.joined(named) if isinstance(index, Url) else index / named
     except (UserError, ValueError) as error:
-        raise DatasetError(f"{index}: names a log that is nowhere ({error}); run `bc-index` again") from None
+        raise DatasetError(
+            f"{index}: a log that it names does not exist ({error}); run `bc-index` again"
+        ) from None
 
 
 def refuse_other_places(logs: Mapping[str, str], index: Location) -> None:

@@ -184,7 +184,7 @@ def _refuse_different_steering(held: Mapping[str, BuiltLog]) -> None:
         if other_deg != one_deg:
             raise DatasetError(
                 f"sessions {first} and {name}: steering 1 is {one_deg:g} degrees in one and"
-                f" {other_deg:g} in the other; give each kind an index of its own (`bc-index"
+                f" {other_deg:g} in the other; build an index for each (`bc-index"
                 f" {name} ... --index PATH`)"
             )
 

@@ -29,7 +29,7 @@ def find_logs(sessions: Sequence[Location | str], folder: Location | str) -> lis
         if logs := finished_logs(folder):
             return logs
         if isinstance(folder, Path) and folder.is_file():
-            raise DatasetError(f"{folder}: a file; the folder that logs are in was expected, such as sessions")
+            raise DatasetError(f"{folder} is a file: give the folder of the logs, such as sessions")
         raise DatasetError(f"{folder}: no logs in it; record one with `bc-record NAME`")
     found: list[Location] = []
     listed: dict[Url, set[Url]] = {}
@@ -54,7 +54,9 @@ def find_unchanged_log(session: Location | str, folder: Location | str, fingerpr
     (path,) = find_logs([session], folder)
     with Log(path) as log:
         if log.fingerprint != fingerprint:
-            raise DatasetError(f"{path}: changed since it was learnt from; give the --sessions as they were")
+            raise DatasetError(
+                f"{path}: changed since the run learned from it; give the unchanged logs with --sessions"
+            )
     return path
 
 
@@ -64,7 +66,7 @@ def by_session_name(logs: Iterable[Location]) -> dict[str, Location]:
     for log in logs:
         other = by_name.setdefault(session_name(log), log)
         if absolute(other) != absolute(log):
-            raise DatasetError(f"{log} and {other}: two sessions of one name; rename one of them")
+            raise DatasetError(f"{log} and {other}: two sessions with the same name; rename one of them")
     return by_name
 
 
@@ -141,8 +143,8 @@ def logs_not_indexed(index: Path, logs: Sequence[Location], stat: Callable[[Loca
 def unfinished_recordings(folder: Location, sessions: Sequence[str]) -> list[str]:
     """A line for each unfinished recording in `folder`; with `sessions`, only for those of their names."""
     return [
-        f"{part}: not indexed: a recording that goes on, or was killed; then give `bc-log recover {part}`, and"
-        " remove it"
+        f"{part}: not indexed: its recording is running or was killed; if killed, run `bc-log recover {part}`,"
+        " and remove it"
         for part in (sorted(folder.glob("*.mcap.*.part")) if isinstance(folder, Path) else ())
         if not sessions or session_name(part) in sessions
     ]

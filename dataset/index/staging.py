@@ -94,7 +94,9 @@ def _publish_all(stage: Path, index: Path) -> None:
                 file.replace(frames / file.name)
             old.rmdir()
         if isinstance(error, OSError):
-            raise DatasetError(f"{index}: cannot be changed ({error.strerror}); close what reads it") from None
+            raise DatasetError(
+                f"{index}: cannot be changed ({error.strerror}); close programs that read it"
+            ) from None
         raise
     frames.mkdir(exist_ok=True)
     for file in sorted((stage / FRAMES_FOLDER).iterdir()):

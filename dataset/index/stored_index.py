@@ -72,5 +72,5 @@ def _put(folder: StoredFolder, index: Url, logs: Sequence[Location]) -> None:
     try:
         folder.send(first=[f"{SAMPLES_FOLDER}/", SAMPLES_NAME, f"{FRAMES_FOLDER}/"])
     except ObjectChangedError as error:
-        raise DatasetError(f"{error}; give the command again: it begins with what is there") from None
+        raise DatasetError(f"{error}; give the command again: it continues") from None
     remember_places(index, index_project(index), folders_of(logs))

@@ -76,7 +76,7 @@ class LogCrops(Closeable):
         count = len(pictures.sequence)
         if not count:
             raise DatasetError(
-                f"{self._log.path}: no picture of the centre camera in it; `bc-log info` lists what is"
+                f"{self._log.path}: no picture of the centre camera in it; `bc-log info` lists its topics"
             )
         self.row: NDArray[np.int64] = pictures.sequence
         self.log_time_ns: NDArray[np.int64] = pictures.log_time_ns

@@ -53,7 +53,9 @@ class Condition:
             frames, lambda chosen: [np.sort(chosen.fetchnumpy()[_NUMBER]) for _ in range(2)]
         )
         if not np.array_equal(rows, again):
-            raise DatasetError(f"--where {self._where!r}: depends on chance, so that no index could be made again")
+            raise DatasetError(
+                f"--where {self._where!r}: gives other rows each time, so the index could not be built again"
+            )
         mask = np.zeros(len(frames), np.bool_)
         mask[rows] = True
         return mask

@@ -108,7 +108,7 @@ class Samples(Closeable):
         except _UNREADABLE as error:
             raise self._damaged(error) from None
         if version not in READABLE_FORMATS:
-            raise DatasetError(f"{self.path}: of format {version}, not {SAMPLES_FORMAT}; run `bc-index` again")
+            raise DatasetError(f"{self.path}: has format {version}, not {SAMPLES_FORMAT}; run `bc-index` again")
         refuse_other_places({session: log.path for session, log in self.sources.items()}, index)
         self.logs = open_logs(index, self.sources)
 
@@ -182,7 +182,7 @@ class Samples(Closeable):
             return None
         degrees = angles_deg.pop() if len(angles_deg) == 1 else None
         if not isinstance(degrees, int | float) or not 0 < degrees < 90:
-            raise self._damaged(ValueError("no one angle of the wheels at steering 1"))
+            raise self._damaged(ValueError("its sessions have different angles at steering 1"))
         return float(degrees)
 
     @property

@@ -101,7 +101,7 @@ class Aggregation:
                     self._train(run, self._runs[trained], self._logs[:number], warn)
                     trained = number
                 notify(
-                    f"{run_name(run)} drives {self._simulator.description}, the expert takes over where it has to"
+                    f"{run_name(run)} drives {self._simulator.description}, the expert takes over outside the lane"
                 )
                 done = self._drive(run, log, mode)
             except KeyboardInterrupt:

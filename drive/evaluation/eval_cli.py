@@ -107,7 +107,7 @@ def _index_of(run: Path) -> Location:
         return Path("index")
     if isinstance(index, Path) and not index.is_dir():
         raise UserError(
-            f"{index}: the index that {run} was trained on is not there any more; give --index INDEX, or measure"
+            f"{index}: the index that {run} was trained on is missing; give --index INDEX, or measure"
             " whole sessions: --session NAME"
         )
     return allowed_index_of(run) or index

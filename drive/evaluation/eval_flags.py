@@ -53,7 +53,7 @@ class Eval:
     worst: Annotated[int | None, _default("INT", "none; 10 with --json")] = None
     """Worst frames to list, at most one a second."""
     simulator: Annotated[tuple[str, ...] | None, _default("TRACK [TRACK ...]", "none")] = None
-    """Drive these: lake, mountain, random:SEED, hairpins:SEED."""
+    """Drive these tracks: lake, mountain, random:SEED, hairpins:SEED."""
     laps: Annotated[float | None, _default("FLOAT", "1")] = None
     """Laps on each track."""
     speed: Annotated[tuple[float, ...] | None, _default("MPH [MPH ...]", "10")] = None
@@ -92,16 +92,16 @@ def refuse_contradictions(config: Eval) -> None:
     if config.session == ():
         raise UsageError("nothing to measure: give --session at least one session")
     if config.session is not None and (config.index is not None or config.split is not None):
-        raise UsageError("--session measures whole sessions, of no index: leave out --index and --split")
+        raise UsageError("--session measures whole sessions without an index: leave out --index and --split")
     if config.compare is None:
         if config.tolerance is not None:
-            raise UsageError("--tolerance is how much worse B may be, of --compare A B: give it too")
+            raise UsageError("--tolerance is for --compare A B: give that, too")
         if config.gate:
-            raise UsageError("--gate fails if B is worse, of --compare A B: give it too")
+            raise UsageError("--gate is for --compare A B: give that, too")
     elif config.run is not None:
         raise UsageError(f"{config.run}: --compare names its two runs itself: leave it out")
     elif flags := flags_given(config, "bins", "worst"):
-        raise UsageError(f"{flags}: of one run, and --compare of two: give one or the other")
+        raise UsageError(f"{flags}: only for one run, but --compare takes two: give one or the other")
     if config.tolerance is not None and not 0 <= config.tolerance < 1:
         raise UsageError(f"--tolerance {config.tolerance:g}: a share from 0 to 1 was expected")
     if config.worst is not None and config.worst < 0:

@@ -74,7 +74,7 @@ class ExternalSimulator:
         summary = session.summary
         if not summary.has_expert:
             raise DriveError(
-                f"{log}: nobody could take over, so that there is nothing to learn from: the simulator never sends"
+                f"{log}: nobody could take over, so there is nothing to learn from: the simulator never sends"
                 f" {', '.join(REQUIRED_MEMBERS)} (`bc-sim --tell-world` does); move the log away to begin again"
             )
         return summary

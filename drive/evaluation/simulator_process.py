@@ -71,7 +71,7 @@ class BuiltInSimulator:
 def check_laps(laps: float) -> None:
     """Raises DriveError for a number of laps that cannot be driven."""
     if not 0 < laps <= MAX_LAPS:
-        raise DriveError(f"--laps {laps:g}: how far to drive is a number above 0 and up to {MAX_LAPS:,}")
+        raise DriveError(f"--laps {laps:g}: give a number above 0 and up to {MAX_LAPS:,}")
 
 
 def drive_and_log(

@@ -82,7 +82,7 @@ def read_sweep(path: Path) -> SweepPlan:
         why = printable(" ".join(str(error).split()))
         raise UserError(f"{path}: not a sweep ({why}); {_EXPECTED}") from None
     if stored.grid and stored.trainings:
-        raise UserError(f"{path}: [grid] has every combination, [[trainings]] is a list of them: give one of both")
+        raise UserError(f"{path}: [grid] makes every combination, [[trainings]] lists them: give one of the two")
     name = _NOT_IN_NAMES.sub("_", path.stem)
     trainings = tuple(
         _training(path, name, stored.train, varied, seed)

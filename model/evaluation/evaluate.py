@@ -272,7 +272,7 @@ def _unmeasured(run: Path, samples: Samples) -> dict[TargetName, str]:
     if "speed" in targets and "speed" not in reasons and answered_s != recorded_s:
         reasons["speed"] = (
             f"{run}: answers the speed of {answered_s:g} s later, and the labels are of {recorded_s:g} s later:"
-            " its speed is not measured; measure it alone, with --session or an index of `bc-index"
+            " its speed is not measured; measure it separately, with --session or an index of `bc-index"
             f" --speed-ahead {answered_s:g}`"
         )
     return reasons

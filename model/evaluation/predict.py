@@ -83,7 +83,9 @@ def predict_crops(
                     except RunError as error:
                         raise RunError(f"{runs[at]}: {error}") from None
                     if not answers.isfinite().all():
-                        raise RunError(f"{runs[at]}: its network predicts what is no number; train it again")
+                        raise RunError(
+                            f"{runs[at]}: its network predicts something that is not a number; train it again"
+                        )
                     predicted[at][numbers] = answers.numpy()
                 advance(len(numbers))
                 on_batch()

@@ -117,7 +117,7 @@ class NetworkChoice:
             ) from None
         network.train(was_training)
         if not answers.isfinite().all():
-            raise RunError(f"{self._label} answers what is no number")
+            raise RunError(f"{self._label} gives an answer that is not a number")
 
     @property
     def _label(self) -> str:
@@ -127,7 +127,7 @@ class NetworkChoice:
         try:
             return network.to(device)
         except (RuntimeError, NotImplementedError) as error:
-            raise RunError(f"{self._label} cannot be brought to {device} ({_why(error)})") from None
+            raise RunError(f"{self._label} cannot be moved to {device} ({_why(error)})") from None
 
     def _refuse_unkeepable(self, network: PictureNetwork) -> None:
         if not any(parameter.requires_grad for parameter in network.parameters()):
@@ -135,12 +135,12 @@ class NetworkChoice:
         owners: dict[int, str] = {}
         for name, tensor in network.state_dict(keep_vars=True).items():
             if is_lazy(tensor):
-                raise RunError(f"{self._label}: {name} has no size yet; give its layer one: lazy ones have none")
+                raise RunError(
+                    f"{self._label}: {name} has no size yet; give the layer its size: lazy layers do not work"
+                )
             other = owners.setdefault(tensor.untyped_storage().data_ptr(), name) if tensor.numel() else name
             if other != name:
-                raise RunError(
-                    f"{self._label}: {other} and {name} share their numbers; a run keeps each by itself"
-                )
+                raise RunError(f"{self._label}: {other} and {name} share their weights, which a run cannot store")
 
 
 def choose_network(config: TrainConfig) -> NetworkChoice:

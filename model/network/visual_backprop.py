@@ -37,7 +37,7 @@ def visual_backprop(network: nn.Module, inputs: Tensor) -> tuple[Tensor, Tensor]
     with _Watched(network) as watched:
         outputs = network(inputs)
     if not any(step.average is not None for step in watched.steps):
-        raise RunError("where it looks is unknown: its network has no nn.ReLU after a convolution")
+        raise RunError("attention cannot be computed: the network has no nn.ReLU after a convolution")
     size = inputs.shape[2:]
     maps = _through_chain(watched.steps) if watched.is_chain else _through_sizes(watched.steps)
     if maps.shape[1:] != size:

@@ -109,7 +109,7 @@ def is_enough(numbers: RunNumbers) -> Advice | None:
     if not numbers.is_built_in:
         return Advice(small, numbers.drive_command)
     tracks = "lake mountain" if not driven else "random:1 random:2"
-    why = small if not driven else "it needs nobody on the roads it has driven"
+    why = small if not driven else "it needed no intervention on the roads it has driven"
     return Advice(why, f"bc-eval {numbers.run} --simulator {tracks}")
 
 
@@ -159,7 +159,7 @@ def has_one_session(numbers: RunNumbers) -> Advice | None:
     if len(numbers.data.logs) != 1:
         return None
     return Advice(
-        "it has learnt from one session; another road, or light, teaches what is common", _record(numbers)
+        "it has learnt from one session; another road or light would help it to generalise", _record(numbers)
     )
 
 

@@ -98,7 +98,7 @@ def read_position(run: Path) -> Position:
 def _required(run: Path) -> Path:
     path = checkpoint_path(run)
     if not path.is_file():
-        raise RunError(f"{path}: gone; train another run from its weights: --init {run_argument(run)}")
+        raise RunError(f"{path}: missing; train another run from its weights: --init {run_argument(run)}")
     return path
 
 
@@ -146,7 +146,7 @@ def _moments(
 ) -> dict[str, Any]:
     step = tensors[f"step.{name}"]
     if step.shape != () or step.dtype != torch.float32 or not 1 <= step.item() < 2**53:
-        raise RunError(f"{path}: a step count that is none; {_WAY_OUT}")
+        raise RunError(f"{path}: its step count is not valid; {_WAY_OUT}")
     return {
         "step": step.to(parameter.device) if optimizer.is_fused else step,
         # in the parameter's own memory format, as if they had never left it

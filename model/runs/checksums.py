@@ -62,7 +62,7 @@ def load_checksummed(path: Path, run: Path, otherwise: str) -> tuple[dict[str, T
     if checksum is None:
         _warn_without_checksum(run)
     elif not _holds(checksum, header, values):
-        raise RunError(f"{path}: damaged: it is not what was written (its SHA-256 is another); {otherwise}")
+        raise RunError(f"{path}: damaged: its SHA-256 does not match; {otherwise}")
     return tensors, metadata
 
 

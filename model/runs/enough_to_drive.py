@@ -67,7 +67,7 @@ def drivable(driving_error: float, hands: Collection[Hand], *, is_unseen: bool) 
         )
     band = min(bands.values(), key=lambda band: band.below)
     low, high = band.interval
-    share = f"{band.stayed} of {band.networks} networks of such an error stayed on built-in roads"
+    share = f"{band.stayed} of {band.networks} networks with such an error stayed on built-in roads"
     why = f"{share} ({100 * low:.0f} to {100 * high:.0f} %)"
     if band.stayed == band.networks and not is_unseen:
         return Drivable(None, f"{why}, but their errors are on drives new to them", band)

@@ -82,7 +82,7 @@ class HistoryReader:
         """The history that was added since the last call, and whether the files were replaced, as by a resumed
         training: then all is read anew. Raises RunError as `read_history` does, and if the folder is gone."""
         if not self._run.is_dir():
-            raise RunError(f"{self._run}: no such run folder, or no more: a training that is stopped early goes")
+            raise RunError(f"{self._run}: no such run folder; a training that is stopped early removes its folder")
         added = self._read_files()
         if added is not None:
             return added, False
@@ -146,9 +146,9 @@ class _HistoryFile(Generic[Line]):
         try:
             status = file.path.lstat()
             if stat.S_ISLNK(status.st_mode):
-                raise RunError(f"{file.path}: a link; a run's files lie in its folder, copy it there")
+                raise RunError(f"{file.path}: a link; copy its target into the run's folder")
             if status.st_size > _MAX_BYTES:
-                raise RunError(f"{file.path}: larger than {_MAX_BYTES >> 20} MiB, no training writes so much")
+                raise RunError(f"{file.path}: larger than {_MAX_BYTES >> 20} MiB, more than a training writes")
             lines = file.new_lines(status.st_size)
             while file.is_behind:
                 lines += file.new_lines(status.st_size)

@@ -96,7 +96,7 @@ def choice_of(config: dict[str, Any], folder: Path) -> NetworkChoice:
             f" {network_flag(stored, folder)}"
         )
     raise RunError(
-        f"{folder}: its network is {name}, code that is only run if you name it: {network_flag(stored, folder)}"
+        f"{folder}: its network is {name}, code that runs only if you name it: {network_flag(stored, folder)}"
     )
 
 
@@ -120,8 +120,8 @@ def load_named(names: Sequence[str], configs: Sequence[dict[str, Any]]) -> None:
             raise UsageError(str(error)) from None
         if not is_own(name) or not any(is_own_network(config) for config in configs):
             raise UsageError(
-                f"--network {printable(name)}: names code of your own that a run's network is of, which none here"
-                f" needs: a run knows {', '.join(BUILT_IN)} by itself; leave it out"
+                f"--network {printable(name)}: no run here needs your own code: runs know"
+                f" {', '.join(BUILT_IN)} by themselves; leave it out"
             )
         load_code(name)
 

@@ -113,4 +113,4 @@ def is_trained_on(stored: dict[str, Any], where: str, samples: Samples) -> bool:
         # earlier versions did not keep it
         return str(data.get("content_fingerprint", "")) == samples.content_fingerprint
     except (KeyError, TypeError, AttributeError):
-        raise RunError(f"{where}: does not say what the run was trained on") from None
+        raise RunError(f"{where}: does not name the data that the run was trained on") from None

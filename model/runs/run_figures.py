@@ -46,7 +46,9 @@ def write_run_figures(run: Path, predicted: Floats, recorded: Floats) -> list[Pa
     require_matplotlib(RunError)
     history, skipped = read_history(run)
     if len(skipped):
-        raise RunError(f"{run}: no figures, as not all of its history can be read: {'; '.join(skipped.lines())}")
+        raise RunError(
+            f"{run}: no figures, because parts of its history cannot be read: {'; '.join(skipped.lines())}"
+        )
     max_deg = history.epochs[-1].measures.max_deg if history.epochs else MAX_STEERING_DEG
     draw: dict[str, Callable[[], Figure]] = {
         CURVES: lambda: draw_curves(history),

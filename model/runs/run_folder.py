@@ -71,11 +71,11 @@ def refuse_existing_run(folder: Path) -> None:
     """Raise RunError if the name of a new run is taken."""
     if (folder / CONFIG).is_file():
         raise RunError(
-            f"{folder}: exists already; give another --name, or go on with it:"
+            f"{folder}: exists already; give another --name, or continue it:"
             f" `bc-train --resume {run_argument(folder)}`"
         )
     if os.path.lexists(folder):
-        raise RunError(f"{folder}: exists already, and is no run; give another --name, or remove it")
+        raise RunError(f"{folder}: exists already, and is not a run; give another --name, or remove it")
 
 
 def write_config(folder: Path, config: dict[str, Any]) -> None:
@@ -261,6 +261,4 @@ def _answer_scale(stored: Mapping[str, str], path: Path) -> AnswerScale:
     try:
         return AnswerScale.from_metadata(stored)
     except ValueError as error:
-        raise RunError(
-            f"{path}: {error}, which no training gives; copy it again, or train the run again"
-        ) from None
+        raise RunError(f"{path}: {error}, so it is damaged; copy it again, or train the run again") from None

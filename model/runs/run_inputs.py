@@ -114,7 +114,7 @@ def init_of(run: Path, runs: Location) -> Path | None:
     is_there = isinstance(place, Url) or (place is not None and place.exists())
     init = find_run(str(place) if is_there else name, runs)
     if weights_checksum(init) != weights_sha256:
-        raise RunError(f"{init}: has other weights now than those that {run} was started from; give --init RUN")
+        raise RunError(f"{init}: its weights have changed since {run} was started from them; give --init RUN")
     return init
 
 

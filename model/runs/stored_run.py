@@ -44,7 +44,7 @@ def copy_of_run(url: Url, local: Path) -> RunCopy:
 def _bring_to(local: Path, stored: RunInStore) -> None:
     if local.exists() and read_record(local).url != str(stored.url):
         raise RunError(
-            f"{local}: is here already, and no copy of {stored.url}; move it away, or give another --runs"
+            f"{local}: exists here, but is not a copy of {stored.url}; move it away, or give another --runs"
         )
     with stored_run_folder(stored.url, local) as folder, progress_bar() as progress:
         folder.bring(keeps_ours=True, objects=stored.files.values(), progress=progress)
@@ -60,7 +60,7 @@ def place_of_copies(to: Location, run: Path, *, is_new: bool) -> Url:
 
     url = to / run.name
     if is_new and find_object(url / CONFIG) is not None:
-        raise RunError(f"{url}: exists already; give another --name, or go on with it: `bc-train --resume {url}`")
+        raise RunError(f"{url}: exists already; give another --name, or continue it: `bc-train --resume {url}`")
     return url
 
 

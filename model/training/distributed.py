@@ -65,7 +65,7 @@ class Group:
         if error is not None:
             raise error
         if has_failed:
-            raise FirstRankError("the first process cannot go on; its own message has the reason")
+            raise FirstRankError("the first process has failed; its message gives the reason")
         return result
 
     def distributed(self, network: nn.Module) -> nn.Module:

@@ -26,8 +26,8 @@ def target_notices(samples: Samples, targets: Sequence[TargetName]) -> list[str]
         is_known = np.isfinite(samples.target_labels(training, name))
         known = set(session[is_known].tolist())
         if not known:
-            raise RunError(f"{samples.path}: no session in it has the {name}; leave it out of --targets")
+            raise RunError(f"{samples.path}: no session has a {name}; leave it out of --targets")
         if missing := sorted(set(session.tolist()) - known):
             others = ", ".join(other for other in targets if other != name)
-            notices.append(f"{samples.path}: no {name} in {', '.join(missing)}: {others} alone is learnt there")
+            notices.append(f"{samples.path}: no {name} in {', '.join(missing)}: {others} only are learnt there")
     return notices

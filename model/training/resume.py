@@ -40,7 +40,7 @@ def resumed_settings(run: Path, stored: dict[str, Any], config: TrainConfig | No
         if name not in MAY_CHANGE and wanted[name] != value:
             flag = f"--{name.replace('_', '-')}"
             raise RunError(
-                f"{run}: was begun with {flag} {value} and can only go on so; for {flag} {wanted[name]} train"
+                f"{run}: was begun with {flag} {value} and can continue only so; for {flag} {wanted[name]} train"
                 f" another run from its weights: --init {run_argument(run)}"
             )
     return config
@@ -66,7 +66,7 @@ def arithmetic_remarks(run: Path, stored: dict[str, Any], now: dict[str, Any]) -
     changed = [f"{name} {before.get(name)} to {now[name]}" for name in now if before.get(name) != now[name]]
     if not changed:
         return []
-    return [f"{run}: goes on with other arithmetic ({', '.join(changed)}): other weights come of it"]
+    return [f"{run}: goes on with other arithmetic ({', '.join(changed)}): the weights will differ"]
 
 
 def resumed_config(stored: dict[str, Any], now: dict[str, Any]) -> dict[str, Any]:

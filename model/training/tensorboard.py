@@ -78,9 +78,11 @@ class TensorBoard:
         history, _ = reader.read()
         if len(reader.skipped):
             lines = "; ".join(reader.skipped.lines())
-            raise RunError(f"{self._run}: nothing for TensorBoard, as not all of its files can be read: {lines}")
+            raise RunError(
+                f"{self._run}: nothing for TensorBoard, because some of its files cannot be read: {lines}"
+            )
         if self._folder.is_symlink():
-            raise RunError(f"{self._folder}: a link; TensorBoard's files lie in the run's folder, remove the link")
+            raise RunError(f"{self._folder}: a link; remove it: TensorBoard's files must lie in the run's folder")
         file = _EventFile(self._folder)
         try:
             for step in history.steps:

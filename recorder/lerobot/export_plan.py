@@ -75,7 +75,7 @@ def plan_export(
     if len(different := {assumed_deg(each) for each in degrees}) > 1:
         listed = " and ".join(f"{each:g}" for each in sorted(different))
         raise LogError(
-            f"{', '.join(map(str, paths))}: at steering 1, wheels turn by {listed} degrees, and a dataset has one"
+            f"{', '.join(map(str, paths))}: at steering 1, wheels turn by {listed} degrees, but a dataset has one"
             " scale; export them one by one"
         )
     return ExportPlan(
@@ -98,7 +98,7 @@ def _cameras(paths: Sequence[Location], wanted: Sequence[Camera]) -> tuple[tuple
                     having[camera].append(path.name)
     cameras = tuple(camera for camera in having if len(having[camera]) == len(paths))
     if not cameras:
-        raise LogError(f"{', '.join(map(str, paths))}: no camera is in every log; export them one by one")
+        raise LogError(f"{', '.join(map(str, paths))}: they have no camera in common; export them one by one")
     notices = [
         f"the {camera} camera is left out: {', '.join(names)} {'has' if len(names) == 1 else 'have'} its pictures,"
         f" {counted(len(paths) - len(names), 'other log')} not, and every frame of a dataset needs them"

@@ -233,8 +233,8 @@ def car_of(log: Log, car: str = "auto") -> Car:
     cars = [car_in(session, log.path) or _implied(session, has_poses) for session in _sessions(log)]
     if not cars or cars[0] is None or any(other != cars[0] for other in cars):
         raise RecordingError(
-            f"{log.path}: it does not say where its cameras stand; that is known of Udacity's simulator, of"
-            " the built-in one, and of sessions that were recorded with --car"
+            f"{log.path}: it does not describe its cameras. They are known for Udacity's simulator,"
+            " the built-in one, and sessions that were recorded with --car"
         )
     return cars[0]
 

@@ -142,7 +142,7 @@ def tags_by_content(log: Location) -> defaultdict[str, set[Tag]]:
             if entry.rows[0] > entry.rows[1]:
                 raise ValueError(entry.rows)
         except (ValueError, RecursionError):  # of msgspec, too
-            raise LogError(f"{tags_path(log)}: line {number} is not a tag; mend or remove it") from None
+            raise LogError(f"{tags_path(log)}: line {number} is not a tag; correct or remove it") from None
         tag = Tag(*entry.rows, name)
         if is_added:
             tags[entry.log].add(tag)
@@ -160,7 +160,7 @@ def _lines(log: Location) -> list[str]:
     if data is None:
         return []
     if len(data) > MAX_BYTES:
-        raise LogError(f"{path}: larger than {MAX_BYTES:,} bytes, which no tags are")
+        raise LogError(f"{path}: larger than {MAX_BYTES:,} bytes, too large for tags")
     whole = data[: data.rfind(b"\n") + 1]
     return whole.decode("utf-8", "replace").splitlines()
 

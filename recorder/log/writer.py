@@ -402,8 +402,8 @@ class LogWriter:
         if not self._live:
             return UserError(f"{self.path}: cannot be written ({error.strerror}); nothing was kept of it")
         return UserError(
-            f"{self.part}: cannot be written any further ({error.strerror}); what was recorded until now is in it:"
-            f" make room and give `bc-log recover {self.part}`"
+            f"{self.part}: cannot be written any further ({error.strerror}); it has all rows until now:"
+            f" make room and run `bc-log recover {self.part}`"
         )
 
     def _abandon(self) -> None:

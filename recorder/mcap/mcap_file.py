@@ -232,7 +232,7 @@ class McapFile(Closeable):
         except struct.error:
             raise self.damaged(f"{where} is cut off") from None
         if opcode != Opcode.CHUNK or RECORD.size + length != len(record) or stored_at + stored_size != len(record):
-            raise self.damaged(f"{where} is not of the length that it declares")
+            raise self.damaged(f"{where} does not have its declared length")
         if size > MAX_CHUNK_BYTES:
             raise self.damaged(f"{where} would unpack to {size:,} bytes")
         if named and start not in self._unpacked_at:
@@ -248,7 +248,7 @@ class McapFile(Closeable):
         if len(records) != size:
             raise self.damaged(f"{where} does not unpack to the {size:,} bytes that it declares")
         if not self.may_have_crc(crc, records):
-            raise self.damaged(f"{where} has another content than its CRC says")
+            raise self.damaged(f"{where} does not match its CRC")
         return records
 
     def records_at(self, chunk: Chunk) -> int:
@@ -270,7 +270,7 @@ class McapFile(Closeable):
     def attachment(self, offset: int) -> Attachment:
         content = self._content(offset, Opcode.ATTACHMENT)
         if not self.may_have_crc(int.from_bytes(content[-4:], "little"), content[:-4]):
-            raise self.damaged("an attachment has another content than its CRC says")
+            raise self.damaged("an attachment does not match its CRC")
         try:
             attachment: Attachment = Attachment.read(ReadDataStream(io.BytesIO(content)))
         except UNREADABLE:

@@ -202,5 +202,5 @@ def odd_advice(odd: Sequence[OddStretch], log: Location) -> list[str]:
         lines.append(f"`{exclude_command(odd, log)}` excludes all that is sure")
     if unsure := next((stretch for stretch in odd if not stretch.is_sure), None):
         look = f"`bc-play {place}`, or let `bc-log check {place}` look at its pictures"
-        lines.append(f"look at what is perhaps odd, {look}; `{unsure.command(log)}` excludes it")
+        lines.append(f"look at the stretches that are perhaps odd, {look}; `{unsure.command(log)}` excludes it")
     return lines

@@ -29,14 +29,12 @@ LANDING_PAGE: Final = (
 
 NOTICE_BROWSER: Final = "somebody looks at this port with a browser: start the simulator's autonomous mode instead"
 NOTICE_TLS: Final = "somebody connects by TLS, which is not spoken here: begin the address with ws:// or http://"
-NOTICE_NOT_HTTP: Final = (
-    "something that is no simulator sends bytes to this port: give one of the two another port"
-)
+NOTICE_NOT_HTTP: Final = "a program that is not a simulator uses this port: give one of the two another port"
 NOTICE_SILENT: Final = (
-    f"hung up on somebody who sent nothing for {REQUEST_S:g} s: a simulator sends at once, start one"
+    f"disconnected a client that sent nothing for {REQUEST_S:g} s: a simulator sends at once, start one"
 )
 NOTICE_SLOW: Final = (
-    f"hung up on somebody whose request took longer than {REQUEST_S:g} s: a simulator's comes at once"
+    f"disconnected a client whose request took longer than {REQUEST_S:g} s: a simulator's comes at once"
 )
 NOTICE_TOO_MANY: Final = f"{MAX_CONNECTIONS} connections at once: close some, further ones are not served"
 

@@ -29,15 +29,13 @@ MAX_UNREAD_PACKETS: Final = 64
 MAX_ECHOED_CHARACTERS: Final = 100  # of a heartbeat's content
 
 NOTICE_BROKEN: Final = (
-    "hung up on a client that broke the Socket.IO protocol: a simulator in autonomous mode does not, other clients"
-    " need python-socketio 5 or its like"
+    "disconnected a client that broke the Socket.IO protocol: a simulator in autonomous mode does not, other"
+    " clients need python-socketio 5 or its like"
 )
-NOTICE_NOT_READING: Final = (
-    "hung up on a client that does not read what it is sent: simulators do, it is something else"
-)
+NOTICE_NOT_READING: Final = "disconnected a client that does not read its messages: it is not a simulator"
 NOTICES_HUNG_UP: Final = {
-    TOO_LARGE: "hung up on a client that sent too much at once: a picture has 320x160 pixels and about 15 KB",
-    BROKEN_FRAME: "hung up on a client that broke the websocket protocol: simulators do not, it is something else",
+    TOO_LARGE: "disconnected a client that sent too much at once: a picture has 320x160 pixels and about 15 KB",
+    BROKEN_FRAME: "disconnected a client that broke the websocket protocol: it is not a simulator",
 }
 
 Lock = AbstractContextManager[Any]
@@ -129,7 +127,10 @@ class Connection(Socket):  # type: ignore[misc]
     @property
     def has_unread(self) -> bool:
         """True if the client has sent something that is not handled yet."""
-        return self._websocket is not None and (bool(self._websocket.waiting) or self._websocket.has_unread)
+        websocket = self._websocket
+        return websocket is not None and (
+            not websocket.is_handed_over or bool(websocket.waiting) or websocket.has_unread
+        )
 
     @property
     def waiting(self) -> list[str | bytes]:
@@ -189,6 +190,8 @@ class Connection(Socket):  # type: ignore[misc]
         A client of Socket.IO 2 sends no CONNECT packet, without which python-socketio 5 silently drops all of its
         events: the packet is supplied.
         """
+        if self._websocket is not None:
+            self._websocket.is_handed_over = True
         try:
             if not self.is_announced:
                 self.is_announced = True

@@ -68,6 +68,8 @@ class WebSocket:
         """`time.perf_counter()` at which the last byte of the last message had arrived: at most so long ago."""
         self.taken_s = 0.0
         """The same of the moment at which `wait` returned it."""
+        self.is_handed_over = True
+        """False from `wait` on, until who got the message from it says so, or waits again."""
         self.broken_by = ""
         """The violation that closed the connection (TOO_LARGE, BROKEN_FRAME); empty if there was none."""
         self._stream = stream
@@ -95,6 +97,7 @@ class WebSocket:
 
     def wait(self) -> str | bytes | None:
         """The next message; None when the connection is over."""
+        self.is_handed_over = True
         self._let_others_run()
         self.look()
         while not self._messages:
@@ -102,6 +105,7 @@ class WebSocket:
                 return None
             self._receive()
             self._looked_s = self._arrived_s
+        self.is_handed_over = False
         message, self.received_s = self._messages.popleft()
         self.taken_s = time.perf_counter()
         return message

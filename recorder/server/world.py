@@ -104,7 +104,7 @@ def parse_world(value: object, decimal: str = POINT) -> tuple[World | None, tupl
         if present and len(present) < len(group):
             missing = [name for name in group if value.get(name) is None]
             if missing:
-                problems.append(f"{' and '.join(missing)} missing beside {present[0]}: they go together")
+                problems.append(f"{' and '.join(missing)} missing: they belong to {present[0]}")
             for name in present:
                 del members[name]
     return (World(**members) if members else None), tuple(problems)
@@ -129,6 +129,6 @@ def _member(name: str, value: object, decimal: str) -> float | int:
         raise ValueError(f"is beyond {most:g}, or no number")
     if name == "interventions":
         if number != int(number) or number < 0:
-            raise ValueError("is no count: a whole number from 0 on was expected")
+            raise ValueError("is not a whole number from 0 on")
         return int(number)
     return min(max(float(number), -1.0), 1.0) if name in _GROUPS[1] else float(number)

@@ -18,4 +18,4 @@ def check_rate(rate_hz: float | None) -> None:
 
 def describe_clock(rate_hz: float) -> str:
     """Describe such times in a log's metadata."""
-    return f"{rate_hz:g} Hz, as --rate said, because the recording does not tell its times"
+    return f"{rate_hz:g} Hz, as --rate said, because the recording has no times"

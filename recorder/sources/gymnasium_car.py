@@ -190,7 +190,7 @@ class GymnasiumCar(Closeable):
             size = ()
         if len(size) != 2 or min(size) < MIN_PX or picture.dtype != np.uint8:
             raise RecordingError(
-                f"--gym {self.name}: step {self._steps} gave no picture, which its spaces promise"
+                f"--gym {self.name}: step {self._steps} gave no picture, although its spaces have one"
             )
         return GymnasiumMoment(observation, picture, self._speed_mph(observation, info), reward, end)
 
@@ -259,7 +259,7 @@ def _find_picture(name: str, space: Any, key: str | None) -> tuple[str, ...]:
         if wanted in pictures:
             return wanted
         raise RecordingError(
-            f"--gym {name}: picture {key}: there is none in its observation; pictures are: {shown or 'none'}"
+            f"--gym {name}: picture {key}: its observation has no such picture; it has: {shown or 'none'}"
         )
     if not pictures:
         raise RecordingError(

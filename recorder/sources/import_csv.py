@@ -61,7 +61,7 @@ def import_csv(
         "columns": " ".join(f"{key}={name}" for key, name in chosen.names.items()),
         "steering_scale": repr(steering_scale),
         "clock": "recorded" if rate_hz is None else describe_clock(rate_hz),
-        **({} if rate_hz is None else {"start": "1970, because the recording does not tell it"}),
+        **({} if rate_hz is None else {"start": "1970, because the recording does not have it"}),
     }
     without_rows = f"{csv}: no row of it can be used"
     return write_log(log, metadata | metadata_of(car), rows, events, without_rows, overwrite=overwrite)

@@ -58,12 +58,12 @@ def import_tub(
         "source": "donkeycar",
         "recording": Path(os.path.realpath(folder)).name,
         "tub_version": tub.version,
-        "clock": "recorded" if is_timed else f"{DEFAULT_RATE_HZ} Hz, because no record tells its time",
+        "clock": "recorded" if is_timed else f"{DEFAULT_RATE_HZ} Hz, because no record has a time",
     }
     if rate_hz is not None:
         metadata["clock"] = describe_clock(rate_hz)
     if tub.start_ns is None and (tub.is_time_from_start or not is_timed):
-        metadata["start"] = "1970, because the tub does not tell it"
+        metadata["start"] = "1970, because the tub does not have it"
     without_rows = f"{folder}: no usable record in this DonkeyCar tub"
     return write_log(log, metadata | metadata_of(car), frames, events, without_rows, overwrite=overwrite)
 

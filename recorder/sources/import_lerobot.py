@@ -92,7 +92,7 @@ def _metadata(dataset: LeRobotFolder, chosen: LeRobotFeatures, steering_scale: f
         "steering_topic": chosen.steering.label,
         "steering_scale": repr(steering_scale),
         "clock": clock,
-        **({} if chosen.has_log_time else {"start": "1970, because the dataset does not tell it"}),
+        **({} if chosen.has_log_time else {"start": "1970, because the dataset does not have it"}),
     }
 
 
@@ -247,7 +247,7 @@ def _skip_missing(dataset: LeRobotFolder, counts: dict[int, int], skipped: Skipp
     for (_, end), (start, _) in itertools.pairwise(stretches):
         if start > end + 1:
             name = f"episode {end + 1}" if start == end + 2 else f"episodes {end + 1} to {start - 1}"
-            skipped.add("episodes that are counted and not there", name)
+            skipped.add("episodes that are counted but missing", name)
     missing = dataset.frames - sum(counts.values())
     if missing > 0:
-        skipped.add("frames that are counted and not there", f"{missing:,} of {dataset.frames:,}")
+        skipped.add("frames that are counted but missing", f"{missing:,} of {dataset.frames:,}")

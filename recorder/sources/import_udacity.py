@@ -57,7 +57,7 @@ def udacity_metadata(folder: Path, rate_hz: float | None, car: Car | None) -> di
     metadata = {"source": "udacity", "recording": Path(os.path.realpath(folder)).name} | metadata_of(car)
     if rate_hz is not None:
         metadata["clock"] = describe_clock(rate_hz)
-        metadata["start"] = "1970, because the recording does not tell it"
+        metadata["start"] = "1970, because the recording does not have it"
     return metadata
 
 

@@ -57,7 +57,9 @@ class LeRobotFolder:
         if self.root.absolute().parent.name == "snapshots":  # how Hugging Face keeps what it has downloaded
             places.append(Path(os.path.realpath(self.root.absolute().parent.parent / "blobs")))
         if not any(real.is_relative_to(place) for place in places):
-            raise RecordingError(f"{path}: a link out of the dataset, which is not followed; copy what it names")
+            raise RecordingError(
+                f"{path}: a link out of the dataset is not followed; copy its target into the dataset"
+            )
         return real
 
     def data_files(self) -> list[Path]:

@@ -105,7 +105,7 @@ def _cameras(dataset: LeRobotFolder, image: str | None) -> dict[Camera, str]:
         if len(candidates) == 1:
             return {"center": candidates[0]}
     if not keys:
-        raise RecordingError(f"{dataset.root}: no feature of it is pictures in colour")
+        raise RecordingError(f"{dataset.root}: it has no colour pictures")
     raise RecordingError(f"{dataset.root}: which pictures? Give --image, one of {_listed(keys)}")
 
 
@@ -136,8 +136,8 @@ def _number(dataset: LeRobotFolder, text: str) -> FeatureNumber:
     feature = dataset.features.get(text)
     if feature is not None:
         raise RecordingError(
-            f"{dataset.root}: --steering {printable(text)}: no one number, but {printable(feature.dtype)} of shape"
-            f" {feature.shape}; there are {_listed([number.label for number in numbers])}"
+            f"{dataset.root}: --steering {printable(text)}: not a single number, but {printable(feature.dtype)}"
+            f" of shape {feature.shape}; there are {_listed([number.label for number in numbers])}"
         )
     labels = [number.label for number in numbers]
     hint = did_you_mean(text, labels)

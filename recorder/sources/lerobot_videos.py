@@ -110,9 +110,7 @@ class CameraVideos(Closeable):
             raise RecordingError(f"{path}: no video in it; download it again")
         stream: Any = self._container.streams.video[0]
         if not 0 < stream.width * stream.height <= MAX_PIXELS:
-            raise RecordingError(
-                f"{path}: a video of {stream.width} x {stream.height} pixels, which no camera gives"
-            )
+            raise RecordingError(f"{path}: a video of {stream.width} x {stream.height} pixels is not a camera's")
         self._container.seek(max(0, int(start_s / stream.time_base) - 1), backward=True, stream=stream)
         self._frames = self._container.decode(stream)
         self._next, self._episode = None, episode

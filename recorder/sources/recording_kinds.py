@@ -40,7 +40,7 @@ def import_recording(
     topics = topics or Topics()
     if columns:
         if topics.image is not None or topics.steering is not None:
-            raise RecordingError("--columns names all that is imported: leave out --image, --steering")
+            raise RecordingError("--columns already names everything to import: leave out --image, --steering")
         return import_csv(
             source,
             log,
@@ -54,7 +54,7 @@ def import_recording(
     is_dataset = not is_log and is_lerobot(source)
     is_donkeycar = not (is_log or is_dataset) and is_tub(source)
     if not (is_log or is_dataset or is_donkeycar or is_udacity(source)) and (hint := recordings_near(source)):
-        raise RecordingError(f"{source}: no recording itself;{hint}")
+        raise RecordingError(f"{source}: not a recording;{hint}")
     if not (is_log or is_dataset or is_donkeycar or is_udacity(source)) and has_csv(source):
         raise RecordingError(
             f"{source}: pictures with a csv? Say what its columns are: --columns image=COLUMN steering=COLUMN"
@@ -108,7 +108,7 @@ def refuse_to_watch(source: Path) -> None:
 
 def _what_to_do_instead(source: Path, log: Path) -> str:
     if source.suffix == PART_SUFFIX:
-        return f"still unfinished: `bc-log recover {source}` makes a whole one of it"
+        return f"still unfinished: finish it with `bc-log recover {source}`"
     if real_path(source).parent == real_path(log).parent:
         return "and a session already: `bc-index` takes it in"
     return f"which is a session without being imported: copy it into {log.parent}/"

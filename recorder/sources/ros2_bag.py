@@ -98,7 +98,7 @@ def bag_files(folder: Path, skipped: Skipped) -> list[Path]:
                 "journals of messages that are not in the bag; `ros2 bag info` moves them there", brief(name)
             )
     if not files:
-        raise RecordingError(f"{folder}: none of the files that {METADATA} names is there")
+        raise RecordingError(f"{folder}: all files that {METADATA} names are missing")
     return files
 
 

@@ -32,4 +32,4 @@ class SimulatedDrive:
     noise: float = 0.03
     """Unsteadiness of the steering; 0.03: a calm person."""
     seed: int = 0
-    """Same seed, same log; also of --gym's first episode."""
+    """Same seed, same log; with --gym the first episode's seed."""

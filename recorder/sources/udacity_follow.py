@@ -63,7 +63,7 @@ def watch_udacity(
     check_rate(rate_hz)
     metadata = udacity_metadata(folder, rate_hz, car)
     if folder.exists() and not folder.is_dir():
-        raise RecordingError(f"{folder}: a file; give the folder that {CSV_NAME} is in, or will be")
+        raise RecordingError(f"{folder}: is a file; give the folder of {CSV_NAME}, which may not exist yet")
     with (
         stop_signals() as stopped,
         LogWriter(log, metadata, overwrite=overwrite, live=True) as writer,

@@ -72,7 +72,7 @@ def copy_log(
     elif isinstance(log, Url):
         raise UserError(f"{log} and {to}: both in a store; copy it to this machine first")
     else:
-        raise UserError(f"{log} and {to}: both on this machine; `cp` copies logs there")
+        raise UserError(f"{log} and {to}: both are on this machine; copy logs with `cp`")
     copy_lag(log, to)
     return copied
 
@@ -87,7 +87,7 @@ def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
         if not overwrite:
             raise ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
     if not is_whole(log):
-        raise LogError(f"{log}: not finished, or damaged; `bc-log recover {log}` makes a whole one of it")
+        raise LogError(f"{log}: unfinished or damaged; run `bc-log recover {log}` first")
     _put_and_name(log, url, size, fingerprint, overwrite, on_bytes)
     return Copied(url, size, True, _upload_tags(log, url, overwrite))
 
@@ -102,7 +102,7 @@ def _put_and_name(log: Path, url: Url, size: int, fingerprint: str, overwrite: b
             if not _is_there(made, size, fingerprint):
                 raise
         if _fingerprint(made) != fingerprint:
-            raise LogError(f"{made}: is not what {log} is; it may have changed meanwhile: give the command again")
+            raise LogError(f"{made}: differs from {log}, which may have changed; give the command again")
         if made != url:
             try:
                 name_new(made, url)
@@ -134,7 +134,7 @@ def _parts(log: Path, on_bytes: OnBytes, free: Url | None) -> Iterator[bytes]:
     with ThreadPoolExecutor(1) as other_thread:  # in this one, obstore waits for the parts
         is_taken = other_thread.submit(find_object, free).result() is not None
     if is_taken:
-        raise ObjectExistsError(f"{free} was written by someone else meanwhile; nothing was changed")
+        raise ObjectExistsError(f"{free} was written by another process at the same time; nothing was changed")
 
 
 def _download(url: Url, path: Path, overwrite: bool, keeps_damaged: bool, on_bytes: OnBytes) -> Copied:

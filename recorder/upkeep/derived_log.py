@@ -39,7 +39,7 @@ def refuse_taken(to: Path, originals: Sequence[Path], overwrite: bool) -> None:
     """Raise UserError for a file that exists, and LogError for one of the originals even if it may be replaced."""
     refuse_existing(to, overwrite)
     if to.exists() and any(path.exists() and to.samefile(path) for path in originals):
-        raise LogError(f"{to}: the log itself, which stays as it is; give another name")
+        raise LogError(f"{to}: is the log itself, which is not changed; give another name")
 
 
 def new_log(log: Log, to: Path, session: dict[str, str], about: dict[str, str], overwrite: bool) -> LogWriter:
@@ -98,8 +98,8 @@ def publish_all(path: Path, writers: Sequence[LogWriter], tags: Sequence[Sequenc
                         other.unlink(missing_ok=True)
                 stays = ", ".join(map(str, published)) if overwrite and published else "nothing"
                 raise LogError(
-                    f"{path}: not split: somebody else wrote {writer.path} meanwhile, or it cannot be written; of"
-                    f" the drives {stays} was kept"
+                    f"{path}: not split: {writer.path} exists now, or cannot be written; of the drives"
+                    f" {stays} was kept"
                 ) from None
             published.append(writer.path)
         for target, its_tags in zip(published, tags, strict=True):

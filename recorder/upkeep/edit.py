@@ -143,7 +143,7 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
         number, time_ns = _rows(log)
         drives = drive_numbers(time_ns)
         if not len(drives) or drives[-1] == 0:
-            raise LogError(f"{path}: a single drive, nothing to split")
+            raise LogError(f"{path}: has a single drive: nothing to split")
         if drives[-1] >= _MAX_DRIVES:
             raise LogError(f"{path}: {drives[-1] + 1:,} drives are too many files; trim the parts that you want")
         name = final_path(path).name.removesuffix(".mcap")
@@ -187,9 +187,7 @@ def rewrite(path: Path, to: Path, *, overwrite: bool = False) -> Written:
         if log.problem:
             raise LogError(f"{path}: {log.problem}; `bc-log recover {path}` makes a finished log of it")
         if not log.is_ours:
-            raise LogError(
-                f"{path}: another program's log; `bc-record NAME --from {path}` makes one of ours of it"
-            )
+            raise LogError(f"{path}: another program's log; import it with `bc-record NAME --from {path}`")
         tags = read_tags(path, log.fingerprint)
         with new_log(log, to, log.metadata, {"rewritten_from": path.name}, overwrite) as writer:
             for schema, channel, message in _messages(log, "rewriting"):

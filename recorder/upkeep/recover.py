@@ -51,7 +51,7 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     refuse_taken(to, [path], overwrite)  # before a long log is read
     goes_on = is_being_written(path)
     if goes_on and real_path(to) == final_path(real_path(path)):
-        raise LogError(f"{to}: the name that the recording will take, which still goes on; give another by --to")
+        raise LogError(f"{to}: the running recording will get this name; give another one with --to")
     with Log(path, salvages=True) as log:
         lost = lost_rows(log, skipped, out_of_order)
         records = _sound_metadata(log, skipped)
@@ -73,7 +73,7 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
                 except LogError:
                     skipped.add("damaged chunks", f"bytes {chunk.start:,} to {chunk.end:,}")
             if not count:
-                raise LogError(f"{path}: not one whole message in it: there is nothing to recover")
+                raise LogError(f"{path}: no complete message in it: there is nothing to recover")
             copy_rest(log, records, writer, skipped)
             tags += _bad_rows(log)
             close_with_tags(writer, tags_of_rows(tags, rows))
@@ -87,14 +87,14 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     if lost_count > 0:
         notices.append(f"{path}: lost in all: {lost_count:,} of {counted(log.message_count or 0, 'message')}")
     if log.is_ours and not rows and len(skipped):
-        notices.append(f"{path}: no row is whole in it: what is kept has no rows")
+        notices.append(f"{path}: no complete row in it: the new log has no rows")
     if not len(skipped) and is_damaged_beside_chunks(path):
         notices.append(
-            f"{path}: metadata, or what describes topics, may be wrong: the CRC of all data does not hold,"
-            " and every chunk is whole"
+            f"{path}: metadata or descriptions of topics may be wrong: every chunk is sound, but not the"
+            " CRC of all data"
         )
     if goes_on:
-        notices.append(f"{path}: its recording still goes on, and its end is not in {to.name}")
+        notices.append(f"{path}: it is still being recorded; {to.name} lacks its end")
     return Written(to, count, len(rows), skipped, notices)
 
 

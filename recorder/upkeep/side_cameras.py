@@ -181,7 +181,7 @@ def _slope(likeness: Floats, rows: int) -> float:
     fits = np.abs(rest - np.median(rest)) < _NEAR_PX
     if slope <= 0 or fits.mean() < 2 / 3:
         raise ValueError(
-            "the side cameras' pictures are not shifted against the centre one's as those of a level road are:"
-            " they look another way, or show too little of it"
+            "the side cameras' pictures do not fit the centre one's on a level road: these cameras"
+            " look in another direction, or show too little road"
         )
     return slope

@@ -37,7 +37,7 @@ class Centreline:
         closed = np.vstack([points_m, points_m[:1]]).astype(np.float64)
         steps = np.hypot(*np.diff(closed[:, :2], axis=0).T)
         if len(points_m) < 3 or not np.all(steps > 0):
-            raise ValueError("a centre line needs at least three points, no two neighbours alike")
+            raise ValueError("a centre line needs at least three points; neighbours must differ")
         arc = np.concatenate([[0.0], np.cumsum(steps)])
         count = max(8, round(arc[-1] / SPACING_M))
         grid = np.linspace(0.0, arc[-1], count, endpoint=False)

@@ -395,10 +395,10 @@ def test_two_sessions_of_one_name_are_refused(tmp_path: Path) -> None:
     for place in ("here", "there"):
         write_log(tmp_path / place / "lake.mcap", [0.0])
     given_twice = str(tmp_path / "here" / "lake.mcap")
-    with pytest.raises(DatasetError, match="two sessions of one name"):
+    with pytest.raises(DatasetError, match="two sessions with the same name"):
         find_logs((given_twice, str(tmp_path / "there" / "lake.mcap")), tmp_path)
     assert find_logs((given_twice, "lake"), tmp_path / "here") == [Path(given_twice)]
-    with pytest.raises(DatasetError, match="two sessions of one name"):
+    with pytest.raises(DatasetError, match="two sessions with the same name"):
         build_index([tmp_path / "here" / "lake.mcap", tmp_path / "there" / "lake.mcap"], tmp_path / "index")
     assert not (tmp_path / "index").exists()
 

@@ -135,7 +135,10 @@ def test_of_two_machines_that_index_at_once_one_wins(
     capsys.readouterr()
     assert index() == 1
     told = " ".join(capsys.readouterr().err.split())
-    assert "s3://logs/index/samples.parquet: was written by another machine meanwhile; that stays" in told
+    assert (
+        "s3://logs/index/samples.parquet: another machine has changed it at the same time; its version stays"
+        in told
+    )
     assert files(bucket) == other
     assert sessions() == ["1"]
     assert index() == 0
@@ -176,7 +179,9 @@ def test_a_name_that_leads_elsewhere_is_refused(bucket: Bucket, capsys: pytest.C
     assert not list(Path("caches").rglob(".hidden"))
     (bucket.folder / "index/C:x").write_text("x")
     assert index() == 1
-    assert f"{Url('s3', 'logs', 'index/C:x')}: a name that no file here may have" in capsys.readouterr().err
+    assert (
+        f"{Url('s3', 'logs', 'index/C:x')}: no file on this machine can have this name" in capsys.readouterr().err
+    )
 
 
 # Of a hundred million frames: samples in a file a session

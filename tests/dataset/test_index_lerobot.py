@@ -132,7 +132,7 @@ def test_what_cannot_be_exported_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="nowhere: no index; build it with `bc-index"):
         export_index(tmp_path / "nowhere", tmp_path / "out")
     index = indexed(tmp_path)
-    with pytest.raises(UserError, match="no row is used and fulfils --where 'row > 99'"):
+    with pytest.raises(UserError, match="no used row meets --where 'row > 99'"):
         export_index(index, tmp_path / "out", where="row > 99")
     (tmp_path / "one.mcap").unlink()
     with pytest.raises(DatasetError, match="the log of session one is gone"):

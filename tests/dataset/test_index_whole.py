@@ -434,7 +434,7 @@ def test_frames_that_an_older_version_left_vanish(tmp_path: Path) -> None:
         (["--validation", "nobody"], "--validation nobody: no such session"),
         (["--figures", "figures"], "figures/balance.pdf exists already"),
         (["--figures", "sessions/a.mcap"], "sessions/a.mcap: not a folder"),
-        (["--force"], "--force: only of figures"),
+        (["--force"], "--force only replaces figures"),
     ],
 )
 def test_what_cannot_be_is_said_before_anything_is_read(

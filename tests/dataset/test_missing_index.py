@@ -66,7 +66,7 @@ def test_a_run_or_a_folder_of_logs_is_no_place_for_an_index(
 
 def test_a_file_is_no_folder_of_sessions(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(bc_index, "--sessions", "plain") == 1
-    assert "plain: a file; the folder that logs are in was expected" in capsys.readouterr().err
+    assert "plain is a file: give the folder of the logs" in capsys.readouterr().err
 
 
 def test_a_sweep_names_the_indexes_that_there_are(here: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -155,7 +155,7 @@ def test_without_speed_or_camera_no_label_comes_out(tmp_path: Path) -> None:
         samples = build_index([log], tmp_path / name, IndexConfig(viewpoints=1)).samples
         assert not any(word.startswith("viewpoint") for word in samples["alteration"].to_pylist())
     tub = record(tmp_path / "tub.mcap", source="donkeycar")
-    with pytest.raises(DatasetError, match=r"--viewpoints.*tub\.mcap.*where its cameras stand"):
+    with pytest.raises(DatasetError, match=r"--viewpoints.*tub\.mcap.*does not describe its cameras"):
         build_index([tub], tmp_path / "tub", IndexConfig(viewpoints=1))
     build_index([tub], tmp_path / "tub", IndexConfig())
     with pytest.raises(ValueError, match="--viewpoints -1"):

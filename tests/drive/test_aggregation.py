@@ -184,7 +184,7 @@ def test_another_log_in_the_place_of_one_that_was_learnt_from_is_refused(
 ) -> None:
     shutil.copy(aggregated.folder / "sessions" / "hurt.mcap", tmp_path)
     a_session(tmp_path / "lake.mcap", 200, 50)
-    with pytest.raises(DatasetError, match=r"lake\.mcap: changed since it was learnt from"):
+    with pytest.raises(DatasetError, match=r"lake\.mcap: changed since the run learned from it"):
         aggregation(aggregated, "first", tmp_path)
 
 

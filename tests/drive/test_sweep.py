@@ -69,7 +69,7 @@ def test_each_setting_runs_with_each_seed_and_failures_stand_apart(
         ("[grid]\nrates = [1]", "unknown settings: rates; did you mean rate?"),
         ("[grid]\nrate = []", "not a sweep"),
         ("[train]\nseed = 1", "seeds = [...]"),
-        ("[grid]\nrate = [1]\n[[trainings]]\nrate = 2", "give one of both"),
+        ("[grid]\nrate = [1]\n[[trainings]]\nrate = 2", "give one of the two"),
         ("[grid]\nrate = [-1]", "--rate -1"),
         ("[drive]\nsimulator = ['lkae']", "did you mean lake?"),
         ("seeds = [1, 1]", "two trainings are the same"),

@@ -187,7 +187,7 @@ def test_a_run_that_exists_is_said_and_ends_all(index: Path, tmp_path: Path, scr
     places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
     done = torchrun("--name", "run", *FLAGS, *places, begin=["--no-python", str(script)], cwd=tmp_path)
     assert done.returncode != 0
-    assert "run: exists already, and is no run; give another --name" in done.stderr
+    assert "run: exists already, and is not a run; give another --name" in done.stderr
     assert "Traceback" not in done.stderr.split("torch/distributed/elastic")[0]
 
 

@@ -306,7 +306,7 @@ def test_a_run_is_measured_on_the_index_that_it_was_trained_on(
     shutil.rmtree("my index")
     assert call(main, "my runs/toy") == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert "my index: the index that my runs/toy was trained on is not there any more; give --index" in line
+    assert "my index: the index that my runs/toy was trained on is missing; give --index" in line
 
 
 def test_a_run_without_a_known_index_uses_that_of_the_folder(

@@ -72,28 +72,6 @@ def test_fields_that_nobody_reads_may_hold_anything(tmp_path: Path) -> None:
     assert len(history.steps) == len(before.steps) + len(anything)
 
 
-def test_numbers_are_taken_as_any_json_has_them(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "first", 1)
-    wide: dict[str, Any] = {"training_loss": 10**30, "validation_loss": None, "is_best": 1, "bins": {}}
-    line = json.dumps({**epoch_line(2), **wide}).encode()
-    with (run / "metrics.jsonl").open("ab") as stream:
-        stream.write(b"\xef\xbb\xbf" + line + b"\n")  # a mark of its encoding, as some editors write it
-    history, skipped = read_history(run)
-    assert list(skipped) == []
-    epoch = history.epochs[-1]
-    assert (epoch.training_loss, epoch.is_best, epoch.measures.frames) == (1e30, False, 0)
-
-
-def test_steps_that_no_training_writes_are_named(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "first", 1)
-    good = step_lines(2)[0]
-    wrong: list[dict[str, Any]] = [{"samples": 1}, {"batch": 0}, {"batch": 26}, {"epoch": 0}]
-    write_lines(run / "steps.jsonl", [*({**good, **each} for each in wrong), good])
-    history, skipped = read_history(run)
-    assert [step.samples for step in history.steps][3:] == [good["samples"]]
-    assert [name for _, name in skipped] == [f"steps.jsonl line {number}" for number in range(4, 8)]
-
-
 def test_a_last_line_that_a_kill_has_cut_off_is_named(tmp_path: Path) -> None:
     run = write_run(tmp_path / "first", 2)
     data = (run / "metrics.jsonl").read_bytes()

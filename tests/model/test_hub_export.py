@@ -209,7 +209,7 @@ def test_code_that_nobody_names_is_not_run(tmp_path: Path, capsys: pytest.Captur
     create_run(run, {"network": network}, network_file=code)
     save_weights(run, {}, epoch=0)
     assert call(main, "export", run, "--hub", tmp_path / "hub") == 1
-    assert "code that is only run if you name it: --network" in capsys.readouterr().err
+    assert "code that runs only if you name it: --network" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [run]
     assert not (run / "has-run").exists()
 
@@ -234,8 +234,8 @@ def test_a_network_that_onnx_cannot_hold_goes_without(
     [
         ((), "--onnx"),
         (("--onnx", "--hub", "a"), "--hub FOLDER"),
-        (("--onnx", "--license", "mit"), "--license: only"),
-        (("--hub", "a", "--force"), "--force: only"),
+        (("--onnx", "--license", "mit"), "--license is only"),
+        (("--hub", "a", "--force"), "--force is only"),
     ],
 )
 def test_flags_that_do_not_go_together(

@@ -169,7 +169,7 @@ def test_without_a_name_the_file_lies_in_the_run_and_the_python_runs_it(
     assert step.startswith("next: `python -m pip install onnxruntime opencv-python-headless`")
     shown = textwrap.dedent("\n".join(code)).replace("picture.jpg", picture.as_posix())
     shown = shown.replace("runs/first/first.onnx", (copy / "first.onnx").as_posix())
-    assert heading == "to run it with onnxruntime and opencv-python-headless alone:"
+    assert heading == "to run it with only onnxruntime and opencv-python-headless:"
     assert as_others_steer(shown) == pytest.approx(as_the_pilot_steers(trained, [picture]), abs=1e-5)
 
 

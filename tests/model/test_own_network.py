@@ -119,7 +119,7 @@ def test_nobodys_code_runs_because_a_run_names_it(
     by_a_stranger(run)
     (has_run := Path(f"{path}.has-run")).unlink()
     flag = f"--network {run / 'network.py'}:Stranger"
-    refused = rf"mine: its network is net\.py:Stranger, code that is only run if you name it: {flag}"
+    refused = rf"mine: its network is net\.py:Stranger, code that runs only if you name it: {flag}"
     lines: list[tuple[Callable[[], None], list[str]]] = [
         (main, ["--resume", "mine"]),
         (main, ["--like", "mine", "--name", "other"]),
@@ -130,7 +130,7 @@ def test_nobodys_code_runs_because_a_run_names_it(
         assert call(command, *arguments, "--runs", run.parent) == 1
         (said,) = capsys.readouterr().err.splitlines()
         assert flag in said
-        assert "only run if you name it" in said
+        assert "runs only if you name it" in said
     with pytest.raises(RunError, match=refused):
         load_pilot(run)
     assert not has_run.exists()
@@ -192,7 +192,9 @@ def test_what_its_layers_cannot_do_is_said(index: Path, tmp_path: Path) -> None:
     assert said[0] == pytest.approx(said[1], abs=0.02)
     with pytest.raises(RunError, match=r"no nn\.ReLU after a convolution"):
         visual_backprop(load_network(done.run), as_input(pilots[0].crop(picture)[None]))
-    with pytest.raises(RunError, match="cannot be written as ONNX: its way depends on what it sees"):
+    with pytest.raises(
+        RunError, match="cannot be written as ONNX: its path through the layers depends on the picture"
+    ):
         export_onnx(done.run, tmp_path / "mine.onnx")
 
 
@@ -231,10 +233,10 @@ def body(made: str = "pass", answer: str = "return self.one(x.mean((2, 3)))") ->
         (body(answer="return {'steering': x}"), "answers dict to 2 pictures: one number for each was expected"),
         (
             body(answer="return self.one(x.mean((2, 3))) / 0 * 0"),
-            r"net\.py:Net answers what is no number",
+            r"net\.py:Net gives an answer that is not a number",
         ),
         (body("self.one = nn.Linear(7, 1)"), r"cannot take pictures of 128 x 128 px \(RuntimeError"),
-        (body("self.two = self.one"), r"network\.one\.weight and network\.two\.weight share their numbers"),
+        (body("self.two = self.one"), r"network\.one\.weight and network\.two\.weight share their weights"),
         (body("self.one = nn.Identity()"), "has no parameters"),
         (body("self.one = nn.LazyLinear(1)"), r"network\.one\.weight has no size yet"),
     ],

@@ -344,11 +344,11 @@ def edited(change: Callable[[dict[str, Any], dict[str, str]], object]) -> Callab
         (edited(lambda tensors, stored: tensors.update({"exp_avg.head.6.bias": np.zeros(2)})), "another network"),
         (
             edited(lambda tensors, stored: tensors.update({"step.head.6.bias": np.zeros(2, np.float32)})),
-            "a step count",
+            "step count",
         ),
         (
             edited(lambda tensors, stored: tensors.update({"step.head.6.bias": np.array(-1, np.float32)})),
-            "a step count",
+            "step count",
         ),
         (edited(lambda tensors, stored: stored.update(position=f'{{"samples": {10**400}}}')), "cannot be read"),
         (
@@ -424,7 +424,7 @@ def test_a_name_that_is_taken_by_no_run_says_so(
     """As of a training that was killed before its config was written."""
     (tmp_path / "first").mkdir()
     assert call(main, "--name", "first", "--index", index, "--runs", tmp_path) == 1
-    assert "first: exists already, and is no run; give another --name, or remove it" in capsys.readouterr().err
+    assert "first: exists already, and is not a run; give another --name, or remove it" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("without_figures")

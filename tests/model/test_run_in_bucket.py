@@ -83,7 +83,7 @@ def test_a_run_is_copied_and_goes_on_on_another_machine(
     monkeypatch.chdir(tmp_path / "one")
     before = files(bucket.folder / "runs/mine")
     assert call(main, "--resume", "mine", "--index", index, "--epochs", "3", "--copy-to", RUNS) == 3
-    assert "was written by another machine meanwhile" in " ".join(capsys.readouterr().err.split())
+    assert "another machine has changed it at the same time" in " ".join(capsys.readouterr().err.split())
     assert files(bucket.folder / "runs/mine") == before
 
 
@@ -120,7 +120,7 @@ def test_another_run_of_that_name_here_is_not_replaced(
     Path("runs/mine").mkdir(parents=True)
     Path("runs/mine/config.json").write_text("ours")
     assert call(main, "--resume", RUN, "--index", index) == 1
-    assert f"runs/mine: is here already, and no copy of {RUN}" in capsys.readouterr().err
+    assert f"runs/mine: exists here, but is not a copy of {RUN}" in capsys.readouterr().err
     assert files(Path("runs/mine")) == {"config.json": b"ours"}
 
 

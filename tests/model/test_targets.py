@@ -353,7 +353,7 @@ def test_pedals_that_are_never_touched_were_not_told(tmp_path: Path) -> None:
             writer.picture("center", time_ns, row, road("center", row))
             writer.vehicle(time_ns, row, VehicleState(steering=steering(row), speed_mph=math.nan))
     build_index([tmp_path / "bag.mcap"], tmp_path / "index", SETTINGS)
-    with pytest.raises(RunError, match="no session in it has the throttle"):
+    with pytest.raises(RunError, match="no session has a throttle"):
         train(
             tmp_path / "index", tmp_path / "run", replace(QUICK, targets=("steering", "throttle")), figures=False
         )
@@ -376,9 +376,9 @@ def test_a_session_without_speed_is_learnt_for_its_steering_and_named(folder: Pa
     build_index([silent, told], tmp_path / "index", SETTINGS)
     one = replace(QUICK, targets=("steering", "speed"), epochs=1)
     trained = train(tmp_path / "index", tmp_path / "run", one, figures=False)
-    assert any("no speed in silent: steering alone is learnt there" in each for each in trained.notices)
+    assert any("no speed in silent: steering only are learnt there" in each for each in trained.notices)
     build_index([silent], tmp_path / "index", SETTINGS)
-    with pytest.raises(RunError, match="no session in it has the speed"):
+    with pytest.raises(RunError, match="no session has a speed"):
         train(tmp_path / "index", tmp_path / "none", one, figures=False)
     assert not (tmp_path / "none").exists()
 

@@ -160,7 +160,7 @@ def test_a_gpu_that_is_not_there_is_one_line(index: Path, tmp_path: Path) -> Non
         ({"training": {"epochs": 1, "widgets": 3}}, "unknown settings: widgets"),
         ({"training": {"epochs": 0}}, "epochs"),
         ({"training": []}, "cannot be used"),
-        ({"data": {}}, "does not say what"),
+        ({"data": {}}, "does not name the data"),
         ({"format": 99}, "of format 99"),
     ],
 )
@@ -185,7 +185,7 @@ def test_a_log_that_changed_since_is_named(index: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
-        (["--name", "good"], "good: exists already; give another --name, or go on with it: `bc-train --resume"),
+        (["--name", "good"], "good: exists already; give another --name, or continue it: `bc-train --resume"),
         (["--init", "nobody"], "nobody: no trained run there"),
         (
             ["--init", "runs/goood"],

@@ -78,8 +78,8 @@ def test_the_two_lines_of_a_good_network() -> None:
     assert verdict.summary == (
         "better than always predicting the mean:"
         f" on turns (2.50 against {errors.mean.turning_mae_deg:.2f} degrees),"
-        f" driving error ({errors.driving_error:.2f} against 2.00); perhaps enough to drive: 30 of 30 networks of"
-        " such an error stayed on built-in roads (89 to 100 %), but their errors are on drives new to them"
+        f" driving error ({errors.driving_error:.2f} against 2.00); perhaps enough to drive: 30 of 30 networks"
+        " with such an error stayed on built-in roads (89 to 100 %), but their errors are on drives new to them"
     )
     assert verdict.lines[1] == (
         f"next: `bc-eval first --simulator lake mountain`: a driving error of {errors.driving_error:.2f} is small"

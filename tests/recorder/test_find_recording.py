@@ -55,7 +55,7 @@ def test_what_was_meant_is_said(home: Path, monkeypatch: pytest.MonkeyPatch, giv
     monkeypatch.chdir(home)
     with pytest.raises(RecordingError) as error:
         import_recording(Path(given), Path("x.mcap"))
-    assert str(error.value) == f"{given}: no recording itself; did you mean {meant}?"
+    assert str(error.value) == f"{given}: not a recording; did you mean {meant}?"
     with pytest.raises(RecordingError, match=rf"did you mean {home / meant}\?"):
         import_recording(home / given, home / "x.mcap")
 

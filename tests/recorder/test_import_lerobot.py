@@ -231,8 +231,8 @@ def test_episodes_that_are_not_there_are_named(tmp_path: Path, capsys: pytest.Ca
     )
     assert call(bc_record, "gaps", "--from", theirs, "--sessions", tmp_path) == 3
     said = capsys.readouterr()
-    assert "episodes that are counted and not there: 2 (episodes 1 to 2, episodes 4 to 5)" in said.err
-    assert "frames that are counted and not there: 1 (5 of 9)" in said.err
+    assert "episodes that are counted but missing: 2 (episodes 1 to 2, episodes 4 to 5)" in said.err
+    assert "frames that are counted but missing: 1 (5 of 9)" in said.err
     assert "4 rows, 4 pictures" in said.out
 
 
@@ -324,8 +324,8 @@ def a_link_out_of_it(folder: Path) -> None:
         (steering_of_another_shape, r"which number is the steering\? Give --steering, one of none"),
         (a_shape_that_is_not_true, r"file-000.parquet: not of the shapes that meta/info.json promises"),
         (a_column_that_is_not_there, r"no column 'act', which meta/info.json promises"),
-        (no_pictures, r"no feature of it is pictures in colour"),
-        (a_link_out_of_it, r"a link out of the dataset, which is not followed"),
+        (no_pictures, r"it has no colour pictures"),
+        (a_link_out_of_it, r"a link out of the dataset is not followed"),
     ],
 )
 def test_what_cannot_be_read_is_one_line(tmp_path: Path, spoil: Callable[[Path], None], why: str) -> None:

@@ -227,8 +227,8 @@ def test_the_age_of_a_picture_includes_its_waiting(mode: ServerMode) -> None:
     assert min(book.answered_ms) >= handled_s[0] * 1e3
 
 
-def test_what_was_sent_and_is_not_read_yet_is_no_silence() -> None:
-    """One thread ticks and reads: it reads before it judges."""
+def test_what_was_sent_and_is_not_handled_yet_is_no_silence(mode: ServerMode) -> None:
+    """With one thread it is not read yet; with several, it was read and waits for the tick's lock."""
     unread: list[bool] = []
     is_ticking, is_sent = threading.Event(), threading.Event()
 
@@ -239,10 +239,14 @@ def test_what_was_sent_and_is_not_read_yet_is_no_silence() -> None:
                 unread.append(self.server.has_unread(self.sid))
                 is_ticking.set()
                 assert is_sent.wait(PATIENCE_S)
+                if mode == "threading":
+                    (connection,) = self.server._engine.sockets.values()
+                    assert connection._websocket is not None
+                    wait_until(lambda: not connection._websocket.is_handed_over)
                 unread.append(self.server.has_unread(self.sid))
 
     book = Ticking()
-    with serving("eventlet", book):
+    with serving(mode, book):
         loop = Loop(book.server.port, 1)
         loop.expect_answer_to(0)
         assert is_ticking.wait(PATIENCE_S)

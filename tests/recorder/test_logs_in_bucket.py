@@ -218,7 +218,7 @@ def refused(status: int, code: str) -> Answer:
         (refused(404, "NoSuchBucket"), "s3://logs: no such bucket"),
         (refused(301, "PermanentRedirect"), "another region: set AWS_REGION"),
         (refused(400, "AuthorizationHeaderMalformed"), "another region: set AWS_REGION"),
-        (refused(501, "NotImplemented"), "does not know what was asked"),
+        (refused(501, "NotImplemented"), "does not support this request"),
         (refused(400, "ExpiredToken"), r"not valid \(ExpiredToken\): set AWS_ACCESS_KEY_ID"),
         (refused(403, "SignatureDoesNotMatch"), r"not valid \(SignatureDoesNotMatch\): set AWS_ACCESS_KEY_ID"),
         (refused(400, "InvalidRequest"), r"answers 400 Bad Request \(InvalidRequest\): as the test says"),
@@ -440,7 +440,7 @@ def test_a_download_to_a_full_disk_names_it_and_goes_on(
         assert call(main, "copy", "s3://logs/large.mcap", tmp_path / "here") == 1
     line = one_line_in(capsys)
     assert f"{tmp_path}/here/large.mcap: " in line
-    assert "the same command goes on" in line
+    assert "the same command continues" in line
     bucket.requests.clear()
     assert call(main, "copy", "s3://logs/large.mcap", tmp_path / "here") == 0
     assert bucket.bytes_sent < 14 << 20

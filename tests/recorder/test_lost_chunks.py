@@ -165,12 +165,12 @@ def test_without_any_row_the_pictures_are_kept_and_the_rows_are_named(whole: Pat
     damaged, count = whole.with_name("damaged.mcap"), len(original.messages)
     assert written.notices == [
         f"{damaged}: lost in all: {count - len(found.messages):,} of {count:,} messages",
-        f"{damaged}: no row is whole in it: what is kept has no rows",
+        f"{damaged}: no complete row in it: the new log has no rows",
     ]
     kinds = {kind for kind, _ in check(written.path, look=False).findings}
     assert kinds == {"stretches of pictures without a row"}
 
 
 def test_without_any_chunk_nothing_is_recovered(whole: Path) -> None:
-    with pytest.raises(LogError, match="not one whole message"):
+    with pytest.raises(LogError, match="no complete message"):
         recover(without(whole, contents(whole).chunks), whole.with_name("recovered.mcap"))

@@ -141,7 +141,7 @@ def test_car_racing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
         (["--gym", "missing.toml", *CENTRE], 2, "--gym missing.toml: no such file"),
         ([{"args": {"observation": "numbers"}}, *CENTRE], 1, "no camera picture in its observation"),
         ([{"args": {"observation": "two"}}, *CENTRE], 1, "Give its key as picture, one of front, rear"),
-        ([{"picture": "rear"}, *CENTRE], 1, "pictures are: pixels.front"),
+        ([{"picture": "rear"}, *CENTRE], 1, "it has: pixels.front"),
         ([{"args": {"action": "discrete"}}, *CENTRE], 1, "its actions are Discrete(3)"),
         ([*BARE, *CENTRE], 1, "has 2 numbers"),
         ([{"action": "throttle,brake"}, *CENTRE], 2, "one number of the action has to be the steering"),

@@ -29,8 +29,8 @@ def test_the_log_names_the_driver_and_is_indexed_whole(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--from", "recording", "--driver", "keyboard"), "--from and --listen record what others drive"),
-        (("--listen", "--driver", "mouse"), "--from and --listen record what others drive"),
+        (("--from", "recording", "--driver", "keyboard"), "--from and --listen record other drives"),
+        (("--listen", "--driver", "mouse"), "--from and --listen record other drives"),
         (("--driver", "wheel"), "wheel"),
     ],
 )

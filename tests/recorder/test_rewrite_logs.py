@@ -146,7 +146,7 @@ def test_a_log_whose_metadata_another_program_left_out_stays_one_of_ours(old: Pa
 def test_nothing_is_overwritten_and_a_damaged_log_leaves_nothing(old: Path, tmp_path: Path) -> None:
     done = run("bc-log", "rewrite", str(old), "--to", str(tmp_path / "new.mcap"))
     assert done.returncode == 0
-    assert "can take its place" in done.stderr
+    assert "you can replace it" in done.stderr
     again = run("bc-log", "rewrite", str(old), "--to", str(tmp_path / "new.mcap"))
     assert again.returncode == 1
     assert "--force" in one_line_of(again)

@@ -154,5 +154,5 @@ def test_a_merged_log_has_the_car_of_its_sessions_if_they_have_one(tmp_path: Pat
         assert car_of(log).wheelbase_m == 2.4
     with Log("bc.mcap") as log:
         assert max_steering_deg_of(log) == 30
-        with pytest.raises(RecordingError, match="it does not say where its cameras stand"):
+        with pytest.raises(RecordingError, match="it does not describe its cameras"):
             car_of(log)

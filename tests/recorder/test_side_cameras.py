@@ -99,15 +99,15 @@ def test_cameras_at_two_distances_have_no_one_correction(monkeypatch: pytest.Mon
 
 def test_pictures_that_tell_nothing_are_refused() -> None:
     noise = np.random.default_rng(0).integers(0, 256, (5, 3, 160, 320), dtype=np.uint8)
-    with pytest.raises(ValueError, match="not shifted"):
+    with pytest.raises(ValueError, match="do not fit"):
         measure([list(each) for each in noise])
     same = [[each[0], each[0], each[0]] for each in moments(3)]  # a recorder that keeps one camera's three times
-    with pytest.raises(ValueError, match="not shifted"):
+    with pytest.raises(ValueError, match="do not fit"):
         measure(same)
-    with pytest.raises(ValueError, match="not shifted"):  # left and right exchanged
+    with pytest.raises(ValueError, match="do not fit"):  # left and right exchanged
         measure([[centre, right, left] for centre, left, right in moments(3)])
     black = np.zeros((160, 320), np.uint8)
-    with pytest.raises(ValueError, match="not shifted"):
+    with pytest.raises(ValueError, match="do not fit"):
         measure([[black, black, black]])
     nothing: list[list[list[Gray | None]]] = [[], [[black, None, black]], [[black, black, black[:80]]]]
     for each_moments in nothing:

@@ -56,7 +56,7 @@ def test_rows_for_which_a_condition_holds_are_tagged_as_stretches(parked: Path) 
 
 def test_where_nothing_is_found_nothing_is_tagged(parked: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, "tag", parked, "exclude", "--where", "speed_mph > 100") == 1
-    assert "no row for which that holds; nothing was tagged" in capsys.readouterr().err
+    assert "no row meets this condition; nothing was tagged" in capsys.readouterr().err
     assert tags(parked) == []
     clean = write_log(parked.with_name("clean.mcap"), [0.1 * (row % 7) for row in range(60)])
     assert call(main, "tag", clean, "exclude", "--odd") == 0

@@ -411,8 +411,8 @@ OLD_PYTHON = "/socket.io/?EIO=3&transport=polling"
 KNOCKS: dict[str, tuple[Callable[[int], object], str]] = {
     "a client of another version": (lambda port: get(port, OLD_PYTHON), "refused.*python-socketio 5"),
     "another transport": (lambda port: get(port, "/socket.io/?EIO=4&transport=x"), "refused.*python-socketio 5"),
-    "bytes": (lambda port: send_bytes(port, b"\x00\x01SSH-2.0\r\n\r\n"), "no simulator.*another port"),
-    "a request that is none": (lambda port: send_bytes(port, b"GET\r\n\r\n"), "no simulator.*another port"),
+    "bytes": (lambda port: send_bytes(port, b"\x00\x01SSH-2.0\r\n\r\n"), "not a simulator.*another port"),
+    "a request that is none": (lambda port: send_bytes(port, b"GET\r\n\r\n"), "not a simulator.*another port"),
     "TLS": (greet_by_tls, "TLS.*ws://"),
 }
 

@@ -97,8 +97,8 @@ def test_strings_have_the_decimal_point_of_the_telemetry() -> None:
         ("laps", 10**400, "laps is beyond 1e+09, or no number"),
         ("laps", "9e99", "laps is beyond 1e+09, or no number"),
         ("offset", 2 * MAX_WORLD_NUMBER, "offset is beyond 1e+09, or no number"),
-        ("interventions", -1, "interventions is no count: a whole number from 0 on was expected"),
-        ("interventions", 0.5, "interventions is no count: a whole number from 0 on was expected"),
+        ("interventions", -1, "interventions is not a whole number from 0 on"),
+        ("interventions", 0.5, "interventions is not a whole number from 0 on"),
     ],
 )
 def test_what_cannot_be_used_is_named_and_the_rest_is_used(name: str, value: object, said: str) -> None:
@@ -111,8 +111,8 @@ def test_half_a_pose_and_half_an_expert_are_none_and_named() -> None:
     parsed, problems = parse_world(world(pitch_rad=..., roll_rad=..., expert_throttle=...))
     assert parsed == World(time_s=12.5, offset=-1.25, laps=0.75, interventions=2)
     assert problems == (
-        "pitch_rad and roll_rad missing beside x_m: they go together",
-        "expert_throttle missing beside expert_steering: they go together",
+        "pitch_rad and roll_rad missing: they belong to x_m",
+        "expert_throttle missing: they belong to expert_steering",
     )
     # one that is there and wrong is not missing as well
     parsed, problems = parse_world(world(x_m="far"))

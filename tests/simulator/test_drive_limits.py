@@ -28,10 +28,10 @@ from udacity import call
         (
             bc_record,
             ["me", "--driver", "me", "--speed", "500"],
-            "--speed: with --driver me, one speed above 0 mph an",
+            "--speed: with --driver me, give the one speed that",
         ),
-        (bc_sim, ["--laps", "1000000"], "--laps 1e+06: how far to drive is a number above 0 and up to 1,000"),
-        (bc_sim, ["--expert-speed", "500"], "--expert-speed 500: a set speed is above 0 mph and up to 100"),
+        (bc_sim, ["--laps", "1000000"], "--laps 1e+06: give a number above 0 and up to 1,000"),
+        (bc_sim, ["--expert-speed", "500"], "--expert-speed 500: give a set speed above 0 mph and up to 100"),
     ],
 )
 def test_what_nobody_means_is_refused(

@@ -421,7 +421,7 @@ def test_a_killed_recording_is_shown_as_far_as_it_is_whole(tmp_path: Path) -> No
     rrd = tmp_path / "live.rrd"
     with Process([sys.executable, "-c", RECORDER, str(tmp_path / "live.mcap")]) as recording:
         part = Path(recording.wait_for("^part (.*)$")[1])
-        says = f"{part}: its recording was killed; all that is whole is shown; `bc-log recover {part}`"
+        says = f"{part}: its recording was killed; everything complete is shown; `bc-log recover {part}`"
         save = Process(command("bc-play", part, "--follow", "--save", rrd))
         with save, Following(part) as window:
             viewer = window.wait_for_viewer()

@@ -63,12 +63,12 @@ def running_viewer() -> Iterator[Ports]:
 
 
 @contextlib.contextmanager
-def received(ports: Ports, rrd: Path) -> Iterator[None]:
+def received(ports: Ports, rrd: Path, pictures: int = ROWS) -> Iterator[None]:
     """Another client of the viewer writes all that it has to a file, until the viewer is ended within."""
     line = [str(viewer_program()), ports.data_address, "--save", str(rrd), "--bind", "127.0.0.1", "--port", "auto"]
     with subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment()) as client:
         for camera in CAMERAS:
-            wait_until(lambda: arrived(rrd, f"/camera/{camera}", "EncodedImage:blob") >= ROWS)  # noqa: B023
+            wait_until(lambda: arrived(rrd, f"/camera/{camera}", "EncodedImage:blob") >= pictures)  # noqa: B023
         wait_until(lambda: arrived(rrd, "/steering/recorded", "Scalars:scalars") >= ROWS)
         yield
         client.wait(PATIENCE_S)
@@ -99,6 +99,22 @@ def test_a_viewer_that_runs_gets_all_of_the_log(
     assert said.out == f"a.mcap: sent to 127.0.0.1:{ports.data}\n"
 
 
+def test_of_a_large_log_a_viewer_gets_some_rows_pictures_and_all_curves(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("viz.targets._LARGE", 1)
+    monkeypatch.setattr("viz.targets._SENT", log.stat().st_size / 7.5)
+    with contextlib.ExitStack() as client, running_viewer() as ports:
+        assert call(main, log, "--connect", ports.data) == 0
+        client.enter_context(received(ports, tmp_path / "got.rrd", 5))
+    found = contents(tmp_path / "got.rrd")
+    for camera in CAMERAS:
+        blobs = [bytes(blob[0]) for blob in found[f"/camera/{camera}"]["EncodedImage:blob"]]
+        assert blobs == [picture(camera, row) for row in (0, 8, 16, 24, 29)]
+    assert len(found["/steering/recorded"]["Scalars:scalars"]) >= ROWS
+    assert "one picture of 8" in capsys.readouterr().err
+
+
 def test_what_a_viewer_that_runs_does_not_get_of_a_damaged_log_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -116,7 +132,7 @@ def test_what_a_viewer_that_runs_does_not_get_of_a_damaged_log_is_told(
 def test_a_viewer_that_is_closed_too_early_is_not_called_complete(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def send(recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
+    def send(recording: rr.RecordingStream, flush: Callable[[], object], every: int) -> None:
         raise ViewerGoneError
 
     with running_viewer() as ports:
@@ -189,12 +205,12 @@ def test_what_is_no_viewer_is_one_line(
     (nobody,) = free_ports(1)
     assert f"127.0.0.1:{nobody}: no viewer listens there" in said(nobody)
     with answering(b"HTTP/1.0 400 Bad request\r\n\r\n") as port:
-        assert "is no Rerun viewer" in said(port)
+        assert "is not a Rerun viewer" in said(port)
     with answering(b"") as port:
-        assert "is no Rerun viewer" in said(port)
+        assert "is not a Rerun viewer" in said(port)
     with socket.create_server(("127.0.0.1", 0)) as silent, monkeypatch.context() as patched:  # a frozen one
         patched.setattr("viz.viewer_connection._PATIENCE_S", 0.2)
-        assert "does not answer" in said(silent.getsockname()[1])
+        assert "no answer" in said(silent.getsockname()[1])
     assert "no address of a viewer" in said("somewhere", code=2)
     assert "no viewer listens there" in said("99999")
 
@@ -250,7 +266,7 @@ def test_a_viewer_that_cannot_start_says_why_and_disturbs_nothing(
             assert said.startswith(f"viewer: 127.0.0.1:{nobody}: no viewer listens there")
             again = f"bc-play {tmp_path / 'a.mcap'} --follow"
             assert said.endswith(
-                f"; all else goes on without it; `{again}` opens another one, `{again} --web` in a browser\n"
+                f"; everything else continues; `{again}` opens another one, `{again} --web` in a browser\n"
             )
         writer.vehicle(START_NS + STEP_NS, 1, VehicleState(steering=0.5))
     assert call(main, tmp_path / "a.mcap", "--save", tmp_path / "a.rrd") == 0
@@ -269,7 +285,7 @@ def test_a_window_that_cannot_open_names_a_command_and_only_its_own_flags(
     assert said.startswith("viewer: the Rerun viewer ")
     assert "give --web" not in said
     assert said.endswith(
-        f"; all else goes on without it; `{again}` opens another one, `{again} --web` in a browser\n"
+        f"; everything else continues; `{again}` opens another one, `{again} --web` in a browser\n"
     )
 
 

@@ -191,7 +191,7 @@ def test_a_name_that_rerun_cannot_take_is_one_line(drive: Path, tmp_path: Path) 
     log.write_bytes(drive.with_suffix(".mcap").read_bytes())
     done = run("bc-play", log, "--save", tmp_path / "x.rrd")
     assert done.returncode == 1
-    assert "UTF-8 text only; rename the log" in one_line_of(done)
+    assert "only names in UTF-8; rename the log" in one_line_of(done)
 
 
 @pytest.mark.parametrize(
@@ -325,7 +325,7 @@ def test_a_log_behind_connect_is_told_where_it_belongs(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a b.mcap").touch()
     assert call(main, *words) == 2
-    assert capsys.readouterr().err == f"bc-play: --connect takes one address, and stands behind the logs: {says}\n"
+    assert capsys.readouterr().err == f"bc-play: --connect takes one address; put it after the logs: {says}\n"
 
 
 def test_what_may_take_long_shows_how_far_it_is(

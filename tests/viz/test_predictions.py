@@ -262,11 +262,11 @@ def test_a_log_is_never_written_over(
     (tmp_path / "link").symlink_to(log)
     for name in ("session.mcap", "link"):
         assert call(main, log, *flags, tmp_path / name, "--force") == 1
-        assert f"{flags[-1]} {tmp_path / name}: the log itself" in capsys.readouterr().err
+        assert f"{flags[-1]} {tmp_path / name}: is the log itself" in capsys.readouterr().err
     assert log.read_bytes() == (here / "session.mcap").read_bytes()
     both = tmp_path / "both"
     assert call(main, log, "--run", "first", "--save", both, "--write", both) == 2
-    assert f"--write {both}: two files of one name" in capsys.readouterr().err
+    assert f"--write {both}: two files would have this name" in capsys.readouterr().err
 
 
 # Logs that are not as they should be
@@ -328,7 +328,7 @@ def test_what_cannot_be_is_one_line(here: Path, tmp_path: Path) -> None:
     save_file({name: np.full_like(value, np.nan) for name, value in load_file(weights).items()}, weights)
     with pytest.raises(UserError, match="no picture of the centre camera"):
         predict_log(tmp_path / "states.mcap", [here / "runs" / "first"])
-    with pytest.raises(RunError, match="predicts what is no number"):
+    with pytest.raises(RunError, match="predicts something that is not a number"):
         predict_log(here / "session.mcap", [tmp_path / "wild"])
     with pytest.raises(RunError, match="first: given 2 times"):
         predict_log(here / "session.mcap", [here / "runs" / "first", here / "runs" / "second" / ".." / "first"])

@@ -24,6 +24,9 @@ def test_a_file_that_is_there_stays_unless_it_may_be_replaced(tmp_path: Path) ->
 
 def test_a_file_that_somebody_writes_meanwhile_stays(tmp_path: Path) -> None:
     path = tmp_path / "a.rrd"
-    with pytest.raises(UserError, match="written by someone else meanwhile"), rrd_file(path, overwrite=False):
+    with (
+        pytest.raises(UserError, match="written by another process at the same time"),
+        rrd_file(path, overwrite=False),
+    ):
         path.write_bytes(b"precious")
     assert path.read_bytes() == b"precious"

@@ -111,7 +111,7 @@ def test_what_cannot_be_done_is_told_and_not_started(bench: Served) -> None:
         ("trim", {"first": "0", "last": "2", "new": "other one"}, "exists already"),
         ("merge", {}, "choose at least one other log"),
         ("merge", {"other": "none"}, "no log 'none'"),
-        ("rm", {}, "nothing of that name"),
+        ("rm", {}, "no job on a log has this name"),
     ):
         answer = post(bench, job, **values)
         assert answer.status in (404, 409, 422)
@@ -125,7 +125,7 @@ def test_a_log_that_is_recorded_or_deleted_meanwhile_is_left_alone(bench: Served
     try:
         writer.vehicle(START_NS, 0, VehicleState(steering=0.0))
         part = next(sessions.glob("now.mcap.*.part"))
-        assert "it is being recorded" in command(bench, "recover", log=part.name)
+        assert "this log is being recorded" in command(bench, "recover", log=part.name)
     finally:
         writer.close()
     (sessions / "two.mcap").unlink()

@@ -284,7 +284,7 @@ def test_what_cannot_be_shown_says_why(bench: Served) -> None:
     assert "no picture of the centre camera" in problem
     own = untrained_run(bench.folder / "runs" / "own")
     changed_config(own, network={"name": "mine.py:Net", "arguments": {}, "file_sha256": "0" * 64})
-    assert "code of your own" in asked("of=sessions/day&run=own").json["error"]
+    assert "your own code" in asked("of=sessions/day&run=own").json["error"]
     assert '<option value="r" selected>' in bench.get("/map?of=sessions/day").text  # the newest that can be run
 
 

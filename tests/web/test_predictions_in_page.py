@@ -201,9 +201,9 @@ def test_what_cannot_be_predicted_says_why(bench: Served) -> None:
 
     assert "of format 99" in problem("later")
     own = problem("own")
-    assert "code of your own" in own
+    assert "your own code" in own
     assert "--network" in own
-    assert "code of your own" in bench.get("/sessions/toy/attention/own/4").json["error"]
+    assert "your own code" in bench.get("/sessions/toy/attention/own/4").json["error"]
     assert not ran.exists()
     assert "weights after its first epoch" in problem("young")
     assert "no picture of the centre camera" in problem("constant", "blind")
@@ -211,7 +211,7 @@ def test_what_cannot_be_predicted_says_why(bench: Served) -> None:
     with LogWriter(bench.folder / "sessions" / "now.mcap", {"source": "test"}) as writer:
         writer.picture("center", 0, 0, road("center", 0))
         part = next((bench.folder / "sessions").glob("now.mcap.*.part"))
-        assert "it is being recorded" in problem("constant", part.name, "0" * 64)
+        assert "this log is being recorded" in problem("constant", part.name, "0" * 64)
     (bench.folder / "sessions" / "now.mcap").unlink()
     assert "the log has changed" in problem("constant", fingerprint="0" * 64)
     assert bench.get("/sessions/toy/predictions/rows/..%2f..%2fx").status == 404

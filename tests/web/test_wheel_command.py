@@ -85,7 +85,7 @@ def test_the_page_of_a_supervised_drive_knows_its_log_and_its_run(tmp_path: Path
                 person.steer(0.0, 0.5)
             person.send("end")
             person.text("ended")
-        process.wait_for("the page goes on until Ctrl-C")
+        process.wait_for("the page stays until Ctrl-C")
         after = page.partition('data-after="')[2].partition('"')[0]
         assert "Drive on from here" in get(process, after)  # the run is there
         assert process.end() == 0

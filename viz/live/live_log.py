@@ -112,7 +112,7 @@ class GrowingLog(Closeable):
     def _end_without_end(self, path: Path) -> None:
         if self._file is None:
             raise LogError(f"{path}: its recording was killed before anything of it was written")
-        state = "its recording was killed; all that is whole is shown"
+        state = "its recording was killed; everything complete is shown"
         self.notice = f"{path}: {state}; `bc-log recover {shlex.quote(str(path))}` makes a log of it"
         if self._position < self._file.size:
             self._found.lost.append((self._position, self._file.size))

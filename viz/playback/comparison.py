@@ -61,7 +61,7 @@ def prepare_comparison(
     Raises LogError if one cannot be read, UserError if there are too many, or they cannot be compared by place.
     """
     if len(paths) > MAX_LOGS:
-        raise UserError(f"{len(paths)} logs: at most {MAX_LOGS} can be shown beside each other")
+        raise UserError(f"{len(paths)} logs: at most {MAX_LOGS} can be shown next to each other")
     with contextlib.ExitStack() as stack:
         opened = [stack.enter_context(open_whole_log(path)) for path in paths]
         check_moment(at_s, zip(paths, (log for log, _ in opened), strict=True))
@@ -80,7 +80,7 @@ def prepare_comparison(
         yield PreparedRecording(
             name,
             layout,
-            lambda recording, flush: _send(logs, recording, flush, skipped),
+            lambda recording, flush, every: _send(logs, recording, flush, skipped, every),
             notices,
             at_s=at_s,
             skipped=skipped,
@@ -137,6 +137,7 @@ def _send(
     recording: rr.RecordingStream,
     flush: Callable[[], object],
     skipped: Skipped,
+    every: int,
 ) -> None:
     for number, each in enumerate(logs):
         color = LOG_COLORS[number % len(LOG_COLORS)]
@@ -145,12 +146,13 @@ def _send(
         for curve, time_ns, values in predicted_curves(each.log):
             drawing.curve(curve, time_ns, values)
     for each in logs:
-        send_chunks(_moved(each, skipped), recording, flush)
+        send_chunks(_moved(each, skipped, every), recording, flush)
 
 
-def _moved(one: _ComparedLog, skipped: Skipped) -> Generator[Chunk]:
+def _moved(one: _ComparedLog, skipped: Skipped, every: int) -> Generator[Chunk]:
     """The chunks of a log that are not drawn, under its own entity and on the common time line."""
-    with contextlib.closing(read_chunks(one.log, drawn_topics(one.log), one.clock, skipped, _LEFT_OUT)) as chunks:
+    found = read_chunks(one.log, drawn_topics(one.log), one.clock, skipped, _LEFT_OUT, every)
+    with contextlib.closing(found) as chunks:
         for chunk in chunks:
             if not chunk.is_static:
                 yield chunk.with_entity_path(log_entity(one.name) + chunk.entity_path)

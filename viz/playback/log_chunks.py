@@ -37,17 +37,17 @@ _NOT_OF_SUMMARY: Final = tuple(each for each in McapReader.available_decoders() 
 
 
 def read_chunks(
-    log: Log, drawn: Collection[str], clock: Clock, skipped: Skipped, left_out: str = ""
+    log: Log, drawn: Collection[str], clock: Clock, skipped: Skipped, left_out: str = "", every: int = 1
 ) -> Generator[Chunk]:
     """All of a log but the topics `drawn`, on the time lines of `clock`, without the component `left_out`; with a
-    progress bar.
+    progress bar. Of a log of ours, the pictures of one row of `every`, and of the last one.
 
     Pictures that cannot be read are added to `skipped`. Raises LogError where anything else is damaged.
     """
     others = sum(count for topic, count in log.counts.items() if topic not in drawn)
     with progress_bar() as bar:
         task = bar.add_task("sending messages", total=others, note="")
-        for chunk in _chunks(log, drawn, clock, skipped, left_out):
+        for chunk in _chunks(log, drawn, clock, skipped, left_out, every):
             yield chunk
             bar.advance(task, 0 if chunk.is_static else len(chunk))
 
@@ -61,7 +61,9 @@ def protobuf_topics(log: Log) -> dict[str, str]:
     }
 
 
-def _chunks(log: Log, drawn: Collection[str], clock: Clock, skipped: Skipped, left_out: str) -> Iterator[Chunk]:
+def _chunks(
+    log: Log, drawn: Collection[str], clock: Clock, skipped: Skipped, left_out: str, every: int
+) -> Iterator[Chunk]:
     if not log.is_ours:
         yield from on_clock(
             McapReader(local_path(log.path), exclude_topic_regex=_exactly(drawn)).stream(), clock, left_out
@@ -70,7 +72,7 @@ def _chunks(log: Log, drawn: Collection[str], clock: Clock, skipped: Skipped, le
     pictures = [topic for topic, schema in protobuf_topics(log).items() if schema == COMPRESSED_IMAGE.name]
     yield from _summary(local_path(log.path), drawn)
     yield from on_clock(_others(log, {*drawn, *pictures}), clock, left_out)
-    yield from _pictures(log, pictures, clock, skipped)
+    yield from _pictures(log, pictures, clock, skipped, every)
 
 
 def _summary(path: Path, drawn: Collection[str]) -> Iterator[Chunk]:
@@ -103,7 +105,7 @@ def _others(log: Log, left_out: Collection[str]) -> Iterator[Chunk]:
         yield from McapReader(copy, decoders=_NOT_OF_SUMMARY).stream()
 
 
-def _pictures(log: Log, topics: Collection[str], clock: Clock, skipped: Skipped) -> Iterator[Chunk]:
+def _pictures(log: Log, topics: Collection[str], clock: Clock, skipped: Skipped, every: int) -> Iterator[Chunk]:
     """Pictures in the order of the file, some of each topic at a time."""
     waiting: dict[str, list[tuple[int, CompressedImage]]] = {}
     waiting_bytes = 0
@@ -115,6 +117,8 @@ def _pictures(log: Log, topics: Collection[str], clock: Clock, skipped: Skipped)
             continue
         for _, channel, message in messages:
             if channel.topic not in topics:
+                continue
+            if message.sequence % every and message.log_time != log.time_range_ns[1]:
                 continue
             try:
                 picture = CompressedImage.FromString(message.data)

@@ -83,8 +83,9 @@ class PreparedRecording:
 
     name: str
     layout: rrb.Blueprint
-    send: Callable[[rr.RecordingStream, Callable[[], object]], object]
-    """Sends to a recording. The second argument waits until what was sent is taken, and may raise to end it."""
+    send: Callable[[rr.RecordingStream, Callable[[], object], int], object]
+    """Sends to a recording. The second argument waits until what was sent is taken, and may raise to end it. Of so
+    many rows as the third argument is, the pictures of one are sent."""
     notices: Sequence[str]  # of logs that were never finished
     recording_id: str | None = None  # in a file: the same log, the same recording
     at_s: float | None = None  # where it opens, in seconds since the start; None: at the start
@@ -109,7 +110,7 @@ def save_prepared(prepared: PreparedRecording, rrd: Path, *, overwrite: bool) ->
     named = prepared.recording_id
     with rrd_file(rrd, overwrite=overwrite, recording_id=named, layout=prepared.layout) as file:
         file.recording.send_recording_name(prepared.name)
-        prepared.send(file.recording, file.recording.flush)
+        prepared.send(file.recording, file.recording.flush, 1)
 
 
 @contextlib.contextmanager
@@ -126,13 +127,14 @@ def prepare_log(
         drawn = DrawnMessages(log)  # before a viewer gets anything: without sound numbers, nothing is shown
         skipped = Skipped()
 
-        def send(recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
+        def send(recording: rr.RecordingStream, flush: Callable[[], object], every: int) -> None:
             clock = log_clock(log.time_range_ns[0])
             drawing = Drawing(recording, clock)
             draw(drawn, drawing)
             for curve, time_ns, values in predicted_curves(log):
                 drawing.curve(curve, time_ns, values)
-            send_chunks(read_chunks(log, drawn_topics(log), clock, skipped), recording, flush)
+            chunks = read_chunks(log, drawn_topics(log), clock, skipped, every=every)
+            send_chunks(chunks, recording, flush)
             if predictions is not None:
                 predictions.send(recording, drawing, flush)
 
@@ -156,7 +158,7 @@ def open_whole_log(path: Path) -> Iterator[tuple[Log, str]]:
     that Rerun cannot take.
     """
     if printable(str(path)) != str(path):
-        raise UserError(f"{path}: Rerun opens names of plain UTF-8 text only; rename the log")
+        raise UserError(f"{path}: Rerun opens only names in UTF-8; rename the log")
     with Log(path, shows_progress=True) as log:
         if not log.problem:
             yield log, ""

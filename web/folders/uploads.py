@@ -82,7 +82,7 @@ class Upload:
         view = memoryview(data)
         while view:
             if not self._left:
-                raise WebError("an upload with more bytes than its manifest names", 422)
+                raise WebError("the upload has more bytes than its manifest says", 422)
             block, view = view[: self._left], view[self._left :]
             self._left -= len(block)
             if self._files is None:
@@ -97,7 +97,7 @@ class Upload:
     def finish(self) -> Path:
         """The folder of the upload, which has got its name. Raises WebError if it is not whole."""
         if self._files is None or self._files or self._left:
-            raise WebError("an upload that is not whole: it was broken off", 422)
+            raise WebError("the upload is incomplete: it was cut off", 422)
         self._close()
         if self._zip is not None:
             unpack(self._zip, self._part)
@@ -113,7 +113,7 @@ class Upload:
             raise WebError(f"an upload of 1 to {MAX_FILES:,} files was expected", 422)
         sizes = [size for _, size in manifest.files]
         if min(sizes) < 0 or sum(sizes) != self._total_bytes:
-            raise WebError("an upload whose files have other sizes than its manifest names", 422)
+            raise WebError("the upload's files have other sizes than its manifest says", 422)
         places = [checked_name(name) for name, _ in manifest.files]
         top = {place[0] for place in places if place}
         has_top = len(top) == 1 and all(len(place) > 1 for place in places if place)
@@ -189,7 +189,7 @@ def _unpack(archive: zipfile.ZipFile, folder: Path) -> None:
         if not parts or member.is_dir():
             continue
         if (member.external_attr >> 28) == 0xA:  # a link, as Unix writes it
-            raise WebError(f"{printable(member.filename)}: a link, which is not unpacked", 422)
+            raise WebError(f"{printable(member.filename)}: is a link; links are not unpacked", 422)
         if member.flag_bits & 1:
             raise WebError("the zip has a password; unpack it, and drop the folder", 422)
         with archive.open(member) as source, _new_file(folder.joinpath(*parts)) as target:
@@ -219,7 +219,7 @@ def checked_name(name: str) -> Sequence[str]:
     for part in parts:
         is_plain = part not in ("", ".", "..") and part.isprintable() and not set(part) & set('\\:*?"<>|')
         if not is_plain or len(part.encode()) > _MAX_NAME_BYTES:
-            raise WebError(f"{printable(name)[:200]}: not a name that a file here can have", 422)
+            raise WebError(f"{printable(name)[:200]}: no file on this machine can have this name", 422)
     return () if _UNWANTED & set(parts) else parts
 
 
@@ -241,4 +241,4 @@ def _new_file(path: Path) -> IO[bytes]:
         path.parent.mkdir(parents=True, exist_ok=True)
         return path.open("xb")
     except (FileExistsError, NotADirectoryError, IsADirectoryError):
-        raise WebError(f"{printable(path.name)}: twice in the upload", 422) from None
+        raise WebError(f"{printable(path.name)}: is in the upload twice", 422) from None

@@ -39,8 +39,12 @@ class Field:
     is_needed: bool = False
     is_more: bool = False  # folded away: few people change it
 
+    @property
+    def as_flag(self) -> str:
+        return f"--{self.name.replace('_', '-')}" if self.flag is None else self.flag
+
     def words(self, value: str) -> list[str]:
-        flag = f"--{self.name.replace('_', '-')}" if self.flag is None else self.flag
+        flag = self.as_flag
         if self.is_switch:
             return [flag] if value else []
         if flag and not self.is_several:
@@ -214,7 +218,7 @@ FORMS: Final[Sequence[JobForm]] = (
     JobForm(
         "learn",
         "Learn from takeovers",
-        "A run learns from a drive in which somebody took over from it, on top of what it was trained on.",
+        "A run learns from a drive in which somebody took over, in addition to its old data.",
         ("bc-train",),
         (
             Field("run", "run", "--init", known="runs", is_needed=True),
@@ -229,7 +233,7 @@ FORMS: Final[Sequence[JobForm]] = (
     JobForm(
         "resume",
         "Go on training",
-        "A training that was stopped goes on where it was.",
+        "A stopped training continues.",
         ("bc-train",),
         (
             Field("run", "run", "--resume", known="runs", is_needed=True),
@@ -272,7 +276,7 @@ FORMS: Final[Sequence[JobForm]] = (
     JobForm(
         "demo",
         "Demo",
-        "The whole chain: record, index, train, drive; in this project, if it has nothing yet, and else in a new"
+        "The whole chain: record, index, train, drive; in this project if it is empty, otherwise in a new"
         " folder, demo/DATE. Takes some minutes.",
         ("bc-demo",),
         (Field("epochs", "epochs", hint="4"),),
@@ -288,4 +292,4 @@ def form_of(name: str) -> JobForm:
     for form in FORMS:
         if form.name == name:
             return form
-    raise WebError(f"{name!r}: nothing of that name can be started", 404)
+    raise WebError(f"{name!r}: no job has this name", 404)

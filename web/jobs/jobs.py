@@ -164,7 +164,7 @@ class Jobs:
         for job in self._found():
             if job.key == key:
                 return job
-        raise WebError(f"no job {key!r}: the newest {_KEPT} are kept, in the cache folder, while that is", 404)
+        raise WebError(f"no job {key!r}: only the newest {_KEPT} are kept, in the cache folder", 404)
 
     def version(self) -> str:
         """It changes with what any job prints, and when one begins or ends."""

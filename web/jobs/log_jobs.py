@@ -60,7 +60,7 @@ class LogJob:
             raise WebError("choose at least one other log to merge it with", 422)
         for key in form.others if self.has_others else ():
             if key not in logs:
-                raise WebError(f"no log {key!r} beside this one; it may have been deleted, renamed or moved", 404)
+                raise WebError(f"no log {key!r} next to this one; it may have been deleted, renamed or moved", 404)
             words.append(str(logs[key]))
         return [*words, f"--to={new}"] if self.made and self.is_named else words
 
@@ -91,7 +91,7 @@ LOG_JOBS: Final = (
     ),
     LogJob(
         "recover",
-        "All that is whole in a log that is unfinished or damaged becomes a finished one.",
+        "Makes a finished log of everything complete in an unfinished or damaged one.",
         recovered_name,
     ),
 )
@@ -107,7 +107,7 @@ def log_job(name: str) -> LogJob:
     for job in LOG_JOBS:
         if job.name == name:
             return job
-    raise WebError(f"{name!r}: nothing of that name is made of a log", 404)
+    raise WebError(f"{name!r}: no job on a log has this name", 404)
 
 
 def command_line(
@@ -119,7 +119,7 @@ def command_line(
     Raises WebError for what cannot be one, and where a log of the new name is there already.
     """
     if log.name.endswith(PART_SUFFIX) and is_being_written(log):
-        raise WebError("it is being recorded: when that has ended, new logs can be made of it", 409)
+        raise WebError("this log is being recorded: new logs can be made from it when that has ended", 409)
     if job not in jobs_for(log):
         raise WebError(f"{log}: is needed on this machine; `bc-log copy {log} FOLDER` brings it here", 422)
     made = job.made(log) if job.made and isinstance(log, Path) else None
@@ -131,7 +131,9 @@ def command_line(
     try:
         "".join(words).encode()
     except UnicodeEncodeError:
-        raise WebError(f"{printable(log.name)}: a name that is no text; rename it, or use bc-log", 422) from None
+        raise WebError(
+            f"{printable(log.name)}: this name is not valid UTF-8; rename the log, or use bc-log", 422
+        ) from None
     return words, made
 
 

@@ -103,7 +103,7 @@ def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
         return NewDrive([*words, "--no-page"], "sessions", name)
     run = folders.run_folders().get(asked["run"])
     if run is None:
-        raise WebError("run: choose one that is there; train one first, on a session of yours", 422)
+        raise WebError("run: choose an existing run; if there is none, train one first", 422)
     words = ["bc-drive", run.name, "--takeover=me", speed]
     words += [f"--simulator={_track(asked)}", *_start(asked)] if built_in else []
     words += [f"--runs={folders.runs}"] if folders.runs != Path("runs") else []
@@ -235,7 +235,7 @@ def _settings_of(like: str, folders: ProjectFolders, *, goes_on: bool) -> dict[s
     place, _, key = like.partition("/")
     ended = next((ended_drive(known, key, folders) for known in PLACES if known == place), None)
     if ended is None:
-        raise WebError("the drive to go on from is not there (any more)", 404)
+        raise WebError("the drive to continue from no longer exists", 404)
     with Log(ended.log) as log:
         track, rate = log.metadata.get("track", ""), log.metadata.get("drive.rate", "")
         held = log.read_metadata(topics.PERSON_METADATA).get("hold_mph", "")

@@ -52,7 +52,7 @@ def compare_routes(bench: Workbench) -> list[Route]:
 
     def _runs(a: str, b: str) -> tuple[Path, Path]:
         if a == b:
-            raise WebError("two runs are compared: choose another one beside it", 422)
+            raise WebError("a comparison needs two runs: choose a second one", 422)
         return bench.folders.run(a), bench.folders.run(b)
 
     def _context(request: Request) -> dict[str, Any]:

@@ -103,7 +103,7 @@ def import_routes(bench: Workbench) -> list[Route]:
         path = _upload(request)
         log = next((each for each in recordings_in(path) if str(each) == values.get("source")), None)
         if log is None or not is_own_log(log):
-            raise WebError(f"{path}: no such log in it; open its page anew", 404)
+            raise WebError(f"{path}: no such log in it; reload its page", 404)
         page_of = await run_in_threadpool(_take, log, values.get("name", ""))
         if not recordings_in(path):
             await run_in_threadpool(remove_upload, path)

@@ -136,7 +136,7 @@ def _type_of(data: bytes, row: int) -> str:
         return "image/jpeg"
     if data.startswith(PNG_START):
         return "image/png"
-    raise WebError(f"row {row}: what the log has there is no JPEG and no PNG", 415)
+    raise WebError(f"row {row}: its picture is neither JPEG nor PNG", 415)
 
 
 def _kept(request: Request, version: str) -> dict[str, str]:

@@ -73,7 +73,7 @@ def map_routes(bench: Workbench) -> list[Route]:
         """The columns of a map as float32, one after the other."""
         data = bench.maps.columns(_key_in(request))
         if data is None:
-            raise WebError("this map is not kept any more: make it again", 404)
+            raise WebError("this map is no longer kept: make it again", 404)
         return Response(data, media_type="application/octet-stream")
 
     return [

@@ -32,7 +32,7 @@ def prediction_routes(bench: Workbench, place: Place) -> list[Route]:
         run = bench.folders.run(request.path_params["run"])
         log = request.query_params.get("log", "")  # the fingerprint of what the page shows
         if path.name.endswith(PART_SUFFIX) and is_being_written(path):
-            raise WebError("it is being recorded: predictions can be made when that has ended", 409)
+            raise WebError("this log is being recorded: predictions can be made when that has ended", 409)
         with bench.logs.open(path) as opened:
             return JSONResponse(_state(bench, path, opened, log, run, is_start=request.method == "POST"))
 
@@ -67,7 +67,9 @@ def _state(
 ) -> dict[str, object]:
     fingerprint = opened.log.fingerprint
     if fingerprint != log:
-        raise WebError("the log has changed since this page has read it: choose the run again, or reload it", 409)
+        raise WebError(
+            "the log has changed since this page was opened: choose the run again, or reload the page", 409
+        )
     bench.folders.bring_run(run, NETWORK_FILES)
     key = bench.predictions.key(fingerprint, run)
 

@@ -22,7 +22,7 @@ async def form_values(request: Request) -> dict[str, str]:
 async def form_pairs(request: Request) -> list[tuple[str, str]]:
     """The same, where a name may have several values."""
     if request.headers.get("content-type", "").partition(";")[0] != _FORM:
-        raise WebError(f"this is asked for by a form ({_FORM})", 415)
+        raise WebError(f"this address takes only forms ({_FORM})", 415)
     try:
         return parse_qsl((await request.body()).decode("ascii"), keep_blank_values=True, max_num_fields=_MOST)
     except ValueError as error:

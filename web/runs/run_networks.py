@@ -26,7 +26,7 @@ def check_network(run: Path, log: Location, place: Location) -> None:
         words = shlex.join(["bc-play", str(log), "--run", str(place)])
         command = f"{words} {network_flag(stored_network(config, run), run)}"
         raise WebError(
-            f"{place}: its network is code of your own, which runs only if you name it: `{command}` does", 409
+            f"{place}: its network is your own code, which runs only if you name it: use `{command}`", 409
         )
 
 
