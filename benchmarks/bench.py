@@ -107,8 +107,8 @@ def answer(folder: Path) -> Iterator[Callable[[], float]]:
             begin = server.process.cpu_times()
             turn = server.drive(pictures, REPLIES, 60.0)
             end = server.process.cpu_times()
-            taken_s: float = end.user + end.system - begin.user - begin.system
-            return len(turn.round_trips_ms) / taken_s
+            used_s = float(end.user + end.system - begin.user - begin.system)
+            return len(turn.round_trips_ms) / used_s
 
         yield round_of
 
@@ -116,14 +116,14 @@ def answer(folder: Path) -> Iterator[Callable[[], float]]:
 def measure() -> dict[str, float]:
     with tempfile.TemporaryDirectory(prefix="bc-bench-") as name, answer(Path(name)) as reply:
         rounds = {"training step": train_steps(), "index": index_log(Path(name)), "reply": reply}
-        found: dict[str, list[float]] = {what: [] for what in rounds}
+        rates_of: dict[str, list[float]] = {what: [] for what in rounds}
         for _ in range(ROUNDS + 1):
             for what, round_of in rounds.items():
-                found[what].append(round_of())
-    for what, rates in found.items():
+                rates_of[what].append(round_of())
+    for what, rates in rates_of.items():
         shown = ", ".join(f"{rate:,.0f}" for rate in sorted(rates[1:]))
         print(f"{what}: {shown} (median {statistics.median(rates[1:]):,.0f})", file=sys.stderr)
-    return {what: max(rates[1:]) for what, rates in found.items()}  # the first warms up
+    return {what: max(rates[1:]) for what, rates in rates_of.items()}  # the first warms up
 
 
 def slower(found: dict[str, float], kept: dict[str, float]) -> list[str]:

@@ -34,6 +34,7 @@ def keep_freed_memory() -> None:
 def use_large_pages() -> None:
     """Let PyTorch ask Linux for pages of 2 MiB, where this process has not imported it yet.
 
-    A training step in float32 took 3.5 % less processor time, with the same results (Intel Xeon without AMX).
+    A training step in float32 took 3.5 % less processor time, with the same results, and 0.1 GB more
+    memory (Intel Xeon without AMX).
     """
     os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")

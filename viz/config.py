@@ -34,7 +34,7 @@ class Play:
     )
     """Open at this time."""
     by: Literal["time", "place"] = "time"
-    """Compare logs by time, or by place on the first one's way."""
+    """Compare logs by time, or by place along the first one's path."""
     follow: bool = False
     """Show a growing log."""
     save: Path | None = None

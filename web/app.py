@@ -40,18 +40,10 @@ from web.server.static_files import STATIC, PageFiles
 
 _AS_THEY_ARE: Final = (  # compressed already, or sent bit by bit
     *DEFAULT_EXCLUDED_CONTENT_TYPES,
-    "application/grpc-web",
-    "application/grpc-web+proto",
     "application/wasm",
     "application/x-ndjson",
 )
-_OF_A_LOG: Final = (
-    session_routes,
-    log_file_routes,
-    rerun_log_routes,
-    prediction_routes,
-    log_job_routes,
-)
+_OF_A_LOG: Final = (session_routes, log_file_routes, rerun_log_routes, prediction_routes, log_job_routes)
 
 
 @contextlib.contextmanager

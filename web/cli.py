@@ -61,10 +61,7 @@ def serve(config: Web, page: str = "") -> int:
     give_memory_back()
     folders = ProjectFolders(config.sessions, config.index, config.runs, config.drives)
     token = token_for(config.host)
-    with (
-        stop_signals() as stopped,
-        workbench_app(folders, config.host, token, default_cache_folder()) as app,
-    ):
+    with stop_signals() as stopped, workbench_app(folders, config.host, token, default_cache_folder()) as app:
         server = WorkbenchServer(app, config.host, config.port)
         server.start()
         name = f"[{config.host}]" if ":" in config.host else config.host

@@ -29,4 +29,4 @@ def test_a_log_in_a_store_is_shown_as_one_on_the_disk(
         assert bucket.count() == 0  # nothing came for flags that do not go together
         assert call(main, bucket.url("b.mcap"), "--follow") == 1
     told = " ".join(capsys.readouterr().err.split())
-    assert "is needed on this machine; `bc-log copy" in told
+    assert "must be on this machine: run `bc-log copy" in told

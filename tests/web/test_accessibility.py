@@ -100,7 +100,7 @@ def test_every_page_is_for_everybody(browser: Browser, bench: Served, monkeypatc
     axe = pytest.importorskip("axe_playwright_python.base", reason="axe-core is not installed")
     monkeypatch.setenv("BC_CACHE", str(bench.folder / "cache"))
     wrong: dict[str, Any] = {}
-    with window_of(browser, 1280, 800) as page, ExitStack() as drive:
+    with ExitStack() as drive, window_of(browser, 1280, 800) as page:
         for path, last in [*PAGES.items(), ("", "#wheel[data-frame]")]:
             if not path:  # the page at the wheel, last: a drive takes a processor as long as it lasts
                 new = bench.folder / "sessions" / "new.mcap"

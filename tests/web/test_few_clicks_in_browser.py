@@ -60,10 +60,10 @@ def test_three_clicks_show_why_a_drive_left_the_road(browser: Browser, tmp_path:
         page.wait_for_selector("figure[data-attention*='/r/5?'] .attention")
 
 
-def test_six_clicks_and_a_drop_import_train_and_drive(
+def test_five_clicks_and_a_drop_import_train_and_drive(
     browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By the real commands. Before, it took nineteen clicks and keys at least."""
+    """By the real commands. The pages of November 24 took nineteen clicks and keys at least."""
     monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(wheels, "quick_epochs", lambda rows: 1)
     rows = range(40)

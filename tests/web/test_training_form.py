@@ -100,4 +100,4 @@ def test_the_page_names_the_time_and_the_command(browser: Browser, bench: Served
 
 def test_every_flag_of_the_form_is_one_of_the_command() -> None:
     known = {f"--{field.name.replace('_', '-')}" for kind in (Train, TrainConfig) for field in fields(kind)}
-    assert {field.flag for field in form_of("train").fields} < known
+    assert {field.as_flag for field in form_of("train").fields} < known

@@ -39,8 +39,12 @@ class Field:
     is_needed: bool = False
     is_more: bool = False  # folded away: few people change it
 
+    @property
+    def as_flag(self) -> str:
+        return f"--{self.name.replace('_', '-')}" if self.flag is None else self.flag
+
     def words(self, value: str) -> list[str]:
-        flag = f"--{self.name.replace('_', '-')}" if self.flag is None else self.flag
+        flag = self.as_flag
         if self.is_switch:
             return [flag] if value else []
         if flag and not self.is_several:

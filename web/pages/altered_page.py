@@ -40,10 +40,7 @@ def altered_routes(bench: Workbench) -> list[Route]:
             raise WebError(f"no such picture of sample {number}", 404)
         return Response(shown[number].jpeg(which), media_type="image/jpeg")
 
-    return [
-        Route("/index.altered", rows),
-        Route("/index.altered/{number}/{which}.jpg", picture),
-    ]
+    return [Route("/index.altered", rows), Route("/index.altered/{number}/{which}.jpg", picture)]
 
 
 def _chosen(request: Request) -> tuple[str, int]:

@@ -59,10 +59,7 @@ def bulk_routes(bench: Workbench) -> list[Route]:
         asked = await json_of(request, BulkChange)
         return JSONResponse(await run_in_threadpool(_change, bench, asked))
 
-    return [
-        Route("/sessions.found", found),
-        Route("/sessions.tags", change, methods=["POST"]),
-    ]
+    return [Route("/sessions.found", found), Route("/sessions.tags", change, methods=["POST"])]
 
 
 def _found(bench: Workbench, card: SessionCard, query: SessionQuery) -> dict[str, Any]:

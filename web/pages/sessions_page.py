@@ -111,11 +111,7 @@ def session_list_routes(bench: Workbench) -> list[Route]:
             "problem": bench.folders.problem("sessions"),
         }
 
-    return [
-        Route("/", front),
-        Route("/sessions", page),
-        Route("/sessions.rows", rows),
-    ]
+    return [Route("/", front), Route("/sessions", page), Route("/sessions.rows", rows)]
 
 
 def kind_of(query: SessionQuery) -> str:

@@ -11,16 +11,7 @@ from starlette.requests import Request
 
 from common.errors import did_you_mean, printable
 from common.location import Location
-from recorder.log.tags import (
-    EXCLUDE,
-    FINE,
-    Tag,
-    add_tags,
-    check_name,
-    names_used,
-    remove_tags,
-    tags_path,
-)
+from recorder.log.tags import EXCLUDE, FINE, Tag, add_tags, check_name, names_used, remove_tags, tags_path
 from recorder.upkeep.edit import check_rows
 from web.errors import WebError
 from web.folders.project_folders import Place

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Final
 
 COLOURS: Final = 8
-"""So many the style sheet has (`--run-0` and so on)."""
+"""So many the style sheet has (`--series-0` and so on)."""
 
 
 def run_colours(names: Iterable[str]) -> dict[str, int]:
@@ -16,10 +16,6 @@ def run_colours(names: Iterable[str]) -> dict[str, int]:
     colours = dict[str, int]()
     for name in sorted(set(names)):
         first = zlib.crc32(name.encode()) % COLOURS
-        free = [number for number in _from(first) if number not in colours.values()]
-        colours[name] = free[0] if free else first
+        numbers = [(first + step) % COLOURS for step in range(COLOURS)]
+        colours[name] = next((number for number in numbers if number not in colours.values()), first)
     return colours
-
-
-def _from(first: int) -> list[int]:
-    return [(first + step) % COLOURS for step in range(COLOURS)]

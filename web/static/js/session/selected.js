@@ -29,8 +29,9 @@ export class Selected {
     if (this.looking.isOpen && !isByGrid) this.showPictures(selection.length > 0);
   }
 
-  /** Trimming keeps the selected rows. */
+  /** Trimming keeps the selected rows. Of a log in a store, nothing is made. */
   fillTrim(stretch) {
+    if (!by("make-trim")) return;
     const { elements } = by("make-trim");
     [elements.first.value, elements.last.value] = this.data.length ? this.data.rowsOf(stretch) : ["", ""];
     if (by("make").open) by("make-trim").dispatchEvent(new Event("show"));
