@@ -43,7 +43,9 @@ def rows_where(states: States, condition: str) -> Mask:
     try:
         return np.broadcast_to(_mask(ast.parse(text, mode="eval").body, columns), states.row.shape)
     except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError) as error:
-        what = error.args[0] if isinstance(error, _ExpectedError) else "no comparisons joined by and, or"
+        what = (
+            error.args[0] if isinstance(error, _ExpectedError) else "comparisons joined by and, or were expected"
+        )
         raise UsageError(f"--where {condition!r}: {what}; columns are {', '.join(COLUMNS)}") from None
 
 
