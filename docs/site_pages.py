@@ -24,7 +24,7 @@ PAGES: Final = {
 }
 _LINK: Final = re.compile(r"(?<=\]\()([^)#\s]+)")
 _CODE: Final = re.compile(r"^\[(\S+)\]\(\.\./\1\)$", re.MULTILINE)
-_LANGUAGES: Final = {".py": "python", ".proto": "proto"}
+_LANGUAGES: Final = {".py": "python", ".proto": "proto", ".toml": "toml"}
 
 
 def on_files(files: Files, config: Any) -> Files:

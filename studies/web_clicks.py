@@ -1,6 +1,6 @@
 """The clicks and keys that cleaning a session takes, in Chromium over a bc-web that runs.
 
-python benchmarks/web_clicks.py http://127.0.0.1:8080 SESSION
+python studies/web_clicks.py http://127.0.0.1:8080 SESSION
 
 From the list of sessions: every crash is looked at and excluded with a second before it, every gap is called fine,
 all rows in which the car stands are excluded. The session is tagged.
