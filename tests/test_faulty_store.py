@@ -133,7 +133,7 @@ def add(store: Store) -> None:
 REQUESTS: dict[Callable[[Store], None], int] = {
     upload: 11,
     upload_in_parts: 13,
-    download: 5,
+    download: 6,
     index: 7,
     read: 13,
     keep: 10,

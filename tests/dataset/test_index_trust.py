@@ -97,7 +97,7 @@ def test_an_index_of_an_older_toolkit_is_built_anew(
 def test_samples_of_another_format_are_refused(tmp_path: Path) -> None:
     build_index([log_of(tmp_path / "a.mcap")], tmp_path / "index")
     rewrite(tmp_path / "index" / "samples.parquet", format=99)
-    with pytest.raises(DatasetError, match=r"of format 99.*bc-index"):
+    with pytest.raises(DatasetError, match=r"has format 99.*bc-index"):
         Samples(tmp_path / "index")
 
 

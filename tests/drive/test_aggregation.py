@@ -347,7 +347,7 @@ def test_a_simulator_without_an_expert_ends_it_at_once_and_is_told_why(aggregate
     ("flags", "expected"),
     [
         (("--aggregate", "1", "--real-time"), "--simulator TRACK"),
-        (("--aggregate", "1", "--laps", "0"), "--laps 0: how far"),
+        (("--aggregate", "1", "--laps", "0"), "--laps 0: give a number above 0"),
         (("--aggregate", "-1", "--simulator", "lake"), "--aggregate -1"),
         (("--aggregate", "1", "--simulator", "lake", "--log", "x.mcap"), "--log: not with --aggregate"),
         (("--aggregate", "1", "--simulator", "lake", "--force"), "--force: not with --aggregate, which"),

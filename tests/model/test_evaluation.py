@@ -592,7 +592,7 @@ def test_a_network_of_no_numbers_is_one_line(run: Path, capsys: pytest.CaptureFi
     assert call(main, run) == 1
     unsealed, line = capsys.readouterr().err.splitlines()
     assert "without checksums" in unsealed
-    assert "no number" in line
+    assert "not a number" in line
 
 
 def test_an_index_of_somebody_else_is_damaged_in_one_line(here: Path, tmp_path: Path) -> None:

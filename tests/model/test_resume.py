@@ -178,7 +178,7 @@ def test_the_command_is_stopped_by_ctrl_c_and_goes_on(index: Path, tmp_path: Pat
     with Process(command("bc-train", "--name", "first", *flags, *places)) as training:
         wait_until(lambda: (runs / "first" / "steps.jsonl").exists() or training.popen.poll() is not None)
         assert training.end(signal.SIGINT) == 130
-        go_on = training.stderr[-2].partition("go on with `bc-train ")[2].removesuffix("`")
+        go_on = training.stderr[-2].partition("continue with `bc-train ")[2].removesuffix("`")
         assert training.stderr[-1] == "bc-train: stopped"
     run = runs / "first"
     done = metrics(run) if (run / "metrics.jsonl").exists() else []
@@ -235,7 +235,7 @@ def test_a_run_from_last_weights_begins_again_from_these(index: Path, whole: Pat
 def test_a_run_without_its_checkpoint_is_not_begun_again(index: Path, stopped: Path) -> None:
     (stopped / "last" / "checkpoint.safetensors").unlink()
     before = {path: path.read_bytes() for path in stopped.iterdir() if path.is_file()}
-    with pytest.raises(RunError, match=r"checkpoint\.safetensors: gone; .* --init \S*/stopped"):
+    with pytest.raises(RunError, match=r"checkpoint\.safetensors: missing; .* --init \S*/stopped"):
         train(index, stopped, resume=True)
     assert {path: path.read_bytes() for path in stopped.iterdir() if path.is_file()} == before
 

@@ -256,7 +256,7 @@ def test_a_disk_that_is_full_names_the_file_and_the_way_on(
     hint, error = capsys.readouterr().err.splitlines()
     path = tmp_path / "first" / "last" / "checkpoint.safetensors"
     assert error == f"bc-train: {path}: cannot be written (File too large); make room"
-    assert hint.endswith(f"go on with `bc-train --resume {tmp_path / 'first'}`")
+    assert hint.endswith(f"continue with `bc-train --resume {tmp_path / 'first'}`")
     with files_of_at_most(10):
         assert call(main, "--name", "second", *flags, *places) == 1
     assert "second/config.json: cannot be written (File too large); make room" in capsys.readouterr().err

@@ -176,7 +176,7 @@ def test_damage_in_a_store_is_found_and_named(bucket: Bucket, log: Path) -> None
     log.write_bytes(data)
     with (
         Log(bucket.url("b.mcap")) as opened,
-        pytest.raises(LogError, match=r"another content.*bc-log copy s3://logs/b"),
+        pytest.raises(LogError, match=r"does not match its CRC; `bc-log copy s3://logs/b"),
     ):
         opened.picture(3)
     assert [finding.kind for finding in check(bucket.url("b.mcap")).findings] == [

@@ -96,7 +96,7 @@ def test_the_end_of_the_drive_closes_the_socket(bench: Served, wheel: Wheel) -> 
 
 
 @pytest.mark.parametrize(
-    "origin", [None, "http://evil.example", "null", "http://localhost:3000", "https://127.0.0.1:{port}"]
+    "origin", [None, "http://evil.example", "null", "http://localhost:3000", "https://localhost:{port}"]
 )
 def test_a_page_from_elsewhere_cannot_steer(bench: Served, wheel: Wheel, origin: str | None) -> None:
     """Nor can what sends no Origin: each browser does, with a websocket."""
