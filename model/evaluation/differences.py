@@ -33,6 +33,15 @@ class Measure:
     scale: float | None = None  # the tolerance is a share of this; None: of A's own value
 
 
+MEASURES: Final = (
+    Measure("rmse_deg", "RMSE"),
+    Measure("turning_mae_deg", "MAE on turns"),
+    Measure("balanced_rmse_deg", "balanced RMSE"),
+    Measure("correlation", "correlation", is_error=False, scale=1.0),
+)
+"""The measures of `model.metrics` that a network is judged by."""
+
+
 @dataclass(frozen=True)
 class Difference:
     """One measure of A and B, and the confidence interval of B - A. What does not exist is NaN."""

@@ -20,21 +20,13 @@ from dataset.frames.split import block_numbers
 from dataset.prediction_targets import TARGETS, TargetName
 from dataset.steering_bins import BINS, bin_of
 from model.evaluation.block_bootstrap import Floats
-from model.evaluation.differences import CONFIDENCE, Difference, Measure, compare_sums, overall
+from model.evaluation.differences import CONFIDENCE, MEASURES, Difference, Measure, compare_sums, overall
 from model.evaluation.evaluate import Evaluation, target_columns
 from model.metrics import TURNING
 from model.runs.run_folder import run_name
 
 BLOCK_S: Final = 5.0  # measured: what one second has to do with another is gone after 2 to 5 s
 MANY_SESSIONS: Final = 10  # these are drawn whole instead of blocks: sessions differ by more than blocks do
-
-MEASURES: Final = (
-    Measure("rmse_deg", "RMSE"),
-    Measure("turning_mae_deg", "MAE on turns"),
-    Measure("balanced_rmse_deg", "balanced RMSE"),
-    Measure("correlation", "correlation", is_error=False, scale=1.0),
-)
-"""The measures of `model.metrics` that a network is judged by."""
 
 
 @dataclass(frozen=True)

@@ -170,7 +170,7 @@ def _results(pages: Mapping[str, str], card: RunCard) -> list[dict[str, Any]]:
 
 def _numbers(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The plain values of a result, with units in their names as it has them."""
-    from model.runs.run_summary import measured_sessions  # loads PyTorch, as the summary did that the result is of
+    from model.runs.run_summary import measured_sessions
 
     shown = []
     if sessions := measured_sessions(result):

@@ -23,7 +23,7 @@ from web.runs.run_settings import differing, run_settings
 from web.server.templates import render
 
 PATIENCE_S: Final = 1.0
-"""For runs that are being read: the first one loads PyTorch."""
+"""For runs that are being read."""
 MAX_CHOSEN: Final = COLOURS
 """Runs whose curves lie over each other."""
 

@@ -62,7 +62,7 @@ class RunCards:
 
     def __init__(self, folders: ProjectFolders) -> None:
         self._folders = folders
-        self._pool = ThreadPoolExecutor(1, "reading runs")  # not that of logs: the first run loads PyTorch
+        self._pool = ThreadPoolExecutor(1, "reading runs")
         self._summaries = Background[Path, "RunSummary"](self._pool, _summary)
         self._lock = threading.Lock()
         self._histories: dict[Path, tuple[str, History]] = {}

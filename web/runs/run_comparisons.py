@@ -12,6 +12,7 @@ from typing import Any, Final
 from common.location import Location
 from common.steering_unit import SteeringUnit, steering_unit
 from common.untrusted_json import json_as
+from model.evaluation.differences import MEASURES
 from model.runs.run_files import WEIGHTS
 from web.errors import WebError
 from web.folders.project_folders import ProjectFolders
@@ -75,8 +76,6 @@ def _shown(found: dict[str, Any]) -> dict[str, Any]:
 def _measure(name: str, values: dict[str, Any], unit: SteeringUnit) -> dict[str, Any]:
     """A measure of both runs, and the interval of B - A, in the unit of the page; NaN where missing. `reach`:
     the farthest end of the interval from no difference."""
-    from model.evaluation.run_comparison import MEASURES  # loads PyTorch
-
     known = next((measure for measure in MEASURES if measure.name == name), None)
     per = unit.per_deg if name.endswith("_deg") else 1.0
     numbers = {

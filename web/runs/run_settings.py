@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from common.errors import printable
+from model.runs.run_config import load_config
 
 _SHOWN: Final = (
     "network",
@@ -28,8 +29,6 @@ _DEEPEST: Final = 4
 def run_settings(run: Path) -> dict[str, str]:
     """The settings of the training and its data in a run's config.json, by dotted name. Raises RunError where it
     cannot be read."""
-    from model.runs.run_folder import load_config  # loads PyTorch
-
     config = load_config(run)
     data = config.get("data")
     if isinstance(data, dict):
