@@ -19,7 +19,7 @@ class SimulatedDrive:
     """lake, mountain, random:SEED, or hairpins:SEED."""
     driver: DriverName | Literal["me"] = "expert"
     """The expert, a simulated person at keyboard or mouse, or you (me)."""
-    laps: Annotated[float | None, tyro.conf.arg(metavar="N")] = None
+    laps: float | None = None
     """Laps at each speed; by default 1."""
     start: Annotated[float, tyro.conf.arg(metavar="METRES")] = 0.0
     """With --driver me: where to start."""
