@@ -47,7 +47,7 @@ class Record:
     columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHAT=COLUMN [WHAT=COLUMN ...]")] = ()
     """Columns of a csv: image=frame steering=angle, and more."""
     rate: Annotated[float | None, tyro.conf.arg(metavar="HZ")] = None
-    """Rows a second; in the built-in simulator 10, or another divisor of 50."""
+    """Rows a second; built-in: 10 or another divisor of 50."""
     udacity: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Also write the simulated drive as a Udacity recording."""
     sessions: LocationFlag = Path("sessions")
