@@ -1,18 +1,23 @@
-"""Settings read from JSON, perhaps somebody else's: names, types and ranges are checked before they are used."""
+"""Settings read from JSON or TOML, perhaps somebody else's: names, types and ranges are checked before they are
+used."""
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import msgspec
 
 from common.errors import did_you_mean
+from common.untrusted import read_bounded
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 _TOO_LARGE: Final = 1e300
+_MAX_TOML_BYTES: Final = 1 << 20
 
 Settings = TypeVar("Settings", bound="DataclassInstance")
 
@@ -39,6 +44,15 @@ def settings_from(kind: type[Settings], stored: Any) -> Settings:
         if not abs(value) < _TOO_LARGE:
             raise ValueError(f"{name} cannot be {value!r:.60}")
     return replace(settings, **numbers)
+
+
+def read_toml(path: Path | str) -> dict[str, Any]:
+    """The content of a TOML file. Raises OSError where it cannot be read or is larger than 1 MB, ValueError for
+    anything else than TOML, however deep it is nested."""
+    try:
+        return tomllib.loads(read_bounded(path, _MAX_TOML_BYTES).decode())
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
 
 
 def _with_earlier(kind: type[Settings], stored: Any) -> Any:

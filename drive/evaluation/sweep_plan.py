@@ -20,7 +20,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import re
-import tomllib
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -30,14 +29,12 @@ from typing import Annotated, Any, Final
 import msgspec
 
 from common.errors import UserError, did_you_mean, printable
-from common.stored_settings import settings_from
-from common.untrusted import read_bounded
+from common.stored_settings import read_toml, settings_from
 from drive.config import DriveConfig
 from drive.evaluation.simulator_process import BuiltInSimulator
 from model.config import TrainConfig
 
 _EXPECTED: Final = "a file of settings was expected, as `bc-sweep --help` shows one"
-_MAX_BYTES: Final = 1 << 20
 _MAX_TRAININGS: Final = 10_000
 _MAX_NAME: Final = 100
 _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9.+-]+")
@@ -74,11 +71,11 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 def read_sweep(path: Path) -> SweepPlan:
     """Raises UserError for a file that is none, or settings that bc-train or bc-eval would not take."""
     try:
-        stored = msgspec.convert(tomllib.loads(read_bounded(path, _MAX_BYTES).decode()), _File)
+        stored = msgspec.convert(read_toml(path), _File)
     except OSError as error:
         meant = did_you_mean(str(path), map(str, path.parent.glob("*.toml")))
         raise UserError(f"{path}: cannot be read ({error.strerror}); {meant or _EXPECTED}") from None
-    except (ValueError, RecursionError) as error:  # also those of tomllib, msgspec and UTF-8
+    except (ValueError, RecursionError) as error:  # also those of TOML and msgspec
         why = printable(" ".join(str(error).split()))
         raise UserError(f"{path}: not a sweep ({why}); {_EXPECTED}") from None
     if stored.grid and stored.trainings:

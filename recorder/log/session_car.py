@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
@@ -18,8 +17,7 @@ import numpy as np
 from common.car import MAX_STEERING_DEG, MPS_PER_MPH, Camera
 from common.errors import printable
 from common.location import Location
-from common.stored_settings import settings_from
-from common.untrusted import read_bounded
+from common.stored_settings import read_toml, settings_from
 from recorder import topics
 from recorder.errors import LogError, RecordingError
 from recorder.log.reader import Log
@@ -39,7 +37,6 @@ CAR_KEY: Final = "car"
 SpeedUnit = Literal["mph", "km/h", "m/s"]
 MPH_OF: Final[Mapping[SpeedUnit, float]] = {"mph": 1.0, "km/h": 1 / 3.6 / MPS_PER_MPH, "m/s": 1 / MPS_PER_MPH}
 
-_MAX_BYTES: Final = 1 << 20
 _MAX_CORNERS: Final = 1000
 
 # Measured in published recordings of Udacity's three worlds: docs/studies/warped-pictures.md.
@@ -173,11 +170,11 @@ def named_car(name: str) -> Car:
     if name == "built-in":
         return built_in()
     try:
-        return settings_from(Car, tomllib.loads(read_bounded(name, _MAX_BYTES).decode()))
+        return settings_from(Car, read_toml(name))
     except FileNotFoundError:
         hint = "udacity, built-in or a file of the car's settings was expected"
         raise RecordingError(f"--car {printable(name)}: no such file; {hint}") from None
-    except (OSError, ValueError) as error:  # of TOML and of its characters, too
+    except (OSError, ValueError) as error:
         raise RecordingError(f"--car {printable(name)}: {printable(' '.join(str(error).split()))}") from None
 
 
@@ -222,13 +219,11 @@ def foreign_source(log: Log) -> str:
     return source if source in _OF_UNKNOWN_CARS else ""
 
 
-def car_of(log: Log, car: str = "auto") -> Car:
-    """The car that a log is of, or the one that `car` names (see `named_car`).
+def car_of(log: Log) -> Car:
+    """The car that a log is of.
 
     Raises RecordingError if it is unknown, LogError for settings that no car has.
     """
-    if car != "auto":
-        return named_car(car)
     has_poses = bool(log.counts.get(topics.POSE))
     cars = [car_in(session, log.path) or _implied(session, has_poses) for session in _sessions(log)]
     if not cars or cars[0] is None or any(other != cars[0] for other in cars):

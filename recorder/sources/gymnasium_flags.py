@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Any, ClassVar, Final
 
@@ -11,10 +10,7 @@ import tyro
 
 from common.errors import UsageError, printable
 from common.output import print_message
-from common.stored_settings import settings_from
-from common.untrusted import read_bounded
-
-_MAX_BYTES: Final = 1 << 20
+from common.stored_settings import read_toml, settings_from
 
 
 @dataclass(frozen=True)
@@ -64,10 +60,10 @@ def environment_settings(flags: GymFlags) -> EnvironmentSettings:
 
 def _stored(path: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(read_bounded(path, _MAX_BYTES).decode())
+        return read_toml(path)
     except FileNotFoundError:
         raise UsageError(f"--gym {printable(path)}: no such file") from None
-    except (OSError, ValueError) as error:  # of TOML and of its characters, too
+    except (OSError, ValueError) as error:
         raise UsageError(f"--gym {printable(path)}: {printable(' '.join(str(error).split()))}") from None
 
 

@@ -106,6 +106,7 @@ def test_live_telemetry_is_in_the_degrees_and_the_unit_of_its_car() -> None:
         ("bonnet = { center = [[1], [2]] }", "$.bonnet"),
         ("horizon 0.4", "line 1"),
         ("\udcff", "own.toml"),
+        (f"bonnet = {'[' * 10_000}", "own.toml"),
     ],
 )
 def test_a_file_with_other_settings_is_refused_in_one_line(
