@@ -126,8 +126,8 @@ def measure() -> dict[str, float]:
     return {what: max(rates[1:]) for what, rates in rates_of.items()}  # the first warms up
 
 
-def slower(found: dict[str, float], kept: dict[str, float]) -> list[str]:
-    return [what for what, rate in found.items() if what in kept and rate < (1 - MOVED) * kept[what]]
+def slower(rates: dict[str, float], kept: dict[str, float]) -> list[str]:
+    return [what for what, rate in rates.items() if what in kept and rate < (1 - MOVED) * kept[what]]
 
 
 def main() -> None:
@@ -137,22 +137,22 @@ def main() -> None:
     kind = processor()
     all_kept = json.loads(KEPT.read_text(encoding="utf-8"))
     kept: dict[str, float] = all_kept.get(kind, {})
-    found = measure()
-    if slower(found, kept):
+    rates = measure()
+    if slower(rates, kept):
         again = measure()
-        found = {what: max(rate, again[what]) for what, rate in found.items()}
+        rates = {what: max(rate, again[what]) for what, rate in rates.items()}
     print(f"{kind}:\n\n| a second of processor time | now | kept | ratio | |\n|---|---|---|---|---|")
-    for what, rate in found.items():
+    for what, rate in rates.items():
         if what not in kept:
             print(f"| {what}, {UNITS[what]} | {rate:,.0f} | - | - | nothing kept: --keep |")
             continue
         ratio = rate / kept[what]
-        moved = "**slower**" if what in slower(found, kept) else "faster: --keep" if ratio > 1 + MOVED else ""
+        moved = "**slower**" if what in slower(rates, kept) else "faster: --keep" if ratio > 1 + MOVED else ""
         print(f"| {what}, {UNITS[what]} | {rate:,.0f} | {kept[what]:,.0f} | {ratio:.2f} | {moved} |")
     if arguments.keep:
-        all_kept[kind] = {what: round(rate) for what, rate in found.items()}
+        all_kept[kind] = {what: round(rate) for what, rate in rates.items()}
         KEPT.write_text(json.dumps(all_kept, indent=2, sort_keys=True) + "\n", encoding="utf-8")
-    raise SystemExit(int(bool(slower(found, kept))))
+    raise SystemExit(int(bool(slower(rates, kept))))
 
 
 if __name__ == "__main__":

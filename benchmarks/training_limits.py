@@ -173,15 +173,15 @@ def print_products(_folder: Path) -> None:
                 begin_s = time.thread_time()
                 job()
                 taken.append(times * (time.thread_time() - begin_s))
-    found = {name: [statistics.median(taken) for taken in of] for name, of in seconds.items()}
-    [step_s] = found.pop("step")
-    found["all of them"] = [sum(column) for column in zip(*found.values(), strict=True)]
+    medians = {name: [statistics.median(taken) for taken in of_jobs] for name, of_jobs in seconds.items()}
+    [step_s] = medians.pop("step")
+    medians["all of them"] = [sum(column) for column in zip(*medians.values(), strict=True)]
     at_once = f"{machine.micro_batch} at once in {machine.arithmetic}"
     print(f"{config.batch} samples, {at_once}; shares of {step_s:.2f} s\n")
     print("| | forward | backward | products forward | products backward |\n|---|---|---|---|---|")
-    for name, columns in found.items():
+    for name, columns in medians.items():
         print(f"| {name} | {' | '.join(f'{share / step_s:.1%}' for share in columns)} |")
-    products_s = sum(found["all of them"][2:])
+    products_s = sum(medians["all of them"][2:])
     rates = [f"{config.batch / taken:,.0f} samples/s" for taken in (products_s, step_s)]
     print(f"\npure matrix products of the same FLOPs: {rates[0]}; the step: {rates[1]}, {products_s / step_s:.0%}")
 

@@ -122,8 +122,8 @@ class Renderer:
         on_road = np.abs(offset) < REACH_M - 0.2
         lap = float(world.length_m)
         beneath = (np.full((1, 1), at, np.float32) for at in (eye.column, eye.row))
-        here = float(look_up(self._arcs[0], *beneath)[0, 0])
-        arcs = self._arcs[0 if 0.25 * lap < here < 0.75 * lap else 1]
+        arc_of_car = float(look_up(self._arcs[0], *beneath)[0, 0])
+        arcs = self._arcs[0 if 0.25 * lap < arc_of_car < 0.75 * lap else 1]
         near = slice(int(on_road.any(axis=1).argmax()), None)  # above it there is no road
         level = np.clip(np.floor(np.log2(distance[near] * np.float32(1 / (SHARP_M * scale))) + 1.0), 0, LEVELS - 1)
         texel = (offset[near] + np.float32(REACH_M)) * np.float32(1 / ACROSS_M) - np.float32(0.5)

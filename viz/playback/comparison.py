@@ -151,8 +151,8 @@ def _send(
 
 def _moved(one: _ComparedLog, skipped: Skipped, every: int) -> Generator[Chunk]:
     """The chunks of a log that are not drawn, under its own entity and on the common time line."""
-    found = read_chunks(one.log, drawn_topics(one.log), one.clock, skipped, _LEFT_OUT, every)
-    with contextlib.closing(found) as chunks:
+    all_chunks = read_chunks(one.log, drawn_topics(one.log), one.clock, skipped, _LEFT_OUT, every)
+    with contextlib.closing(all_chunks) as chunks:
         for chunk in chunks:
             if not chunk.is_static:
                 yield chunk.with_entity_path(log_entity(one.name) + chunk.entity_path)

@@ -94,11 +94,11 @@ def stretches_of_kind(opened: OpenLog, checks: PictureChecks, kind: str) -> list
         return []
     if kind in PLAIN_FLAGS:
         return [_rows(states, first, last) for first, last in flag_stretches(states).get(kind, ())]
-    found = shown_stretches(opened.log, states, checks.findings(opened.log))
+    shown = shown_stretches(opened.log, states, checks.findings(opened.log))
     return [
-        _rows(states, each.first, each.last)
-        for each in found
-        if (each.is_sure if kind == SURE else each.kind == kind)
+        _rows(states, stretch.first, stretch.last)
+        for stretch in shown
+        if (stretch.is_sure if kind == SURE else stretch.kind == kind)
     ]
 
 

@@ -37,11 +37,11 @@ def map_routes(bench: Workbench) -> list[Route]:
         logs = [_place_and_key(each) for each in of]
         paths = [bench.folders.log(place, key) for place, key in logs]
         names = [shown_name(path) for path in paths]
-        found = _runs(bench)
-        runs = [(key, printable(path.name)) for key, path in found.items()]
+        folders = _runs(bench)
+        runs = [(key, printable(path.name)) for key, path in folders.items()]
         run = request.query_params.get("run", "")
-        if run not in (_PIXELS, *found):
-            run = next((key for key in reversed(found) if can_be_run(found[key])), _PIXELS)
+        if run not in (_PIXELS, *folders):
+            run = next((key for key in reversed(folders) if can_be_run(folders[key])), _PIXELS)
         return HTMLResponse(
             render(
                 "map.html",

@@ -47,11 +47,11 @@ def prediction_routes(bench: Workbench, place: Place) -> list[Route]:
         """The predicted steering of each row of the log, as float64; NaN where there is none."""
         path = bench.folders.log(place, request.path_params["log"])
         key = request.path_params["key"]
-        found = bench.predictions.find(key) if _KEY.fullmatch(key) else None
-        if found is None:
+        kept = bench.predictions.find(key) if _KEY.fullmatch(key) else None
+        if kept is None:
             raise WebError("this prediction is not kept any more: choose the run again", 404)
         with bench.logs.open(path) as opened:
-            data = found.at(opened.states.row).astype("<f8").tobytes()
+            data = kept.at(opened.states.row).astype("<f8").tobytes()
         return Response(data, media_type="application/octet-stream")
 
     at = f"/{place}/{{log}}/predictions"

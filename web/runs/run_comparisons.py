@@ -76,7 +76,7 @@ def _shown(found: dict[str, Any]) -> dict[str, Any]:
 def _measure(name: str, values: dict[str, Any], unit: SteeringUnit) -> dict[str, Any]:
     """A measure of both runs, and the interval of B - A, in the unit of the page; NaN where missing. `reach`:
     the farthest end of the interval from no difference."""
-    known = next((measure for measure in MEASURES if measure.name == name), None)
+    measure = next((measure for measure in MEASURES if measure.name == name), None)
     per = unit.per_deg if name.endswith("_deg") else 1.0
     numbers = {
         key: math.nan if values[key] is None else per * float(values[key]) for key in ("a", "b", "low", "high")
@@ -85,7 +85,7 @@ def _measure(name: str, values: dict[str, Any], unit: SteeringUnit) -> dict[str,
     return {
         **numbers,
         "reach": max((abs(end) for end in ends if math.isfinite(end)), default=0.0),
-        "heading": known.heading if known else name.replace("_", " "),
-        "digits": 3 if known and known.scale == 1.0 else 2,
+        "heading": measure.heading if measure else name.replace("_", " "),
+        "digits": 3 if measure and measure.scale == 1.0 else 2,
         "verdict": str(values["verdict"]),
     }
