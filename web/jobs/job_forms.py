@@ -250,7 +250,6 @@ FORMS: Final[Sequence[JobForm]] = (
         (
             Field("run", "run", "", known="runs", hint="the newest"),
             Field("session", "sessions instead", known="sessions", is_several=True),
-            Field("on", "let it drive the recordings", known="sessions", is_several=True),
         ),
         ("runs",),
         _run,
