@@ -44,6 +44,7 @@ BEGINNERS_DRIVEN: Final = ("mountain", *(f"random:{seed}" for seed in range(1, 6
 KINDS: Final = {"record": 150.0, "supervise": 330.0, "train": 180.0, "eval": 60.0}
 """With the seconds that a step takes where none has been made."""
 MPH: Final = 10.0
+MINUTES: Final = 5.0
 MADE: Final = Path(__file__).with_suffix(".json")
 
 Result = dict[str, Any]
@@ -101,7 +102,7 @@ class Study:
         yield from self._evals(f"devices {run}", run, DRIVEN, f"devices {run} train")
 
     def _supervision(self, seed: int) -> Iterator[Step]:
-        start, device = f"supervision {seed}", self.asked.supervisor
+        start, device = supervision(self.asked, seed), self.asked.supervisor
         beginner = f"beginner-{seed}"
         share = 0.4 * self.asked.laps  # a fifth of a lap
         first = Step(
@@ -293,12 +294,17 @@ def print_tables(study: Study) -> None:
     heads = ("takeovers", *BEGINNERS_DRIVEN, "all")
     print(f"\n| seed | network | {' | '.join(heads)} |\n|{'---|' * (2 + len(heads))}")
     for seed in asked.seeds:
-        start = f"supervision {seed}"
+        start = supervision(asked, seed)
         rounds = [study.result(f"{start} supervise {turn}") for turn in (1, 2)]
         taken = " + ".join("-" if each is None else str(each["takeovers"]) for each in rounds)
         for what, takeovers in (("before", ""), ("after", taken), ("more", "")):
             numbers = interventions(study, f"{start} {what}", BEGINNERS_DRIVEN)
             print_row(seed, what, takeovers, *numbers, total(numbers))
+
+
+def supervision(asked: argparse.Namespace, seed: int) -> str:
+    """What the second study's steps are called, by the length of its rounds."""
+    return f"supervision {seed}" if asked.minutes == MINUTES else f"supervision of {asked.minutes:g} min {seed}"
 
 
 def total(numbers: list[int | None]) -> int | None:
@@ -319,7 +325,7 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--supervisor", default="gamepad", choices=DEVICES, help="device of the second study")
     parser.add_argument("--laps", type=float, default=0.5, help="to record; the beginner has 0.4 times as much")
-    parser.add_argument("--minutes", type=float, default=5.0, help="of a round of supervision")
+    parser.add_argument("--minutes", type=float, default=MINUTES, help="of a round of supervision")
     parser.add_argument("--eval-laps", type=float, default=1.0)
     asked = parser.parse_args()
     folder: Path = asked.folder.absolute()
