@@ -42,7 +42,7 @@ class IndexConfig:
     """Samples in a bin: mean or median of the non-empty ones, or N."""
     max_uses: int = 10
     """How often a bin may use a picture, and its mirror image."""
-    flip: Annotated[bool, arg(help_behavior_hint="(default: with them)")] = True
+    flip: Annotated[bool, arg(help_behavior_hint="(default: add them)")] = True
     """Add no mirrored copies."""
     cameras: tuple[Camera, ...] = tuple(CORRECTION_SIGNS)
     """Cameras to train on."""

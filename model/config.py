@@ -86,7 +86,7 @@ class TrainConfig:
     precision: Precision = "auto"
     """Arithmetic; auto: bfloat16 if the device has it."""
     micro_batch: int = 0
-    """Samples in the network at once; 0: by device."""
+    """Samples computed at once; 0: what suits the device."""
     threads: int = 0
     """Threads; 0: one a core. Fewer are faster on a busy machine."""
     picture_memory_mb: int = 1024

@@ -63,7 +63,7 @@ class Check:
     logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to check."""
     look: bool = True
-    """Decode every picture; --no-look skips this and is several times faster."""
+    """Do not decode the pictures: several times faster."""
     json: bool = False
     """Print one JSON object a log, with every finding."""
 

@@ -30,6 +30,6 @@ class SimulatedDrive:
     recovery: float = 0.35
     """Share of rows in which the car returns to the line."""
     noise: float = 0.03
-    """Unsteadiness of the steering; 0.03: a calm person."""
+    """Unsteadiness of the steering; 0.03 is a calm person."""
     seed: int = 0
     """Same seed, same log; with --gym the first episode's seed."""
