@@ -41,8 +41,8 @@ class IndexConfig:
     per_bin: Annotated[Literal["mean", "median"] | int, arg(metavar="mean|median|N")] = "mean"
     """Samples in a bin: mean or median of the non-empty ones, or N."""
     max_uses: int = 10
-    """How often a bin may use a picture, and its mirror image."""
-    flip: Annotated[bool, arg(help_behavior_hint="(default: add them)")] = True
+    """How often a bin may use each picture or mirror image."""
+    flip: Annotated[bool, arg(help_behavior_hint="(default: added)")] = True
     """Add no mirrored copies."""
     cameras: tuple[Camera, ...] = tuple(CORRECTION_SIGNS)
     """Cameras to train on."""

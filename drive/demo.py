@@ -34,7 +34,7 @@ class Demo:
     quick: bool = False
     """Only a seventh of a lap and a small network: two minutes."""
     epochs: int = 4
-    """Epochs of training; more drive better."""
+    """Epochs of training; with more, it drives better."""
     laps: float = 1.0
     """Laps that the network drives on each track."""
     share: float = 0.5
