@@ -24,9 +24,9 @@ from recorder.log.tags import (
     tags_by_content,
     tags_path,
 )
+from recorder.log_edit_cli import rows_of_flags
 from recorder.log_flag import LogFlag
 from recorder.log_report import MAX_LINES, rows_of
-from recorder.log_row_flags import rows_of_flags
 
 LogPlace = Annotated[LogFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 

@@ -12,7 +12,7 @@ from common.command import flags_given, usage_errors
 from common.errors import UsageError
 from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
 from recorder.errors import RecordingError
-from recorder.sources.import_result import Imported
+from recorder.sources.imported_rows import Imported
 from recorder.sources.simulated_drive import SimulatedDrive
 from simulator.driving.drive_limits import MAX_SPEED_MPH
 

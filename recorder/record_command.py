@@ -23,7 +23,7 @@ from recorder.sources.built_in_simulator import check_drive, record_simulated
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.gymnasium_flags import GYM_FLAGS
 from recorder.sources.import_mcap import check_scale
-from recorder.sources.import_result import Imported
+from recorder.sources.imported_rows import Imported
 from recorder.sources.listen_settings import ListenSettings
 from recorder.sources.recording_kinds import import_recording, refuse_to_watch
 from recorder.sources.simulated_drive import SimulatedDrive

@@ -31,9 +31,8 @@ from recorder.lerobot.feature_statistics import (
     number_statistics,
     sampled,
 )
-from recorder.lerobot.log_episodes import ChosenRows, LogEpisodes, log_episodes
+from recorder.lerobot.log_episodes import ChosenRows, LogEpisodes, RowPictures, Sizes, log_episodes
 from recorder.lerobot.picture_spool import PictureSpool
-from recorder.lerobot.row_pictures import RowPictures, Sizes
 from recorder.lerobot.video_files import require_av, video_info
 from recorder.log.meant_gaps import NotRecorded
 from recorder.log.reader import Log

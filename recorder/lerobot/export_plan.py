@@ -18,7 +18,7 @@ from recorder.lerobot.dataset_format import LOG_TIME, LOG_VEHICLE, STATE
 from recorder.lerobot.log_episodes import ChosenRows, log_episodes
 from recorder.log.reader import Log
 from recorder.log.session_car import known_max_steering_deg
-from recorder.rows.usual_step import usual_step
+from recorder.rows.row_quality import usual_step
 from recorder.topics import camera_topic
 
 RATES_DIFFER: Final = 1.2

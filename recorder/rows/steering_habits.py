@@ -22,8 +22,8 @@ from recorder.rows.row_quality import (
     driven_s,
     elapsed_s,
     row_flags,
+    usual_step,
 )
-from recorder.rows.usual_step import usual_step
 
 CEILING_S: Final = (0.25, 0.5, 1.0)
 """Lengths of the time around a row whose other rows are its neighbours: half of it before, half after."""

@@ -8,9 +8,12 @@ Where none comes, the held one is answered, so that no simulator waits for ever.
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from typing import Final, Generic, TypeVar
 
+MAX_TICK_S: Final = 0.2
+"""The most that one tick adds: twice the time between two ticks that come on time."""
 MIN_HOLD_S: Final = 0.1
 MAX_HOLD_S: Final = 1.0
 FIRST_HOLD_S: Final = 0.5
@@ -23,8 +26,26 @@ RETRY_S: Final = 1.0
 """The time between two of them."""
 RECENT: Final = 250
 """The telemetries by which the number in flight is known."""
-
 T = TypeVar("T")
+
+
+class RunningClock:
+    """Seconds for which this process ran, counted by its ticks.
+
+    A tick comes late where the process was stopped, its machine slept, or others had the processor. Nothing was
+    read meanwhile, so that nobody was silent: it adds no more than one that is almost on time.
+    """
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self._ticked_s = time.monotonic()
+
+    def tick(self) -> float:
+        """Advance; the clock's time."""
+        now_s = time.monotonic()
+        self.seconds += min(now_s - self._ticked_s, MAX_TICK_S)
+        self._ticked_s = now_s
+        return self.seconds
 
 
 class InFlight(Generic[T]):

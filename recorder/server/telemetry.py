@@ -18,9 +18,8 @@ from recorder.log.session_car import UDACITY, Car
 from recorder.pictures.jpeg import whole_jpeg_size
 from recorder.pictures.picture_size import PNG_START
 from recorder.pictures.png import whole_png_size
-from recorder.server.json_kinds import json_kind
 from recorder.server.locale_numbers import POINT, decimal_separator, format_number, parse_number
-from recorder.server.world import World, parse_world
+from recorder.server.world import World, json_kind, parse_world
 
 MAX_IMAGE_BYTES: Final = 1 << 20  # base64; the simulator's own are about 20 KB
 

@@ -18,9 +18,9 @@ from common.errors import printable
 from recorder.server.allowed_hosts import AllowedHosts
 from recorder.server.connection_guard import END_S, MAX_CONNECTIONS, NOTICE_TOO_MANY, Notify, landing_page
 from recorder.server.engineio_connection import WEBSOCKET_OVER, Connection, Received, ServerHost
+from recorder.server.in_flight import RunningClock
 from recorder.server.locale_numbers import POINT
 from recorder.server.malformed_packets import CheckedPacket, check_body, is_telemetry, one_line_logger
-from recorder.server.running_clock import RunningClock
 from recorder.server.telemetry import MAX_IMAGE_BYTES, format_command
 
 TICK_S: Final = 0.1

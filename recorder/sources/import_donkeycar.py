@@ -18,8 +18,7 @@ from recorder.log.session_car import Car, metadata_of
 from recorder.pictures.jpeg import is_whole_jpeg
 from recorder.sources.donkeycar_tub import TIME_END_NS, Tub, TubRecord, finite, open_tub
 from recorder.sources.frame_rate import check_rate, describe_clock
-from recorder.sources.import_result import Imported, SkippedEvents
-from recorder.sources.imported_rows import ImportedRow, write_log
+from recorder.sources.imported_rows import Imported, ImportedRow, SkippedEvents, write_log
 from recorder.sources.udacity_recording import MAX_PICTURE_BYTES
 
 DEFAULT_RATE_HZ: Final = 20  # of DonkeyCar's loop, unless it is configured otherwise

@@ -28,8 +28,7 @@ from recorder.log.reader import Log
 from recorder.log.session_car import Car, metadata_of
 from recorder.mcap.mcap_file import WITHOUT_CRCS
 from recorder.pictures.decoding import is_whole_picture
-from recorder.sources.import_result import Imported, SkippedEvents
-from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_log
+from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, Imported, ImportedRow, SkippedEvents, write_log
 from recorder.sources.mcap_messages import (
     Decoder,
     FieldError,

@@ -11,15 +11,14 @@ from typing import Final
 from recorder.errors import RecordingError
 from recorder.server.telemetry import Telemetry
 from recorder.server.telemetry_server import Steer
-from recorder.sources.import_result import Imported
+from recorder.sources.imported_rows import Imported
 from recorder.sources.listen_settings import ListenSettings
 from recorder.sources.live_telemetry import listen_for_telemetry
 from recorder.sources.person_pedals import MAX_STANDING_MPH, brake_of_telemetry, throttle_of_telemetry
 from recorder.teleop.frame_state import FrameState, drives_alone
 from recorder.teleop.hello import hello
-from recorder.teleop.last_rows import LastRows
 from recorder.teleop.rate_meter import RateMeter
-from recorder.teleop.recording import Recording
+from recorder.teleop.recording import LastRows, Recording
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Wheel
 

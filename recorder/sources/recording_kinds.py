@@ -14,8 +14,8 @@ from recorder.sources.find_recording import is_udacity, recordings_near
 from recorder.sources.import_csv import has_csv, import_csv
 from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.import_mcap import McapTopics, import_mcap, is_mcap_or_bag, is_own_log
-from recorder.sources.import_result import Imported
 from recorder.sources.import_udacity import import_udacity
+from recorder.sources.imported_rows import Imported
 from recorder.sources.lerobot_dataset import is_lerobot
 from recorder.sources.topic_flags import Topics
 

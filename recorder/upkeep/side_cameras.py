@@ -20,8 +20,7 @@ from common.car import MPS_PER_MPH, Camera
 from recorder.errors import RecordingError
 from recorder.log.reader import Log
 from recorder.log.session_car import UDACITY, Car
-from recorder.pictures.decoding import decode_picture
-from recorder.pictures.scaling import scaled_to_width
+from recorder.pictures.decoding import decode_picture, scaled_to_width
 from recorder.rows.row_quality import STANDING_MPH
 from recorder.topics import camera_topic
 from simulator.driving.expert import LOOK_AHEAD_M, LOOK_AHEAD_S

@@ -21,9 +21,9 @@ from dataset import build_index
 from driving import Process, command
 from recorder import Imported, Log, RecordingError
 from recorder.cli import main as record_main
-from recorder.log.last_place import last_place_m
+from recorder.log.road_places import last_place_m
 from recorder.log.tags import Tag, read_tags
-from recorder.rows.usual_step import usual_step
+from recorder.rows.row_quality import usual_step
 from recorder.sources import person_rows
 from recorder.sources.eye_pictures import PictureScale, WhenDue
 from recorder.sources.person_pedals import CoursePedals
