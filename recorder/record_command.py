@@ -24,10 +24,8 @@ from recorder.sources.frame_rate import check_rate
 from recorder.sources.gymnasium_flags import GYM_FLAGS
 from recorder.sources.import_mcap import check_scale
 from recorder.sources.imported_rows import Imported
-from recorder.sources.listen_settings import ListenSettings
 from recorder.sources.recording_kinds import import_recording, refuse_to_watch
-from recorder.sources.simulated_drive import SimulatedDrive
-from recorder.sources.topic_flags import Topics
+from recorder.sources.settings import ListenSettings, SimulatedDrive, Topics
 from recorder.upkeep.log_info import describe
 
 if TYPE_CHECKING:

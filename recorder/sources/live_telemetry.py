@@ -27,7 +27,7 @@ from recorder.server.telemetry_row import write_telemetry
 from recorder.server.telemetry_server import NO_TELEMETRY_S, Answer, Steer, TelemetryServer
 from recorder.server.world import WorldNotices
 from recorder.sources.imported_rows import Imported
-from recorder.sources.listen_settings import ListenSettings
+from recorder.sources.settings import ListenSettings
 from recorder.topics import PERSON_METADATA
 from recorder.upkeep.derived_log import close_with_tags
 
