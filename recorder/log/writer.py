@@ -141,7 +141,7 @@ class LogWriter:
             self._sync = files.BackgroundSync(self._stream.fileno())
         self._chunks = SplitChunks(self._stream)
         self._copied_channels = CopiedChannels(self._chunks.mcap)
-        self._to_disk(self._chunks.start, profile, f"{topics.LIBRARY} {version_of()}")
+        self._to_disk(self._chunks.mcap.start, profile, f"{topics.LIBRARY} {version_of()}")
         if metadata is not None:
             self.add_metadata(topics.SESSION_METADATA, {"toolkit": version_of(), **metadata})
             with contextlib.suppress(LogError):  # copied of another log; its readers report it
@@ -227,7 +227,7 @@ class LogWriter:
 
     def copy_attachment(self, attachment: Attachment) -> None:
         self._to_disk(
-            self._chunks.add_attachment,
+            self._chunks.mcap.add_attachment,
             attachment.create_time,
             attachment.log_time,
             attachment.name,
@@ -255,7 +255,7 @@ class LogWriter:
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         escaped = {_utf8(key): _utf8(value) for key, value in values.items()}
-        self._to_disk(self._chunks.add_metadata, _utf8(name), escaped)
+        self._to_disk(self._chunks.mcap.add_metadata, _utf8(name), escaped)
 
     def close(self) -> None:
         """Write the summary and give the log its name.

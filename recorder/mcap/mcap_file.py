@@ -147,16 +147,12 @@ class McapFile(Closeable):
         what `records` does."""
         ranges = ((chunk.start, chunk.end - chunk.start) for chunk in chunks)
         for chunk, data in zip(chunks, self.read_many(ranges), strict=True):
-            yield chunk, self._records(chunk, data)
+            yield chunk, self.records_in(chunk, data)
 
     def read_alone(self, offset: int, length: int) -> bytes:
         """The same as `read`, but of a file in a store nothing beside is read, and nothing is kept."""
         self._check_range(offset, length)
         return self._bytes.read_alone(offset, length)
-
-    def check_record(self, chunk: Chunk, record: bytes) -> None:
-        """Raise LogError if this is not what a chunk should be, as far as its CRC shows."""
-        self._records(chunk, record)
 
     def read_many(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
         """The bytes of each range; of a file in a store, several are requested at a time, and nothing beside is
@@ -214,9 +210,10 @@ class McapFile(Closeable):
 
     def records(self, chunk: Chunk) -> bytes:
         """The records of a chunk, unpacked. Raises LogError where it is damaged, as far as its CRC shows."""
-        return self._records(chunk, self.read(chunk.start, chunk.end - chunk.start))
+        return self.records_in(chunk, self.read(chunk.start, chunk.end - chunk.start))
 
-    def _records(self, chunk: Chunk, record: bytes) -> bytes:
+    def records_in(self, chunk: Chunk, record: bytes) -> bytes:
+        """The same of a chunk's `record` that was read already."""
         if chunk.mended:
             record = chunk.mended + record[len(chunk.mended) :]
         return record if chunk.is_message else self.unpacked(record, chunk.start)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from hashlib import sha256
-from typing import Any, BinaryIO, Final, cast
+from typing import BinaryIO, Final, cast
 
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
@@ -29,27 +29,20 @@ class SplitChunks:
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = _ChunkStream(stream)
-        self._mcap = Writer(
+        self.mcap = Writer(
             cast(BinaryIO, self._stream),  # it uses no more than is there
             chunk_size=CHUNK_BYTES,
             compression=CompressionType.NONE,
             enable_data_crcs=True,
         )
+        """The writer of all that is no message: the file's start, channels, schemas, metadata, attachments."""
         self._waiting = deque[tuple[Callable[[], int], int, bytes, int, int]]()  # as `add` got them
         self._waiting_bytes = 0
-
-    @property
-    def mcap(self) -> Writer:
-        """The writer that channels and schemas are registered with."""
-        return self._mcap
 
     @property
     def content_digest(self) -> str:
         """SHA-256 over the headers of all chunks until now; the open one is not in it."""
         return self._stream.digest.hexdigest()
-
-    def start(self, profile: str, library: str) -> None:
-        self._mcap.start(profile=profile, library=library)
 
     def add_picture(
         self, number_of: Callable[[], int], log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
@@ -57,7 +50,7 @@ class SplitChunks:
         """A message on a picture's channel; `number_of` gives the channel's number, and may register it."""
         number = number_of()
         self._stream.places.channels.add(number)
-        self._mcap.add_message(number, log_time_ns, data, publish_time_ns, sequence)
+        self.mcap.add_message(number, log_time_ns, data, publish_time_ns, sequence)
         if self._stream.places.count >= PLACES_AT_ONCE:
             self._write_places()
 
@@ -74,38 +67,32 @@ class SplitChunks:
         self, number_of: Callable[[], int], log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
     ) -> None:
         """A message of a file that has no chunks of its own for pictures."""
-        self._mcap.add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
+        self.mcap.add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
 
     def flush(self) -> None:
         """Close the open chunks: that of the pictures, then the other one."""
-        self._mcap.flush()  # type: ignore[no-untyped-call]
+        self.mcap.flush()  # type: ignore[no-untyped-call]
         if self._waiting:
             self._waiting_bytes = 0
             while self._waiting:  # one by one: whatever interrupts this, a Ctrl-C too, the others still wait
                 number_of, log_time_ns, data, publish_time_ns, sequence = self._waiting.popleft()
-                self._mcap.add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
-            self._mcap.flush()  # type: ignore[no-untyped-call]
+                self.mcap.add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
+            self.mcap.flush()  # type: ignore[no-untyped-call]
 
     def pictures(self, channels: set[int]) -> Pictures:
         """The pictures on some channels in the chunks until now; of millions, the last."""
         return self._stream.places.pictures(channels)
-
-    def add_metadata(self, name: str, values: dict[str, str]) -> None:
-        self._mcap.add_metadata(name, values)
-
-    def add_attachment(self, *about: Any) -> None:
-        self._mcap.add_attachment(*about)
 
     def finish(self) -> None:
         """Write what lies where, and the summary. Nothing else may be written afterwards."""
         self.flush()
         if self._stream.places.channels:
             self._write_places()
-            self._mcap.add_attachment(*self._stream.places.take_chunks())
-        self._mcap.finish()  # type: ignore[no-untyped-call]
+            self.mcap.add_attachment(*self._stream.places.take_chunks())
+        self.mcap.finish()  # type: ignore[no-untyped-call]
 
     def _write_places(self) -> None:
-        self._mcap.add_attachment(*self._stream.places.take_pictures())
+        self.mcap.add_attachment(*self._stream.places.take_pictures())
 
 
 class _ChunkStream:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.pictures.jpeg import is_whole_jpeg
-from recorder.pictures.picture_size import PNG_START, can_be_decoded
+from recorder.pictures.picture_size import PNG_START, decoding_problem
 
 _REDUCED_GRAYSCALE_8: Final = 64
 """cv2.IMREAD_REDUCED_GRAYSCALE_8: a fraction of the time, and the whole picture is still read through."""
@@ -22,7 +22,7 @@ def decode_picture(picture: bytes, flags: int) -> NDArray[np.uint8] | None:
     None for what is neither, has too many pixels or scans, or does not decode to its end. Wrong bytes within the
     coded picture that end where they should decode to a wrong picture: nothing distinguishes it from a right one.
     """
-    if not can_be_decoded(picture):
+    if decoding_problem(picture):
         return None
     import cv2  # what looks at no picture needs none of its memory
 

@@ -32,7 +32,8 @@ class PersonOfTelemetry:
     def __init__(self, wheel: Wheel, hold_mph: float) -> None:
         """`hold_mph` is the speed that the page offers to hold."""
         self._wheel = wheel
-        self._control = Control()
+        self.control = Control()
+        """The controls in force."""
         self._sent = Steer(0.0, 0.0)  # is in force at the next telemetry's picture
         self._speed_mph = math.nan
         self._rates = RateMeter()
@@ -49,11 +50,6 @@ class PersonOfTelemetry:
         """The person has ended the drive."""
 
     @property
-    def control(self) -> Control:
-        """The controls in force."""
-        return self._control
-
-    @property
     def brake(self) -> float:
         """The brake in force, 0 .. 1."""
         return max(0.0, -self._sent.throttle)
@@ -63,13 +59,13 @@ class PersonOfTelemetry:
         self._speed_mph = speed_mph
         if telemetry is not None:
             self._show(telemetry)
-        self._control = self._wheel.control()
-        self.hold_mph = self._control.hold_mph or self.hold_mph
+        self.control = self._wheel.control()
+        self.hold_mph = self.control.hold_mph or self.hold_mph
         if self._braking_since_s is not None:
             self._sent = Steer(0.0, brake_of_telemetry(speed_mph), separator)
         else:
-            throttle = throttle_of_telemetry(self._control, speed_mph)
-            self._sent = Steer(self._control.steering, throttle, separator)
+            throttle = throttle_of_telemetry(self.control, speed_mph)
+            self._sent = Steer(self.control.steering, throttle, separator)
         return self._sent
 
     def is_at_rest(self) -> bool:
@@ -82,7 +78,7 @@ class PersonOfTelemetry:
 
     def takes_row(self) -> bool:
         """True if the telemetry that has come is to be recorded."""
-        return self._braking_since_s is None and self.recording.takes_row(self._control)
+        return self._braking_since_s is None and self.recording.takes_row(self.control)
 
     def has_row(self, time_ns: int) -> None:
         """Note a row that was recorded."""
@@ -116,9 +112,9 @@ class PersonOfTelemetry:
         speed_mph = 0.0 if math.isnan(telemetry.speed_mph) else telemetry.speed_mph
         state = FrameState(
             time_s=now_s if simulated_s is None else simulated_s,
-            control=self._control,
-            drives=drives_alone(self._control, is_rolling=abs(speed_mph) > MAX_STANDING_MPH),
-            device=self._control.device,
+            control=self.control,
+            drives=drives_alone(self.control, is_rolling=abs(speed_mph) > MAX_STANDING_MPH),
+            device=self.control.device,
             steering=self._sent.steering,
             throttle=self._sent.throttle,
             speed_mph=speed_mph,
