@@ -26,8 +26,7 @@ if TYPE_CHECKING:  # NumPy
     from recorder.upkeep.derived_log import Written
     from recorder.upkeep.log_info import LogInfo
 
-MAX_PLACES: Final = 6
-"""So many are named of a kind; --json names all."""
+MAX_PLACES: Final = 6  # so many are named of a kind; --json names all
 MAX_LINES: Final = 200
 """So many topics, settings and tags are shown of a log: a terminal takes a millisecond for each."""
 _LONG_VALUE: Final = 400  # characters

@@ -20,8 +20,7 @@ from recorder.pictures.picture_size import SizeReader
 from recorder.rows.row_quality import States, drive_numbers, row_flags
 from recorder.topics import camera_topic
 
-Sizes = dict[Camera, tuple[int, int]]
-"""Width and height of each camera's pictures."""
+Sizes = dict[Camera, tuple[int, int]]  # width and height of each camera's pictures
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,8 @@ from common.locks import lock
 from common.random_access import read_bytes
 from recorder.errors import LogError
 
-EXCLUDE: Final = "exclude"
-"""Rows with this tag are never trained on."""
-FINE: Final = "fine"
-"""Odd rows with this tag were looked at, and do not count as odd."""
+EXCLUDE: Final = "exclude"  # rows with this tag are never trained on
+FINE: Final = "fine"  # odd rows with this tag were looked at, and do not count as odd
 _ENDING: Final = ".tags.jsonl"
 _LONGEST_NAME: Final = 64
 _MAX_ROWS: Final = 2**32

@@ -7,8 +7,7 @@ from typing import Final
 import lz4.frame
 import zstandard
 
-NOT_UNPACKED: Final = (zstandard.ZstdError, RuntimeError, ValueError)
-"""The exceptions of `unpack`."""
+NOT_UNPACKED: Final = (zstandard.ZstdError, RuntimeError, ValueError)  # the exceptions of `unpack`
 
 
 def unpack(stored: bytes | memoryview, compression: bytes, size: int) -> bytes:

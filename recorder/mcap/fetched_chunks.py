@@ -17,8 +17,7 @@ from recorder.mcap.mcap_file import Chunk, McapFile
 
 GAP_BYTES: Final = 1 << 16
 """Between two chunks that are fetched in one request: rows lie between those of pictures."""
-MAX_BYTES: Final = 1 << 22
-"""Of one request: as long on its way at 100 MB/s as its answer takes to begin."""
+MAX_BYTES: Final = 1 << 22  # of one request: as long on its way at 100 MB/s as its answer takes to begin
 _KEPT_BYTES: Final = 1 << 26  # in memory, where the disk has no room
 
 

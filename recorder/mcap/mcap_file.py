@@ -49,8 +49,7 @@ MAX_RECORD_BYTES: Final = MAX_CHUNK_BYTES + (1 << 20)
 MIN_MESSAGE_BYTES: Final = 4
 """Of a file, for each of its messages: empty ones of the most regular times take five of zstd's bytes, but those
 that were made to fill a memory hardly any."""
-FREE_MESSAGES: Final = 1 << 16
-"""So many more are taken of any file."""
+FREE_MESSAGES: Final = 1 << 16  # so many more are taken of any file
 
 WITHOUT_CRCS: Final = "written without CRCs: damage to it cannot be noticed"
 """The notice, given once, of another program's log that does without them."""

@@ -36,8 +36,7 @@ STUCK_S: Final = 3.0
 STUCK_AT_ZERO_S: Final = 30.0
 MAX_STRETCHES: Final = 100  # listed in a log's summary of its rows; the counts are of all
 
-PARKED_S: Final = 5.0
-"""An ordinary start waits for 1.6 to 3.2 s in the recordings of people."""
+PARKED_S: Final = 5.0  # an ordinary start waits for 1.6 to 3.2 s in the recordings of people
 
 RowFlag = Literal[
     "gap", "out_of_range", "standing_still", "stuck_steering", "crash", "backwards", "manoeuvring", "parked"

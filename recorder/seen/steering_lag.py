@@ -19,13 +19,11 @@ from recorder.rows.row_quality import States, Values, elapsed_s
 from recorder.rows.steering_habits import SteeringLag
 from recorder.seen.far_field import WIDTH_PX, FarField, PictureLog, rows_apart
 
-MAX_PICTURES: Final = 1500
-"""That are decoded, of however long a session: half a second of one core."""
+MAX_PICTURES: Final = 1500  # that are decoded, of however long a session: half a second of one core
 _STEP_S: Final = 0.05
 _LAGS_S: Final = np.arange(-20, 21) * _STEP_S
 _MIN_PAIRS: Final = 200
-_MIN_CORRELATION: Final = 0.35
-"""Recordings have 0.4 to 0.94."""
+_MIN_CORRELATION: Final = 0.35  # recordings have 0.4 to 0.94
 _AGREE_S: Final = 0.11  # both halves of the pairs
 _PARTS: Final = 20
 _RESAMPLINGS: Final = 200

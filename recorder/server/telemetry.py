@@ -23,8 +23,7 @@ from recorder.server.world import World, json_kind, parse_world
 
 MAX_IMAGE_BYTES: Final = 1 << 20  # base64; the simulator's own are about 20 KB
 
-NOT_JSON: Final = object()
-"""The data of a telemetry that is not JSON, or too deep: it is answered like any other."""
+NOT_JSON: Final = object()  # the data of a telemetry that is not JSON, or too deep: it is answered like any other
 
 MAX_SPEED_MPH: Final = 1e7  # higher ones make distances that nobody can read
 
@@ -52,8 +51,7 @@ class TelemetryError(ValueError):
     def __init__(self, kind: str, detail: str = "") -> None:
         super().__init__(kind + detail)
         self.kind = kind
-        self.speed_mph: float | None = None
-        """This, and the attributes below: what could be read all the same."""
+        self.speed_mph: float | None = None  # this, and the attributes below: what could be read all the same
         self.decimal_separator: str | None = None
         self.world: World | None = None
         self.world_problems: tuple[str, ...] = ()

@@ -26,8 +26,7 @@ from recorder.server.telemetry import MAX_IMAGE_BYTES, format_command
 TICK_S: Final = 0.1
 FIRST_COMMAND_S: Final = 1.0
 """The time that a first command waits for telemetry: the real simulator sends its own at once."""
-NO_TELEMETRY_S: Final = 5.0
-"""A client that has sent nothing for so long speaks another protocol."""
+NO_TELEMETRY_S: Final = 5.0  # a client that has sent nothing for so long speaks another protocol
 MAX_MESSAGE_BYTES: Final = 4 * MAX_IMAGE_BYTES
 """Longer messages close the connection; a picture that is too large is within, and is answered."""
 

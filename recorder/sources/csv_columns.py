@@ -22,8 +22,7 @@ from recorder.errors import RecordingError, readable
 MAX_LINE_CHARACTERS: Final = 100_000
 _POSITIONS: Final = frozenset(map(str, range(1, 1000)))
 _NUMBERS: Final = ("steering", "throttle", "brake", "speed_mph")
-_TIMES: Final = {"time_s": 1e9, "time_ms": 1e6, "time_us": 1e3, "time_ns": 1.0}
-"""By unit: nanoseconds."""
+_TIMES: Final = {"time_s": 1e9, "time_ms": 1e6, "time_us": 1e3, "time_ns": 1.0}  # by unit: nanoseconds
 KEYS: Final = ("image", *CAMERAS, *_NUMBERS, *_TIMES)
 
 

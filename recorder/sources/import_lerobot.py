@@ -34,8 +34,7 @@ from recorder.sources.lerobot_videos import CameraVideos
 from recorder.sources.settings import Topics
 from recorder.sources.udacity_recording import MAX_PICTURE_BYTES
 
-APART_NS: Final = 10_000_000_000
-"""Between episodes whose dates are unknown: each is a drive of its own."""
+APART_NS: Final = 10_000_000_000  # between episodes whose dates are unknown: each is a drive of its own
 _TIME_END_NS: Final = 2**63
 
 

@@ -22,8 +22,7 @@ from recorder.teleop.recording import LastRows, Recording
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Wheel
 
-MAX_BRAKING_S: Final = 5.0
-"""A simulator whose car does not come to a stand in that time is left alone at the end."""
+MAX_BRAKING_S: Final = 5.0  # a simulator whose car does not come to a stand in that time is left alone at the end
 
 
 class PersonOfTelemetry:
@@ -32,8 +31,7 @@ class PersonOfTelemetry:
     def __init__(self, wheel: Wheel, hold_mph: float) -> None:
         """`hold_mph` is the speed that the page offers to hold."""
         self._wheel = wheel
-        self.control = Control()
-        """The controls in force."""
+        self.control = Control()  # the controls in force
         self._sent = Steer(0.0, 0.0)  # is in force at the next telemetry's picture
         self._speed_mph = math.nan
         self._rates = RateMeter()
@@ -41,13 +39,10 @@ class PersonOfTelemetry:
         self._braking_since_s: float | None = None
         self.recording = Recording(wheel)
         self.last_rows = LastRows(wheel)
-        self.hold_mph = hold_mph
-        """The speed that was held last, or offered."""
+        self.hold_mph = hold_mph  # the speed that was held last, or offered
         self.rows = 0
-        self.why = "stopped at the terminal"
-        """Why the drive has ended."""
-        self.is_ended = False
-        """The person has ended the drive."""
+        self.why = "stopped at the terminal"  # why the drive has ended
+        self.is_ended = False  # the person has ended the drive
 
     @property
     def brake(self) -> float:

@@ -20,8 +20,7 @@ from simulator.rendering.camera import MOUNT_LEFT_M
 
 MAX_WAITING: Final = 10
 """Rows that wait to be rendered: a kill loses them. With more, the drive waits, and its clock with it."""
-MAX_PATIENT: Final = 5
-"""With fewer rows that wait, pictures for the eye are rendered first."""
+MAX_PATIENT: Final = 5  # with fewer rows that wait, pictures for the eye are rendered first
 _PATIENCE_S: Final = 0.05
 _TICK_S: Final = 0.1
 
@@ -45,10 +44,8 @@ class PersonRows:
         self._actions: queue.Queue[Callable[[], None] | None] = queue.Queue(MAX_WAITING)
         self._failure: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="rows", daemon=True)
-        self.count = 0
-        """Rows until now, also those that wait."""
-        self.written = 0
-        """Rows that no longer wait."""
+        self.count = 0  # rows until now, also those that wait
+        self.written = 0  # rows that no longer wait
         self.last_ns = 0
 
     def add(self, row: PersonRow) -> None:

@@ -43,8 +43,7 @@ from simulator.rendering.camera import MOUNT_LEFT_M
 
 PUT_BACK_S: Final = 1.5
 """The simulated clock runs on for so long when the car is put back: a gap, behind which another drive begins."""
-STUCK_S: Final = 5.0
-"""A car that is to drive on and does not move for so long is put back."""
+STUCK_S: Final = 5.0  # a car that is to drive on and does not move for so long is put back
 _STUCK_MPH: Final = 0.5
 _STATUS_STEPS: Final = 25
 _WAIT_S: Final = 0.1  # for a picture, before signals are looked at again
@@ -140,8 +139,7 @@ class _Drive:
         self._put_back = 0
         self._recording = Recording(wheel)
         self.last_rows = LastRows(wheel)
-        self.hold_mph = drive.speed_mph
-        """The speed that was held last, or offered."""
+        self.hold_mph = drive.speed_mph  # the speed that was held last, or offered
 
     def run(self, stopped: StopEvent) -> str:
         """Drive until the person, a signal or the laps end it; why it has ended."""

@@ -21,8 +21,7 @@ class Recording:
     def __init__(self, wheel: Wheel) -> None:
         self._wheel = wheel
         self.is_on = False
-        self.gap_why = ""
-        """Why the rows before the next one were not recorded."""
+        self.gap_why = ""  # why the rows before the next one were not recorded
 
     def heed(self, request: Request) -> None:
         """Begin or pause, if the person asks for that."""
@@ -47,8 +46,7 @@ class LastRows:
     def __init__(self, wheel: Wheel) -> None:
         self._wheel = wheel
         self._rows: deque[tuple[int, int]] = deque(maxlen=_MAX_ROWS)  # the time and the number of each
-        self.tags: list[Tag] = []
-        """Of rows that were driven badly."""
+        self.tags: list[Tag] = []  # of rows that were driven badly
 
     def add(self, time_ns: int, row: int) -> None:
         self._rows.append((time_ns, row))

@@ -47,10 +47,8 @@ from recorder.teleop.open_wheels import OpenWheel, announced, new_key
 from recorder.teleop.seat import Control, Seat
 
 MAX_PAGES: Final = 8
-MAX_PER_S: Final = 500
-"""A page that sends more messages a second is disconnected; one that works sends 60."""
-MAX_REFUSED: Final = 100
-"""A page that has sent so many messages that are none of ours is disconnected."""
+MAX_PER_S: Final = 500  # a page that sends more messages a second is disconnected; one that works sends 60
+MAX_REFUSED: Final = 100  # a page that has sent so many messages that are none of ours is disconnected
 MAX_IN_FLIGHT: Final = 2
 """Frames that a page has been sent and has not shown yet: one is painted while the next one travels."""
 _MAX_TEXTS: Final = 256  # that a page has not read yet; the oldest go
@@ -100,10 +98,8 @@ class Wheel:
         """`about` is sent to each page that connects, as the message "hello"."""
         self._title, self._log = title, log
         self.key = new_key()
-        self.control_came = threading.Event()
-        """Set while there are controls that the loop has not asked for."""
-        self.refused = 0
-        """Messages that were none of ours, or too many."""
+        self.control_came = threading.Event()  # set while there are controls that the loop has not asked for
+        self.refused = 0  # messages that were none of ours, or too many
         self._hello = json.dumps({"type": "hello", "title": title, "log": str(log), **about}, allow_nan=False)
         self._token = secrets.token_urlsafe(24)
         self._changed = threading.Condition()

@@ -26,8 +26,7 @@ from recorder.mcap.picture_places import (
 from recorder.mcap.scan import Structure, read_structure
 from recorder.upkeep.check_contents import Finding
 
-Found = tuple[bytes, list[StoredMessage]]
-"""The records of a chunk, and the messages among them."""
+Found = tuple[bytes, list[StoredMessage]]  # the records of a chunk, and the messages among them
 
 DATA_CRC: Final = "CRC of all data does not hold"
 """The finding that, alone, leaves only what is outside of chunks to be damaged."""
