@@ -84,7 +84,7 @@ def listen_for_telemetry(
             raise RecordingError(f"{log}: {session.why_nothing()}")
         if person is not None:
             writer.add_metadata(PERSON_METADATA, {"hold_mph": f"{person.hold_mph:g}"})
-            close_with_tags(writer, person.last_rows.tags)
+            close_with_tags(writer, person.recording.tags)
     return Imported(log, session.rows, session.pictures, session.skipped, writer.notices)
 
 

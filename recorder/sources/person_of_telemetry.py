@@ -18,7 +18,7 @@ from recorder.sources.settings import ListenSettings
 from recorder.teleop.frame_state import FrameState, drives_alone
 from recorder.teleop.hello import hello
 from recorder.teleop.rate_meter import RateMeter
-from recorder.teleop.recording import LastRows, Recording
+from recorder.teleop.recording import Recording
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Wheel
 
@@ -38,7 +38,6 @@ class PersonOfTelemetry:
         self._first_ns = self._last_ns = 0
         self._braking_since_s: float | None = None
         self.recording = Recording(wheel)
-        self.last_rows = LastRows(wheel)
         self.hold_mph = hold_mph  # the speed that was held last, or offered
         self.rows = 0
         self.why = "stopped at the terminal"  # why the drive has ended
@@ -77,26 +76,20 @@ class PersonOfTelemetry:
 
     def has_row(self, time_ns: int) -> None:
         """Note a row that was recorded."""
-        self.last_rows.add(time_ns, self.rows)
+        self.recording.add(time_ns, self.rows)
         self.rows += 1
         self._first_ns, self._last_ns = self._first_ns or time_ns, time_ns
-        self.recording.gap_why = ""
 
     def heed(self) -> list[str]:
         """Heed what the person has asked for; returns the events of it for the log."""
         events: list[str] = []
         for request in self._wheel.requests():
+            events += self.recording.heed(request)
             match request.kind:
-                case "record" | "pause":
-                    self.recording.heed(request)
-                case "bad":
-                    events += self.last_rows.exclude(request.seconds)
                 case "put_back":
                     self._wheel.event("only the simulator itself can put the car back", is_problem=True)
                 case "end":
                     self.is_ended, self.why = True, "ended on the page"
-                case "hand_back":
-                    pass  # nobody else drives
         return events
 
     def _show(self, telemetry: Telemetry) -> None:

@@ -15,31 +15,6 @@ _MAX_BAD_NS: Final = round(MAX_BAD_S * 1e9)
 _MAX_ROWS: Final = 6000  # also of a clock that stands
 
 
-class Recording:
-    """Begins off. `gap_why` is empty where no row is missing on purpose."""
-
-    def __init__(self, wheel: Wheel) -> None:
-        self._wheel = wheel
-        self.is_on = False
-        self.gap_why = ""  # why the rows before the next one were not recorded
-
-    def heed(self, request: Request) -> None:
-        """Begin or pause, if the person asks for that."""
-        if request.kind == "record":
-            self.is_on = True
-            self._wheel.event("recording")
-        elif request.kind == "pause":
-            self.is_on = False
-            self.gap_why = self.gap_why or "the person paused"
-            self._wheel.event("recording is paused")
-
-    def takes_row(self, control: Control) -> bool:
-        """True if a row of these controls is recorded: of a person who is there."""
-        if self.is_on and control.is_absent:
-            self.gap_why = self.gap_why or "nobody was at the wheel"
-        return self.is_on and not control.is_absent
-
-
 class LastRows:
     """The rows of the last minute, by the clock of the drive."""
 
@@ -62,3 +37,37 @@ class LastRows:
         self.tags.append(Tag(rows[0], rows[-1], EXCLUDE))
         self._wheel.event(f"{counted(len(rows), 'row')} will not be learnt from")
         return [driven_badly(rows[0], rows[-1])]
+
+
+class Recording(LastRows):
+    """What is recorded of a drive without a network. Begins off; only rows of a person who is there are taken."""
+
+    def __init__(self, wheel: Wheel) -> None:
+        super().__init__(wheel)
+        self.is_on = False
+        self.gap_why = ""  # why the rows before the next one were not recorded; empty where none is missing
+
+    def heed(self, request: Request) -> list[str]:
+        """Begin, pause, or exclude the last rows, if the person asks for that; the events of it, for the log."""
+        match request.kind:
+            case "record":
+                self.is_on = True
+                self._wheel.event("recording")
+            case "pause":
+                self.is_on = False
+                self.gap_why = self.gap_why or "the person paused"
+                self._wheel.event("recording is paused")
+            case "bad":
+                return self.exclude(request.seconds)
+        return []
+
+    def takes_row(self, control: Control) -> bool:
+        """True if a row of these controls is recorded."""
+        if self.is_on and control.is_absent:
+            self.gap_why = self.gap_why or "nobody was at the wheel"
+        return self.is_on and not control.is_absent
+
+    def add(self, time_ns: int, row: int) -> None:
+        """Note a row that was recorded."""
+        super().add(time_ns, row)
+        self.gap_why = ""
