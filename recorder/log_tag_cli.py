@@ -95,7 +95,7 @@ class NameRows:
         from common.stretches import stretches
         from recorder.log.reader import Log
         from recorder.log.road_places import states_of
-        from recorder.log.tagged_rows import tagged_rows
+        from recorder.log.tagged_rows import fine_rows
         from recorder.rows.odd_stretches import odd_stretches
         from recorder.rows.row_condition import rows_where
 
@@ -113,7 +113,7 @@ class NameRows:
         else:
             sure = [stretch for stretch in odd if stretch.is_sure]
             if not self.remove:
-                sure = tagged_rows(self.log).left(sure)
+                sure = fine_rows(self.log).left(sure)
             chosen = [Tag(stretch.first_row, stretch.last_row, name) for stretch in sure]
             words = [str(stretch) for stretch in sure]
         for line in words[:MAX_LINES]:

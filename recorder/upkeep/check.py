@@ -13,7 +13,7 @@ from common.progress import track
 from recorder.errors import LogError
 from recorder.log.reader import Log
 from recorder.log.road_places import states_of
-from recorder.log.tagged_rows import TaggedRows, tagged_rows
+from recorder.log.tagged_rows import TaggedRows, fine_rows
 from recorder.log.tags import EXCLUDE, read_tags
 from recorder.mcap.mcap_file import McapFile
 from recorder.mcap.scan import read_structure
@@ -67,7 +67,7 @@ def check(path: Location, *, look: bool = True) -> Checked:
     """
     damage: list[Finding] = []
     findings: list[Finding] = []
-    fine = tagged_rows(path)
+    fine = fine_rows(path)
     with McapFile(path) as file:
         structure = read_structure(file)
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
