@@ -30,11 +30,10 @@ from common.versions import version_of
 from recorder import topics
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.errors import LogError
-from recorder.log.known_lag import lag_note
+from recorder.log.known_lag import WrittenPictures, lag_note
 from recorder.log.meant_gaps import MeantGap, NotRecorded
 from recorder.log.road_places import CarPlaces
 from recorder.log.session_car import UDACITY, car_in
-from recorder.log.written_pictures import WrittenPictures
 from recorder.mcap.compressed_image import image_data, is_image_channel
 from recorder.mcap.copied_channels import CopiedChannels
 from recorder.mcap.split_chunks import SplitChunks

@@ -15,8 +15,7 @@ from recorder.sources.imported_rows import Imported
 from recorder.sources.live_telemetry import listen_for_telemetry
 from recorder.sources.person_pedals import MAX_STANDING_MPH, brake_of_telemetry, throttle_of_telemetry
 from recorder.sources.settings import ListenSettings
-from recorder.teleop.frame_state import FrameState, drives_alone
-from recorder.teleop.hello import hello
+from recorder.teleop.frame_state import FrameState, drives_alone, hello
 from recorder.teleop.rate_meter import RateMeter
 from recorder.teleop.recording import Recording
 from recorder.teleop.seat import Control

@@ -25,13 +25,12 @@ from recorder.log.writer import LogWriter
 from recorder.rows.devices import device_value
 from recorder.sources.built_in_simulator import simulation_on, simulator_metadata
 from recorder.sources.eye_pictures import EYE_HZ, EyeMoment, EyePictures, WhenDue
+from recorder.sources.frame_rate import check_row_rate, is_row_step
 from recorder.sources.imported_rows import Imported
 from recorder.sources.person_pedals import CoursePedals
 from recorder.sources.person_rows import PersonRows
 from recorder.sources.real_time import RealTime
-from recorder.sources.row_steps import check_row_rate, is_row_step
-from recorder.teleop.frame_state import FrameState, drives_alone
-from recorder.teleop.hello import hello
+from recorder.teleop.frame_state import FrameState, drives_alone, hello
 from recorder.teleop.recording import Recording
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Request, Wheel
