@@ -87,7 +87,6 @@ class NameRows:
         return (self.start, self.end, self.rows, self.where) == (None,) * 4 and not self.odd
 
     def _chosen(self, name: str) -> list[Tag]:
-        """The stretches that the flags name."""
         if not self.odd and self.where is None:
             return [Tag(*rows_of_flags(self.log, self.start, self.end, self.rows), name)]
         if (self.start, self.end, self.rows) != (None,) * 3 or (self.odd and self.where is not None):

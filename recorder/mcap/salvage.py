@@ -86,7 +86,6 @@ class _Search:
             start = following
 
     def _chunk_at(self, start: int, end: int) -> Chunk | None:
-        """A whole chunk that begins at `start` and ends within `end`."""
         for chunk in self._guesses(start, end):
             try:
                 add_definitions(self._file, self._file.records(chunk), self._structure)

@@ -77,7 +77,6 @@ def driven_backwards(
 
 
 def _both(mask: Mask) -> Mask:
-    """Whether it holds for both rows of each pair of neighbours."""
     return mask[1:] & mask[:-1]
 
 
@@ -99,7 +98,6 @@ def _moves(mph: Values, is_joined: Mask) -> NDArray[np.int64]:
 
 
 def _rows(pairs: Mask) -> Mask:
-    """The rows of chosen pairs of neighbours."""
     rows = np.zeros(len(pairs) + 1, np.bool_)
     rows[:-1] |= pairs
     rows[1:] |= pairs

@@ -320,7 +320,6 @@ class TelemetryServer:
         return answer
 
     def _answer_held(self, connection: Connection) -> None:
-        """Answer the telemetry that was held, if it is time."""
         flight = connection.in_flight
         received = flight.overdue(self._clock.seconds, has_unread=connection.has_unread) if flight.holds else None
         if received is not None and (answer := self._answer(received, time.perf_counter())) is not None:

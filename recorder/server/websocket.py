@@ -197,7 +197,6 @@ class WebSocket:
         return len(frames)
 
     def _add_frame(self, frame: Frame) -> None:
-        """Add a frame to the message that it is part of."""
         if frame.opcode is not Opcode.CONT:
             self._is_text = frame.opcode is Opcode.TEXT
         self._parts.append(bytes(frame.data))
@@ -213,7 +212,6 @@ class WebSocket:
                 self._break(BROKEN_FRAME, CloseCode.INVALID_DATA)
 
     def _break(self, reason: str, code: CloseCode = CloseCode.PROTOCOL_ERROR) -> None:
-        """Close the connection of a client that broke the protocol."""
         self.broken_by = reason
         self._close(code)
 

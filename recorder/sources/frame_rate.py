@@ -25,7 +25,8 @@ def describe_clock(rate_hz: float) -> str:
 
 
 def check_row_rate(rate_hz: float) -> None:
-    """Raise RecordingError for a rate of a person's drive whose rows are not a whole number of half steps apart, one step at least."""
+    """Raise RecordingError for a rate of a person's drive whose rows are not a whole number of half steps apart,
+    one step at least."""
     half_steps = 2 / (rate_hz * STEP_S) if rate_hz > 0 else 0.0
     if half_steps < 2 - _TINY or abs(half_steps - round(half_steps)) > _TINY:
         raise RecordingError(f"--rate {rate_hz:g}: at most 50 that divides 100 was expected (as 5, 10, 20, 25)")

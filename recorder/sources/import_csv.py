@@ -102,7 +102,6 @@ def _rows(
     steering_scale: float,
     skipped: Skipped,
 ) -> Iterator[ImportedRow]:
-    """The rows that can be used, with their pictures, one at a time."""
     named = set[str]()
     rows = columns.rows(csv, steering_scale, skipped)
     for row in track(rows, f"importing {csv.parent.name}", len(folder.paths)):

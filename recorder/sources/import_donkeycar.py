@@ -68,7 +68,6 @@ def import_tub(
 
 
 def _frames(tub: Tub, step_ms: float | None, what: str, skipped: Skipped) -> Iterator[ImportedRow]:
-    """The usable records with their pictures, one at a time."""
     named: set[str] = set()
     for record in track(tub.records(skipped), what, tub.count):
         try:

@@ -128,7 +128,6 @@ def _own_gaps(dataset: LeRobotFolder) -> dict[int, MeantGap]:
 def _frames(
     dataset: LeRobotFolder, chosen: LeRobotFeatures, videos: dict[Camera, CameraVideos], skipped: Skipped
 ) -> Iterator[ImportedRow]:
-    """The frames that can be used, one at a time."""
     images = {camera: key for camera, key in chosen.cameras.items() if camera not in videos}
     time_columns = [LOG_TIME] if chosen.has_log_time else []
     columns = list(

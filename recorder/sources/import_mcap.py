@@ -223,7 +223,6 @@ def _read_steering(
 def _rows(
     files: list[_File], topic: str, steering: _Steering, bar: str, skipped: Skipped
 ) -> Iterator[ImportedRow]:
-    """The pictures that can be used, one at a time in the order of the files."""
     for time_ns, name, message in _decoded(files, topic, bar, skipped):
         at = int(np.searchsorted(steering.time_ns, time_ns, "right")) - 1
         if at < 0:

@@ -218,7 +218,6 @@ class _GrowingRecording:
             self._ready[name] = path
 
     def _scan_folders(self, all_folders: bool) -> None:
-        """Find awaited pictures in the folders that have changed."""
         now_s = time.monotonic()
         # A folder that vanishes meanwhile, or cannot be read now, is scanned the next time.
         with contextlib.suppress(OSError):

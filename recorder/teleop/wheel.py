@@ -78,8 +78,6 @@ class _Frame(NamedTuple):
 
 
 class _Page:
-    """A page that is connected."""
-
     def __init__(self, connection: ServerConnection) -> None:
         self.connection = connection
         self.texts: deque[str] = deque(maxlen=_MAX_TEXTS)
