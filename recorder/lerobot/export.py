@@ -86,10 +86,7 @@ def export_lerobot(
     with new_folder(folder) as part, _refused(folder):
         plan = plan_export(paths, chosen, cameras)
         about = {"has_speed": plan.has_speed, "is_video": is_video, "has_split": chosen is not None}
-        with (
-            DatasetFiles(part, plan.fps, **about) as files,
-            progress_bar() as progress,
-        ):
+        with DatasetFiles(part, plan.fps, **about) as files, progress_bar() as progress:
             bar = progress.add_task(f"exporting to {folder.name}", total=plan.rows, note="")
             export = _Export(plan, files, task, lambda: progress.advance(bar))
             for path in paths:

@@ -21,14 +21,7 @@ from common.untrusted_json import json_as
 from recorder.rows.crashes import impact_rows
 from recorder.rows.driving_backwards import SURELY_MPH, driven_backwards
 from recorder.rows.road_edge import off_road_rows
-from recorder.rows.row_quality import (
-    NOT_LEARNT,
-    States,
-    drive_numbers,
-    elapsed_s,
-    row_flags,
-    usual_speed_mph,
-)
+from recorder.rows.row_quality import NOT_LEARNT, States, drive_numbers, elapsed_s, row_flags, usual_speed_mph
 from recorder.rows.slow_rows import coasting_rows, creeping_rows
 
 ODD_KINDS: Final[Mapping[str, str]] = {

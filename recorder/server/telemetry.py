@@ -33,13 +33,7 @@ SIDE_IMAGES: Final[Mapping[Camera, str]] = {name: f"image_{name}" for name in CA
 """The fields of the other cameras' pictures, which a simulator may leave out."""
 _MAX_FIELDS_SHOWN: Final = 6
 _MAX_CHARACTERS_SHOWN: Final = 30  # of a client's text, in a reason
-_OTHER_PICTURES: Final = {
-    b"GIF8": "GIF",
-    b"RIFF": "WebP",
-    b"BM": "BMP",
-    b"II*": "TIFF",
-    b"MM": "TIFF",
-}
+_OTHER_PICTURES: Final = {b"GIF8": "GIF", b"RIFF": "WebP", b"BM": "BMP", b"II*": "TIFF", b"MM": "TIFF"}
 
 
 class TelemetryError(ValueError):

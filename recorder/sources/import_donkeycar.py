@@ -31,12 +31,7 @@ class _UnusableRecordError(Exception):
 
 
 def import_tub(
-    folder: Path,
-    log: Path,
-    *,
-    rate_hz: float | None = None,
-    car: Car | None = None,
-    overwrite: bool = False,
+    folder: Path, log: Path, *, rate_hz: float | None = None, car: Car | None = None, overwrite: bool = False
 ) -> Imported:
     """Write the DonkeyCar tub in `folder` to `log`; its pictures byte for byte, its records in their order.
 

@@ -39,12 +39,7 @@ _TIME_END_NS: Final = 2**63
 
 
 def import_lerobot(
-    folder: Path,
-    log: Path,
-    topics: Topics | None = None,
-    *,
-    car: Car | None = None,
-    overwrite: bool = False,
+    folder: Path, log: Path, topics: Topics | None = None, *, car: Car | None = None, overwrite: bool = False
 ) -> Imported:
     """Write the LeRobot dataset in `folder` to `log`: images byte for byte, frames of videos encoded anew.
 

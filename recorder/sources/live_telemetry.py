@@ -39,11 +39,7 @@ RATE_S = 1.0  # the rows a second that are shown are those of this last while
 
 
 def listen_for_telemetry(
-    log: Path,
-    settings: ListenSettings,
-    *,
-    overwrite: bool = False,
-    person: PersonOfTelemetry | None = None,
+    log: Path, settings: ListenSettings, *, overwrite: bool = False, person: PersonOfTelemetry | None = None
 ) -> Imported:
     """Record the telemetry of Socket.IO clients to `log`. Every telemetry is answered by `manual`, which asks for
     the next one, or by a `person`, who also chooses what is recorded.

@@ -24,14 +24,7 @@ from recorder.mcap.mcap_file import Chunk
 from recorder.topics import CAMERA_TOPICS, PICTURE_TOPICS, ROW_TOPICS, VEHICLE
 from recorder.upkeep.check_contents import rows_named
 from recorder.upkeep.check_structure import is_damaged_beside_chunks
-from recorder.upkeep.derived_log import (
-    Written,
-    close_with_tags,
-    copy_rest,
-    new_log,
-    refuse_taken,
-    tags_of_rows,
-)
+from recorder.upkeep.derived_log import Written, close_with_tags, copy_rest, new_log, refuse_taken, tags_of_rows
 
 _MISSING: Final = "stretches of rows that are missing"
 _NO_ROW: Final = 2**32  # numbers have 32 bits
