@@ -21,7 +21,7 @@ from common.progress import progress_bar
 from recorder.errors import LogError, RecordingError
 from recorder.lerobot import dataset_format as form
 from recorder.lerobot.dataset_card import CARD_PATH, CardSession, card
-from recorder.lerobot.dataset_files import DatasetFiles, write_json, write_tasks
+from recorder.lerobot.dataset_files import DatasetFiles, PictureSpool, write_json, write_tasks
 from recorder.lerobot.export_plan import ExportPlan, plan_export
 from recorder.lerobot.feature_statistics import (
     DatasetStatistics,
@@ -32,7 +32,6 @@ from recorder.lerobot.feature_statistics import (
     sampled,
 )
 from recorder.lerobot.log_episodes import ChosenRows, LogEpisodes, RowPictures, Sizes, log_episodes
-from recorder.lerobot.picture_spool import PictureSpool
 from recorder.lerobot.video_files import require_av, video_info
 from recorder.log.meant_gaps import NotRecorded
 from recorder.log.reader import Log

@@ -35,8 +35,7 @@ from recorder.log.meant_gaps import MeantGap, NotRecorded
 from recorder.log.road_places import CarPlaces
 from recorder.log.session_car import UDACITY, car_in
 from recorder.mcap.compressed_image import image_data, is_image_channel
-from recorder.mcap.copied_channels import CopiedChannels
-from recorder.mcap.split_chunks import SplitChunks
+from recorder.mcap.split_chunks import CopiedChannels, SplitChunks
 from recorder.pictures.picture_size import PNG_START, PictureSizes, SizeReader
 from recorder.rows.label_plan import goes_by_lag, machine_of
 from recorder.rows.odd_stretches import odd_summary

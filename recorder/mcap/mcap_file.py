@@ -16,6 +16,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Final, NamedTuple
 
+import lz4.frame
+import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -27,7 +29,6 @@ from common.errors import NoSuchObjectError, counted, did_you_mean
 from common.location import Location
 from common.random_access import open_for_reading
 from recorder.errors import LogError
-from recorder.mcap.compression import NOT_UNPACKED, unpack
 from recorder.topics import LIBRARY, PROFILE
 
 MAGIC: Final = b"\x89MCAP0\r\n"
@@ -53,15 +54,26 @@ FREE_MESSAGES: Final = 1 << 16  # so many more are taken of any file
 
 WITHOUT_CRCS: Final = "written without CRCs: damage to it cannot be noticed"
 """The notice, given once, of another program's log that does without them."""
-
 _MAX_COMPRESSED: Final = 100
 """Times its size that a file may unpack to, and one chunk besides. Pictures hardly compress; text does tenfold."""
-
 _MAX_BESIDE_CHUNKS: Final = 16
 """Times its size that a file may have attachments and metadata: those of a summary that lies may overlap."""
-
+NOT_UNPACKED: Final = (zstandard.ZstdError, RuntimeError, ValueError)  # the exceptions of `unpack`
 # What mcap's parsers raise on bytes that are no record.
 UNREADABLE: Final = (McapError, ValueError, EOFError, KeyError, OverflowError, struct.error)
+
+
+def unpack(stored: bytes | memoryview, compression: bytes, size: int) -> bytes:
+    """The unpacked bytes, at most one more than `size`. Raises NOT_UNPACKED."""
+    match compression:
+        case b"":
+            return bytes(stored)
+        case b"zstd":
+            with zstandard.ZstdDecompressor().stream_reader(stored) as reader:
+                return bytes(reader.read(size + 1))
+        case b"lz4":
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(stored, max_length=size + 1))
+    raise ValueError(f"unknown compression {compression!r}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,9 +15,8 @@ from typing import Final
 from common.car import CAMERAS, Camera
 from common.errors import counted, printable
 from recorder.log.session_car import UDACITY, Car
-from recorder.pictures.jpeg import whole_jpeg_size
 from recorder.pictures.picture_size import PNG_START
-from recorder.pictures.png import whole_png_size
+from recorder.pictures.whole_picture import whole_jpeg_size, whole_png_size
 from recorder.server.locale_numbers import POINT, decimal_separator, format_number, parse_number
 from recorder.server.world import World, json_kind, parse_world
 

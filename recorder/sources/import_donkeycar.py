@@ -15,7 +15,7 @@ from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.session_car import Car, metadata_of
-from recorder.pictures.jpeg import is_whole_jpeg
+from recorder.pictures.whole_picture import is_whole_jpeg
 from recorder.sources.donkeycar_tub import TIME_END_NS, Tub, TubRecord, finite, open_tub
 from recorder.sources.frame_rate import check_rate, describe_clock
 from recorder.sources.imported_rows import Imported, ImportedRow, SkippedEvents, write_log

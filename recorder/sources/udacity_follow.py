@@ -24,7 +24,7 @@ from common.untrusted import read_bounded
 from recorder.errors import RecordingError
 from recorder.log.session_car import Car
 from recorder.log.writer import LogWriter
-from recorder.pictures.jpeg import is_whole_jpeg
+from recorder.pictures.whole_picture import is_whole_jpeg
 from recorder.sources.find_recording import is_udacity, recordings_near
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.import_udacity import NOT_WHOLE, UNREADABLE_PICTURES, udacity_metadata, vehicle_state
