@@ -32,7 +32,8 @@ class DatasetFiles:
         self.is_video = is_video
         self._fps = fps
         self._has_speed = has_speed
-        self.has_split = has_split
+        self._has_split = has_split
+        self.columns: dict[str, form.Feature] = {}  # from the first episode on
         self._schema = pa.schema([])
         self._data: DataFiles | None = None
         self._videos: list[VideoFiles] = []
@@ -42,10 +43,10 @@ class DatasetFiles:
     def begin_episode(self, sizes: Sizes) -> None:
         """To be called before anything is added of an episode."""
         if self._data is None:
-            columns = form.features(
-                sizes, has_speed=self._has_speed, is_video=self.is_video, has_split=self.has_split
+            self.columns = form.features(
+                sizes, has_speed=self._has_speed, is_video=self.is_video, has_split=self._has_split
             )
-            self._schema = form.data_schema(columns)
+            self._schema = form.data_schema(self.columns)
             self._data = DataFiles(self.root, self._schema)
             cameras = sizes.items() if self.is_video else ()
             self._videos = [VideoFiles(self.root, form.image_key(camera), self._fps, s) for camera, s in cameras]

@@ -249,11 +249,13 @@ class _Export:
     def write_rest(self, licence: str | None) -> None:
         """Write the files that describe the episodes, now that all of them are there."""
         plan, root, is_video = self._plan, self._files.root, self._files.is_video
-        columns = form.features(
-            self._sizes, has_speed=plan.has_speed, is_video=is_video, has_split=self._files.has_split
-        )
         info = form.info(
-            columns, fps=plan.fps, episodes=self.episodes, frames=self.frames, robot=ROBOT, is_video=is_video
+            self._files.columns,
+            fps=plan.fps,
+            episodes=self.episodes,
+            frames=self.frames,
+            robot=ROBOT,
+            is_video=is_video,
         )
         if is_video:
             for camera, size in self._sizes.items():

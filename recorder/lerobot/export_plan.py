@@ -31,8 +31,7 @@ class ExportPlan:
     has_speed: bool
     """Every row has one."""
     rate_hz: float
-    max_steering_deg: float | None  # of the wheels at steering 1; None: unknown
-    """The angle of the front wheels at steering 1."""
+    max_steering_deg: float | None  # of the front wheels at steering 1; None: unknown
     rows: int
     """At most so many frames."""
     notices: tuple[str, ...]

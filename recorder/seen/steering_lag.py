@@ -41,7 +41,7 @@ def measure_lag(log: PictureLog, states: States) -> SteeringLag | None:
         return None
     shown = FarField(log, states)
     yaw_px: list[float] = [shown.yaw_px(first, second) for first, second in pairs.tolist()]
-    return _best_lag(states, time_s, pairs, np.array(yaw_px), len(shown.decoded_rows))
+    return _best_lag(states, time_s, pairs, np.array(yaw_px), len(shown.pictures.decoded_rows))
 
 
 def _best_lag(

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Literal
 
 from common import Skipped
 from common.errors import counted
-from common.files import refuse_existing
 from common.interrupts import stop_signals
 from common.output import print_message
 from common.progress import StatusLine
@@ -50,7 +49,6 @@ def listen_for_telemetry(
     Raises RecordingError if not one telemetry came that can be used, ListenError if the port is taken, UserError
     if `log` exists and `overwrite` is off, or if it cannot be written any further.
     """
-    refuse_existing(log, overwrite)
     driver = {} if person is None else {"driver": "human"}
     metadata = {"source": "telemetry", **driver, **metadata_of(settings.car)}
     with stop_signals() as stopped, contextlib.ExitStack() as writing:
