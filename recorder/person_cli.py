@@ -11,12 +11,11 @@ from common.errors import UsageError
 from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
 from recorder.errors import RecordingError
 from recorder.sources.imported_rows import Imported
-from recorder.sources.settings import SimulatedDrive
+from recorder.sources.settings import ListenSettings, SimulatedDrive
 from simulator.driving.drive_limits import MAX_SPEED_MPH
 
 if TYPE_CHECKING:
     from recorder.sources.record_person import PersonDrive
-    from recorder.sources.settings import ListenSettings
     from recorder.teleop.wheel import Wheel
 
 

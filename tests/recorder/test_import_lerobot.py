@@ -37,7 +37,7 @@ LENGTHS = [3, 2]
 STEERING = [-0.5, 0.0, 0.25, 0.5, 1.0]
 
 
-def imported(folder: Path, *, overwrite: bool = False, **topics: Any) -> Imported:
+def imported(folder: Path, *, overwrite: Any = False, **topics: Any) -> Imported:
     return import_lerobot(folder, folder.parent / "imported.mcap", Topics(**topics), overwrite=overwrite)
 
 
