@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, Self
+from typing import Final, Literal, NamedTuple, Self, cast
 
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
@@ -32,14 +32,8 @@ from recorder.teleop.messages import (
     AskMessage,
     BadMessage,
     ControlMessage,
-    EndMessage,
     GiveMessage,
     GotMessage,
-    HandBackMessage,
-    Message,
-    PauseMessage,
-    PutBackMessage,
-    RecordMessage,
     ViewMessage,
     parse_message,
 )
@@ -55,14 +49,6 @@ _MAX_TEXTS: Final = 256  # that a page has not read yet; the oldest go
 _END_S: Final = 2.0  # for the last messages to the pages
 
 RequestKind = Literal["record", "pause", "bad", "hand_back", "put_back", "end"]
-_KINDS: Final[Mapping[type[Message], RequestKind]] = {
-    RecordMessage: "record",
-    PauseMessage: "pause",
-    BadMessage: "bad",
-    HandBackMessage: "hand_back",
-    PutBackMessage: "put_back",
-    EndMessage: "end",
-}
 
 
 class Request(NamedTuple):
@@ -253,7 +239,8 @@ class Wheel:
             case request:
                 if page is self._seat.holder:
                     seconds = request.seconds if isinstance(request, BadMessage) else 0.0
-                    self._requests.append(Request(_KINDS[type(request)], seconds))
+                    kind = cast(RequestKind, request.__struct_config__.tag)
+                    self._requests.append(Request(kind, seconds))
         return True
 
     def _send(self, page: _Page) -> None:
