@@ -159,10 +159,9 @@ class UdacityRecording:
             if not self.csv.stat().st_size:
                 raise RecordingError(f"{self.csv}: an empty file: no drive was recorded")
             raise RecordingError(f"{self.csv}: no usable row{self._skipped.error_suffix()}")
-        if not found:
-            with readable(self.folder):
-                raise RecordingError(f"{self.csv}: none of its pictures is there; {self._files.why_none()}")
         with readable(self.folder):
+            if not found:
+                raise RecordingError(f"{self.csv}: none of its pictures is there; {self._files.why_none()}")
             self._files.skip_without_row(self._reader.named)
 
     def _lines(self) -> Iterator[bytes]:
