@@ -26,7 +26,8 @@ def is_udacity(folder: Path) -> bool:
 def kind_of(source: Path) -> Kind:
     """What `source` looks like: a log (an MCAP file, finished or not, or a ROS 2 bag), a LeRobot dataset, a
     DonkeyCar tub, a recording of Udacity's simulator; empty for anything else."""
-    if is_bag(source) if source.is_dir() else {MCAP, SQLITE} & set(source.suffixes):
+    is_folder = os.path.isdir(source)  # noqa: PTH112  (never raises)
+    if is_bag(source) or (not is_folder and {MCAP, SQLITE} & set(source.suffixes)):
         return "log"
     if is_lerobot(source):
         return "lerobot"
@@ -83,7 +84,7 @@ def _files_in(folder: Path) -> list[Path]:
 
 
 def _is_recording(folder: Path) -> bool:
-    return folder.is_dir() and kind_of(folder) != ""
+    return os.path.isdir(folder) and kind_of(folder) != ""  # noqa: PTH112
 
 
 def folders_in(folder: Path) -> list[Path]:
