@@ -13,8 +13,8 @@ from drive.control.driver import Decision
 from drive.control.person_takeover import PersonTakeover
 from recorder.sources.eye_pictures import EyeMoment, EyePictures
 from recorder.teleop.frame_state import FrameState
-from recorder.teleop.last_rows import LastRows
 from recorder.teleop.rate_meter import RateMeter
+from recorder.teleop.recording import LastRows
 from recorder.teleop.wheel import Wheel
 
 MAX_LISTED: Final = 1000  # takeovers that the page lists at the end

@@ -142,7 +142,7 @@ def _at_wheel(
         return
     from drive.at_wheel import AtWheel
     from recorder.sources.eye_pictures import EYE_HZ, EyePictures
-    from recorder.teleop.hello import hello
+    from recorder.teleop.frame_state import hello
     from recorder.teleop.wheel import Wheel
     from simulator.driving.simulation import Simulation
 

@@ -17,7 +17,7 @@ from drive.log.drive_summary import DriveSummary
 from drive.log.live_status import LiveStatus
 from model import Pilot
 from recorder import LogWriter
-from recorder.server.running_clock import RunningClock
+from recorder.server.in_flight import RunningClock
 from recorder.server.telemetry_server import Answer, Steer
 from recorder.topics import DRIVE_METADATA
 from recorder.upkeep.derived_log import close_with_tags

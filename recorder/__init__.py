@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from recorder.log.reader import Log
     from recorder.log.writer import LogWriter
     from recorder.mcap.picture_places import Pictures
-    from recorder.sources.import_result import Imported
     from recorder.sources.import_udacity import import_udacity
+    from recorder.sources.imported_rows import Imported
 
 __all__ = ["Imported", "Log", "LogError", "LogWriter", "Pictures", "RecordingError", "import_udacity"]
 
@@ -23,7 +23,7 @@ __all__ = ["Imported", "Log", "LogError", "LogWriter", "Pictures", "RecordingErr
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "Imported": "recorder.sources.import_result",
+        "Imported": "recorder.sources.imported_rows",
         "Log": "recorder.log.reader",
         "LogWriter": "recorder.log.writer",
         "Pictures": "recorder.mcap.picture_places",

@@ -11,8 +11,7 @@ import tyro
 from common.command import run_command
 from common.location_flag import LocationFlag
 from recorder.sources.gymnasium_flags import GymFlags
-from recorder.sources.simulated_drive import SimulatedDrive
-from recorder.sources.topic_flags import Topics
+from recorder.sources.settings import SimulatedDrive, Topics
 
 
 @dataclass(frozen=True)

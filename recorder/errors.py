@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
 from common import UserError
 from common.location import Location
 
@@ -16,6 +20,15 @@ class RecordingError(UserError):
 
 class ListenError(UserError):
     """An address or a port that cannot be listened on."""
+
+
+@contextlib.contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """Turn an OSError into a RecordingError of one line."""
+    try:
+        yield
+    except OSError as error:
+        raise RecordingError(f"{error.filename or path}: cannot be read ({error.strerror})") from None
 
 
 def damaged_pictures(log: Location) -> str:

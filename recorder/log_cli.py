@@ -19,8 +19,7 @@ from recorder.log_edit_cli import Merge, Recover, Rewrite, Split, Trim, noted, r
 from recorder.log_export_cli import ExportLogs
 from recorder.log_flag import LogFlag
 from recorder.log_list_cli import ListLogs
-from recorder.log_next import NextStep, print_first, step_of_check, step_of_info
-from recorder.log_report import print_checked, print_info
+from recorder.log_report import NextStep, print_checked, print_first, print_info, step_of_check, step_of_info
 from recorder.log_tag_cli import NameRows, warn_stale
 
 

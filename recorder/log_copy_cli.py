@@ -62,11 +62,7 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
             task = progress.add_task(f"copying {log.name}{of_many}, bytes", total=size_of(log), note="")
             try:
                 done = copy_log(
-                    log,
-                    target,
-                    overwrite=overwrite,
-                    keeps_damaged=True,
-                    on_bytes=partial(progress.advance, task),
+                    log, target, overwrite=overwrite, keeps_damaged=True, on_bytes=partial(progress.advance, task)
                 )
             except OSError as error:
                 codes.append(print_error(prog, _unreadable_or_full(log, target, error)))

@@ -12,8 +12,7 @@ from common.errors import UserError
 from common.location import Location, Url, local_path, location
 
 SESSIONS: Final = Path("sessions")
-FOLDERS: Final = (SESSIONS, Path("drives"))
-"""Where logs are looked for by name."""
+FOLDERS: Final = (SESSIONS, Path("drives"))  # where logs are looked for by name
 
 
 def named_log(place: Location) -> Location:

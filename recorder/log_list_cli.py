@@ -16,8 +16,7 @@ from common.location import Location, location
 from common.output import plain_table, print_result, print_table
 from recorder.log.logs_in_folder import logs_at
 from recorder.log_flag import FOLDERS, LogFlag
-from recorder.log_next import print_first, step_of_list
-from recorder.log_report import plain
+from recorder.log_report import plain, print_first, step_of_list
 
 if TYPE_CHECKING:
     from recorder.upkeep.log_info import LogInfo

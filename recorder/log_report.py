@@ -1,10 +1,11 @@
-"""The output of `bc-log`: the contents of a log, its findings, and what was written."""
+"""The output of `bc-log`: the contents of a log, its findings, what was written, and what to do next."""
 
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from rich.markup import escape
 from rich.table import Table
@@ -13,9 +14,10 @@ from common import Skipped
 from common.command import warn, warn_skipped
 from common.errors import counted, printable
 from common.location import Location, location
-from common.output import print_result, print_table
+from common.output import print_next, print_result, print_table
 from common.steering_unit import DEGREES, FULL_LOCK
 from recorder.log.tags import EXCLUDE, Tag
+from recorder.log_flag import SESSIONS
 from recorder.topics import VEHICLE
 
 if TYPE_CHECKING:  # NumPy
@@ -24,12 +26,12 @@ if TYPE_CHECKING:  # NumPy
     from recorder.upkeep.derived_log import Written
     from recorder.upkeep.log_info import LogInfo
 
-MAX_PLACES: Final = 6
-"""So many are named of a kind; --json names all."""
+MAX_PLACES: Final = 6  # so many are named of a kind; --json names all
 MAX_LINES: Final = 200
 """So many topics, settings and tags are shown of a log: a terminal takes a millisecond for each."""
 _LONG_VALUE: Final = 400  # characters
 _LONG_LIST: Final = 4
+_EXCLUDES: Final = "excludes all that is surely odd"
 
 
 def print_info(info: LogInfo) -> None:
@@ -164,3 +166,65 @@ def _without_long_lists(stored: Any) -> Any:
 def plain(text: str) -> str:
     """Somebody else's text in a table: without markup, in one line."""
     return escape(printable(text))
+
+
+class NextStep(NamedTuple):
+    """A command, and why; of several, the one with the smallest `order` comes next."""
+
+    order: int
+    command: str
+    why: str = ""
+
+
+def step_of_info(info: LogInfo) -> NextStep:
+    """What to do about a log, by its numbers."""
+    from recorder.rows.odd_stretches import exclude_command
+
+    log, left = location(info.path), _left(info)
+    if any(stretch.is_sure for stretch in left):
+        return NextStep(1, exclude_command(left, log), _EXCLUDES)
+    if left:
+        return NextStep(2, _command("check", log), "it looks at the pictures of what is perhaps odd")
+    return _go_on(log)
+
+
+def step_of_check(info: LogInfo, odd: Sequence[OddStretch], *, is_damaged: bool) -> NextStep:
+    """What to do about a log whose file, rows and pictures were checked, and showed what is `odd`."""
+    from recorder.rows.odd_stretches import exclude_command
+
+    log = location(info.path)
+    if is_damaged:
+        return NextStep(0, _command("recover", log), "it writes what is sound to a new log")
+    left = [stretch for stretch in _left(info, odd) if stretch.is_sure]
+    return NextStep(1, exclude_command(left, log), _EXCLUDES) if left else _go_on(log)
+
+
+def print_first(steps: Sequence[NextStep]) -> None:
+    """Print the step that comes first, if there is any."""
+    if steps:
+        print_next(*min(steps, key=lambda step: step.order)[1:])
+
+
+def step_of_list(logs: Sequence[LogInfo]) -> NextStep:
+    """What to do about one of these logs: that with most odd rows, else the newest."""
+    rows = {info.path: sum(stretch.rows for stretch in _left(info) if stretch.is_sure) for info in logs}
+    odd = max(rows, key=lambda path: rows[path])
+    if rows[odd]:
+        return NextStep(1, _command("info", location(odd)), "what is odd in it")
+    return _go_on(location(max(logs, key=lambda info: info.start).path))
+
+
+def _left(info: LogInfo, odd: Sequence[OddStretch] | None = None) -> list[OddStretch]:
+    """What is odd in a log and not excluded."""
+    from recorder.log.tagged_rows import TaggedRows  # NumPy
+
+    return TaggedRows(info.tags, EXCLUDE).left(odd or info.odd or ())
+
+
+def _go_on(log: Location) -> NextStep:
+    """A session is learnt from, a drive looked at."""
+    return NextStep(3, "bc-index" if log.parent == SESSIONS else f"bc-play {shlex.quote(str(log))}")
+
+
+def _command(name: str, log: Location) -> str:
+    return f"bc-log {name} {shlex.quote(str(log))}"

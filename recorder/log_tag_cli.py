@@ -24,9 +24,9 @@ from recorder.log.tags import (
     tags_by_content,
     tags_path,
 )
+from recorder.log_edit_cli import rows_of_flags
 from recorder.log_flag import LogFlag
 from recorder.log_report import MAX_LINES, rows_of
-from recorder.log_row_flags import rows_of_flags
 
 LogPlace = Annotated[LogFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 
@@ -87,7 +87,6 @@ class NameRows:
         return (self.start, self.end, self.rows, self.where) == (None,) * 4 and not self.odd
 
     def _chosen(self, name: str) -> list[Tag]:
-        """The stretches that the flags name."""
         if not self.odd and self.where is None:
             return [Tag(*rows_of_flags(self.log, self.start, self.end, self.rows), name)]
         if (self.start, self.end, self.rows) != (None,) * 3 or (self.odd and self.where is not None):
@@ -95,7 +94,7 @@ class NameRows:
         from common.stretches import stretches
         from recorder.log.reader import Log
         from recorder.log.road_places import states_of
-        from recorder.log.tagged_rows import tagged_rows
+        from recorder.log.tagged_rows import fine_rows
         from recorder.rows.odd_stretches import odd_stretches
         from recorder.rows.row_condition import rows_where
 
@@ -113,7 +112,7 @@ class NameRows:
         else:
             sure = [stretch for stretch in odd if stretch.is_sure]
             if not self.remove:
-                sure = tagged_rows(self.log).left(sure)
+                sure = fine_rows(self.log).left(sure)
             chosen = [Tag(stretch.first_row, stretch.last_row, name) for stretch in sure]
             words = [str(stretch) for stretch in sure]
         for line in words[:MAX_LINES]:

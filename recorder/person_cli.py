@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,55 +10,46 @@ from common.command import flags_given, usage_errors
 from common.errors import UsageError
 from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
 from recorder.errors import RecordingError
-from recorder.sources.import_result import Imported
-from recorder.sources.simulated_drive import SimulatedDrive
+from recorder.sources.imported_rows import Imported
+from recorder.sources.settings import ListenSettings, SimulatedDrive
 from simulator.driving.drive_limits import MAX_SPEED_MPH
 
 if TYPE_CHECKING:
-    from recorder.sources.listen_settings import ListenSettings
     from recorder.sources.record_person import PersonDrive
     from recorder.teleop.wheel import Wheel
 
 
-@dataclass(frozen=True)
-class AtTheWheel:
-    """How a person gets to the wheel: on a page that this command serves, or that bc-web serves already."""
+def record_at_the_wheel(
+    drive: SimulatedDrive,
+    rate: float | None,
+    log: Path,
+    listens: ListenSettings | None,
+    *,
+    opens: bool,
+    serves: bool,
+    overwrite: bool,
+) -> Imported:
+    """Record a person in the built-in simulator, or in one that connects as `listens` says. `serves` the page to
+    drive on, and `opens` the browser; else a bc-web that runs already has the page."""
+    if serves:
+        check_wheel_page()
+    with ExitStack() as stack:
 
-    log: Path
-    opens: bool  # the browser
-    serves: bool  # the page; False where a bc-web that runs already has it
+        def serve_page(wheel: Wheel) -> None:
+            if serves:
+                stack.enter_context(wheel_page(wheel.key, {"sessions": log.parent}, opens=opens))
 
-    def record(self, source: Callable[[Callable[[Wheel], object]], Imported]) -> Imported:
-        """Record with `source`, which is given what is to be done with its wheel."""
-        if self.serves:
-            check_wheel_page()
-        with ExitStack() as stack:
+        if listens is not None:
+            from recorder.sources.person_of_telemetry import listen_at_the_wheel  # Socket.IO: a second to load
 
-            def serve_page(wheel: Wheel) -> None:
-                if self.serves:
-                    stack.enter_context(wheel_page(wheel.key, {"sessions": self.log.parent}, opens=self.opens))
+            done = listen_at_the_wheel(listens, log, drive.speed[0], overwrite=overwrite, on_wheel=serve_page)
+        else:
+            from recorder.sources.record_person import record_person  # OpenCV
 
-            done = source(serve_page)
-            if self.serves:
-                wait_until_left(done.path)
-            return done
-
-
-def record_at_the_wheel(drive: SimulatedDrive, rate: float | None, wheel: AtTheWheel, overwrite: bool) -> Imported:
-    from recorder.sources.record_person import record_person  # OpenCV
-
-    person = _person_drive(drive, rate)
-    return wheel.record(lambda on_wheel: record_person(person, wheel.log, overwrite=overwrite, on_wheel=on_wheel))
-
-
-def listen_at_the_wheel(settings: ListenSettings, hold_mph: float, wheel: AtTheWheel, overwrite: bool) -> Imported:
-    from recorder.sources import person_of_telemetry  # Socket.IO: a second to load
-
-    return wheel.record(
-        lambda on_wheel: person_of_telemetry.listen_at_the_wheel(
-            settings, wheel.log, hold_mph, overwrite=overwrite, on_wheel=on_wheel
-        )
-    )
+            done = record_person(_person_drive(drive, rate), log, overwrite=overwrite, on_wheel=serve_page)
+        if serves:
+            wait_until_left(done.path)
+        return done
 
 
 def check_at_the_wheel(drive: SimulatedDrive, rate: float | None, *, listens: bool) -> None:

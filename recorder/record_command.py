@@ -17,17 +17,15 @@ from common.preview import preview
 from recorder.errors import RecordingError
 from recorder.log.session_car import named_car
 from recorder.log_copy_cli import copy_recording, refuse_copying, refuse_taken_name
-from recorder.person_cli import AtTheWheel, check_at_the_wheel, listen_at_the_wheel, record_at_the_wheel
+from recorder.person_cli import check_at_the_wheel, record_at_the_wheel
 from recorder.rows.odd_stretches import odd_advice, odd_lines
 from recorder.sources.built_in_simulator import check_drive, record_simulated
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.gymnasium_flags import GYM_FLAGS
 from recorder.sources.import_mcap import check_scale
-from recorder.sources.import_result import Imported
-from recorder.sources.listen_settings import ListenSettings
+from recorder.sources.imported_rows import Imported
 from recorder.sources.recording_kinds import import_recording, refuse_to_watch
-from recorder.sources.simulated_drive import SimulatedDrive
-from recorder.sources.topic_flags import Topics
+from recorder.sources.settings import ListenSettings, SimulatedDrive, Topics
 from recorder.upkeep.log_info import describe
 
 if TYPE_CHECKING:
@@ -75,10 +73,15 @@ def _record_to(config: Record, log: Path) -> Imported:
 
         settings = ListenSettings(config.host, config.port, config.idle, car, show)
         if config.drive.driver == "me":
-            wheel = AtTheWheel(log, config.open, config.page)
-            if config.listen:
-                return listen_at_the_wheel(settings, config.drive.speed[0], wheel, config.force)
-            return record_at_the_wheel(config.drive, config.rate, wheel, config.force)
+            return record_at_the_wheel(
+                config.drive,
+                config.rate,
+                log,
+                settings if config.listen else None,
+                opens=config.open,
+                serves=config.page,
+                overwrite=config.force,
+            )
         if config.listen:
             from recorder.sources.live_telemetry import listen_for_telemetry  # Socket.IO: a second to load
 

@@ -15,8 +15,7 @@ import pyarrow as pa
 from common.car import Camera
 
 VERSION: Final = "v3.0"
-FILES_A_CHUNK: Final = 1000
-"""Files in a folder `chunk-000`."""
+FILES_A_CHUNK: Final = 1000  # files in a folder `chunk-000`
 DATA_FILE_MB: Final = 100
 VIDEO_FILE_MB: Final = 200
 MEBIBYTE: Final = 1 << 20  # what the format calls MB
@@ -37,8 +36,7 @@ PREVIOUS_NAMES: Final = ("previous_steering", "previous_throttle", "previous_bra
 number, and its policies then fail."""
 LOG_TIME: Final = "log_time_ns"
 LOG_ROW: Final = "log_row"
-LOG_VEHICLE: Final = "log_vehicle"
-"""The vehicle state as the log has it: the format's own columns have 32 bits."""
+LOG_VEHICLE: Final = "log_vehicle"  # the vehicle state as the log has it: the format's own columns have 32 bits
 LOG_FINGERPRINT: Final = "log_fingerprint"
 LOG_CAR: Final = "log_car"
 """A column of meta/episodes: the car of the episode's log, as JSON; empty if it is unknown."""

@@ -21,7 +21,7 @@ from common.progress import progress_bar
 from recorder.errors import LogError, RecordingError
 from recorder.lerobot import dataset_format as form
 from recorder.lerobot.dataset_card import CARD_PATH, CardSession, card
-from recorder.lerobot.dataset_files import DatasetFiles, write_json, write_tasks
+from recorder.lerobot.dataset_files import DatasetFiles, PictureSpool, write_json, write_tasks
 from recorder.lerobot.export_plan import ExportPlan, plan_export
 from recorder.lerobot.feature_statistics import (
     DatasetStatistics,
@@ -31,9 +31,7 @@ from recorder.lerobot.feature_statistics import (
     number_statistics,
     sampled,
 )
-from recorder.lerobot.log_episodes import ChosenRows, LogEpisodes, log_episodes
-from recorder.lerobot.picture_spool import PictureSpool
-from recorder.lerobot.row_pictures import RowPictures, Sizes
+from recorder.lerobot.log_episodes import ChosenRows, LogEpisodes, RowPictures, Sizes, log_episodes
 from recorder.lerobot.video_files import require_av, video_info
 from recorder.log.meant_gaps import NotRecorded
 from recorder.log.reader import Log
@@ -87,10 +85,7 @@ def export_lerobot(
     with new_folder(folder) as part, _refused(folder):
         plan = plan_export(paths, chosen, cameras)
         about = {"has_speed": plan.has_speed, "is_video": is_video, "has_split": chosen is not None}
-        with (
-            DatasetFiles(part, plan.fps, **about) as files,
-            progress_bar() as progress,
-        ):
+        with DatasetFiles(part, plan.fps, **about) as files, progress_bar() as progress:
             bar = progress.add_task(f"exporting to {folder.name}", total=plan.rows, note="")
             export = _Export(plan, files, task, lambda: progress.advance(bar))
             for path in paths:
@@ -254,11 +249,13 @@ class _Export:
     def write_rest(self, licence: str | None) -> None:
         """Write the files that describe the episodes, now that all of them are there."""
         plan, root, is_video = self._plan, self._files.root, self._files.is_video
-        columns = form.features(
-            self._sizes, has_speed=plan.has_speed, is_video=is_video, has_split=self._files.has_split
-        )
         info = form.info(
-            columns, fps=plan.fps, episodes=self.episodes, frames=self.frames, robot=ROBOT, is_video=is_video
+            self._files.columns,
+            fps=plan.fps,
+            episodes=self.episodes,
+            frames=self.frames,
+            robot=ROBOT,
+            is_video=is_video,
         )
         if is_video:
             for camera, size in self._sizes.items():

@@ -18,7 +18,7 @@ from recorder.lerobot.dataset_format import LOG_TIME, LOG_VEHICLE, STATE
 from recorder.lerobot.log_episodes import ChosenRows, log_episodes
 from recorder.log.reader import Log
 from recorder.log.session_car import known_max_steering_deg
-from recorder.rows.usual_step import usual_step
+from recorder.rows.row_quality import usual_step
 from recorder.topics import camera_topic
 
 RATES_DIFFER: Final = 1.2
@@ -31,8 +31,7 @@ class ExportPlan:
     has_speed: bool
     """Every row has one."""
     rate_hz: float
-    max_steering_deg: float | None  # of the wheels at steering 1; None: unknown
-    """The angle of the front wheels at steering 1."""
+    max_steering_deg: float | None  # of the front wheels at steering 1; None: unknown
     rows: int
     """At most so many frames."""
     notices: tuple[str, ...]

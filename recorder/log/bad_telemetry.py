@@ -6,8 +6,7 @@ import re
 from collections import Counter
 from typing import Final
 
-MAX_OF_EACH: Final = 5
-"""So many of a kind become events; the others are counted."""
+MAX_OF_EACH: Final = 5  # so many of a kind become events; the others are counted
 
 _PREFIX: Final = "bad telemetry: "
 _MORE: Final = re.compile(r" \(([0-9][0-9,]{0,25}) more\)$")

@@ -7,17 +7,21 @@ import contextlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Final, Literal
 
 import msgspec
 
 from common import atomic_file
+from common.closeable import Closeable
 from common.errors import UserError
 from common.location import Location, Url
-from common.random_access import read_bytes
+from common.random_access import LocalFile, read_bytes
 from common.untrusted_json import json_as
 from recorder import topics
 from recorder.log.reader import Log
+from recorder.mcap.message_index import UNCOMPRESSED
+from recorder.mcap.picture_places import Pictures
 from recorder.rows.steering_habits import LagFinding, SteeringLag
 
 _KEY: Final = "lag"
@@ -90,3 +94,21 @@ def _keep(path: Location, data: bytes) -> bool:
     except (OSError, UserError):
         return False
     return True
+
+
+class WrittenPictures(Closeable):
+    """The centre camera's pictures of a log that is being written, read back from its file to measure the lag."""
+
+    def __init__(self, part: Path, pictures: Pictures) -> None:
+        """Raises OSError."""
+        self._file = LocalFile(part)
+        self._pictures = pictures
+
+    def pictures(self, topic: str) -> Pictures:
+        return self._pictures
+
+    def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes:
+        return self._file.read(offset, length)
+
+    def close(self) -> None:
+        self._file.close()

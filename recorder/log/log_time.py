@@ -23,8 +23,7 @@ class StandingClock:
 
     def __init__(self) -> None:
         self.stands = False
-        self.stood_s = 0.0
-        """The time that it has stood now, by this computer's clock."""
+        self.stood_s = 0.0  # the time that it has stood now, by this computer's clock
         self._now_s = 0.0
         self._simulated_s: float | None = None
 

@@ -26,10 +26,8 @@ MEANT_GAPS: Final = "meant_gaps"
 HUMAN_DRIVES: Final = "manual: a human drives"
 PILOT_DRIVES_AGAIN: Final = "manual: the pilot drives again"
 """At the first row behind a stretch that a human drove; logs of earlier versions have it right before that row."""
-HUMAN_HAS_STOPPED: Final = "manual: telemetry comes again"
-"""The same in a recording."""
-DISCONNECTED: Final = "disconnected: "
-"""The beginning of an event, which ends such a stretch too."""
+HUMAN_HAS_STOPPED: Final = "manual: telemetry comes again"  # the same in a recording
+DISCONNECTED: Final = "disconnected: "  # the beginning of an event, which ends such a stretch too
 
 MAX_S: Final = 1e6
 _EARLIER_EVENT: Final = re.compile(r"not recorded: ([0-9]{1,6}(?:\.[0-9]{1,3})?) s, ")

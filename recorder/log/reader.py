@@ -31,13 +31,7 @@ from recorder.mcap.fetched_chunks import FetchedChunks
 from recorder.mcap.mcap_file import CHUNK_HEADER, Chunk, McapFile, has_crc_in, stored_message
 from recorder.mcap.message_index import LAST_TIME_NS, UNCOMPRESSED, Read, index_messages
 from recorder.mcap.number_fields import decode_numbers
-from recorder.mcap.picture_places import (
-    Pictures,
-    is_about_places,
-    is_of_pictures,
-    read_chunk_crcs,
-    read_places,
-)
+from recorder.mcap.picture_places import Pictures, is_about_places, is_of_pictures, read_chunk_crcs, read_places
 from recorder.mcap.salvage import salvage
 from recorder.mcap.scan import read_structure
 from recorder.topics import camera_topic, prediction_topic

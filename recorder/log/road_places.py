@@ -1,4 +1,4 @@
-"""The vehicle states of a log, with how far the car was beyond the edge of a road that is built in."""
+"""Where the car of a log was on a built-in road: how far beyond its edge in each row, and where it stood last."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from recorder.rows.row_quality import States
 if TYPE_CHECKING:
     from foxglove_schemas_protobuf.Pose_pb2 import Pose
 
+_MAX_M: Final = 1e6  # from the origin; a place beyond is none
 _FIELDS: Final = (
     "pose.position.x", "pose.position.y",
     "pose.orientation.x", "pose.orientation.y", "pose.orientation.z", "pose.orientation.w",
@@ -62,3 +63,24 @@ def _placed(states: States, session: Mapping[str, str], row: Values, places: lis
     order = np.argsort(row, kind="stable")
     at = order[np.minimum(np.searchsorted(row[order], states.row), len(order) - 1)]
     return replace(states, beyond_m=np.where(row[at] == states.row, beyond_m[at], np.nan))
+
+
+def last_place_m(log: Log) -> float | None:
+    """Metres along the track's centre line from its start; None without a pose, or where the track is unknown.
+
+    Raises LogError for a damaged log.
+    """
+    from simulator.driving.vehicle import AXLE_TO_CENTRE_M
+    from simulator.roads.track import load_track
+
+    try:
+        line = load_track(log.metadata.get("track", "")).line
+    except ValueError:
+        return None
+    position = None
+    for _, message in log.decoded(topics.POSE) if topics.POSE in log.counts else ():
+        position = message.pose.position
+    if position is None or not (abs(position.x) < _MAX_M and abs(position.y) < _MAX_M):
+        return None
+    rear_m, _ = line.project(position.x, position.y)
+    return (rear_m + AXLE_TO_CENTRE_M) % line.length_m

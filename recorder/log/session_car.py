@@ -31,8 +31,7 @@ _OF_UNKNOWN_CARS: Final = ("donkeycar", "csv", "mcap", "ros2 bag", "lerobot", "g
 
 OUTLINE_PX: Final = (320, 160)  # columns and rows of the pictures that outlines are of
 
-CAR_KEY: Final = "car"
-"""Of a car in a log's metadata: JSON."""
+CAR_KEY: Final = "car"  # of a car in a log's metadata: JSON
 
 SpeedUnit = Literal["mph", "km/h", "m/s"]
 MPH_OF: Final[Mapping[SpeedUnit, float]] = {"mph": 1.0, "km/h": 1 / 3.6 / MPS_PER_MPH, "m/s": 1 / MPS_PER_MPH}

@@ -35,13 +35,13 @@ class TaggedRows:
         return [stretch for stretch in odd if not self.hold(stretch.first_row, stretch.last_row)]
 
 
-def tagged_rows(path: Location, name: str = FINE) -> TaggedRows:
-    """The rows of a log that its tags call so; none where the log or its tags cannot be read."""
+def fine_rows(path: Location) -> TaggedRows:
+    """The rows of a log that its tags call fine; none where the log or its tags cannot be read."""
     try:
         tags = tags_by_content(path)
-        if not any(tag.name == name for of_one in tags.values() for tag in of_one):
+        if not any(tag.name == FINE for of_one in tags.values() for tag in of_one):
             return TaggedRows(())
         with Log(path) as log:  # its fingerprint
-            return TaggedRows(tags[log.fingerprint], name)
+            return TaggedRows(tags[log.fingerprint])
     except LogError:
         return TaggedRows(())

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import tempfile
 from collections import defaultdict
 from collections.abc import Sequence
@@ -25,14 +26,14 @@ from common.locks import lock
 from common.random_access import read_bytes
 from recorder.errors import LogError
 
-EXCLUDE: Final = "exclude"
-"""Rows with this tag are never trained on."""
-FINE: Final = "fine"
-"""Odd rows with this tag were looked at, and do not count as odd."""
+EXCLUDE: Final = "exclude"  # rows with this tag are never trained on
+FINE: Final = "fine"  # odd rows with this tag were looked at, and do not count as odd
 _ENDING: Final = ".tags.jsonl"
 _LONGEST_NAME: Final = 64
 _MAX_ROWS: Final = 2**32
 MAX_BYTES: Final = 1 << 24
+_Row = Annotated[int, msgspec.Meta(ge=0, lt=_MAX_ROWS)]
+_BAD_ROWS: Final = re.compile(r"driven badly: rows ([0-9]{1,9}) to ([0-9]{1,9})")
 
 
 class Tag(NamedTuple):
@@ -41,9 +42,6 @@ class Tag(NamedTuple):
     first_row: int
     last_row: int
     name: str
-
-
-_Row = Annotated[int, msgspec.Meta(ge=0, lt=_MAX_ROWS)]
 
 
 class _Line(msgspec.Struct):
@@ -244,3 +242,17 @@ def _plain(path: Path) -> Path:
     if path.is_symlink() or (path.exists() and not path.is_file()):
         raise LogError(f"{path}: not a plain file; remove it")
     return path
+
+
+def driven_badly(first_row: int, last_row: int) -> str:
+    """The event of rows that a person finds bad while they are recorded: they are tagged when the log is finished,
+    or, if its recording is killed, when it is recovered. Until then its content changes all the time."""
+    return f"driven badly: rows {first_row} to {last_row}"
+
+
+def bad_rows_in(event: str) -> Tag | None:
+    """The tag of rows that were `driven_badly`; None for the text of another event."""
+    matched = _BAD_ROWS.fullmatch(event)
+    if matched is None or int(matched[1]) > int(matched[2]):
+        return None
+    return Tag(int(matched[1]), int(matched[2]), EXCLUDE)

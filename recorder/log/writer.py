@@ -30,14 +30,12 @@ from common.versions import version_of
 from recorder import topics
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.errors import LogError
-from recorder.log.known_lag import lag_note
+from recorder.log.known_lag import WrittenPictures, lag_note
 from recorder.log.meant_gaps import MeantGap, NotRecorded
 from recorder.log.road_places import CarPlaces
 from recorder.log.session_car import UDACITY, car_in
-from recorder.log.written_pictures import WrittenPictures
 from recorder.mcap.compressed_image import image_data, is_image_channel
-from recorder.mcap.copied_channels import CopiedChannels
-from recorder.mcap.split_chunks import SplitChunks
+from recorder.mcap.split_chunks import CopiedChannels, SplitChunks
 from recorder.pictures.picture_size import PNG_START, PictureSizes, SizeReader
 from recorder.rows.label_plan import goes_by_lag, machine_of
 from recorder.rows.odd_stretches import odd_summary
@@ -141,7 +139,7 @@ class LogWriter:
             self._sync = files.BackgroundSync(self._stream.fileno())
         self._chunks = SplitChunks(self._stream)
         self._copied_channels = CopiedChannels(self._chunks.mcap)
-        self._to_disk(self._chunks.start, profile, f"{topics.LIBRARY} {version_of()}")
+        self._to_disk(self._chunks.mcap.start, profile, f"{topics.LIBRARY} {version_of()}")
         if metadata is not None:
             self.add_metadata(topics.SESSION_METADATA, {"toolkit": version_of(), **metadata})
             with contextlib.suppress(LogError):  # copied of another log; its readers report it
@@ -227,7 +225,7 @@ class LogWriter:
 
     def copy_attachment(self, attachment: Attachment) -> None:
         self._to_disk(
-            self._chunks.add_attachment,
+            self._chunks.mcap.add_attachment,
             attachment.create_time,
             attachment.log_time,
             attachment.name,
@@ -255,7 +253,7 @@ class LogWriter:
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         escaped = {_utf8(key): _utf8(value) for key, value in values.items()}
-        self._to_disk(self._chunks.add_metadata, _utf8(name), escaped)
+        self._to_disk(self._chunks.mcap.add_metadata, _utf8(name), escaped)
 
     def close(self) -> None:
         """Write the summary and give the log its name.

@@ -17,8 +17,7 @@ from recorder.mcap.mcap_file import Chunk, McapFile
 
 GAP_BYTES: Final = 1 << 16
 """Between two chunks that are fetched in one request: rows lie between those of pictures."""
-MAX_BYTES: Final = 1 << 22
-"""Of one request: as long on its way at 100 MB/s as its answer takes to begin."""
+MAX_BYTES: Final = 1 << 22  # of one request: as long on its way at 100 MB/s as its answer takes to begin
 _KEPT_BYTES: Final = 1 << 26  # in memory, where the disk has no room
 
 
@@ -28,7 +27,7 @@ class FetchedChunks(Closeable):
     def __init__(self, file: McapFile, chunks: Sequence[Chunk], cache: ChunkCache, fingerprint: str) -> None:
         self._file = file
         self._chunks = chunks
-        self._most_bytes = cache.max_bytes
+        self.max_bytes = cache.max_bytes  # of all logs that are kept on the disk
         self._cached = cache.open(fingerprint)
         self._lock = threading.Lock()
         self._is_verified = bytearray(len(chunks))  # by this process, as it is on the disk
@@ -66,11 +65,6 @@ class FetchedChunks(Closeable):
                 return record
             if (fetched := self.fetch([number]).get(number)) is not None:
                 return fetched.result()
-
-    @property
-    def max_bytes(self) -> int:
-        """The most bytes of all logs that are kept on the disk."""
-        return self._most_bytes
 
     def sizes(self, numbers: Sequence[int]) -> int:
         """Bytes of these chunks."""
@@ -146,7 +140,7 @@ class FetchedChunks(Closeable):
     def _take(self, number: int, record: bytes) -> None:
         """Keep a chunk whose CRC holds. Raises LogError for another."""
         chunk = self._chunks[number]
-        self._file.check_record(chunk, record)
+        self._file.records_in(chunk, record)
         if self._cached is not None and self._cached.keep(chunk.start, record):
             self._is_verified[number] = True
             return
@@ -170,7 +164,7 @@ class FetchedChunks(Closeable):
             return None
         record = self._cached.read(chunk.start, chunk.end - chunk.start)
         try:
-            self._file.check_record(chunk, record)
+            self._file.records_in(chunk, record)
         except LogError:
             return None
         self._is_verified[number] = True

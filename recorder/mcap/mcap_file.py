@@ -16,6 +16,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Final, NamedTuple
 
+import lz4.frame
+import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -27,7 +29,6 @@ from common.errors import NoSuchObjectError, counted, did_you_mean
 from common.location import Location
 from common.random_access import open_for_reading
 from recorder.errors import LogError
-from recorder.mcap.compression import NOT_UNPACKED, unpack
 from recorder.topics import LIBRARY, PROFILE
 
 MAGIC: Final = b"\x89MCAP0\r\n"
@@ -49,20 +50,30 @@ MAX_RECORD_BYTES: Final = MAX_CHUNK_BYTES + (1 << 20)
 MIN_MESSAGE_BYTES: Final = 4
 """Of a file, for each of its messages: empty ones of the most regular times take five of zstd's bytes, but those
 that were made to fill a memory hardly any."""
-FREE_MESSAGES: Final = 1 << 16
-"""So many more are taken of any file."""
+FREE_MESSAGES: Final = 1 << 16  # so many more are taken of any file
 
 WITHOUT_CRCS: Final = "written without CRCs: damage to it cannot be noticed"
 """The notice, given once, of another program's log that does without them."""
-
 _MAX_COMPRESSED: Final = 100
 """Times its size that a file may unpack to, and one chunk besides. Pictures hardly compress; text does tenfold."""
-
 _MAX_BESIDE_CHUNKS: Final = 16
 """Times its size that a file may have attachments and metadata: those of a summary that lies may overlap."""
-
+NOT_UNPACKED: Final = (zstandard.ZstdError, RuntimeError, ValueError)  # the exceptions of `unpack`
 # What mcap's parsers raise on bytes that are no record.
 UNREADABLE: Final = (McapError, ValueError, EOFError, KeyError, OverflowError, struct.error)
+
+
+def unpack(stored: bytes | memoryview, compression: bytes, size: int) -> bytes:
+    """The unpacked bytes, at most one more than `size`. Raises NOT_UNPACKED."""
+    match compression:
+        case b"":
+            return bytes(stored)
+        case b"zstd":
+            with zstandard.ZstdDecompressor().stream_reader(stored) as reader:
+                return bytes(reader.read(size + 1))
+        case b"lz4":
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(stored, max_length=size + 1))
+    raise ValueError(f"unknown compression {compression!r}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,16 +158,12 @@ class McapFile(Closeable):
         what `records` does."""
         ranges = ((chunk.start, chunk.end - chunk.start) for chunk in chunks)
         for chunk, data in zip(chunks, self.read_many(ranges), strict=True):
-            yield chunk, self._records(chunk, data)
+            yield chunk, self.records_in(chunk, data)
 
     def read_alone(self, offset: int, length: int) -> bytes:
         """The same as `read`, but of a file in a store nothing beside is read, and nothing is kept."""
         self._check_range(offset, length)
         return self._bytes.read_alone(offset, length)
-
-    def check_record(self, chunk: Chunk, record: bytes) -> None:
-        """Raise LogError if this is not what a chunk should be, as far as its CRC shows."""
-        self._records(chunk, record)
 
     def read_many(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
         """The bytes of each range; of a file in a store, several are requested at a time, and nothing beside is
@@ -214,9 +221,10 @@ class McapFile(Closeable):
 
     def records(self, chunk: Chunk) -> bytes:
         """The records of a chunk, unpacked. Raises LogError where it is damaged, as far as its CRC shows."""
-        return self._records(chunk, self.read(chunk.start, chunk.end - chunk.start))
+        return self.records_in(chunk, self.read(chunk.start, chunk.end - chunk.start))
 
-    def _records(self, chunk: Chunk, record: bytes) -> bytes:
+    def records_in(self, chunk: Chunk, record: bytes) -> bytes:
+        """The same of a chunk's `record` that was read already."""
         if chunk.mended:
             record = chunk.mended + record[len(chunk.mended) :]
         return record if chunk.is_message else self.unpacked(record, chunk.start)

@@ -13,10 +13,8 @@ from recorder.mcap.compressed_image import image_data
 from recorder.mcap.mcap_file import MESSAGE, RECORD, Chunk, McapFile
 from recorder.mcap.scan import Structure
 
-UNCOMPRESSED: Final = -1
-"""In the place of a chunk's offset: the bytes lie in the file as they are."""
-LAST_TIME_NS: Final = 2**63 - 1
-"""MCAP's times are unsigned, but those of files, tables and NumPy are not."""
+UNCOMPRESSED: Final = -1  # in the place of a chunk's offset: the bytes lie in the file as they are
+LAST_TIME_NS: Final = 2**63 - 1  # MCAP's times are unsigned, but those of files, tables and NumPy are not
 
 ENTRY: Final = np.dtype(
     [
@@ -31,8 +29,7 @@ ENTRY: Final = np.dtype(
     ]
 )
 
-Read = tuple[Chunk, bytes]
-"""A chunk, and its records."""
+Read = tuple[Chunk, bytes]  # a chunk, and its records
 
 _HEAD: Final = np.dtype(
     [

@@ -24,8 +24,7 @@ from recorder.mcap.scan import Structure
 PICTURES_ATTACHMENT: Final = "bc.pictures"
 CHUNKS_ATTACHMENT: Final = "bc.chunks"
 MEDIA_TYPE: Final = "application/octet-stream"
-PLACES_AT_ONCE: Final = 1 << 20
-"""Pictures that one attachment is about: 34 MB."""
+PLACES_AT_ONCE: Final = 1 << 20  # pictures that one attachment is about: 34 MB
 
 PLACE: Final = np.dtype(
     [
@@ -48,8 +47,7 @@ _PLACE: Final = struct.Struct("<HIQIIIII")  # the same: for a few at once, quick
 CHUNK_CRC: Final = np.dtype([("start", "<u8"), ("crc", "<u4")])  # offset in the file; CRC-32 of the records
 NO_PICTURE: Final = 2**32 - 1
 
-Attached = tuple[int, int, str, str, bytes]
-"""Create time, log time, name, media type, content."""
+Attached = tuple[int, int, str, str, bytes]  # create time, log time, name, media type, content
 
 
 @dataclass(frozen=True)
@@ -68,8 +66,7 @@ class PlacesWritten:
 
     def __init__(self) -> None:
         self.channels: set[int] = set()  # those of pictures
-        self.count = 0
-        """Pictures that are not taken yet."""
+        self.count = 0  # pictures that are not taken yet
         self._places = bytearray()
         self._chunks: list[tuple[int, int]] = []
 

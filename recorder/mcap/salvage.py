@@ -13,8 +13,7 @@ from typing import Final
 from mcap.opcode import Opcode
 
 from recorder.errors import LogError
-from recorder.mcap.compression import NOT_UNPACKED, unpack
-from recorder.mcap.mcap_file import CHUNK_HEADER, MAX_CHUNK_BYTES, RECORD, Chunk, McapFile
+from recorder.mcap.mcap_file import CHUNK_HEADER, MAX_CHUNK_BYTES, NOT_UNPACKED, RECORD, Chunk, McapFile, unpack
 from recorder.mcap.scan import Structure, add_definitions, add_record, next_chunk, search_budget, walk
 
 _COMPRESSIONS: Final = (b"", b"zstd", b"lz4")
@@ -86,7 +85,6 @@ class _Search:
             start = following
 
     def _chunk_at(self, start: int, end: int) -> Chunk | None:
-        """A whole chunk that begins at `start` and ends within `end`."""
         for chunk in self._guesses(start, end):
             try:
                 add_definitions(self._file, self._file.records(chunk), self._structure)

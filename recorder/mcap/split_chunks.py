@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from hashlib import sha256
-from typing import Any, BinaryIO, Final, cast
+from typing import BinaryIO, Final, cast
 
 from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
 from recorder.mcap.mcap_file import CHUNK_HEADER, MESSAGE
@@ -17,6 +18,7 @@ CHUNK_BYTES: Final = 256 * 1024
 ROWS_CHUNK_BYTES: Final = 32 * 1024
 """What is no picture is written when there is so much of it, some 500 rows: one wrong bit, or a copy that was cut
 off, costs no more of them, and still there is one such chunk for a hundred of pictures."""
+_CHUNK: Final = bytes([Opcode.CHUNK])  # the first byte of its record
 
 
 class SplitChunks:
@@ -29,27 +31,20 @@ class SplitChunks:
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = _ChunkStream(stream)
-        self._mcap = Writer(
+        self.mcap = Writer(
             cast(BinaryIO, self._stream),  # it uses no more than is there
             chunk_size=CHUNK_BYTES,
             compression=CompressionType.NONE,
             enable_data_crcs=True,
         )
+        """The writer of all that is no message: the file's start, channels, schemas, metadata, attachments."""
         self._waiting = deque[tuple[Callable[[], int], int, bytes, int, int]]()  # as `add` got them
         self._waiting_bytes = 0
-
-    @property
-    def mcap(self) -> Writer:
-        """The writer that channels and schemas are registered with."""
-        return self._mcap
 
     @property
     def content_digest(self) -> str:
         """SHA-256 over the headers of all chunks until now; the open one is not in it."""
         return self._stream.digest.hexdigest()
-
-    def start(self, profile: str, library: str) -> None:
-        self._mcap.start(profile=profile, library=library)
 
     def add_picture(
         self, number_of: Callable[[], int], log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
@@ -57,7 +52,7 @@ class SplitChunks:
         """A message on a picture's channel; `number_of` gives the channel's number, and may register it."""
         number = number_of()
         self._stream.places.channels.add(number)
-        self._mcap.add_message(number, log_time_ns, data, publish_time_ns, sequence)
+        self.mcap.add_message(number, log_time_ns, data, publish_time_ns, sequence)
         if self._stream.places.count >= PLACES_AT_ONCE:
             self._write_places()
 
@@ -74,38 +69,32 @@ class SplitChunks:
         self, number_of: Callable[[], int], log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
     ) -> None:
         """A message of a file that has no chunks of its own for pictures."""
-        self._mcap.add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
+        self.mcap.add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
 
     def flush(self) -> None:
         """Close the open chunks: that of the pictures, then the other one."""
-        self._mcap.flush()  # type: ignore[no-untyped-call]
+        self.mcap.flush()  # type: ignore[no-untyped-call]
         if self._waiting:
             self._waiting_bytes = 0
             while self._waiting:  # one by one: whatever interrupts this, a Ctrl-C too, the others still wait
                 number_of, log_time_ns, data, publish_time_ns, sequence = self._waiting.popleft()
-                self._mcap.add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
-            self._mcap.flush()  # type: ignore[no-untyped-call]
+                self.mcap.add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
+            self.mcap.flush()  # type: ignore[no-untyped-call]
 
     def pictures(self, channels: set[int]) -> Pictures:
         """The pictures on some channels in the chunks until now; of millions, the last."""
         return self._stream.places.pictures(channels)
-
-    def add_metadata(self, name: str, values: dict[str, str]) -> None:
-        self._mcap.add_metadata(name, values)
-
-    def add_attachment(self, *about: Any) -> None:
-        self._mcap.add_attachment(*about)
 
     def finish(self) -> None:
         """Write what lies where, and the summary. Nothing else may be written afterwards."""
         self.flush()
         if self._stream.places.channels:
             self._write_places()
-            self._mcap.add_attachment(*self._stream.places.take_chunks())
-        self._mcap.finish()  # type: ignore[no-untyped-call]
+            self.mcap.add_attachment(*self._stream.places.take_chunks())
+        self.mcap.finish()  # type: ignore[no-untyped-call]
 
     def _write_places(self) -> None:
-        self._mcap.add_attachment(*self._stream.places.take_pictures())
+        self.mcap.add_attachment(*self._stream.places.take_pictures())
 
 
 class _ChunkStream:
@@ -128,4 +117,37 @@ class _ChunkStream:
         return self._stream.write(data)
 
 
-_CHUNK: Final = bytes([Opcode.CHUNK])
+class CopiedChannels:
+    """Registers each channel once: logs that are merged share those that are alike."""
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer = writer
+        self._by_id: dict[int, tuple[Channel, int]] = {}
+        self._channels: dict[tuple[object, ...], int] = {}
+        self._schemas: dict[tuple[str, str, bytes], int] = {}
+
+    def number_of(self, schema: Schema | None, channel: Channel) -> int:
+        """The number of a channel of another log in this one."""
+        entry = self._by_id.get(id(channel))
+        if entry is None:
+            # keeping the channel keeps its id from being used again
+            entry = self._by_id[id(channel)] = (channel, self._register(schema, channel))
+        return entry[1]
+
+    def _register(self, schema: Schema | None, channel: Channel) -> int:
+        metadata = dict(channel.metadata)
+        number = self._register_schema(schema)
+        key = (channel.topic, channel.message_encoding, number, *sorted(metadata.items()))
+        if key not in self._channels:
+            self._channels[key] = self._writer.register_channel(
+                channel.topic, channel.message_encoding, number, metadata
+            )
+        return self._channels[key]
+
+    def _register_schema(self, schema: Schema | None) -> int:
+        if schema is None:
+            return 0  # in MCAP: no schema
+        key = (schema.name, schema.encoding, schema.data)
+        if key not in self._schemas:
+            self._schemas[key] = self._writer.register_schema(*key)
+        return self._schemas[key]

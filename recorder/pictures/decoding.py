@@ -1,4 +1,4 @@
-"""Decoding pictures that may be anything, and telling those that are whole: the one place that calls OpenCV's."""
+"""Decoding and scaling pictures that may be anything, and recognising those that are whole."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.pictures.jpeg import is_whole_jpeg
-from recorder.pictures.picture_size import PNG_START, can_be_decoded
+from recorder.pictures.picture_size import PNG_START, decoding_problem
+from recorder.pictures.whole_picture import is_whole_jpeg
 
 _REDUCED_GRAYSCALE_8: Final = 64
 """cv2.IMREAD_REDUCED_GRAYSCALE_8: a fraction of the time, and the whole picture is still read through."""
+MIN_ROWS: Final = 2
+MAX_HEIGHT: Final = 4  # times the width: one column of 60,000 pixels would become gigabytes
 
 
 def decode_picture(picture: bytes, flags: int) -> NDArray[np.uint8] | None:
@@ -20,7 +22,7 @@ def decode_picture(picture: bytes, flags: int) -> NDArray[np.uint8] | None:
     None for what is neither, has too many pixels or scans, or does not decode to its end. Wrong bytes within the
     coded picture that end where they should decode to a wrong picture: nothing distinguishes it from a right one.
     """
-    if not can_be_decoded(picture):
+    if decoding_problem(picture):
         return None
     import cv2  # what looks at no picture needs none of its memory
 
@@ -39,3 +41,16 @@ def decodes(picture: bytes) -> bool:
 def is_whole_picture(picture: bytes) -> bool:
     """True for one complete JPEG or PNG that OpenCV decodes."""
     return decodes(picture) if picture.startswith(PNG_START) else is_whole_jpeg(picture)
+
+
+def scaled_to_width(picture: NDArray[np.uint8], width_px: int) -> NDArray[np.uint8] | None:
+    """A picture (height, width) of at least one row as one of this width; None if that has fewer than `MIN_ROWS`
+    rows, or is more than `MAX_HEIGHT` times as high as it is wide."""
+    import cv2
+
+    height, width = picture.shape
+    height_px = round(height * width_px / width)
+    if not MIN_ROWS <= height_px <= MAX_HEIGHT * width_px:
+        return None
+    scaled = cv2.resize(picture, (width_px, height_px), interpolation=cv2.INTER_AREA)
+    return scaled.astype(np.uint8, copy=False)

@@ -75,8 +75,7 @@ class ImageCheck:
         self._job_bytes = 0
         self._waiting: deque[tuple[list[_Place], int, Future[list[bool]]]] = deque()
         self._waiting_bytes = 0
-        self.pictures: dict[str, TopicPictures] = {}
-        """By topic."""
+        self.pictures: dict[str, TopicPictures] = {}  # by topic
         self.decoded = 0
         self.broken: list[_Place] = []
         """The pictures that do not decode, in the order in which they were taken; whole after `finish`."""

@@ -71,13 +71,9 @@ def pixels(picture: bytes) -> int | None:
     return None if size is None else size[0] * size[1]
 
 
-def can_be_decoded(picture: bytes) -> bool:
-    """True for what begins as a JPEG or PNG of at most `MAX_PIXELS` and, as a JPEG, of at most `MAX_SCANS`."""
-    return not decoding_problem(picture)
-
-
 def decoding_problem(picture: bytes) -> str:
-    """Why a picture is not to be decoded, by its header and its markers; empty if it may be."""
+    """Why a picture is not to be decoded, by its header and its markers; empty for what begins as a JPEG or PNG of
+    at most `MAX_PIXELS` and, as a JPEG, of at most `MAX_SCANS`."""
     size = pixels(picture) or 0
     if not size:
         return f"{counted(len(picture), 'byte')} that are not a picture"

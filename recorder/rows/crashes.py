@@ -12,8 +12,7 @@ from common.stretches import stretches_within
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-CRASH_SPEED_SHARE: Final = 1 / 3
-"""Of the speed that is usual in the session, the median: bends are taken at more."""
+CRASH_SPEED_SHARE: Final = 1 / 3  # of the speed that is usual in the session, the median: bends are taken at more
 CRASH_S: Final = 0.5  # at least; a single row of no speed is a fault of the source
 IMPACT_MPH: Final = 9.0
 IMPACT_S: Final = 0.2
@@ -22,13 +21,11 @@ IMPACT_LEADS_S: Final = 0.5  # a car bounces, and rolls out, before it is slow
 CRASH_LOCK: Final = 0.5
 CRASH_LOCK_SHARE: Final = 0.25
 """A wheel at half lock or more in so many of its rows is manoeuvring; to stop and start, it is straight."""
-APPROACH_S: Final = 1.0
-"""Before an impact; somebody who steers 13 m before a wall at 30 mph has not kept off it."""
+APPROACH_S: Final = 1.0  # before an impact; somebody who steers 13 m before a wall at 30 mph has not kept off it
 _ROUNDING_S: Final = 1e-6  # rows at even times lie on the edge
 WAY_OUT_S: Final = 3.0
 WAY_OUT_SPEED_SHARE: Final = 1 / 2
-BETWEEN_S: Final = 5.0
-"""Whoever has to reverse or hits something again so soon has not been driving in between."""
+BETWEEN_S: Final = 5.0  # whoever has to reverse or hits something again so soon has not been driving in between
 
 
 def impact_rows(speed_mph: Values, time_s: Values) -> Mask:

@@ -24,8 +24,7 @@ TURN_MPH: Final = 2.0
 """A car that changes its direction has a row slower than that: at 5 rows a second, the simulator's engine changes
 its speed by 2.4 mph from one to the next."""
 PEDAL: Final = 0.05
-FIRM_BRAKE: Final = 0.3
-"""The built-in mountain, 12 % steep, speeds up a car that brakes by a fifth."""
+FIRM_BRAKE: Final = 0.3  # the built-in mountain, 12 % steep, speeds up a car that brakes by a fifth
 RISE_MPH: Final = 1.5
 """A smaller rise with the brake held is rounding, or what a slope adds to a car that begins to brake."""
 ROLL_MPH: Final = 3.0
@@ -78,7 +77,6 @@ def driven_backwards(
 
 
 def _both(mask: Mask) -> Mask:
-    """Whether it holds for both rows of each pair of neighbours."""
     return mask[1:] & mask[:-1]
 
 
@@ -100,7 +98,6 @@ def _moves(mph: Values, is_joined: Mask) -> NDArray[np.int64]:
 
 
 def _rows(pairs: Mask) -> Mask:
-    """The rows of chosen pairs of neighbours."""
     rows = np.zeros(len(pairs) + 1, np.bool_)
     rows[:-1] |= pairs
     rows[1:] |= pairs

@@ -27,8 +27,7 @@ command within 0.4 s."""
 MAX_LATE_S: Final = 0.5
 """Later than that no recorder notes the steering. What is measured there, or before `IN_TIME_S`, is a fault of the
 measurement, and no label goes by it."""
-MIN_HZ: Final = 4.0
-"""Fewer rows a second than that leave nothing to smooth in half a second."""
+MIN_HZ: Final = 4.0  # fewer rows a second than that leave nothing to smooth in half a second
 LATE_DEVICES: Final = frozenset[Device](("keyboard", "mouse"))
 """They are let go between presses and drags, and steer to 0 then. A stick or a finger is held, and steers all the
 time. The wheel's steering is recorded as it is in force, so no lag is measured."""

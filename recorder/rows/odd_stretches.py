@@ -21,14 +21,7 @@ from common.untrusted_json import json_as
 from recorder.rows.crashes import impact_rows
 from recorder.rows.driving_backwards import SURELY_MPH, driven_backwards
 from recorder.rows.road_edge import off_road_rows
-from recorder.rows.row_quality import (
-    NOT_LEARNT,
-    States,
-    drive_numbers,
-    elapsed_s,
-    row_flags,
-    usual_speed_mph,
-)
+from recorder.rows.row_quality import NOT_LEARNT, States, drive_numbers, elapsed_s, row_flags, usual_speed_mph
 from recorder.rows.slow_rows import coasting_rows, creeping_rows
 
 ODD_KINDS: Final[Mapping[str, str]] = {
@@ -45,8 +38,7 @@ ODD_KINDS: Final[Mapping[str, str]] = {
 """What each kind is called; of rows that are of several, the first counts."""
 
 CRUMB_S: Final = 1.0
-ODD: Final = "odd"
-"""Their key in a log's `bc.quality`."""
+ODD: Final = "odd"  # their key in a log's `bc.quality`
 MAX_KEPT: Final = 100
 MAX_NAMED: Final = 6
 MOSTLY: Final = 0.6
@@ -119,8 +111,7 @@ def stretch_of(states: States, first: int, last: int, kind: str, cause: str, *, 
     return OddStretch(kind, first_row, last_row, begin_s, end_s, cause, is_sure)
 
 
-_Cause = Callable[[slice], tuple[str, str] | str] | str
-"""In words, or the kind and that, of rows."""
+_Cause = Callable[[slice], tuple[str, str] | str] | str  # in words, or the kind and that, of rows
 
 
 def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask, bool, _Cause]]:

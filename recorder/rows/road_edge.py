@@ -12,10 +12,8 @@ from common.stretches import stretches_within
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-OFF_S: Final = 0.5
-"""At least; a car that a drive's simulator puts back at once has not driven there."""
-JOIN_S: Final = 2.0
-"""Whoever leaves the road again so soon has not driven on it in between."""
+OFF_S: Final = 0.5  # at least; a car that a drive's simulator puts back at once has not driven there
+JOIN_S: Final = 2.0  # whoever leaves the road again so soon has not driven on it in between
 _FARTHEST_M: Final = 1e6  # a place beyond is no place
 _AT_ONCE: Final = 1024  # rows; with the points of a long track, some megabytes
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from recorder.bc_pb2 import VehicleState
 
+
 GAP_S: Final = 1.0
 APART_S: Final = 1000.0  # more than any time over which rows are compared
 STANDING_MPH: Final = 0.5
@@ -35,8 +36,7 @@ STUCK_S: Final = 3.0
 STUCK_AT_ZERO_S: Final = 30.0
 MAX_STRETCHES: Final = 100  # listed in a log's summary of its rows; the counts are of all
 
-PARKED_S: Final = 5.0
-"""An ordinary start waits for 1.6 to 3.2 s in the recordings of people."""
+PARKED_S: Final = 5.0  # an ordinary start waits for 1.6 to 3.2 s in the recordings of people
 
 RowFlag = Literal[
     "gap", "out_of_range", "standing_still", "stuck_steering", "crash", "backwards", "manoeuvring", "parked"
@@ -46,6 +46,8 @@ NOT_LEARNT: Final[tuple[RowFlag, ...]] = ("crash", "backwards", "manoeuvring", "
 """Rows with one of these are left out of training by default; of several, the first counts."""
 
 Values = NDArray[np.float64]
+_NEAR_STEP: Final = 0.6  # of the median
+_UNEVEN_STEPS: Final = 0.1  # of it
 
 
 @dataclass(frozen=True)
@@ -199,3 +201,14 @@ def _stuck(states: States, drive: NDArray[np.int64], standing: NDArray[np.bool_]
     limit_s = np.where(states.steering[first] == 0, STUCK_AT_ZERO_S, STUCK_S)
     held_ns = states.time_ns[last] - states.time_ns[first]
     return np.repeat(~standing[first] & (held_ns >= limit_s * 1e9), last - first + 1)
+
+
+def usual_step(steps: NDArray[Any]) -> float:
+    """The median of steps (N,), N > 0, above 0. Where they alternate, as 0.04 and 0.06 s of a person's 20 rows a
+    second, the mean of those near it."""
+    median = float(np.median(steps))
+    near = steps[np.abs(steps - median) <= _NEAR_STEP * median]
+    if not len(near):  # the median of an even number may lie between two far from it
+        return median
+    mean = float(near.mean())
+    return mean if abs(mean - median) > _UNEVEN_STEPS * median else median

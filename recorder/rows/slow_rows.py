@@ -12,8 +12,7 @@ from common.stretches import stretches_within
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-CREEP_SPEED_SHARE: Final = 0.15
-"""Of the usual speed: nobody takes a bend at that."""
+CREEP_SPEED_SHARE: Final = 0.15  # of the usual speed: nobody takes a bend at that
 CREEP_S: Final = 2.0  # of moving; a start from a stand is over in one
 COAST_S: Final = 1.5
 COAST_SPEED_SHARE: Final = 1 / 3

@@ -15,15 +15,7 @@ from numpy.typing import NDArray
 from common.car import MAX_STEERING_DEG
 from common.untrusted_json import json_as
 from recorder.rows.devices import RowDevice
-from recorder.rows.row_quality import (
-    States,
-    Values,
-    drive_numbers,
-    driven_s,
-    elapsed_s,
-    row_flags,
-)
-from recorder.rows.usual_step import usual_step
+from recorder.rows.row_quality import States, Values, drive_numbers, driven_s, elapsed_s, row_flags, usual_step
 
 CEILING_S: Final = (0.25, 0.5, 1.0)
 """Lengths of the time around a row whose other rows are its neighbours: half of it before, half after."""

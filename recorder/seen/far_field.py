@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from recorder.errors import LogError
 from recorder.mcap.message_index import UNCOMPRESSED
 from recorder.mcap.picture_places import Pictures
-from recorder.pictures.decoding import decode_picture
-from recorder.pictures.scaling import scaled_to_width
+from recorder.pictures.decoding import decode_picture, scaled_to_width
 from recorder.rows.row_quality import States, Values
 from recorder.topics import camera_topic
 
@@ -93,12 +92,8 @@ class FarField:
     """The far field of the centre camera's pictures."""
 
     def __init__(self, log: PictureLog, states: States) -> None:
-        self._pictures = CenterPictures(log, states)
+        self.pictures = CenterPictures(log, states)
         self._last: tuple[int, Picture | None] = (-1, None)
-
-    @property
-    def decoded_rows(self) -> set[int]:
-        return self._pictures.decoded_rows
 
     def yaw_px(self, first: int, second: int) -> float:
         """The car's turn to the right between two rows, in columns of the picture; NaN if it is unknown."""
@@ -116,7 +111,7 @@ class FarField:
 
     def _decoded(self, row: int) -> Picture | None:
         """Upright edges about the horizon; None of a picture too flat, or too narrow, to show any."""
-        picture = self._pictures.gray(row)
+        picture = self.pictures.gray(row)
         if picture is None:
             return None
         top, bottom = (round(share * picture.shape[0]) for share in _FAR)

@@ -27,8 +27,7 @@ _MAX_WRONG: Final = 0.05
 """Of the controls: on the built-in mountain one in eight looks backwards, and no picture of it is believed."""
 _SAMPLED_PAIRS: Final = 300
 _MIN_PAIRS: Final = 15
-_STILL: Final = 0.5
-"""Of the session's spread of turning: a car that is steered alike turns alike."""
+_STILL: Final = 0.5  # of the session's spread of turning: a car that is steered alike turns alike
 
 
 def with_pictures(log: PictureLog, states: States, odd: Sequence[OddStretch]) -> list[OddStretch]:

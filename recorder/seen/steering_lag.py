@@ -19,13 +19,11 @@ from recorder.rows.row_quality import States, Values, elapsed_s
 from recorder.rows.steering_habits import SteeringLag
 from recorder.seen.far_field import WIDTH_PX, FarField, PictureLog, rows_apart
 
-MAX_PICTURES: Final = 1500
-"""That are decoded, of however long a session: half a second of one core."""
+MAX_PICTURES: Final = 1500  # that are decoded, of however long a session: half a second of one core
 _STEP_S: Final = 0.05
 _LAGS_S: Final = np.arange(-20, 21) * _STEP_S
 _MIN_PAIRS: Final = 200
-_MIN_CORRELATION: Final = 0.35
-"""Recordings have 0.4 to 0.94."""
+_MIN_CORRELATION: Final = 0.35  # recordings have 0.4 to 0.94
 _AGREE_S: Final = 0.11  # both halves of the pairs
 _PARTS: Final = 20
 _RESAMPLINGS: Final = 200
@@ -43,7 +41,7 @@ def measure_lag(log: PictureLog, states: States) -> SteeringLag | None:
         return None
     shown = FarField(log, states)
     yaw_px: list[float] = [shown.yaw_px(first, second) for first, second in pairs.tolist()]
-    return _best_lag(states, time_s, pairs, np.array(yaw_px), len(shown.decoded_rows))
+    return _best_lag(states, time_s, pairs, np.array(yaw_px), len(shown.pictures.decoded_rows))
 
 
 def _best_lag(

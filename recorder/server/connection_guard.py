@@ -17,11 +17,9 @@ from recorder.server.engineio_connection import STREAM
 
 Notify = Callable[[str], None]
 
-REQUEST_S: Final = 10.0
-"""The time limit for a whole request, and for the first byte of a new connection."""
+REQUEST_S: Final = 10.0  # the time limit for a whole request, and for the first byte of a new connection
 MAX_CONNECTIONS: Final = 128
-END_S: Final = 0.5
-"""The time connections have to end by themselves, their last commands sent, before they are cut."""
+END_S: Final = 0.5  # the time connections have to end by themselves, their last commands sent, before they are cut
 
 LANDING_PAGE: Final = (
     "This port is for driving simulators: start one in autonomous mode, and it connects by itself.\n"

@@ -16,11 +16,9 @@ from engineio.socket import Socket
 from recorder.server.in_flight import InFlight
 from recorder.server.websocket import BROKEN_FRAME, TOO_LARGE, HandshakeError, WebSocket
 
-CONNECT, EVENT = "0", "2"
-"""Socket.IO packet types, the first character of an Engine.IO message."""
+CONNECT, EVENT = "0", "2"  # Socket.IO packet types, the first character of an Engine.IO message
 BROKEN_PACKET: Final = "broken packet"
-STREAM: Final = "telemetry.stream"
-"""The key of a request's socket in its WSGI environment."""
+STREAM: Final = "telemetry.stream"  # the key of a request's socket in its WSGI environment
 WEBSOCKET_OVER: Final = "telemetry.has_hung_up"
 """The key in the environment of a request that became a websocket, which is closed now."""
 

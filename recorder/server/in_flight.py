@@ -8,31 +8,45 @@ Where none comes, the held one is answered, so that no simulator waits for ever.
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from typing import Final, Generic, TypeVar
 
+MAX_TICK_S: Final = 0.2  # the most that one tick adds: twice the time between two ticks that come on time
 MIN_HOLD_S: Final = 0.1
 MAX_HOLD_S: Final = 1.0
-FIRST_HOLD_S: Final = 0.5
-"""The time for which a telemetry is held while nobody knows yet how often they come."""
-INTERVALS: Final = 8
-"""A telemetry is held for twice the longest of the last so many intervals."""
-MAX_HOLDS: Final = 2
-"""After so many telemetries that were held in vain, nothing else is in flight."""
-RETRY_S: Final = 1.0
-"""The time between two of them."""
-RECENT: Final = 250
-"""The telemetries by which the number in flight is known."""
-
+FIRST_HOLD_S: Final = 0.5  # the time for which a telemetry is held while nobody knows yet how often they come
+INTERVALS: Final = 8  # a telemetry is held for twice the longest of the last so many intervals
+MAX_HOLDS: Final = 2  # after so many telemetries that were held in vain, nothing else is in flight
+RETRY_S: Final = 1.0  # the time between two of them
+RECENT: Final = 250  # the telemetries by which the number in flight is known
 T = TypeVar("T")
+
+
+class RunningClock:
+    """Seconds for which this process ran, counted by its ticks.
+
+    A tick comes late where the process was stopped, its machine slept, or others had the processor. Nothing was
+    read meanwhile, so that nobody was silent: it adds no more than one that is almost on time.
+    """
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self._ticked_s = time.monotonic()
+
+    def tick(self) -> float:
+        """Advance; the clock's time."""
+        now_s = time.monotonic()
+        self.seconds += min(now_s - self._ticked_s, MAX_TICK_S)
+        self._ticked_s = now_s
+        return self.seconds
 
 
 class InFlight(Generic[T]):
     """Counts telemetries and commands; all times are a `RunningClock`'s."""
 
     def __init__(self) -> None:
-        self.owed = 0
-        """Commands that answered no telemetry, and may each keep one more in flight."""
+        self.owed = 0  # commands that answered no telemetry, and may each keep one more in flight
         self._held: T | None = None
         self._held_s = 0.0
         self._holds = 0  # in vain, since the last command that answered none

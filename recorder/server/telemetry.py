@@ -15,17 +15,14 @@ from typing import Final
 from common.car import CAMERAS, Camera
 from common.errors import counted, printable
 from recorder.log.session_car import UDACITY, Car
-from recorder.pictures.jpeg import whole_jpeg_size
 from recorder.pictures.picture_size import PNG_START
-from recorder.pictures.png import whole_png_size
-from recorder.server.json_kinds import json_kind
+from recorder.pictures.whole_picture import whole_jpeg_size, whole_png_size
 from recorder.server.locale_numbers import POINT, decimal_separator, format_number, parse_number
-from recorder.server.world import World, parse_world
+from recorder.server.world import World, json_kind, parse_world
 
 MAX_IMAGE_BYTES: Final = 1 << 20  # base64; the simulator's own are about 20 KB
 
-NOT_JSON: Final = object()
-"""The data of a telemetry that is not JSON, or too deep: it is answered like any other."""
+NOT_JSON: Final = object()  # the data of a telemetry that is not JSON, or too deep: it is answered like any other
 
 MAX_SPEED_MPH: Final = 1e7  # higher ones make distances that nobody can read
 
@@ -35,13 +32,7 @@ SIDE_IMAGES: Final[Mapping[Camera, str]] = {name: f"image_{name}" for name in CA
 """The fields of the other cameras' pictures, which a simulator may leave out."""
 _MAX_FIELDS_SHOWN: Final = 6
 _MAX_CHARACTERS_SHOWN: Final = 30  # of a client's text, in a reason
-_OTHER_PICTURES: Final = {
-    b"GIF8": "GIF",
-    b"RIFF": "WebP",
-    b"BM": "BMP",
-    b"II*": "TIFF",
-    b"MM": "TIFF",
-}
+_OTHER_PICTURES: Final = {b"GIF8": "GIF", b"RIFF": "WebP", b"BM": "BMP", b"II*": "TIFF", b"MM": "TIFF"}
 
 
 class TelemetryError(ValueError):
@@ -53,8 +44,7 @@ class TelemetryError(ValueError):
     def __init__(self, kind: str, detail: str = "") -> None:
         super().__init__(kind + detail)
         self.kind = kind
-        self.speed_mph: float | None = None
-        """This, and the attributes below: what could be read all the same."""
+        self.speed_mph: float | None = None  # this, and the attributes below: what could be read all the same
         self.decimal_separator: str | None = None
         self.world: World | None = None
         self.world_problems: tuple[str, ...] = ()

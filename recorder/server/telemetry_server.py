@@ -18,16 +18,15 @@ from common.errors import printable
 from recorder.server.allowed_hosts import AllowedHosts
 from recorder.server.connection_guard import END_S, MAX_CONNECTIONS, NOTICE_TOO_MANY, Notify, landing_page
 from recorder.server.engineio_connection import WEBSOCKET_OVER, Connection, Received, ServerHost
+from recorder.server.in_flight import RunningClock
 from recorder.server.locale_numbers import POINT
 from recorder.server.malformed_packets import CheckedPacket, check_body, is_telemetry, one_line_logger
-from recorder.server.running_clock import RunningClock
 from recorder.server.telemetry import MAX_IMAGE_BYTES, format_command
 
 TICK_S: Final = 0.1
 FIRST_COMMAND_S: Final = 1.0
 """The time that a first command waits for telemetry: the real simulator sends its own at once."""
-NO_TELEMETRY_S: Final = 5.0
-"""A client that has sent nothing for so long speaks another protocol."""
+NO_TELEMETRY_S: Final = 5.0  # a client that has sent nothing for so long speaks another protocol
 MAX_MESSAGE_BYTES: Final = 4 * MAX_IMAGE_BYTES
 """Longer messages close the connection; a picture that is too large is within, and is answered."""
 
@@ -321,7 +320,6 @@ class TelemetryServer:
         return answer
 
     def _answer_held(self, connection: Connection) -> None:
-        """Answer the telemetry that was held, if it is time."""
         flight = connection.in_flight
         received = flight.overdue(self._clock.seconds, has_unread=connection.has_unread) if flight.holds else None
         if received is not None and (answer := self._answer(received, time.perf_counter())) is not None:

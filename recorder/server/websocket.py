@@ -25,14 +25,11 @@ from websockets.server import ServerProtocol
 from recorder.server.listening_socket import has_unread
 
 RECEIVE_BYTES: Final = 1 << 16
-FRAME_BYTES: Final = 100
-"""The memory that a frame takes beside its content."""
+FRAME_BYTES: Final = 100  # the memory that a frame takes beside its content
 DRAIN_S: Final = 1.0
 """The time that a disconnected client may go on sending: closed at once, it might lose what it was sent last."""
-PARSED_BYTES: Final = 1 << 13
-"""The most that is parsed before others may run: 1,400 empty frames, in some 3 ms."""
-FEW_FRAMES: Final = 50
-"""No simulator sends more frames at once; after more, others run first."""
+PARSED_BYTES: Final = 1 << 13  # the most that is parsed before others may run: 1,400 empty frames, in some 3 ms
+FEW_FRAMES: Final = 50  # no simulator sends more frames at once; after more, others run first
 MAX_WAITING: Final = 64
 MAX_WAITING_BYTES: Final = 1 << 20
 """The messages that are read before they are asked for are no more than these; the system keeps the others."""
@@ -66,8 +63,7 @@ class WebSocket:
         """
         self.received_s = 0.0
         """`time.perf_counter()` at which the last byte of the last message had arrived: at most so long ago."""
-        self.taken_s = 0.0
-        """The same of the moment at which `wait` returned it."""
+        self.taken_s = 0.0  # the same of the moment at which `wait` returned it
         self.is_handed_over = True
         """False from `wait` on, until who got the message from it says so, or waits again."""
         self.broken_by = ""
@@ -201,7 +197,6 @@ class WebSocket:
         return len(frames)
 
     def _add_frame(self, frame: Frame) -> None:
-        """Add a frame to the message that it is part of."""
         if frame.opcode is not Opcode.CONT:
             self._is_text = frame.opcode is Opcode.TEXT
         self._parts.append(bytes(frame.data))
@@ -217,7 +212,6 @@ class WebSocket:
                 self._break(BROKEN_FRAME, CloseCode.INVALID_DATA)
 
     def _break(self, reason: str, code: CloseCode = CloseCode.PROTOCOL_ERROR) -> None:
-        """Close the connection of a client that broke the protocol."""
         self.broken_by = reason
         self._close(code)
 

@@ -10,7 +10,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
-from recorder.server.json_kinds import json_kind
 from recorder.server.locale_numbers import POINT
 from simulator.pose import Pose
 
@@ -25,6 +24,22 @@ _GROUPS: Final = (
     ("expert_steering", "expert_throttle"),
 )
 """Members that mean nothing without each other."""
+
+_KINDS: Final[dict[type, str]] = {
+    type(None): "null",
+    bool: "true or false",
+    int: "a number",
+    float: "a number",
+    str: "a string",
+    bytes: "binary data",
+    list: "a list",
+    dict: "an object",
+}
+
+
+def json_kind(value: object) -> str:
+    """The kind of a value that JSON, or Socket.IO beside it, can hold: "a list"."""
+    return _KINDS.get(type(value), "something else")
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from recorder.log.meant_gaps import MeantGap
 from recorder.log.pose_message import pose_message
 from recorder.log.session_car import built_in, metadata_of
 from recorder.log.writer import LogWriter
-from recorder.sources.import_result import Imported
-from recorder.sources.simulated_drive import SimulatedDrive
+from recorder.sources.imported_rows import Imported
+from recorder.sources.settings import SimulatedDrive
 from simulator.driving.drive_limits import MAX_LAPS, MAX_SPEED_MPH, DriverName
 from simulator.driving.recovery_driving import MAX_RECOVERY, DriveStep, drive_for_recording, steps_each
 from simulator.driving.simulated_driver import make_driver

@@ -17,13 +17,12 @@ from common.errors import did_you_mean, printable
 from common.untrusted import open_regular
 from common.whole_number import whole_number
 from recorder.bc_pb2 import VehicleState
-from recorder.errors import RecordingError
+from recorder.errors import RecordingError, readable
 
 MAX_LINE_CHARACTERS: Final = 100_000
 _POSITIONS: Final = frozenset(map(str, range(1, 1000)))
 _NUMBERS: Final = ("steering", "throttle", "brake", "speed_mph")
-_TIMES: Final = {"time_s": 1e9, "time_ms": 1e6, "time_us": 1e3, "time_ns": 1.0}
-"""By unit: nanoseconds."""
+_TIMES: Final = {"time_s": 1e9, "time_ms": 1e6, "time_us": 1e3, "time_ns": 1.0}  # by unit: nanoseconds
 KEYS: Final = ("image", *CAMERAS, *_NUMBERS, *_TIMES)
 
 
@@ -78,11 +77,9 @@ class CsvColumns:
         Raises RecordingError for one that cannot be read, or has not got the columns.
         """
         try:
-            with open_regular(path) as stream:
+            with readable(path), open_regular(path) as stream:
                 text = io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace", newline="")
                 yield from self._rows(path, text, scale, skipped)
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
         except csv.Error as error:
             raise RecordingError(f"{path}: no csv ({error})") from None
 

@@ -23,7 +23,7 @@ from typing import Final
 
 from common import Skipped
 from common.untrusted import read_bounded
-from recorder.errors import RecordingError
+from recorder.errors import RecordingError, readable
 
 MANIFEST, META, EXCLUDED, IMAGES = "manifest.json", "meta.json", "exclude.json", "images"
 TIME_END_NS: Final = 2**63
@@ -165,26 +165,21 @@ def _indexes(values: object) -> frozenset[int] | None:
 def _files(place: Path, root: Path, skipped: Skipped) -> dict[str, Path]:
     """The files in `place` by name; a link is taken only if what it names lies in `root`, a path without links."""
     found: dict[str, Path] = {}
-    try:
-        with os.scandir(place) as entries:
-            for entry in entries:
-                if entry.name == IMAGES:
-                    continue
-                if entry.is_symlink() and not Path(os.path.realpath(entry.path)).is_relative_to(root):
-                    skipped.add("links out of the tub", entry.name)
-                elif Path(entry.path).is_file():
-                    found[entry.name] = Path(entry.path)
-    except OSError as error:
-        raise RecordingError(f"{place}: cannot be read ({error.strerror})") from None
+    with readable(place), os.scandir(place) as entries:
+        for entry in entries:
+            if entry.name == IMAGES:
+                continue
+            if entry.is_symlink() and not Path(os.path.realpath(entry.path)).is_relative_to(root):
+                skipped.add("links out of the tub", entry.name)
+            elif Path(entry.path).is_file():
+                found[entry.name] = Path(entry.path)
     return found
 
 
 def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
     """The lines that are not empty, numbered from 1 (DonkeyCar ends them with CR LF, on Windows with CR CR LF)."""
-    try:
+    with readable(path):
         lines = read_bounded(path, _MAX_JSON_BYTES).split(b"\n")
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
     yield from ((number, line) for number, line in enumerate(lines, start=1) if line.strip())
 
 

@@ -16,13 +16,10 @@ from simulator.driving.simulation import Simulation
 from simulator.driving.vehicle import STEP_S
 from simulator.pose import Pose
 
-EYE_STEPS: Final = 2
-"""Steps of the simulator from one picture to the next."""
+EYE_STEPS: Final = 2  # steps of the simulator from one picture to the next
 EYE_HZ: Final = 1 / (EYE_STEPS * STEP_S)
-MAX_STEPS_BEHIND: Final = 4
-"""So many steps the clock goes on without a new picture; then it waits for one."""
-SCALES: Final = (1.0, 1.5, 2.0)
-"""Sizes, by that of recorded pictures: 320x160, 480x240, 640x320."""
+MAX_STEPS_BEHIND: Final = 4  # so many steps the clock goes on without a new picture; then it waits for one
+SCALES: Final = (1.0, 1.5, 2.0)  # sizes, by that of recorded pictures: 320x160, 480x240, 640x320
 _FULL_SHARE: Final = 0.9  # of the time between two pictures; rendering that takes more is too slow
 _ROOM_SHARE: Final = 0.5  # rendering at the next larger size that would take less has room
 _TRIAL: Final = 10  # of so many pictures as small as the recorded ones, one is rendered to see if there is room

@@ -1,4 +1,4 @@
-"""Finding recordings: those in a folder, and the one near a path that is none."""
+"""Finding recordings: of which kind one is, those in a folder, and the one near a path that is none."""
 
 from __future__ import annotations
 
@@ -6,19 +6,34 @@ import os
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 from recorder.sources.donkeycar_tub import is_tub
 from recorder.sources.lerobot_dataset import is_lerobot
-from recorder.sources.ros2_bag import is_bag
+from recorder.sources.ros2_bag import MCAP, SQLITE, is_bag
 from recorder.sources.udacity_recording import CSV_NAME
 
 _MAX_FOLDERS: Final = 200  # that are searched: somebody's home may hold anything
 _MAX_SUGGESTED: Final = 3
 
+Kind = Literal["log", "lerobot", "tub", "udacity", ""]
+
 
 def is_udacity(folder: Path) -> bool:
     return os.path.isfile(folder / CSV_NAME)  # noqa: PTH113  (never raises)
+
+
+def kind_of(source: Path) -> Kind:
+    """What `source` looks like: a log (an MCAP file, finished or not, or a ROS 2 bag), a LeRobot dataset, a
+    DonkeyCar tub, a recording of Udacity's simulator; empty for anything else."""
+    is_folder = os.path.isdir(source)  # noqa: PTH112  (never raises)
+    if is_bag(source) or (not is_folder and {MCAP, SQLITE} & set(source.suffixes)):
+        return "log"
+    if is_lerobot(source):
+        return "lerobot"
+    if is_tub(source):
+        return "tub"
+    return "udacity" if is_udacity(source) else ""
 
 
 def recordings_near(source: Path) -> str:
@@ -69,7 +84,7 @@ def _files_in(folder: Path) -> list[Path]:
 
 
 def _is_recording(folder: Path) -> bool:
-    return is_udacity(folder) or is_tub(folder) or is_bag(folder) or is_lerobot(folder)
+    return os.path.isdir(folder) and kind_of(folder) != ""  # noqa: PTH112
 
 
 def folders_in(folder: Path) -> list[Path]:

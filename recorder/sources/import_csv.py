@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
@@ -18,12 +19,13 @@ from recorder.pictures.decoding import is_whole_picture
 from recorder.sources.csv_columns import CsvColumns
 from recorder.sources.frame_rate import check_rate, describe_clock
 from recorder.sources.import_mcap import check_scale
-from recorder.sources.import_result import Imported, SkippedEvents
-from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_log
-from recorder.sources.picture_folder import PictureFolder
+from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, Imported, ImportedRow, SkippedEvents, write_log
 from recorder.sources.udacity_recording import MAX_CSV_BYTES, MAX_PICTURE_BYTES
 
 MISSING: Final = "pictures that a row names and no file has, or several have"
+MAX_FILES: Final = 5_000_000
+ENDINGS: Final = (".jpg", ".jpeg", ".png")
+_NUMBER: Final = re.compile(r"[0-9]{1,18}")
 
 
 def import_csv(
@@ -100,7 +102,6 @@ def _rows(
     steering_scale: float,
     skipped: Skipped,
 ) -> Iterator[ImportedRow]:
-    """The rows that can be used, with their pictures, one at a time."""
     named = set[str]()
     rows = columns.rows(csv, steering_scale, skipped)
     for row in track(rows, f"importing {csv.parent.name}", len(folder.paths)):
@@ -136,3 +137,57 @@ def _read(path: str) -> bytes | None:
     except OSError:
         return None
     return picture if is_whole_picture(picture) else None
+
+
+class PictureFolder:
+    """Finds a picture by its path in the folder, by its name, by its name without ending, or by its number.
+
+    A name that several folders have, or a number that several pictures have, is none. Links are not followed.
+    """
+
+    def __init__(self, root: Path) -> None:
+        """Raises RecordingError for a folder that cannot be read, or without a picture."""
+        self.root = root
+        self.paths: dict[str, str] = {}  # by the path within the root, with slashes
+        self._by_name: dict[str, str | None] = {}  # None: several
+        self._by_number: dict[int, str | None] = {}
+        for within, path in _pictures(root):
+            self.paths[within] = path
+            if len(self.paths) > MAX_FILES:
+                raise RecordingError(f"{root}: over {MAX_FILES:,} pictures; give a folder of one recording")
+            name = within.rpartition("/")[2]
+            stem = name.rpartition(".")[0]
+            for called in {name, stem}:
+                self._by_name[called] = None if called in self._by_name else path
+            if digits := _NUMBER.findall(stem):
+                number = int(digits[-1])
+                self._by_number[number] = None if number in self._by_number else path
+        if not self.paths:
+            raise RecordingError(f"{root}: no .jpg, .jpeg or .png in it, nor in the folders in it")
+
+    def find(self, named: str) -> str | None:
+        """The path of the picture that a csv calls so; None without one, or if several may be meant."""
+        slashed = named.replace("\\", "/").removeprefix("./")
+        if slashed in self.paths:
+            return self.paths[slashed]
+        name = slashed.rpartition("/")[2]
+        if name in self._by_name:
+            return self._by_name[name]
+        whole = name.removesuffix(".0")  # a table that made floats of numbers
+        return self._by_number.get(int(whole)) if _NUMBER.fullmatch(whole) else None
+
+
+def _pictures(root: Path) -> Iterator[tuple[str, str]]:
+    """Path within the root, and path, of every picture; in the order of their names."""
+
+    def refuse(error: OSError) -> None:
+        raise RecordingError(f"{error.filename}: cannot be read ({error.strerror})") from None
+
+    for folder, folders, names in os.walk(root, onerror=refuse):
+        folders.sort()
+        within = os.path.relpath(folder, root).replace(os.sep, "/")
+        prefix = "" if within == "." else f"{within}/"
+        for name in sorted(names):
+            path = os.path.join(folder, name)  # noqa: PTH118  (a Path of each would take longer)
+            if name.lower().endswith(ENDINGS) and not os.path.islink(path):  # noqa: PTH114
+                yield prefix + name, path

@@ -15,11 +15,10 @@ from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.session_car import Car, metadata_of
-from recorder.pictures.jpeg import is_whole_jpeg
+from recorder.pictures.whole_picture import is_whole_jpeg
 from recorder.sources.donkeycar_tub import TIME_END_NS, Tub, TubRecord, finite, open_tub
 from recorder.sources.frame_rate import check_rate, describe_clock
-from recorder.sources.import_result import Imported, SkippedEvents
-from recorder.sources.imported_rows import ImportedRow, write_log
+from recorder.sources.imported_rows import Imported, ImportedRow, SkippedEvents, write_log
 from recorder.sources.udacity_recording import MAX_PICTURE_BYTES
 
 DEFAULT_RATE_HZ: Final = 20  # of DonkeyCar's loop, unless it is configured otherwise
@@ -32,12 +31,7 @@ class _UnusableRecordError(Exception):
 
 
 def import_tub(
-    folder: Path,
-    log: Path,
-    *,
-    rate_hz: float | None = None,
-    car: Car | None = None,
-    overwrite: bool = False,
+    folder: Path, log: Path, *, rate_hz: float | None = None, car: Car | None = None, overwrite: bool = False
 ) -> Imported:
     """Write the DonkeyCar tub in `folder` to `log`; its pictures byte for byte, its records in their order.
 
@@ -69,7 +63,6 @@ def import_tub(
 
 
 def _frames(tub: Tub, step_ms: float | None, what: str, skipped: Skipped) -> Iterator[ImportedRow]:
-    """The usable records with their pictures, one at a time."""
     named: set[str] = set()
     for record in track(tub.records(skipped), what, tub.count):
         try:

@@ -27,40 +27,33 @@ from recorder.log.meant_gaps import MAX_S, MeantGap, earlier_seconds
 from recorder.log.session_car import CAR_KEY, Car, car_in, metadata_of
 from recorder.pictures.decoding import is_whole_picture
 from recorder.sources.import_mcap import check_scale
-from recorder.sources.import_result import Imported, SkippedEvents
-from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_log
+from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, Imported, ImportedRow, SkippedEvents, write_log
 from recorder.sources.lerobot_dataset import BATCH_ROWS, LeRobotFolder, open_dataset
 from recorder.sources.lerobot_features import LeRobotFeatures, choose_features
 from recorder.sources.lerobot_videos import CameraVideos
+from recorder.sources.settings import Topics
 from recorder.sources.udacity_recording import MAX_PICTURE_BYTES
 
-APART_NS: Final = 10_000_000_000
-"""Between episodes whose dates are unknown: each is a drive of its own."""
+APART_NS: Final = 10_000_000_000  # between episodes whose dates are unknown: each is a drive of its own
 _TIME_END_NS: Final = 2**63
 
 
 def import_lerobot(
-    folder: Path,
-    log: Path,
-    *,
-    image: str | None = None,
-    steering: str | None = None,
-    steering_scale: float = 1.0,
-    car: Car | None = None,
-    overwrite: bool = False,
+    folder: Path, log: Path, topics: Topics | None = None, *, car: Car | None = None, overwrite: bool = False
 ) -> Imported:
     """Write the LeRobot dataset in `folder` to `log`: images byte for byte, frames of videos encoded anew.
 
-    `image` names the feature that is the camera's pictures, `steering` the number that is the steering, as
-    `action.steering` or `action.0`; without them, features are found by their names. Episodes are drives. An
+    `topics` names the feature that is the camera's pictures, and the number that is the steering, as
+    `action.steering` or `action.0`; what it leaves out is found by the features' names. Episodes are drives. An
     export of ours comes back with its own times and all digits; of others the times begin in 1970. `car` is the
     one that was recorded; an export of ours has it.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
+    topics = topics or Topics()
     refuse_existing(log, overwrite)
-    check_scale(steering_scale)
+    check_scale(topics.steering_scale)
     dataset = open_dataset(folder)
-    chosen = choose_features(dataset, image, steering, steering_scale)
+    chosen = choose_features(dataset, topics)
     events = SkippedEvents()
     with contextlib.ExitStack() as stack:
         videos = {
@@ -70,11 +63,11 @@ def import_lerobot(
         }
         frames = _frames(dataset, chosen, videos, events.skipped)
         log_car = _stored_car(dataset) if car is None and chosen.is_own else car
-        metadata = _metadata(dataset, chosen, steering_scale) | metadata_of(log_car)
+        metadata = _metadata(dataset, chosen, topics.steering_scale) | metadata_of(log_car)
         without_rows = f"{folder}: no frame of it can be used"
         imported = write_log(log, metadata, frames, events, without_rows, overwrite=overwrite)
     notices = []
-    if steering is None and not chosen.is_own:
+    if topics.steering is None and not chosen.is_own:
         notices.append(f"steering is the dataset's {printable(chosen.steering.label)} (--steering names another)")
     if videos:
         notices.append("decoded from videos and encoded anew: these are not the camera's original pictures")
@@ -130,7 +123,6 @@ def _own_gaps(dataset: LeRobotFolder) -> dict[int, MeantGap]:
 def _frames(
     dataset: LeRobotFolder, chosen: LeRobotFeatures, videos: dict[Camera, CameraVideos], skipped: Skipped
 ) -> Iterator[ImportedRow]:
-    """The frames that can be used, one at a time."""
     images = {camera: key for camera, key in chosen.cameras.items() if camera not in videos}
     time_columns = [LOG_TIME] if chosen.has_log_time else []
     columns = list(

@@ -19,17 +19,16 @@ from mcap.records import Channel, Message, Schema
 from numpy.typing import NDArray
 
 from common import Skipped
-from common.files import refuse_existing
+from common.files import PART_SUFFIX, refuse_existing
 from common.progress import track
-from common.untrusted import open_regular
+from common.untrusted import open_regular, real_path
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.reader import Log
 from recorder.log.session_car import Car, metadata_of
 from recorder.mcap.mcap_file import WITHOUT_CRCS
 from recorder.pictures.decoding import is_whole_picture
-from recorder.sources.import_result import Imported, SkippedEvents
-from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, ImportedRow, write_log
+from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, Imported, ImportedRow, SkippedEvents, write_log
 from recorder.sources.mcap_messages import (
     Decoder,
     FieldError,
@@ -39,7 +38,8 @@ from recorder.sources.mcap_messages import (
     number_in,
     picture_in,
 )
-from recorder.sources.ros2_bag import MCAP, SQLITE, SqliteFile, bag_files, is_bag
+from recorder.sources.ros2_bag import SQLITE, SqliteFile, bag_files
+from recorder.sources.settings import Topics
 from recorder.topics import PROFILE
 
 MAX_STEERING_AGE_S: Final = 1.0
@@ -47,19 +47,6 @@ MAX_STEERING_AGE_S: Final = 1.0
 _TIME_END_NS: Final = 2**63
 # magic, then the header's opcode, length, and the length of its profile
 _OWN_HEADER: Final = re.compile(rb"\x89MCAP0\r\n\x01.{8}\x02\0\0\0" + PROFILE.encode(), re.DOTALL)
-
-
-@dataclass(frozen=True)
-class McapTopics:
-    """The topics that are taken out of another program's log."""
-
-    image: str
-    """The topic of the pictures: foxglove.CompressedImage or sensor_msgs/CompressedImage, JPEG or PNG."""
-    steering: str
-    """The topic and the field of the steering, such as /drive.drive.steering_angle or /joy.axes.0."""
-    steering_scale: float = 1.0
-    """What makes -1 (left) .. 1 (right) of it. ROS counts left as positive: give -1 for
-    what is -1..1 already, -2.29 for radians."""
 
 
 @dataclass(frozen=True)
@@ -97,11 +84,6 @@ class _Steering:
     value: NDArray[np.float64]
 
 
-def is_mcap_or_bag(source: Path) -> bool:
-    """True if `source` looks like another program's log: an MCAP file, finished or not, or a ROS 2 bag."""
-    return is_bag(source) if source.is_dir() else bool({MCAP, SQLITE} & set(source.suffixes))
-
-
 def is_own_log(source: Path) -> bool:
     """True if `source` is a log of this toolkit: an MCAP file whose header names its profile."""
     try:
@@ -118,38 +100,57 @@ def check_scale(steering_scale: float) -> None:
 
 
 def import_mcap(
-    source: Path, log: Path, topics: McapTopics, *, car: Car | None = None, overwrite: bool = False
+    source: Path, log: Path, topics: Topics, *, car: Car | None = None, overwrite: bool = False
 ) -> Imported:
     """Write the pictures of another program's log to `log`, byte for byte, each with the last steering before it.
 
+    `topics` names the topic of the pictures (foxglove.CompressedImage or sensor_msgs/CompressedImage, JPEG or
+    PNG), and the topic and field of the steering, such as /drive.drive.steering_angle or /joy.axes.0. Its scale
+    makes -1 (left) .. 1 (right) of that: -1 for ROS where it is -1..1 already, -2.29 for radians.
     Pictures without a steering that is at most a second old are left out. Speed is NaN, the pedals are 0.
     `car` is the one that was recorded.
     Raises RecordingError if nothing in it can be used, LogError if a chunk of it is damaged, and UserError if
     `log` exists and `overwrite` is off.
     """
+    if topics == Topics() and is_own_log(source):
+        raise RecordingError(f"{source}: a log of this toolkit, {_what_to_do_instead(source, log)}")
+    image, wanted = topics.image, topics.steering
+    if image is None or wanted is None:
+        raise RecordingError(
+            f"{source}: which topics? Give --image TOPIC and --steering TOPIC.FIELD;"
+            f" `bc-log info {source}` lists them"
+        )
     refuse_existing(log, overwrite)  # before minutes of reading
     check_scale(topics.steering_scale)
     events = SkippedEvents()
     skipped = events.skipped
     files = _files(source, skipped)
     types = {topic: kind for file in files for topic, kind in file.types(skipped).items()}
-    steering_topic, field = _split_field(source, topics.steering, types)
-    _check_image_topic(source, topics.image, types)
+    steering_topic, field = _split_field(source, wanted, types)
+    _check_image_topic(source, image, types)
     steering = _read_steering(source, files, steering_topic, field, topics.steering_scale, skipped)
-    rows = _rows(files, topics.image, steering, f"importing {source.name}", skipped)
+    rows = _rows(files, image, steering, f"importing {source.name}", skipped)
     metadata = {
         "source": "ros2 bag" if source.is_dir() else "mcap",
         "recording": Path(os.path.realpath(source)).name,
-        "image_topic": topics.image,
-        "steering_topic": topics.steering,
+        "image_topic": image,
+        "steering_topic": wanted,
         "steering_scale": repr(topics.steering_scale),
     }
     has_crcs = all(file.has_crcs() for file in files if isinstance(file, _McapFile))
     warnings = [] if has_crcs else [f"{metadata['recording']}: {WITHOUT_CRCS}"]
-    without_rows = f"{source}: no picture on {topics.image} can be used"
+    without_rows = f"{source}: no picture on {image} can be used"
     return write_log(
         log, metadata | metadata_of(car), rows, events, without_rows, warnings=warnings, overwrite=overwrite
     )
+
+
+def _what_to_do_instead(source: Path, log: Path) -> str:
+    if source.suffix == PART_SUFFIX:
+        return f"still unfinished: finish it with `bc-log recover {source}`"
+    if real_path(source).parent == real_path(log).parent:
+        return "and a session already: `bc-index` takes it in"
+    return f"which is a session without being imported: copy it into {log.parent}/"
 
 
 def topics_in(source: Path, skipped: Skipped) -> dict[str, str]:
@@ -222,7 +223,6 @@ def _read_steering(
 def _rows(
     files: list[_File], topic: str, steering: _Steering, bar: str, skipped: Skipped
 ) -> Iterator[ImportedRow]:
-    """The pictures that can be used, one at a time in the order of the files."""
     for time_ns, name, message in _decoded(files, topic, bar, skipped):
         at = int(np.searchsorted(steering.time_ns, time_ns, "right")) - 1
         if at < 0:

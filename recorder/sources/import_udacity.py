@@ -12,9 +12,9 @@ from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
 from recorder.log.session_car import UDACITY, Car, metadata_of
 from recorder.log.writer import LogWriter
-from recorder.pictures.jpeg import is_whole_jpeg
+from recorder.pictures.whole_picture import is_whole_jpeg
 from recorder.sources.frame_rate import describe_clock
-from recorder.sources.import_result import Imported, SkippedEvents
+from recorder.sources.imported_rows import Imported, SkippedEvents
 from recorder.sources.udacity_csv import Row
 from recorder.sources.udacity_recording import MAX_PICTURE_BYTES, UdacityRecording
 from simulator.protocol.udacity_writer import CSV_CAMERAS

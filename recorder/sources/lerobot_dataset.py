@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 
 from common.errors import printable
 from common.untrusted import open_regular, read_bounded
-from recorder.errors import RecordingError
+from recorder.errors import RecordingError, readable
 from recorder.lerobot.dataset_format import INFO_PATH, VERSION, Feature
 
 MAX_EPISODES: Final = 10_000_000
@@ -105,9 +105,8 @@ def open_dataset(folder: Path) -> LeRobotFolder:
     """Raises RecordingError for what is not a dataset of format v3."""
     path = folder / INFO_PATH
     try:
-        loaded = json.loads(read_bounded(path, MAX_INFO_BYTES))
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
+        with readable(path):
+            loaded = json.loads(read_bounded(path, MAX_INFO_BYTES))
     except (ValueError, RecursionError):
         raise RecordingError(f"{path}: not JSON; download the dataset again") from None
     try:

@@ -17,6 +17,7 @@ from common.errors import did_you_mean, printable
 from recorder.errors import RecordingError
 from recorder.lerobot.dataset_format import ACTION_NAMES, LOG_TIME, LOG_VEHICLE, Feature, image_key
 from recorder.sources.lerobot_dataset import LeRobotFolder
+from recorder.sources.settings import Topics
 
 _NUMBERS: Final = ("float16", "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32")
 _THROTTLE: Final = ("throttle", "gas", "accelerator")
@@ -67,21 +68,19 @@ class LeRobotFeatures:
         return [number for number in numbers if number is not None]
 
 
-def choose_features(
-    dataset: LeRobotFolder, image: str | None, steering: str | None, steering_scale: float
-) -> LeRobotFeatures:
-    """`image` and `steering` are the user's choice, if any. Raises RecordingError if a feature cannot be found."""
+def choose_features(dataset: LeRobotFolder, topics: Topics) -> LeRobotFeatures:
+    """`topics` is the user's choice. Raises RecordingError if a feature cannot be found."""
     is_own = LOG_TIME in dataset.features and dataset.features.get(LOG_VEHICLE, Feature("", ())).shape == (4,)
-    cameras = _cameras(dataset, image)
-    if is_own and steering is None and steering_scale == 1.0:
+    cameras = _cameras(dataset, topics.image)
+    if is_own and topics.steering is None and topics.steering_scale == 1.0:
         numbers = [
             FeatureNumber(LOG_VEHICLE, at, f"{LOG_VEHICLE}.{name}")
             for at, name in enumerate((*ACTION_NAMES, "speed_mph"))
         ]
         return LeRobotFeatures(numbers[0], numbers[1], numbers[2], numbers[3], cameras, True)
-    chosen = _number(dataset, steering) if steering is not None else _steering_by_name(dataset)
+    chosen = _steering_by_name(dataset) if topics.steering is None else _number(dataset, topics.steering)
     return LeRobotFeatures(
-        FeatureNumber(chosen.feature, chosen.index, chosen.label, steering_scale),
+        FeatureNumber(chosen.feature, chosen.index, chosen.label, topics.steering_scale),
         _beside(dataset, chosen, _THROTTLE),
         _beside(dataset, chosen, ("brake",)),
         _speed(dataset),

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Literal
 
 from common import Skipped
 from common.errors import counted
-from common.files import refuse_existing
 from common.interrupts import stop_signals
 from common.output import print_message
 from common.progress import StatusLine
@@ -26,8 +25,8 @@ from recorder.server.telemetry import Telemetry, TelemetryError, check_whole_pic
 from recorder.server.telemetry_row import write_telemetry
 from recorder.server.telemetry_server import NO_TELEMETRY_S, Answer, Steer, TelemetryServer
 from recorder.server.world import WorldNotices
-from recorder.sources.import_result import Imported
-from recorder.sources.listen_settings import ListenSettings
+from recorder.sources.imported_rows import Imported
+from recorder.sources.settings import ListenSettings
 from recorder.topics import PERSON_METADATA
 from recorder.upkeep.derived_log import close_with_tags
 
@@ -39,11 +38,7 @@ RATE_S = 1.0  # the rows a second that are shown are those of this last while
 
 
 def listen_for_telemetry(
-    log: Path,
-    settings: ListenSettings,
-    *,
-    overwrite: bool = False,
-    person: PersonOfTelemetry | None = None,
+    log: Path, settings: ListenSettings, *, overwrite: bool = False, person: PersonOfTelemetry | None = None
 ) -> Imported:
     """Record the telemetry of Socket.IO clients to `log`. Every telemetry is answered by `manual`, which asks for
     the next one, or by a `person`, who also chooses what is recorded.
@@ -54,7 +49,6 @@ def listen_for_telemetry(
     Raises RecordingError if not one telemetry came that can be used, ListenError if the port is taken, UserError
     if `log` exists and `overwrite` is off, or if it cannot be written any further.
     """
-    refuse_existing(log, overwrite)
     driver = {} if person is None else {"driver": "human"}
     metadata = {"source": "telemetry", **driver, **metadata_of(settings.car)}
     with stop_signals() as stopped, contextlib.ExitStack() as writing:
@@ -84,7 +78,7 @@ def listen_for_telemetry(
             raise RecordingError(f"{log}: {session.why_nothing()}")
         if person is not None:
             writer.add_metadata(PERSON_METADATA, {"hold_mph": f"{person.hold_mph:g}"})
-            close_with_tags(writer, person.last_rows.tags)
+            close_with_tags(writer, person.recording.tags)
     return Imported(log, session.rows, session.pictures, session.skipped, writer.notices)
 
 

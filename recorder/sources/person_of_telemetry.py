@@ -11,20 +11,17 @@ from typing import Final
 from recorder.errors import RecordingError
 from recorder.server.telemetry import Telemetry
 from recorder.server.telemetry_server import Steer
-from recorder.sources.import_result import Imported
-from recorder.sources.listen_settings import ListenSettings
+from recorder.sources.imported_rows import Imported
 from recorder.sources.live_telemetry import listen_for_telemetry
 from recorder.sources.person_pedals import MAX_STANDING_MPH, brake_of_telemetry, throttle_of_telemetry
-from recorder.teleop.frame_state import FrameState, drives_alone
-from recorder.teleop.hello import hello
-from recorder.teleop.last_rows import LastRows
+from recorder.sources.settings import ListenSettings
+from recorder.teleop.frame_state import FrameState, drives_alone, hello
 from recorder.teleop.rate_meter import RateMeter
 from recorder.teleop.recording import Recording
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Wheel
 
-MAX_BRAKING_S: Final = 5.0
-"""A simulator whose car does not come to a stand in that time is left alone at the end."""
+MAX_BRAKING_S: Final = 5.0  # a simulator whose car does not come to a stand in that time is left alone at the end
 
 
 class PersonOfTelemetry:
@@ -33,26 +30,17 @@ class PersonOfTelemetry:
     def __init__(self, wheel: Wheel, hold_mph: float) -> None:
         """`hold_mph` is the speed that the page offers to hold."""
         self._wheel = wheel
-        self._control = Control()
+        self.control = Control()  # the controls in force
         self._sent = Steer(0.0, 0.0)  # is in force at the next telemetry's picture
         self._speed_mph = math.nan
         self._rates = RateMeter()
         self._first_ns = self._last_ns = 0
         self._braking_since_s: float | None = None
         self.recording = Recording(wheel)
-        self.last_rows = LastRows(wheel)
-        self.hold_mph = hold_mph
-        """The speed that was held last, or offered."""
+        self.hold_mph = hold_mph  # the speed that was held last, or offered
         self.rows = 0
-        self.why = "stopped at the terminal"
-        """Why the drive has ended."""
-        self.is_ended = False
-        """The person has ended the drive."""
-
-    @property
-    def control(self) -> Control:
-        """The controls in force."""
-        return self._control
+        self.why = "stopped at the terminal"  # why the drive has ended
+        self.is_ended = False  # the person has ended the drive
 
     @property
     def brake(self) -> float:
@@ -64,13 +52,13 @@ class PersonOfTelemetry:
         self._speed_mph = speed_mph
         if telemetry is not None:
             self._show(telemetry)
-        self._control = self._wheel.control()
-        self.hold_mph = self._control.hold_mph or self.hold_mph
+        self.control = self._wheel.control()
+        self.hold_mph = self.control.hold_mph or self.hold_mph
         if self._braking_since_s is not None:
             self._sent = Steer(0.0, brake_of_telemetry(speed_mph), separator)
         else:
-            throttle = throttle_of_telemetry(self._control, speed_mph)
-            self._sent = Steer(self._control.steering, throttle, separator)
+            throttle = throttle_of_telemetry(self.control, speed_mph)
+            self._sent = Steer(self.control.steering, throttle, separator)
         return self._sent
 
     def is_at_rest(self) -> bool:
@@ -83,30 +71,24 @@ class PersonOfTelemetry:
 
     def takes_row(self) -> bool:
         """True if the telemetry that has come is to be recorded."""
-        return self._braking_since_s is None and self.recording.takes_row(self._control)
+        return self._braking_since_s is None and self.recording.takes_row(self.control)
 
     def has_row(self, time_ns: int) -> None:
         """Note a row that was recorded."""
-        self.last_rows.add(time_ns, self.rows)
+        self.recording.add(time_ns, self.rows)
         self.rows += 1
         self._first_ns, self._last_ns = self._first_ns or time_ns, time_ns
-        self.recording.gap_why = ""
 
     def heed(self) -> list[str]:
         """Heed what the person has asked for; returns the events of it for the log."""
         events: list[str] = []
         for request in self._wheel.requests():
+            events += self.recording.heed(request)
             match request.kind:
-                case "record" | "pause":
-                    self.recording.heed(request)
-                case "bad":
-                    events += self.last_rows.exclude(request.seconds)
                 case "put_back":
                     self._wheel.event("only the simulator itself can put the car back", is_problem=True)
                 case "end":
                     self.is_ended, self.why = True, "ended on the page"
-                case "hand_back":
-                    pass  # nobody else drives
         return events
 
     def _show(self, telemetry: Telemetry) -> None:
@@ -117,9 +99,9 @@ class PersonOfTelemetry:
         speed_mph = 0.0 if math.isnan(telemetry.speed_mph) else telemetry.speed_mph
         state = FrameState(
             time_s=now_s if simulated_s is None else simulated_s,
-            control=self._control,
-            drives=drives_alone(self._control, is_rolling=abs(speed_mph) > MAX_STANDING_MPH),
-            device=self._control.device,
+            control=self.control,
+            drives=drives_alone(self.control, is_rolling=abs(speed_mph) > MAX_STANDING_MPH),
+            device=self.control.device,
             steering=self._sent.steering,
             throttle=self._sent.throttle,
             speed_mph=speed_mph,

@@ -12,8 +12,7 @@ from simulator.driving.course import Course
 from simulator.driving.expert import plan_speed, throttle_for
 from simulator.driving.vehicle import TOP_SPEED_MPS
 
-MAX_STANDING_MPH: Final = 0.5
-"""A car at rest: braked any longer, it would reverse."""
+MAX_STANDING_MPH: Final = 0.5  # a car at rest: braked any longer, it would reverse
 _STEP_MPH: Final = 0.5  # plans are made for multiples of it
 _GAIN_PER_MPH: Final = 0.2  # full throttle at 5 mph too slow; it balances drag at half a mile an hour too slow
 

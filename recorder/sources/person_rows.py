@@ -6,7 +6,7 @@ import contextlib
 import queue
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from typing import Final, Self
 
 from common.interrupts import leave_signals_to_main_thread
@@ -20,18 +20,9 @@ from simulator.rendering.camera import MOUNT_LEFT_M
 
 MAX_WAITING: Final = 10
 """Rows that wait to be rendered: a kill loses them. With more, the drive waits, and its clock with it."""
-MAX_PATIENT: Final = 5
-"""With fewer rows that wait, pictures for the eye are rendered first."""
+MAX_PATIENT: Final = 5  # with fewer rows that wait, pictures for the eye are rendered first
 _PATIENCE_S: Final = 0.05
 _TICK_S: Final = 0.1
-
-
-@dataclass(frozen=True)
-class PersonRow:
-    time_ns: int
-    pose: Pose
-    state: VehicleState
-    gap: MeantGap | None = None  # before it
 
 
 class PersonRows:
@@ -45,18 +36,15 @@ class PersonRows:
         self._actions: queue.Queue[Callable[[], None] | None] = queue.Queue(MAX_WAITING)
         self._failure: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="rows", daemon=True)
-        self.count = 0
-        """Rows until now, also those that wait."""
-        self.written = 0
-        """Rows that no longer wait."""
+        self.count = 0  # rows until now, also those that wait
+        self.written = 0  # rows that no longer wait
         self.last_ns = 0
 
-    def add(self, row: PersonRow) -> None:
-        """Add a row; waits while too many wait. Raises what writing has raised."""
-        number = self.count
+    def add(self, time_ns: int, pose: Pose, state: VehicleState, gap: MeantGap | None) -> None:
+        """Add a row, with the gap before it; waits while too many wait. Raises what writing has raised."""
+        self._put(partial(self._write, self.count, time_ns, pose, state, gap))
         self.count += 1
-        self.last_ns = row.time_ns
-        self._put(lambda: self._write(number, row))
+        self.last_ns = time_ns
 
     def event(self, text: str, level: EventLevel = "INFO") -> None:
         """Add an event at the time of the last row."""
@@ -85,16 +73,16 @@ class PersonRows:
             with contextlib.suppress(queue.Full):
                 return self._actions.put(action, timeout=_TICK_S)
 
-    def _write(self, number: int, row: PersonRow) -> None:
+    def _write(self, number: int, time_ns: int, pose: Pose, state: VehicleState, gap: MeantGap | None) -> None:
         jpegs = {}
         for camera in MOUNT_LEFT_M:
             if self._actions.qsize() < MAX_PATIENT:
                 self._let_pass(_PATIENCE_S)
-            jpegs[camera] = self._simulation.jpeg(camera, row.pose)
+            jpegs[camera] = self._simulation.jpeg(camera, pose)
         for camera, jpeg in jpegs.items():
-            self._writer.picture(camera, row.time_ns, number, jpeg)
-        self._writer.vehicle(row.time_ns, number, row.state, row.gap)
-        self._writer.pose(row.time_ns, number, pose_message(row.pose, row.time_ns))
+            self._writer.picture(camera, time_ns, number, jpeg)
+        self._writer.vehicle(time_ns, number, state, gap)
+        self._writer.pose(time_ns, number, pose_message(pose, time_ns))
         self.written = number + 1
 
     def _run(self) -> None:

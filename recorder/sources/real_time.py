@@ -8,8 +8,7 @@ from typing import Final
 
 from recorder.teleop.rate_meter import RateMeter
 
-MAX_CATCH_UP_S: Final = 0.1
-"""A clock that is later than that does not catch up: the drive was in slow motion."""
+MAX_CATCH_UP_S: Final = 0.1  # a clock that is later than that does not catch up: the drive was in slow motion
 
 
 class RealTime:

@@ -24,7 +24,7 @@ from recorder.sources.built_in_simulator import CLOCK_START_NS
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.gymnasium_car import GymnasiumCar
 from recorder.sources.gymnasium_flags import GymFlags
-from recorder.sources.import_result import Imported
+from recorder.sources.imported_rows import Imported
 from simulator.driving.wandering import Wandering
 
 

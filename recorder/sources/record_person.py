@@ -25,14 +25,12 @@ from recorder.log.writer import LogWriter
 from recorder.rows.devices import device_value
 from recorder.sources.built_in_simulator import simulation_on, simulator_metadata
 from recorder.sources.eye_pictures import EYE_HZ, EyeMoment, EyePictures, WhenDue
-from recorder.sources.import_result import Imported
+from recorder.sources.frame_rate import check_row_rate, is_row_step
+from recorder.sources.imported_rows import Imported
 from recorder.sources.person_pedals import CoursePedals
-from recorder.sources.person_rows import PersonRow, PersonRows
+from recorder.sources.person_rows import PersonRows
 from recorder.sources.real_time import RealTime
-from recorder.sources.row_steps import check_row_rate, is_row_step
-from recorder.teleop.frame_state import FrameState, drives_alone
-from recorder.teleop.hello import hello
-from recorder.teleop.last_rows import LastRows
+from recorder.teleop.frame_state import FrameState, drives_alone, hello
 from recorder.teleop.recording import Recording
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Request, Wheel
@@ -44,8 +42,7 @@ from simulator.rendering.camera import MOUNT_LEFT_M
 
 PUT_BACK_S: Final = 1.5
 """The simulated clock runs on for so long when the car is put back: a gap, behind which another drive begins."""
-STUCK_S: Final = 5.0
-"""A car that is to drive on and does not move for so long is put back."""
+STUCK_S: Final = 5.0  # a car that is to drive on and does not move for so long is put back
 _STUCK_MPH: Final = 0.5
 _STATUS_STEPS: Final = 25
 _WAIT_S: Final = 0.1  # for a picture, before signals are looked at again
@@ -107,7 +104,7 @@ def record_person(
             wheel.end({"log": str(log), "rows": 0, "why": f"{why}: nothing was recorded", "takeovers": []})
             raise RecordingError(f"{log}: nothing was recorded: begin to record on the page, and drive")
         writer.add_metadata(PERSON_METADATA, {"hold_mph": f"{driving.hold_mph:g}"})
-        close_with_tags(writer, driving.last_rows.tags)
+        close_with_tags(writer, driving.recording.tags)
         wheel.end({"log": str(log), "rows": rows.count, "why": why, "takeovers": []})
     return Imported(log, rows.count, rows.count * len(MOUNT_LEFT_M), Skipped(), writer.notices)
 
@@ -139,10 +136,8 @@ class _Drive:
         self._shift_s = 0.0  # of the log's clock, by the gaps where the car was put back
         self._stuck_steps = 0
         self._put_back = 0
-        self._recording = Recording(wheel)
-        self.last_rows = LastRows(wheel)
-        self.hold_mph = drive.speed_mph
-        """The speed that was held last, or offered."""
+        self.recording = Recording(wheel)
+        self.hold_mph = drive.speed_mph  # the speed that was held last, or offered
 
     def run(self, stopped: StopEvent) -> str:
         """Drive until the person, a signal or the laps end it; why it has ended."""
@@ -161,16 +156,10 @@ class _Drive:
         return "stopped at the terminal"
 
     def _heed(self, request: Request) -> None:
-        match request.kind:
-            case "record" | "pause":
-                self._recording.heed(request)
-            case "bad":
-                for text in self.last_rows.exclude(request.seconds):
-                    self._rows.event(text)
-            case "put_back":
-                self._put_on_line("the person had the car put back on its line")
-            case "hand_back" | "end":
-                pass  # nobody else drives
+        for text in self.recording.heed(request):
+            self._rows.event(text)
+        if request.kind == "put_back":
+            self._put_on_line("the person had the car put back on its line")
 
     def _advance(self) -> None:
         control = self._wheel.control()
@@ -179,12 +168,12 @@ class _Drive:
         throttle = self._pedals.throttle(control)
         self._course.advance(steering, throttle)
         self._step += 1
-        if is_row_step(self._step, self._drive.rate_hz) and self._recording.takes_row(control):
+        if is_row_step(self._step, self._drive.rate_hz) and self.recording.takes_row(control):
             self._record(control, throttle)
         if self._when_due.is_due(self._step, steering):
             self._eye.offer(EyeMoment(self._step, self._course.pose, self._state(control, steering, throttle)))
         if self._step % _STATUS_STEPS == 0:
-            recording = "recording" if self._recording.is_on else "not recording"
+            recording = "recording" if self.recording.is_on else "not recording"
             self._status.show(
                 f"{recording}: {counted(self._rows.count, 'row')}, {self._course.laps:.2f} laps,"
                 f" {self._real_time.pace:.0%} of real time"
@@ -205,7 +194,7 @@ class _Drive:
         self._shift_s += PUT_BACK_S
         self._stuck_steps = 0
         self._put_back += 1
-        self._recording.gap_why = why
+        self.recording.gap_why = why
         self._wheel.event(why, is_problem=True)
 
     @property
@@ -222,11 +211,10 @@ class _Drive:
             speed_mph=self._course.vehicle.speed_mph,
             device=device_value(control.device),
         )
-        is_gap = gap_s > 0.5 / self._drive.rate_hz and self._recording.gap_why  # more than an uneven step
-        gap = MeantGap(gap_s, self._recording.gap_why) if is_gap else None
-        self.last_rows.add(round(self._course.time_s * 1e9), self._rows.count)
-        self._rows.add(PersonRow(time_ns, self._course.pose, state, gap))
-        self._recording.gap_why = ""
+        is_gap = gap_s > 0.5 / self._drive.rate_hz and self.recording.gap_why  # more than an uneven step
+        gap = MeantGap(gap_s, self.recording.gap_why) if is_gap else None
+        self.recording.add(round(self._course.time_s * 1e9), self._rows.count)
+        self._rows.add(time_ns, self._course.pose, state, gap)
 
     def _state(self, control: Control, steering: float, throttle: float) -> FrameState:
         car = self._course.vehicle
@@ -240,7 +228,7 @@ class _Drive:
             speed_mph=car.speed_mph,
             rows=self._rows.written,
             recorded_s=self._rows.count / self._drive.rate_hz,
-            is_recording=self._recording.is_on,
+            is_recording=self.recording.is_on,
             pace=self._real_time.pace,
             place=car,
             laps=self._course.laps,

@@ -13,10 +13,10 @@ from common.errors import counted, printable
 from common.untrusted import open_regular
 from recorder.errors import RecordingError
 from recorder.sources.csv_columns import MAX_LINE_CHARACTERS
-from recorder.sources.donkeycar_tub import is_tub, open_tub
-from recorder.sources.find_recording import is_udacity
-from recorder.sources.import_mcap import is_mcap_or_bag, is_own_log, topics_in
-from recorder.sources.lerobot_dataset import is_lerobot, open_dataset
+from recorder.sources.donkeycar_tub import open_tub
+from recorder.sources.find_recording import kind_of
+from recorder.sources.import_mcap import is_own_log, topics_in
+from recorder.sources.lerobot_dataset import open_dataset
 from recorder.sources.mcap_messages import is_picture_type
 from recorder.sources.udacity_recording import UdacityRecording
 
@@ -51,21 +51,20 @@ def summarize_recording(source: Path) -> RecordingSummary:
 
 def _summary(source: Path) -> RecordingSummary:
     skipped = Skipped()
-    if is_mcap_or_bag(source):
+    kind = kind_of(source)
+    if kind == "log":
         return _log(source, skipped)
-    if is_lerobot(source):
+    if kind == "lerobot":
         dataset = open_dataset(source)
         rows = f"{counted(dataset.frames, 'frame')} in {counted(dataset.episodes, 'episode')}"
         pictures = tuple(dataset.image_keys[:_MAX_LISTED])
         return RecordingSummary(source, "LeRobot dataset", rows, pictures=pictures)
-    if is_tub(source):
+    if kind == "tub":
         tub = open_tub(source, skipped)
         deleted = (f"{counted(len(tub.deleted), 'record')} marked as deleted",) if tub.deleted else ()
         records = counted(tub.count, "record")
         return RecordingSummary(source, f"DonkeyCar tub, version {tub.version}", records, _lines(skipped, deleted))
-    if is_udacity(source):
-        return _udacity(source, skipped)
-    return _csv(source)
+    return _udacity(source, skipped) if kind == "udacity" else _csv(source)
 
 
 def _log(source: Path, skipped: Skipped) -> RecordingSummary:

@@ -174,7 +174,6 @@ class SqliteFile:
         return text.encode()
 
     def _standard_definition(self, kind: str) -> str | None:
-        """The definition of a type that is part of ROS 2."""
         try:
             from rosbags.typesys import Stores, get_typestore
         except ImportError:

@@ -24,11 +24,11 @@ from common.untrusted import read_bounded
 from recorder.errors import RecordingError
 from recorder.log.session_car import Car
 from recorder.log.writer import LogWriter
-from recorder.pictures.jpeg import is_whole_jpeg
+from recorder.pictures.whole_picture import is_whole_jpeg
 from recorder.sources.find_recording import is_udacity, recordings_near
 from recorder.sources.frame_rate import check_rate
-from recorder.sources.import_result import Imported, SkippedEvents
 from recorder.sources.import_udacity import NOT_WHOLE, UNREADABLE_PICTURES, udacity_metadata, vehicle_state
+from recorder.sources.imported_rows import Imported, SkippedEvents
 from recorder.sources.udacity_csv import MAX_LINE_BYTES, RowReader
 from recorder.sources.udacity_recording import CSV_NAME, MAX_PICTURE_BYTES, PictureFiles, check_csv
 from simulator.protocol.udacity_writer import CSV_CAMERAS
@@ -218,7 +218,6 @@ class _GrowingRecording:
             self._ready[name] = path
 
     def _scan_folders(self, all_folders: bool) -> None:
-        """Find awaited pictures in the folders that have changed."""
         now_s = time.monotonic()
         # A folder that vanishes meanwhile, or cannot be read now, is scanned the next time.
         with contextlib.suppress(OSError):

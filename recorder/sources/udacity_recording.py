@@ -5,7 +5,6 @@ Pictures are found wherever people have put them.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import stat
 from collections.abc import Iterator
@@ -15,7 +14,7 @@ from typing import Final
 from common import Skipped
 from common.text_lines import LineSplitter
 from common.untrusted import open_regular
-from recorder.errors import RecordingError
+from recorder.errors import RecordingError, readable
 from recorder.sources.udacity_csv import MAX_LINE_BYTES, Row, RowReader
 
 CSV_NAME: Final = "driving_log.csv"
@@ -120,7 +119,7 @@ class UdacityRecording:
         self._skipped = skipped
         self._reader = RowReader(skipped, rate_hz)
         self._files = PictureFiles(folder, skipped)
-        with _readable(folder):
+        with readable(folder):
             if folder.is_file():
                 raise RecordingError(f"{folder}: a file; give the folder that holds {CSV_NAME} and IMG/")
             if not folder.is_dir():
@@ -140,7 +139,7 @@ class UdacityRecording:
         To be called once. At its end raises RecordingError if there was no row, or not a single picture.
         """
         row_count = found = 0
-        with _readable(self.folder):
+        with readable(self.folder):
             places = self._files.places()
             for place in places:
                 # of a folder that cannot be read, every picture would seem to be missing
@@ -160,28 +159,18 @@ class UdacityRecording:
             if not self.csv.stat().st_size:
                 raise RecordingError(f"{self.csv}: an empty file: no drive was recorded")
             raise RecordingError(f"{self.csv}: no usable row{self._skipped.error_suffix()}")
-        if not found:
-            with _readable(self.folder):
+        with readable(self.folder):
+            if not found:
                 raise RecordingError(f"{self.csv}: none of its pictures is there; {self._files.why_none()}")
-        with _readable(self.folder):
             self._files.skip_without_row(self._reader.named)
 
     def _lines(self) -> Iterator[bytes]:
         splitter = LineSplitter(MAX_LINE_BYTES)
-        with _readable(self.csv), open_regular(self.csv) as stream:
+        with readable(self.csv), open_regular(self.csv) as stream:
             while block := stream.read(_BLOCK_BYTES):
                 yield from splitter.feed(block)
         if last := splitter.rest():
             yield last
-
-
-@contextlib.contextmanager
-def _readable(path: Path) -> Iterator[None]:
-    """Turn an OSError into a RecordingError of one line."""
-    try:
-        yield
-    except OSError as error:
-        raise RecordingError(f"{error.filename or path}: cannot be read ({error.strerror})") from None
 
 
 def check_csv(folder: Path) -> None:

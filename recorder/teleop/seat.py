@@ -8,10 +8,8 @@ from typing import Final
 from recorder.rows.devices import Device
 from recorder.teleop.messages import ControlMessage
 
-ABSENT_S: Final = 1.0
-"""A person whose page has sent nothing for so long is absent: the car is braked."""
-GIVES_UP_S: Final = 5.0
-"""A page that is silent for so long loses the wheel to the next one that asks."""
+ABSENT_S: Final = 1.0  # a person whose page has sent nothing for so long is absent: the car is braked
+GIVES_UP_S: Final = 5.0  # a page that is silent for so long loses the wheel to the next one that asks
 
 
 @dataclass(frozen=True)
@@ -33,8 +31,7 @@ class Seat:
 
     def __init__(self) -> None:
         self.holder: object | None = None
-        self.asking: object | None = None
-        """The page that has asked for the wheel, while another one holds it."""
+        self.asking: object | None = None  # the page that has asked for the wheel, while another one holds it
         self._control = Control()
         self._last_s = float("-inf")  # the holder's last message
         self._was_touched = False  # since the last look: a short press counts, however seldom the loop looks

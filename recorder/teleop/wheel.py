@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, Self
+from typing import Final, Literal, NamedTuple, Self, cast
 
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
@@ -32,14 +32,8 @@ from recorder.teleop.messages import (
     AskMessage,
     BadMessage,
     ControlMessage,
-    EndMessage,
     GiveMessage,
     GotMessage,
-    HandBackMessage,
-    Message,
-    PauseMessage,
-    PutBackMessage,
-    RecordMessage,
     ViewMessage,
     parse_message,
 )
@@ -47,24 +41,14 @@ from recorder.teleop.open_wheels import OpenWheel, announced, new_key
 from recorder.teleop.seat import Control, Seat
 
 MAX_PAGES: Final = 8
-MAX_PER_S: Final = 500
-"""A page that sends more messages a second is disconnected; one that works sends 60."""
-MAX_REFUSED: Final = 100
-"""A page that has sent so many messages that are none of ours is disconnected."""
+MAX_PER_S: Final = 500  # a page that sends more messages a second is disconnected; one that works sends 60
+MAX_REFUSED: Final = 100  # a page that has sent so many messages that are none of ours is disconnected
 MAX_IN_FLIGHT: Final = 2
 """Frames that a page has been sent and has not shown yet: one is painted while the next one travels."""
 _MAX_TEXTS: Final = 256  # that a page has not read yet; the oldest go
 _END_S: Final = 2.0  # for the last messages to the pages
 
 RequestKind = Literal["record", "pause", "bad", "hand_back", "put_back", "end"]
-_KINDS: Final[Mapping[type[Message], RequestKind]] = {
-    RecordMessage: "record",
-    PauseMessage: "pause",
-    BadMessage: "bad",
-    HandBackMessage: "hand_back",
-    PutBackMessage: "put_back",
-    EndMessage: "end",
-}
 
 
 class Request(NamedTuple):
@@ -80,8 +64,6 @@ class _Frame(NamedTuple):
 
 
 class _Page:
-    """A page that is connected."""
-
     def __init__(self, connection: ServerConnection) -> None:
         self.connection = connection
         self.texts: deque[str] = deque(maxlen=_MAX_TEXTS)
@@ -100,10 +82,8 @@ class Wheel:
         """`about` is sent to each page that connects, as the message "hello"."""
         self._title, self._log = title, log
         self.key = new_key()
-        self.control_came = threading.Event()
-        """Set while there are controls that the loop has not asked for."""
-        self.refused = 0
-        """Messages that were none of ours, or too many."""
+        self.control_came = threading.Event()  # set while there are controls that the loop has not asked for
+        self.refused = 0  # messages that were none of ours, or too many
         self._hello = json.dumps({"type": "hello", "title": title, "log": str(log), **about}, allow_nan=False)
         self._token = secrets.token_urlsafe(24)
         self._changed = threading.Condition()
@@ -259,7 +239,8 @@ class Wheel:
             case request:
                 if page is self._seat.holder:
                     seconds = request.seconds if isinstance(request, BadMessage) else 0.0
-                    self._requests.append(Request(_KINDS[type(request)], seconds))
+                    kind = cast(RequestKind, request.__struct_config__.tag)
+                    self._requests.append(Request(kind, seconds))
         return True
 
     def _send(self, page: _Page) -> None:

@@ -13,7 +13,7 @@ from common.progress import track
 from recorder.errors import LogError
 from recorder.log.reader import Log
 from recorder.log.road_places import states_of
-from recorder.log.tagged_rows import TaggedRows, tagged_rows
+from recorder.log.tagged_rows import TaggedRows, fine_rows
 from recorder.log.tags import EXCLUDE, read_tags
 from recorder.mcap.mcap_file import McapFile
 from recorder.mcap.scan import read_structure
@@ -67,7 +67,7 @@ def check(path: Location, *, look: bool = True) -> Checked:
     """
     damage: list[Finding] = []
     findings: list[Finding] = []
-    fine = tagged_rows(path)
+    fine = fine_rows(path)
     with McapFile(path) as file:
         structure = read_structure(file)
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
@@ -82,7 +82,10 @@ def check(path: Location, *, look: bool = True) -> Checked:
     odd = contents.odd
     lag, is_lag_kept = None, False
     excluded = TaggedRows(())
+    is_paused_by_people = False
     with contextlib.suppress(LogError), Log(path) as log:
+        # from a recorder that people switch off and on: a gap is then no loss
+        is_paused_by_people = log.metadata.get("source") in ("udacity", "donkeycar", "csv")
         excluded = TaggedRows(read_tags(path, log.fingerprint), EXCLUDE)
         if contents.counts[POSE]:
             odd = odd_stretches(states_of(log))
@@ -98,7 +101,7 @@ def check(path: Location, *, look: bool = True) -> Checked:
                 findings.append(Finding("side cameras that are swapped", f"left and right; {left_out}"))
     odd = fine.left(odd)
     findings += odd_findings(excluded.left(odd))
-    pauses = [finding for finding in findings if finding.kind == GAPS and _is_paused_by_people(path)]
+    pauses = [finding for finding in findings if finding.kind == GAPS and is_paused_by_people]
     return Checked(
         path,
         sum(contents.counts.values()),
@@ -112,10 +115,3 @@ def check(path: Location, *, look: bool = True) -> Checked:
         is_lag_kept,
         odd,
     )
-
-
-def _is_paused_by_people(path: Location) -> bool:
-    """Whether a log was imported from a recorder that people switch off and on: a gap is then no loss."""
-    with contextlib.suppress(LogError), Log(path) as log:
-        return log.metadata.get("source") in ("udacity", "donkeycar", "csv")
-    return False

@@ -1,4 +1,4 @@
-"""Checking a log's file: every CRC, and its indexes and counts against what is there."""
+"""Checking a log's file: every CRC, and its indexes, lists and counts against what is there."""
 
 from __future__ import annotations
 
@@ -9,16 +9,24 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 from mcap.opcode import Opcode
 
 from recorder.errors import LogError
 from recorder.mcap.mcap_file import CHUNK_HEADER, MAGIC, RECORD, Chunk, McapFile, StoredMessage
+from recorder.mcap.picture_places import (
+    CHUNKS_ATTACHMENT,
+    PICTURES_ATTACHMENT,
+    is_about_places,
+    places_in,
+    read_chunk_crcs,
+    read_places,
+    stored_places,
+)
 from recorder.mcap.scan import Structure, read_structure
 from recorder.upkeep.check_contents import Finding
-from recorder.upkeep.check_places import PlacesCheck
 
-Found = tuple[bytes, list[StoredMessage]]
-"""The records of a chunk, and the messages among them."""
+Found = tuple[bytes, list[StoredMessage]]  # the records of a chunk, and the messages among them
 
 DATA_CRC: Final = "CRC of all data does not hold"
 """The finding that, alone, leaves only what is outside of chunks to be damaged."""
@@ -146,3 +154,52 @@ def _message_index(record: bytes) -> tuple[int, list[tuple[int, int]]]:
         return channel, list(struct.iter_unpack("<QQ", record[RECORD.size + 6 : RECORD.size + 6 + size]))
     except struct.error:
         return -1, []
+
+
+class PlacesCheck:
+    """Compares each chunk with the summary's entry for it, and with the lists of chunks and pictures.
+
+    Logs of earlier versions have no such lists, and other programs' are not read by them.
+    """
+
+    def __init__(self, file: McapFile, structure: Structure, findings: list[Finding]) -> None:
+        self._findings = findings
+        self._images = structure.image_channels
+        self._numbers = {chunk.start: number for number, chunk in enumerate(structure.chunks)}
+        self._crcs, self._places = None, None
+        names = structure.attachment_names
+        for at, name in sorted(names.items()):
+            try:
+                file.attachment(at)
+            except LogError:
+                findings.append(Finding("damaged attachments", f"{name} at byte {at:,}"))
+        if not file.is_ours or not any(map(is_about_places, names.values())):
+            return
+        self._crcs = read_chunk_crcs(file, structure)
+        if self._crcs is None:
+            findings.append(Finding("lists that are not about this file", CHUNKS_ATTACHMENT))
+        elif (places := stored_places(file, structure)) is None or read_places(file, structure) is None:
+            findings.append(Finding("lists that are not about this file", PICTURES_ATTACHMENT))
+        else:
+            self._places = places
+            # at once: for each chunk alone, NumPy would copy the whole column
+            self._edges = np.searchsorted(places["chunk"], np.arange(len(self._crcs) + 1)).tolist()
+
+    def add(self, indexed: Chunk, record: bytes, channels: set[int]) -> None:
+        """Check a sound chunk: its entry in the summary, its record, and the channels of its messages."""
+        where = f"at byte {indexed.start:,}"
+        if indexed.channels is not None and indexed.channels != channels:
+            self._findings.append(Finding("chunks of other topics than the summary says", where))
+        if indexed.head and indexed.head != record[: len(indexed.head)]:
+            self._findings.append(Finding("chunks of other times or sizes than the summary says", where))
+        number = self._numbers.get(indexed.start)
+        if number is None or self._crcs is None:
+            return
+        *_, crc = CHUNK_HEADER.unpack_from(record)
+        if self._crcs[number] != crc:
+            self._findings.append(Finding("chunks of other CRCs than are listed", where))
+        if self._places is None or indexed.compression:
+            return
+        first, end = self._edges[number : number + 2]
+        if self._places[first:end].tobytes() != places_in(record, number, self._images):
+            self._findings.append(Finding("chunks of other pictures than are listed", where))

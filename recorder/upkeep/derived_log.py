@@ -20,8 +20,7 @@ from recorder.log.tags import Tag, add_tags
 from recorder.log.writer import LogWriter
 from recorder.mcap.picture_places import is_about_places
 
-LAST_ROW: Final = 2**32 - 1
-"""Sequence numbers of MCAP have 32 bits."""
+LAST_ROW: Final = 2**32 - 1  # sequence numbers of MCAP have 32 bits
 
 
 @dataclass(frozen=True)

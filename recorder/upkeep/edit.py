@@ -64,8 +64,9 @@ def trim(path: Path, to: Path, rows: tuple[int, int], *, overwrite: bool = False
             return first_ns <= message.log_time <= last_ns
 
         chosen = number[is_chosen].tolist()
+        tags = tags_of_rows(read_tags(path, log.fingerprint), chosen)
         about = {"trimmed_from": path.name, "rows": f"{min(chosen)}-{max(chosen)}"}
-        return _trimmed(log, to, is_in, chosen, about, overwrite)
+        return _copied(log, to, is_in, tags, about, overwrite)
 
 
 def trim_times(path: Path, to: Path, start_s: float, end_s: float, *, overwrite: bool = False) -> Written:
@@ -84,7 +85,7 @@ def trim_times(path: Path, to: Path, start_s: float, end_s: float, *, overwrite:
         def is_in(_: Channel, message: McapMessage) -> bool:
             return start_s <= (message.log_time - first_ns) / 1e9 <= end_s
 
-        return _trimmed(log, to, is_in, [], {"trimmed_from": path.name}, overwrite)
+        return _copied(log, to, is_in, [], {"trimmed_from": path.name}, overwrite)
 
 
 def merge(paths: Sequence[Path], to: Path, *, overwrite: bool = False) -> Written:
@@ -182,22 +183,13 @@ def rewrite(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     Raises LogError for a log that was never finished, or that another program wrote.
     """
     refuse_taken(to, [path], overwrite)
-    skipped, count, row_count = Skipped(), 0, 0
     with Log(path) as log:
         if log.problem:
             raise LogError(f"{path}: {log.problem}; `bc-log recover {path}` makes a finished log of it")
         if not log.is_ours:
             raise LogError(f"{path}: another program's log; import it with `bc-record NAME --from {path}`")
-        tags = read_tags(path, log.fingerprint)
-        with new_log(log, to, log.metadata, {"rewritten_from": path.name}, overwrite) as writer:
-            for schema, channel, message in _messages(log, "rewriting"):
-                writer.copy(schema, channel, message, message.sequence)
-                count += 1
-                row_count += channel.topic == topics.VEHICLE
-            copy_rest(log, log.all_metadata(), writer, skipped)
-            writer.same_as = log.fingerprint
-            close_with_tags(writer, tags)
-    return Written(to, count, row_count, skipped)
+        tags, about = read_tags(path, log.fingerprint), {"rewritten_from": path.name}
+        return _copied(log, to, lambda *_: True, tags, about, overwrite, same_as=log.fingerprint)
 
 
 def rows_between(log: Log, start_s: float, end_s: float) -> tuple[int, int]:
@@ -239,25 +231,27 @@ def _messages(log: Log, doing: str) -> Iterator[Copied]:
         yield from log.messages_of(chunk)
 
 
-def _trimmed(
+def _copied(
     log: Log,
     to: Path,
     is_in: Callable[[Channel, McapMessage], bool],
-    rows: Sequence[int],
+    tags: Sequence[Tag],
     about: dict[str, str],
     overwrite: bool,
+    same_as: str = "",
 ) -> Written:
-    """Copies the messages that are in; `rows` are those that will be."""
-    skipped, count = Skipped(), 0
-    tags = read_tags(log.path, log.fingerprint)
+    """Copies the messages that are in, and writes `tags`. `same_as`: fingerprint of a log that is rewritten."""
+    skipped, count, row_count = Skipped(), 0, 0
     with new_log(log, to, log.metadata, about, overwrite) as writer:
-        for schema, channel, message in _messages(log, "trimming"):
+        for schema, channel, message in _messages(log, "rewriting" if same_as else "trimming"):
             if is_in(channel, message):
                 writer.copy(schema, channel, message, message.sequence)
                 count += 1
-        if not count:
+                row_count += channel.topic == topics.VEHICLE
+        if not count and not same_as:
             first_ns, last_ns = log.time_range_ns
             raise LogError(f"{log.path}: no message of these times; it lasts {(last_ns - first_ns) / 1e9:.1f} s")
         copy_rest(log, log.all_metadata(), writer, skipped)
-        close_with_tags(writer, tags_of_rows(tags, rows))
-    return Written(to, count, len(rows), skipped)
+        writer.same_as = same_as
+        close_with_tags(writer, tags)
+    return Written(to, count, row_count, skipped)

@@ -20,18 +20,15 @@ from common.car import MPS_PER_MPH, Camera
 from recorder.errors import RecordingError
 from recorder.log.reader import Log
 from recorder.log.session_car import UDACITY, Car
-from recorder.pictures.decoding import decode_picture
-from recorder.pictures.scaling import scaled_to_width
+from recorder.pictures.decoding import decode_picture, scaled_to_width
 from recorder.rows.row_quality import STANDING_MPH
 from recorder.topics import camera_topic
 from simulator.driving.expert import LOOK_AHEAD_M, LOOK_AHEAD_S
 
 UDACITY_SPACING: Final = 0.63
 """d / h of the real simulator, as measured here: 0.62 to 0.64 in published recordings of its three tracks."""
-UDACITY_CORRECTION: Final = 0.2
-"""The label correction in use for it since the first projects with that simulator."""
-UDACITY_MPH: Final = 10.0
-"""The speed at which their networks drove."""
+UDACITY_CORRECTION: Final = 0.2  # the label correction in use for it since the first projects with that simulator
+UDACITY_MPH: Final = 10.0  # the speed at which their networks drove
 
 _MEASURED: Final[tuple[Camera, ...]] = ("center", "left", "right")
 MOMENTS: Final = 60

@@ -23,7 +23,7 @@ from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.session_car import UDACITY, Car, built_in, metadata_of
 from recorder.sources.built_in_simulator import record_simulated
-from recorder.sources.simulated_drive import SimulatedDrive
+from recorder.sources.settings import SimulatedDrive
 from recorder.topics import POSE
 from simulator.driving.simulation import Simulation
 from simulator.pose import Pose

@@ -26,7 +26,7 @@ from recorder.bc_pb2 import VehicleState
 from recorder.cli import main as record_main
 from recorder.log.session_car import built_in, car_in
 from recorder.sources.built_in_simulator import record_simulated
-from recorder.sources.simulated_drive import SimulatedDrive
+from recorder.sources.settings import SimulatedDrive
 from simulator.cli import main as sim_main
 from simulator.roads.track import load_track
 from udacity import call

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from recorder.teleop.hello import hello
+from recorder.teleop.frame_state import hello
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Request, Wheel
 from simulator.driving.simulation import Simulation

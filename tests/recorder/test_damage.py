@@ -31,7 +31,7 @@ from logs import write_log
 from plain_mcap import Contents, Stored, contents, write_plain
 from recorder import Log, LogError
 from recorder.bc_pb2 import VehicleState
-from recorder.mcap.compression import unpack
+from recorder.mcap.mcap_file import unpack
 from recorder.topics import VEHICLE
 from recorder.upkeep.check import check
 from recorder.upkeep.derived_log import LAST_ROW

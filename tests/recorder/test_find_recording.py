@@ -16,7 +16,7 @@ from recorder import Log, RecordingError, import_udacity
 from recorder.cli import main
 from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.recording_kinds import import_recording
-from recorder.sources.topic_flags import Topics
+from recorder.sources.settings import Topics
 from tubs import record_2, write_tub_2
 from udacity import call, make_recording, paths
 

@@ -18,7 +18,7 @@ from recorder import import_udacity
 from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.import_mcap import import_mcap
-from recorder.sources.simulated_drive import SimulatedDrive
+from recorder.sources.settings import SimulatedDrive
 from recorder.sources.udacity_follow import watch_udacity
 from tubs import record_2, write_tub_2
 from udacity import make_recording, paths

@@ -27,6 +27,7 @@ from recorder.log.meant_gaps import MeantGap
 from recorder.log.session_car import Car, metadata_of, stored_car
 from recorder.rows.row_quality import drive_numbers
 from recorder.sources.import_lerobot import import_lerobot
+from recorder.sources.settings import Topics
 from recorder.upkeep.check import check
 from recorder.upkeep.log_info import describe
 from udacity import call
@@ -36,8 +37,8 @@ LENGTHS = [3, 2]
 STEERING = [-0.5, 0.0, 0.25, 0.5, 1.0]
 
 
-def imported(folder: Path, **options: Any) -> Imported:
-    return import_lerobot(folder, folder.parent / "imported.mcap", **options)
+def imported(folder: Path, *, overwrite: Any = False, **topics: Any) -> Imported:
+    return import_lerobot(folder, folder.parent / "imported.mcap", Topics(**topics), overwrite=overwrite)
 
 
 def content(log: Path) -> dict[str, list[tuple[Any, ...]]]:

@@ -52,7 +52,9 @@ from other_logs import (
     write_mcap,
 )
 from recorder import Imported, Log, LogError, RecordingError
-from recorder.sources.import_mcap import McapTopics, import_mcap, is_mcap_or_bag
+from recorder.sources.find_recording import kind_of
+from recorder.sources.import_mcap import import_mcap
+from recorder.sources.settings import Topics
 
 
 def png(level: int) -> bytes:
@@ -72,11 +74,11 @@ def rows_of(log: Path) -> list[Row]:
     return rows
 
 
-def imported(source: Path, topics: McapTopics = TOPICS) -> Imported:
+def imported(source: Path, topics: Topics = TOPICS) -> Imported:
     return import_mcap(source, source.parent / "imported" / "log.mcap", topics)
 
 
-def error_of(source: Path, topics: McapTopics = TOPICS) -> str:
+def error_of(source: Path, topics: Topics = TOPICS) -> str:
     """The one line of the error; nothing is written."""
     with pytest.raises(RecordingError) as error:
         imported(source, topics)
@@ -109,7 +111,7 @@ def test_a_file_without_chunks(tmp_path: Path) -> None:
 
 def test_the_log_says_where_it_comes_from(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    topics = McapTopics(CAMERA, f"{WHEEL}.steering.angle", steering_scale=-0.5)
+    topics = Topics(CAMERA, f"{WHEEL}.steering.angle", steering_scale=-0.5)
     with Log(imported(source, topics).path) as log:
         expected = {
             "source": "mcap",
@@ -150,7 +152,7 @@ def test_a_field_of_a_protobuf_message_may_be_nested_and_in_a_list(tmp_path: Pat
     poses.poses.add().position.y = 0.125
     poses.poses.add().position.y = 0.5
     source = write_mcap(tmp_path / "other.mcap", [(WHEEL, 0.0, poses), (CAMERA, 0.1, image(PICTURES[0]))])
-    done = imported(source, McapTopics(CAMERA, f"{WHEEL}.poses.1.position.y"))
+    done = imported(source, Topics(CAMERA, f"{WHEEL}.poses.1.position.y"))
     assert rows_of(done.path) == [(0.1, 0.5, PICTURES[0])]
 
 
@@ -160,7 +162,7 @@ def test_the_topic_is_the_longest_one(tmp_path: Path) -> None:
         ("/car.wheel", 0.0, {"x": 0.2}),
         (CAMERA, 0.1, image(PICTURES[0])),
     ]
-    done = imported(write_mcap(tmp_path / "other.mcap", told), McapTopics(CAMERA, "/car.wheel.x"))
+    done = imported(write_mcap(tmp_path / "other.mcap", told), Topics(CAMERA, "/car.wheel.x"))
     assert [steering for _, steering, _ in rows_of(done.path)] == [0.2]
 
 
@@ -189,13 +191,13 @@ def test_pictures_without_a_steering_in_time_are_left_out_and_named(tmp_path: Pa
 
 
 def test_the_scale_turns_left_into_minus(tmp_path: Path) -> None:
-    done = imported(write_mcap(tmp_path / "other.mcap", DRIVE), McapTopics(CAMERA, TOPICS.steering, -2.0))
+    done = imported(write_mcap(tmp_path / "other.mcap", DRIVE), Topics(CAMERA, TOPICS.steering, -2.0))
     assert [steering for _, steering, _ in rows_of(done.path)] == [-0.5, 1.0, 1.0]
     assert len(done.skipped) == 0
 
 
 def test_values_out_of_range_are_kept_and_named(tmp_path: Path) -> None:
-    done = imported(write_mcap(tmp_path / "other.mcap", DRIVE), McapTopics(CAMERA, TOPICS.steering, 8.0))
+    done = imported(write_mcap(tmp_path / "other.mcap", DRIVE), Topics(CAMERA, TOPICS.steering, 8.0))
     assert [steering for _, steering, _ in rows_of(done.path)] == [2.0, -4.0, -4.0]
     assert len(done.skipped) == 3
     assert all("--steering-scale" in reason for reason in done.skipped.counts)
@@ -205,7 +207,7 @@ def test_values_out_of_range_are_kept_and_named(tmp_path: Path) -> None:
 def test_a_scale_that_is_none_is_refused(tmp_path: Path, scale: float) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
     with pytest.raises(RecordingError, match="--steering-scale"):
-        imported(source, McapTopics(CAMERA, TOPICS.steering, scale))
+        imported(source, Topics(CAMERA, TOPICS.steering, scale))
 
 
 def test_png_pictures_stay_png(tmp_path: Path) -> None:
@@ -276,7 +278,7 @@ def test_a_damaged_chunk_is_an_error_that_says_what_to_do(tmp_path: Path) -> Non
 
 def test_an_unknown_topic_lists_those_that_there_are(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    for topics in (McapTopics("/cam", TOPICS.steering), McapTopics(CAMERA, "/wheels.steering.angle")):
+    for topics in (Topics("/cam", TOPICS.steering), Topics(CAMERA, "/wheels.steering.angle")):
         told = error_of(source, topics)
         assert f"{CAMERA} (foxglove.CompressedImage), /lidar (car.Wheel), {WHEEL} (car.Wheel)" in told
 
@@ -295,12 +297,12 @@ def test_an_unknown_topic_lists_those_that_there_are(tmp_path: Path) -> None:
 )
 def test_an_unknown_field_lists_those_that_there_are(tmp_path: Path, field: str, told: str) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    assert told in error_of(source, McapTopics(CAMERA, f"{WHEEL}.{field}".removesuffix(".")))
+    assert told in error_of(source, Topics(CAMERA, f"{WHEEL}.{field}".removesuffix(".")))
 
 
 def test_an_unknown_field_of_a_protobuf_message_too(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", [(WHEEL, 0.0, PosesInFrame()), DRIVE[1]])
-    told = error_of(source, McapTopics(CAMERA, f"{WHEEL}.angle"))
+    told = error_of(source, Topics(CAMERA, f"{WHEEL}.angle"))
     assert "the message has no angle; it has timestamp, frame_id, poses" in told
     assert "messages without" not in told  # the first one tells it of all
 
@@ -360,7 +362,7 @@ STORAGES = pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin
     ids=["Twist", "Joy", "AckermannDriveStamped"],
 )
 def test_a_ros2_bag(tmp_path: Path, storage: StoragePlugin, kind: Kind, field: str) -> None:
-    done = imported(write_bag(tmp_path / "bag", storage, kind), McapTopics(CAMERA, field, -1.0))
+    done = imported(write_bag(tmp_path / "bag", storage, kind), Topics(CAMERA, field, -1.0))
     assert rows_of(done.path) == ROWS
     assert list(done.skipped) == []
     with Log(done.path) as log:
@@ -374,7 +376,7 @@ def test_an_older_bag_that_holds_no_definitions(tmp_path: Path, kind: Kind) -> N
     database.executescript("DROP TABLE message_definitions; DROP TABLE schema; DROP TABLE metadata;")
     database.close()
     field = "/cmd_vel.angular.z" if kind is twist else "/drive.drive.steering_angle"
-    assert rows_of(imported(bag, McapTopics(CAMERA, field, -1.0)).path) == ROWS
+    assert rows_of(imported(bag, Topics(CAMERA, field, -1.0)).path) == ROWS
 
 
 def test_a_time_that_no_log_can_hold_is_left_out(tmp_path: Path) -> None:
@@ -461,7 +463,7 @@ def test_nothing_outside_of_the_bag_is_read(tmp_path: Path, storage: StoragePlug
 def test_an_unknown_field_of_a_ros_message_lists_those_that_there_are(
     tmp_path: Path, storage: StoragePlugin
 ) -> None:
-    told = error_of(write_bag(tmp_path / "bag", storage), McapTopics(CAMERA, "/cmd_vel.angular.w"))
+    told = error_of(write_bag(tmp_path / "bag", storage), Topics(CAMERA, "/cmd_vel.angular.w"))
     assert "angular has no w; it has x, y, z" in told
 
 
@@ -472,7 +474,7 @@ def test_raw_pictures_of_ros_are_named_by_their_type(tmp_path: Path, storage: St
         return "/raw", kind, STORE.types[kind](header(), 1, 1, "mono8", 0, 1, np.zeros(1, np.uint8))
 
     bag = write_bag(tmp_path / "bag", storage, raw)
-    assert "are sensor_msgs/msg/Image" in error_of(bag, McapTopics("/raw", "/raw.width"))
+    assert "are sensor_msgs/msg/Image" in error_of(bag, Topics("/raw", "/raw.width"))
 
 
 @pytest.mark.parametrize("package", ["mcap_ros2.decoder", "ruamel.yaml"])
@@ -484,14 +486,14 @@ def test_what_is_not_installed_is_named(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_what_looks_like_another_programs_log(tmp_path: Path) -> None:
-    assert is_mcap_or_bag(write_bag(tmp_path / "mcap", StoragePlugin.MCAP))
-    assert is_mcap_or_bag(write_bag(tmp_path / "sqlite", StoragePlugin.SQLITE3))
-    assert is_mcap_or_bag(tmp_path / "drive.mcap")
-    assert is_mcap_or_bag(tmp_path / "drive.mcap.1a2b3c.part")
-    assert not is_mcap_or_bag(tmp_path)
-    assert not is_mcap_or_bag(tmp_path / "nowhere")
+    assert kind_of(write_bag(tmp_path / "mcap", StoragePlugin.MCAP)) == "log"
+    assert kind_of(write_bag(tmp_path / "sqlite", StoragePlugin.SQLITE3)) == "log"
+    assert kind_of(tmp_path / "drive.mcap") == "log"
+    assert kind_of(tmp_path / "drive.mcap.1a2b3c.part") == "log"
+    assert kind_of(tmp_path) != "log"
+    assert kind_of(tmp_path / "nowhere") != "log"
     (tmp_path / "metadata.yaml").write_text("")
-    assert not is_mcap_or_bag(tmp_path)
+    assert kind_of(tmp_path) != "log"
 
 
 @pytest.mark.parametrize("name", ["bag.mcap", "bag.db3", "metadata.yaml"])
@@ -509,7 +511,7 @@ def test_a_damaged_bag_is_never_worse_than_a_clear_error(tmp_path: Path, name: s
             damaged = damaged[: generator.randrange(len(damaged))]
         (bag / name).write_bytes(damaged)
         try:
-            topics = McapTopics(CAMERA, "/drive.drive.steering_angle")
+            topics = Topics(CAMERA, "/drive.drive.steering_angle")
             import_mcap(bag, tmp_path / "log.mcap", topics, overwrite=True)
         except UserError as error:
             errors.append(str(error))

@@ -11,8 +11,8 @@ import pytest
 
 from driving import PATIENCE_S
 from recorder.server import in_flight as flight
-from recorder.server import running_clock, telemetry_server
-from recorder.server.running_clock import RunningClock
+from recorder.server import telemetry_server
+from recorder.server.in_flight import RunningClock
 from recorder.server.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
 from serving import Book, RawClient, Serving, fields, steered, steering
 from waiting import wait_until
@@ -264,4 +264,4 @@ def test_a_clock_stands_while_its_process_does(monkeypatch: pytest.MonkeyPatch) 
     for passed_s in (0.125, 1.5, 3600.0, 0.125):
         now_s += passed_s
         clock.tick()
-    assert clock.seconds == 0.25 + 2 * running_clock.MAX_TICK_S
+    assert clock.seconds == 0.25 + 2 * flight.MAX_TICK_S

@@ -24,7 +24,7 @@ from lerobot_logs import DRIVES, TIMES_NS, jpeg, steering, write_drives
 from places import Place
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.lerobot.data_files import DataFiles
+from recorder.lerobot.dataset_files import DataFiles
 from recorder.lerobot.export import Exported, export_lerobot
 from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main as bc_log

@@ -16,7 +16,7 @@ from recorder.bc_pb2 import VehicleState
 from recorder.log.writer import LogWriter
 from recorder.log_cli import main
 from recorder.sources.built_in_simulator import record_simulated
-from recorder.sources.simulated_drive import SimulatedDrive
+from recorder.sources.settings import SimulatedDrive
 from recorder.upkeep.log_info import describe
 from udacity import call, jpeg
 

@@ -21,8 +21,8 @@ from common import UserError
 from driving import PATIENCE_S, Process, road_jpeg
 from logs import START_NS, read_messages
 from recorder import Imported, LogWriter, RecordingError
-from recorder.sources.listen_settings import ListenSettings
 from recorder.sources.live_telemetry import listen_for_telemetry
+from recorder.sources.settings import ListenSettings
 from recorder.upkeep.check import check
 from serving import ModernClient
 from simulator.protocol.client import (
@@ -40,7 +40,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from common.command import run_command, warn_skipped
 from recorder.server import telemetry_server
-from recorder.sources.listen_settings import ListenSettings
+from recorder.sources.settings import ListenSettings
 from recorder.sources.live_telemetry import listen_for_telemetry
 
 telemetry_server.FIRST_COMMAND_S = 300  # a client that is kept waiting by others is sent nothing unasked

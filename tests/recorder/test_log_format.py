@@ -36,7 +36,7 @@ from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.import_lerobot import import_lerobot
 from recorder.sources.import_mcap import import_mcap
 from recorder.sources.record_gymnasium import GymRecording, record_gymnasium
-from recorder.sources.simulated_drive import SimulatedDrive
+from recorder.sources.settings import SimulatedDrive
 from recorder.upkeep.edit import merge, rewrite, split, trim
 from recorder.upkeep.recover import recover
 from repository import ROOT

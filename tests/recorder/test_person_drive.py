@@ -21,16 +21,16 @@ from dataset import build_index
 from driving import Process, command
 from recorder import Imported, Log, RecordingError
 from recorder.cli import main as record_main
-from recorder.log.last_place import last_place_m
+from recorder.log.road_places import last_place_m
 from recorder.log.tags import Tag, read_tags
-from recorder.rows.usual_step import usual_step
+from recorder.rows.row_quality import usual_step
 from recorder.sources import person_rows
 from recorder.sources.eye_pictures import PictureScale, WhenDue
+from recorder.sources.frame_rate import check_row_rate, is_row_step
 from recorder.sources.person_pedals import CoursePedals
 from recorder.sources.real_time import RealTime
 from recorder.sources.record_person import PersonDrive, record_person
-from recorder.sources.row_steps import check_row_rate, is_row_step
-from recorder.teleop.hello import road_edges
+from recorder.teleop.frame_state import road_edges
 from recorder.teleop.open_wheels import open_wheels
 from recorder.teleop.seat import Control
 from recorder.upkeep.check import check

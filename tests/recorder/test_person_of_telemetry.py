@@ -20,9 +20,9 @@ from recorder import Imported, Log, RecordingError
 from recorder.log.tags import read_tags
 from recorder.server import telemetry_server
 from recorder.sources import person_of_telemetry
-from recorder.sources.listen_settings import ListenSettings
 from recorder.sources.person_of_telemetry import listen_at_the_wheel
 from recorder.sources.person_pedals import throttle_of_telemetry
+from recorder.sources.settings import ListenSettings
 from recorder.teleop.seat import Control
 from recorder.upkeep.check import check
 from serving import ModernClient

@@ -13,7 +13,7 @@ from recorder import Log
 from recorder.cli import main as record_main
 from recorder.log_cli import main as log_main
 from recorder.sources.built_in_simulator import record_simulated
-from recorder.sources.simulated_drive import SimulatedDrive
+from recorder.sources.settings import SimulatedDrive
 from simulator.roads.track import load_track
 from udacity import call
 

@@ -16,7 +16,7 @@ from recorder.log.session_car import CAR_KEY, UDACITY, Car, built_in, car_of, ma
 from recorder.log_cli import main as bc_log
 from recorder.server.telemetry import TelemetryError, parse_telemetry
 from recorder.sources.built_in_simulator import record_simulated
-from recorder.sources.simulated_drive import SimulatedDrive
+from recorder.sources.settings import SimulatedDrive
 from serving import fields
 from udacity import call, jpeg, paths
 

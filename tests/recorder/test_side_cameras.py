@@ -19,7 +19,7 @@ from recorder.log.reader import Log
 from recorder.log.session_car import UDACITY, Car, built_in
 from recorder.log_cli import main as log_main
 from recorder.sources.built_in_simulator import record_simulated
-from recorder.sources.simulated_drive import SimulatedDrive
+from recorder.sources.settings import SimulatedDrive
 from recorder.upkeep.side_cameras import Gray, SideCameras, measure, side_cameras
 from simulator.driving.simulation import Simulation
 from udacity import call

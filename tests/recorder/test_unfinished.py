@@ -287,7 +287,7 @@ def test_a_log_that_was_being_written_is_recovered_under_its_name(
 RECORDERS = """
 import os, sys
 from pathlib import Path
-from recorder.sources.listen_settings import ListenSettings
+from recorder.sources.settings import ListenSettings
 from recorder.sources.live_telemetry import listen_for_telemetry
 
 children = []

@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from common.users_cache import users_cache
-from recorder.teleop.hello import road_edges
+from recorder.teleop.frame_state import road_edges
 from recorder.teleop.messages import ControlMessage, parse_message
 from recorder.teleop.open_wheels import open_wheels
 from recorder.teleop.rate_meter import RateMeter

@@ -14,7 +14,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from numpy.typing import NDArray
 
 from dataset.steering_bins import BINS, bin_of
-from recorder.pictures.picture_size import can_be_decoded, width_and_height
+from recorder.pictures.picture_size import decoding_problem, width_and_height
 from recorder.topics import EVENTS, PILOT_COMMAND, POSE, TOPICS, VEHICLE
 from viz.playback.blueprint import (
     ARCS,
@@ -255,7 +255,7 @@ def strips(points: NDArray[np.float32]) -> pa.Array:
 
 def frame_size(picture: bytes) -> tuple[int, int] | None:
     """Width and height of a JPEG or PNG; None if it is neither, or too large to be shown."""
-    return width_and_height(picture) if can_be_decoded(picture) else None
+    return None if decoding_problem(picture) else width_and_height(picture)
 
 
 def histogram(counts: NDArray[np.int64]) -> rr.BarChart:

@@ -16,8 +16,8 @@ from common.untrusted import real_path
 from recorder import Log, topics
 from recorder.bc_pb2 import PilotCommand
 from recorder.errors import RecordingError
-from recorder.log.last_place import last_place_m
-from recorder.sources.row_steps import check_row_rate
+from recorder.log.road_places import last_place_m
+from recorder.sources.frame_rate import check_row_rate
 from recorder.teleop.open_wheels import OpenWheel, open_wheels
 from web.errors import WebError
 from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder import Log, topics
-from recorder.teleop.hello import road_named
+from recorder.teleop.frame_state import road_named
 
 Values = NDArray[np.float64]
 

@@ -1,0 +1,62 @@
+"""What a recording is made of: a drive of the built-in simulator, topics of other logs, telemetry that comes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
+
+import tyro
+
+from simulator.driving.drive_limits import DriverName
+
+if TYPE_CHECKING:  # NumPy
+    from recorder.log.session_car import Car
+
+
+@dataclass(frozen=True)
+class SimulatedDrive:
+    """A drive of the built-in simulator."""
+
+    RARE: ClassVar[str] = "start recovery noise"
+    track: str = "lake"
+    """lake, mountain, random:SEED, or hairpins:SEED."""
+    driver: DriverName | Literal["me"] = "expert"
+    """The expert, a simulated person at keyboard or mouse, or you (me)."""
+    laps: float | None = None
+    """Laps at each speed; by default 1."""
+    start: Annotated[float, tyro.conf.arg(metavar="METRES")] = 0.0
+    """With --driver me: where to start."""
+    speed: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MPH [MPH ...]")] = (10.0,)
+    """Set speeds, one drive each; the driver slows for bends."""
+    rate: Annotated[float, tyro.conf.Suppress] = 10.0  # bc-record has a --rate of its own
+    """Recorded rows a second; it must divide 50."""
+    recovery: float = 0.35
+    """Share of rows in which the car returns to the line."""
+    noise: float = 0.03
+    """Unsteadiness of the steering; 0.03 is a calm person."""
+    seed: int = 0
+    """Same seed, same log; with --gym the first episode's seed."""
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Topics of another program's log, or features of a dataset."""
+
+    image: Annotated[str | None, tyro.conf.arg(metavar="TOPIC")] = None
+    """Topic of the pictures, or a LeRobot dataset's feature."""
+    steering: Annotated[str | None, tyro.conf.arg(metavar="TOPIC.FIELD")] = None
+    """The steering: /cmd_vel.angular.z; for LeRobot: action.steering."""
+    steering_scale: float = 1.0
+    """Factor to -1 (left) .. 1 (right); negative for ROS."""
+
+
+class ListenSettings(NamedTuple):
+    """Where a simulator connects, and what is known of it."""
+
+    host: str = "127.0.0.1"
+    port: int = 4567  # 0: a free one
+    idle_s: float | None = None  # the recording ends so long after the last telemetry
+    car: Car | None = None  # that is recorded, if it is not Udacity's or the built-in one's
+    on_started: Callable[[Path], None] | None = None  # gets the path of the growing file, once the server listens
