@@ -256,7 +256,7 @@ def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, i
     """The index of --on or --takeovers, built, and the exit code of what had to be printed about it."""
     from dataset import IndexConfig, find_logs
     from dataset.frames.frames_file import session_name
-    from model.runs.own_index import logs_with_takeovers
+    from model.runs.reproduce import logs_with_takeovers
 
     index = local_path(config.index).with_name(f"index-{run.name}")
     refuse_existing(index, overwrite=False)

@@ -23,7 +23,7 @@ from drive.evaluation.external_simulator import ExternalSimulator
 from drive.evaluation.simulator_process import BuiltInSimulator
 from model import TrainConfig, load_pilot, train
 from model.runs.car_of_run import refuse_other_steering
-from model.runs.own_index import logs_with_takeovers
+from model.runs.reproduce import logs_with_takeovers
 from model.runs.run_folder import CONFIG, run_name
 from recorder.log.session_car import UDACITY
 from recorder.server.telemetry_server import ServerMode

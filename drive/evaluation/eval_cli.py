@@ -58,7 +58,7 @@ def _found_runs(config: Eval, *names: str | None) -> list[Path]:
 
 def _measure(config: Eval) -> int:
     from drive.kept_drive import keep
-    from model.worst_moments import worst_frames
+    from model.runs.worst_pictures import worst_frames
 
     (run,) = _found_runs(config, config.run)
     measured_on, (evaluation,) = _evaluations(config, [run])

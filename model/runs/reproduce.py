@@ -1,8 +1,9 @@
-"""The index that a run was trained on, found or built again."""
+"""The index that a run was trained on: found, built again, or with takeovers added."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from common.random_access import is_there
 from common.stored_settings import settings_from
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
 from dataset.errors import PlaceNotAllowedError
+from dataset.index.sessions import find_unchanged_log
 from model.errors import RunError
 from model.runs.provenance import StoredData, is_trained_on
 from model.runs.run_folder import CONFIG, load_config, run_name
@@ -57,12 +59,21 @@ def index_of_run(
     return own
 
 
-def data_of_run(run: Path) -> tuple[IndexConfig, dict[str, str]]:
-    """The settings of the index that `run` was trained on, and the fingerprints of its logs by session.
+def logs_with_takeovers(
+    run: Path, takeovers: Sequence[Location], sessions: Location, drives: Location
+) -> tuple[list[Location], IndexConfig]:
+    """The logs that `run` was trained on and those with takeovers, and the settings of their index.
 
-    Raises RunError if its config does not record it.
+    The former are looked for in `sessions`, drives among them in `drives`. Raises RunError if the config of the
+    run does not record them, DatasetError if one is gone or has changed.
     """
-    return _data_of(load_config(run), str(run / CONFIG))
+    settings, fingerprints = _data_of(load_config(run), str(run / CONFIG))
+    logs: list[Location] = []
+    for name, fingerprint in fingerprints.items():
+        drive = drives / f"{name}.mcap"
+        is_drive = is_there(drive) and not is_there(sessions / drive.name)
+        logs.append(find_unchanged_log(str(drive) if is_drive else name, sessions, fingerprint))
+    return [*logs, *takeovers], replace(settings, drives="takeovers")
 
 
 def _is_of(index: Location, stored: dict[str, Any], where: str) -> bool:
@@ -77,6 +88,7 @@ def _is_of(index: Location, stored: dict[str, Any], where: str) -> bool:
 
 
 def _data_of(stored: dict[str, Any], where: str) -> tuple[IndexConfig, dict[str, str]]:
+    """The settings of the index that a run has learnt from, and fingerprints of its logs by session."""
     try:
         data = msgspec.convert(stored.get("data"), StoredData)
         if any(Path(name).name != name for name in data.logs):

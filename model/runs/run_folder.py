@@ -42,9 +42,8 @@ from model.runs.run_config import config_folder as config_folder
 from model.runs.run_config import load_config as load_config
 from model.runs.run_config import weights_checksum as weights_checksum
 from model.runs.run_files import CONFIG as CONFIG
-from model.runs.run_files import LAST, replaced_file, run_write_errors
+from model.runs.run_files import LAST, is_being_trained, replaced_file, run_write_errors
 from model.runs.run_files import WEIGHTS as WEIGHTS
-from model.runs.run_lock import is_being_trained
 from model.runs.runs_in_store import bring_run, find_in_store
 
 

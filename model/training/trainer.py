@@ -30,6 +30,7 @@ from model.progress_bar import open_bar
 from model.runs.car_of_run import refuse_other_steering
 from model.runs.network_of_run import choice_of
 from model.runs.provenance import init_provenance, provenance
+from model.runs.run_files import locked_for_training
 from model.runs.run_folder import (
     WEIGHTS,
     create_run,
@@ -42,7 +43,6 @@ from model.runs.run_folder import (
     write_config,
 )
 from model.runs.run_inputs import init_of, relative_place, remember_inputs
-from model.runs.run_lock import locked_for_training
 from model.runs.training_progress import Epoch, Listener
 from model.training.distributed import group_of_processes, local_rank_of_process
 from model.training.known_targets import target_notices
