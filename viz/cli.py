@@ -127,8 +127,7 @@ def _play_predicted(config: Play) -> int:
     """Show a log with predictions of networks, or write them; return the exit code."""
     from model import find_run
     from model.evaluation.predict_log import predict_log
-    from model.runs.network_of_run import load_named
-    from model.runs.run_folder import load_config
+    from model.runs.run_folder import load_named
     from viz.playback.predicted_recording import prepare_predictions
     from viz.targets import FinishedContent
 
@@ -142,7 +141,7 @@ def _play_predicted(config: Play) -> int:
             refuse_existing(path, config.force)  # before minutes of work, not after them
     _check_logs(config.logs)
     runs = [find_run(name, config.runs) for name in config.run]
-    load_named(config.network, [load_config(run) for run in runs] if config.network else [])
+    load_named(config.network, runs)
     if is_only_written:
         predictions = predict_log(config.log, runs)
         code = max(_report_predictions(config, predictions), _warn_unfinished(predictions.notice))

@@ -21,7 +21,7 @@ from common.location import Location, Url, absolute, location, relative_to
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, PlaceNotAllowedError
 from dataset.frames.image_check_cache import read_image_check
-from dataset.frames.topic_columns import TOPIC_COLUMNS
+from dataset.frames.pairing import TOPIC_COLUMNS
 from recorder import Log
 from recorder.log.tags import Tag
 from recorder.topics import VEHICLE_COLUMNS

@@ -18,9 +18,8 @@ from dataset.frames.drivers import DRIVERS, TAKEOVERS, is_taken, read_commands
 from dataset.frames.frame_flags import ImageFindings, Paired, frame_flags
 from dataset.frames.frames_file import FRAMES_SCHEMA, SPLITS, session_name
 from dataset.frames.image_check_cache import read_image_check
-from dataset.frames.pairing import moments, paired_rows
+from dataset.frames.pairing import TOPIC_COLUMNS, moments, paired_rows, topic_columns
 from dataset.frames.split import block_numbers, near_validation, validation_blocks
-from dataset.frames.topic_columns import TOPIC_COLUMNS, topic_columns
 from dataset.steering_bins import bin_of
 from recorder import Log, Pictures
 from recorder.log.row_devices import device_numbers

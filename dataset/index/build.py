@@ -38,7 +38,6 @@ from dataset.frames.frames_file import (
     session_name,
 )
 from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
-from dataset.index.build_lock import build_lock
 from dataset.index.build_state import (
     FRAMES_FOLDER,
     STATE_NAME,
@@ -53,7 +52,7 @@ from dataset.index.duplicates import shared_standing_rows
 from dataset.index.log_entries import car_to_warp, log_entries
 from dataset.index.session_labels import labels_of_sessions
 from dataset.index.sessions import by_session_name
-from dataset.index.staging import finish_interrupted_build, staged, stale_frames_files
+from dataset.index.staging import build_lock, finish_interrupted_build, staged, stale_frames_files
 from dataset.missing_index import other_folder, refuse_file
 from dataset.parquet_file import read_columns, read_metadata
 from dataset.samples.divided_writer import write_divided_samples

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from common import Skipped
 from common.closeable import Closeable
 from common.location import Location
-from dataset.epoch_alteration_names import EpochAlteration
+from dataset.config import EpochAlteration
 from dataset.epoch_alterations import EpochAlterations
 from dataset.errors import UnusablePictureError
 from dataset.loader.crops import Crops

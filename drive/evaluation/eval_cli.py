@@ -48,11 +48,10 @@ def evaluate(config: Eval) -> int:
 def _found_runs(config: Eval, *names: str | None) -> list[Path]:
     """The runs of these names, once the code of --network that they need has run."""
     from model import find_run
-    from model.runs.network_of_run import load_named
-    from model.runs.run_folder import load_config
+    from model.runs.run_folder import load_named
 
     runs = [find_run(name, config.runs) for name in names]
-    load_named(config.network, [load_config(run) for run in runs] if config.network else [])
+    load_named(config.network, runs)
     return runs
 
 

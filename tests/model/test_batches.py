@@ -22,7 +22,7 @@ from torch import Tensor
 from common.car import CAMERAS, Camera
 from dataset import IndexConfig, Loader, build_index, decode, load, preprocess
 from dataset.augment import ALTERATIONS, alter
-from dataset.epoch_alteration_names import EPOCH_ALTERATIONS, EpochAlteration
+from dataset.config import EPOCH_ALTERATIONS, EpochAlteration
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
 from logs import write_log
