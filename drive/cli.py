@@ -269,7 +269,7 @@ def _print_next(sessions: Sequence[DriveSession], config: Drive, run: Path) -> N
 
 def _aggregate(config: Drive, settings: DriveConfig) -> int:
     """Drive and train by turns."""
-    from drive.evaluation.aggregation import Aggregation, AggregationFolders, check_rounds
+    from drive.evaluation.aggregation import Aggregation, check_rounds
     from drive.evaluation.closed_loop import LogFolder
     from drive.evaluation.external_simulator import ExternalSimulator
     from drive.evaluation.simulator_process import BuiltInSimulator, check_laps
@@ -291,12 +291,20 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
         simulator = BuiltInSimulator(config.simulator, config.laps, config.real_time)
     drives = LogFolder.of(config.drives)
     runs = config.runs if isinstance(config.runs, Path) else RUNS
-    folders = AggregationFolders(config.sessions, drives.here, runs)
     run = find_run(config.run, config.runs)
     load_named([config.network], [run])
     settings = _with_car(config, settings, run)
     training = replace(training, **network_settings(load_config(run), run))
-    aggregation = Aggregation(run, simulator, settings, config.aggregate, folders, training)
+    aggregation = Aggregation(
+        run,
+        simulator,
+        settings,
+        config.aggregate,
+        training,
+        sessions=config.sessions,
+        drives=drives.here,
+        runs=runs,
+    )
     try:
         for done in aggregation.rounds(config.server, _notify, lambda notice: codes.append(warn(notice))):
             rounds.append(done)

@@ -113,7 +113,7 @@ def _tried_out(
     from model.runs.network_of_run import choice_of
     from model.runs.run_folder import load_config, picture_of_run
     from model.training.distributed import local_rank_of_process
-    from model.training.other_network import refuse_other_network
+    from model.training.earlier_run import refuse_other_network
 
     settings = config.config
     begun = load_config(like).get("machine") if like is not None else None

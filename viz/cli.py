@@ -21,7 +21,7 @@ from viz.config import Play, check_files, check_video_flags, check_viewer_flags
 
 if TYPE_CHECKING:
     from model.evaluation.log_predictions import LogPredictions
-    from viz.targets import Content, Destination
+    from viz.targets import Destination, FinishedContent, GrowingLogContent
 
 
 def play(config: Play) -> int:
@@ -50,7 +50,7 @@ def _prepare_rerun() -> None:
     os.environ.setdefault("RUST_LOG", SENDER_LOG)  # read when Rerun starts
 
 
-def _show_or_save(config: Play, content: Content) -> int:
+def _show_or_save(config: Play, content: FinishedContent | GrowingLogContent) -> int:
     """Show it, or write it to a file; return the exit code."""
     if config.save is None:
         code = content.show(_destination(config))
@@ -63,7 +63,7 @@ def _show_or_save(config: Play, content: Content) -> int:
     return code
 
 
-def _content(config: Play) -> Content:
+def _content(config: Play) -> FinishedContent | GrowingLogContent:
     from viz.live.live_log import find_log, is_finished
     from viz.playback.comparison import prepare_comparison
     from viz.playback.rerun_recording import prepare_log

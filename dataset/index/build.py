@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 from common.allowed_places import folders_of, remember_places
 from common.car import MAX_STEERING_DEG
 from common.errors import counted
-from common.location import Location, location
+from common.location import Location, location, relative_to
 from common.progress import track
 from common.steering_unit import assumed_deg
 from common.tasks import Tasks, one_by_one
@@ -34,7 +34,6 @@ from dataset.frames.frames_file import (
     extent_of,
     file_if_rewritten,
     index_project,
-    relative_log_path,
     session_name,
 )
 from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
@@ -295,7 +294,7 @@ def _about_log(log: Location, index: Path, entry: BuiltLog, views_car: Car | Non
     its views."""
     car = metadata_of(views_car).get(CAR_KEY, entry.car)
     return {
-        "log": relative_log_path(log, index),
+        "log": relative_to(log, index),
         "fingerprint": entry.fingerprint,
         **file_if_rewritten(entry.fingerprint, entry.file),
         **({"max_steering_deg": entry.max_steering_deg} if entry.max_steering_deg != MAX_STEERING_DEG else {}),

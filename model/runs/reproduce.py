@@ -31,13 +31,12 @@ def index_of_run(
     DatasetError if one is gone, LogError if one cannot be read: without it, the samples would be others.
     """
     stored = load_config(run)
-    where = str(run / CONFIG)
     index = absolute(index)
     own = index.with_name(f"{index.name}-{run_name(run)}")
     for place in (index, own):
-        if _is_of(place, stored, where):
+        if _is_of(place, stored, run):
             return place
-    settings, fingerprints = _data_of(stored, where)
+    settings, fingerprints = _data_of(stored, run)
     before = logs_of(run)
     logs = [
         str(log_to_open(run, name, before[name]))
@@ -51,7 +50,7 @@ def index_of_run(
         changed = [name for name, log in samples.sources.items() if log.fingerprint != fingerprints[name]]
         if changed:
             raise RunError(f"{sessions}: {', '.join(changed)} changed since {run} was trained on them")
-        if not is_trained_on(stored, where, samples):
+        if not is_trained_on(stored, run, samples):
             raise RunError(
                 f"{own}: the same logs and settings as {run} had, but other samples: their tags have changed, they"
                 " were rewritten (`bc-log rewrite`), or it was made by another version of the toolkit"
@@ -67,7 +66,7 @@ def logs_with_takeovers(
     The former are looked for in `sessions`, drives among them in `drives`. Raises RunError if the config of the
     run does not record them, DatasetError if one is gone or has changed.
     """
-    settings, fingerprints = _data_of(load_config(run), str(run / CONFIG))
+    settings, fingerprints = _data_of(load_config(run), run)
     logs: list[Location] = []
     for name, fingerprint in fingerprints.items():
         drive = drives / f"{name}.mcap"
@@ -76,18 +75,18 @@ def logs_with_takeovers(
     return [*logs, *takeovers], replace(settings, drives="takeovers")
 
 
-def _is_of(index: Location, stored: dict[str, Any], where: str) -> bool:
+def _is_of(index: Location, stored: dict[str, Any], run: Path) -> bool:
     """True if an index can be used, and holds the samples that a run with this config was trained on."""
     try:
         with Samples(index) as samples:
-            return is_trained_on(stored, where, samples)
+            return is_trained_on(stored, run, samples)
     except PlaceNotAllowedError:
         raise
     except DatasetError:
         return False
 
 
-def _data_of(stored: dict[str, Any], where: str) -> tuple[IndexConfig, dict[str, str]]:
+def _data_of(stored: dict[str, Any], run: Path) -> tuple[IndexConfig, dict[str, str]]:
     """The settings of the index that a run has learnt from, and fingerprints of its logs by session."""
     try:
         data = msgspec.convert(stored.get("data"), StoredData)
@@ -96,4 +95,4 @@ def _data_of(stored: dict[str, Any], where: str) -> tuple[IndexConfig, dict[str,
         fingerprints = {name: log.fingerprint for name, log in data.logs.items()}
         return settings_from(IndexConfig, data.settings), fingerprints
     except ValueError as error:
-        raise RunError(f"{where}: its index settings cannot be used ({error})") from None
+        raise RunError(f"{run / CONFIG}: its index settings cannot be used ({error})") from None

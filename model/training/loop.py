@@ -23,10 +23,11 @@ from model.adam import Adam
 from model.config import TrainConfig
 from model.device import Machine
 from model.errors import RunError
+from model.evaluation.predict import predict
 from model.network.choice import NetworkChoice
 from model.progress_bar import progress_task
 from model.runs.answer_scale import AnswerScale
-from model.runs.checkpoint import Position, checkpoint_path, load_checkpoint
+from model.runs.checkpoint import Position, checkpoint_path, load_checkpoint, save_checkpoint
 from model.runs.run_arguments import run_argument
 from model.runs.run_folder import load_weights
 from model.runs.training_progress import Epoch, Step
@@ -123,10 +124,10 @@ class TrainingLoop:
         load_weights(init, self.network)
 
     def begin(self) -> None:
-        """Save the start of a new training."""
+        """Save the start of a new training: from there a run that is killed early goes on."""
         self.averaged.begin(self.network)
         weights = self.network, self.averaged.network
-        self.group.on_first_rank(lambda: self.writer.begin(*weights, self.optimizer, self.position))
+        self.group.on_first_rank(lambda: save_checkpoint(self.run, *weights, self.optimizer, self.position))
 
     def resume(self) -> None:
         """Go to where the run was stopped. Raises RunError if its checkpoint cannot be used."""
@@ -257,7 +258,7 @@ class TrainingLoop:
         """Measure the network after an epoch, and report it; the best epoch by now, and its error."""
         position = self.position
         with progress_task(self.bar, f"validation {position.epoch}", len(self.validation)) as advance:
-            learnt, recorded = self.validation.predict(self.averaged.network, advance)
+            learnt, recorded = predict(self.averaged.network, self.validation.loader, advance)
         if not np.isfinite(learnt).all() or not self._is_finite():
             raise self._diverged()
         if self.natural_frames is not None:

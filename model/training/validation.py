@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +15,7 @@ from dataset.frames.distinct_rows import by_session
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import steering_in
 from model.config import TrainConfig
-from model.evaluation.predict import predict
 from model.metrics import Measures, measure, other_targets
-from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position
 from model.runs.run_folder import load_config
@@ -50,10 +48,6 @@ class Validation:
 
     def __len__(self) -> int:
         return len(self.loader)
-
-    def predict(self, network: PictureNetwork, advance: Callable[[int], object]) -> tuple[Floats, Floats]:
-        """The answers and the recorded values, steering (N,) or targets (N, K), of the frames that decode."""
-        return predict(network, self.loader, advance)
 
     def epoch(
         self, position: Position, learnt: Floats, predicted: Floats, recorded: Floats, answers: AnswerScale
