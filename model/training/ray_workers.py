@@ -62,50 +62,6 @@ class _Call:
     places: Sequence[Location]  # which index and run may name (`common.allowed_places`)
 
 
-class _WorkerLostError(Exception):
-    """A worker died, or lost another one."""
-
-
-@dataclass(frozen=True)
-class _Call:
-    """The arguments with which each rank calls `train`."""
-
-    index: Location
-    run: Path
-    config: TrainConfig
-    init: Path | None
-    like: Path | None
-    resume: bool
-    places: Sequence[Location]  # which index and run may name (`common.allowed_places`)
-
-
-class _Recorder:
-    """A listener that keeps the progress until the driver fetches it."""
-
-    def __init__(self) -> None:
-        self._progress: list[Step | Epoch] = []
-        self._lock = threading.Lock()
-
-    def step(self, step: Step) -> None:
-        self._add(step)
-
-    def epoch(self, epoch: Epoch) -> None:
-        self._add(epoch)
-
-    def close(self) -> None:
-        """The driver closes its own."""
-
-    def _add(self, progress: Step | Epoch) -> None:
-        with self._lock:
-            self._progress.append(progress)
-
-    def taken(self) -> list[Step | Epoch]:
-        """The progress since the last call."""
-        with self._lock:
-            taken, self._progress = self._progress, []
-            return taken
-
-
 class _Worker:
     """A rank, on a node, and the listener of its training: it keeps the progress until the driver fetches it. Ray
     calls `progress` and `stop` in other threads than `train`."""
