@@ -17,14 +17,7 @@ from common.files import atomic_file, refuse_existing
 from dataset.augment import alter
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, index_write_errors
-from dataset.figure_data import (
-    Distribution,
-    Moment,
-    crop_rows,
-    find_moments,
-    steering_distribution,
-    two_draws,
-)
+from dataset.figure_data import Distribution, Moment, crop_rows, find_moments, steering_distribution, two_draws
 from dataset.figure_style import (
     BLUE,
     DPI,

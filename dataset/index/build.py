@@ -70,11 +70,7 @@ from dataset.samples.samples_format import (
 )
 from dataset.samples.samples_writer import write_samples
 from recorder import LogError
-from recorder.log.session_car import (
-    CAR_KEY,
-    Car,
-    metadata_of,
-)
+from recorder.log.session_car import CAR_KEY, Car, metadata_of
 from recorder.mcap.mcap_file import WITHOUT_CRCS
 from recorder.rows.label_plan import NOT_MEASURED
 

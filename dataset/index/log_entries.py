@@ -13,12 +13,7 @@ from common.location import Location, Url, relative_to
 from common.tasks import Tasks, in_threads, one_by_one
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, index_write_errors, log_problem
-from dataset.frames.frames_file import (
-    FRAMES_FORMAT,
-    file_if_rewritten,
-    frames_metadata,
-    frames_settings,
-)
+from dataset.frames.frames_file import FRAMES_FORMAT, file_if_rewritten, frames_metadata, frames_settings
 from dataset.frames.frames_table import frames_table
 from dataset.frames.image_check_cache import read_image_check
 from dataset.index.build_state import FRAMES_FOLDER, BuildState, BuiltLog, Stats, sources_of, stat_of

@@ -96,9 +96,7 @@ class Samples(Closeable):
             self.metadata: dict[str, Any] = json.loads(read_schema(self._source()).metadata[METADATA_KEY])
             self.sources = {
                 str(session): IndexedLog(
-                    str(source["log"]),
-                    str(source["fingerprint"]),
-                    str(source.get("file", source["fingerprint"])),
+                    str(source["log"]), str(source["fingerprint"]), str(source.get("file", source["fingerprint"]))
                 )
                 for session, source in self.metadata["logs"].items()
             }

@@ -227,12 +227,7 @@ def _of_camera(
     return np.clip(steering + config.side_correction * signs[camera], -1.0, 1.0) + 0.0
 
 
-def samples_table(
-    frames: pa.Table,
-    session: UsableFrames,
-    chosen: ChosenSamples,
-    config: IndexConfig,
-) -> pa.Table:
+def samples_table(frames: pa.Table, session: UsableFrames, chosen: ChosenSamples, config: IndexConfig) -> pa.Table:
     """The samples of one session: `frames` and `session` are of each sample."""
     names = (VIEWPOINT, *config.alterations)  # first of all: what is blurred or darkened is the view
     combinations = [

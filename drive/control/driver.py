@@ -215,12 +215,7 @@ class Driver:
         self._filter.override(time_s, steering)
         self._brake.release()
         return replace(
-            decision,
-            steering=steering,
-            throttle=throttle,
-            driver="human",
-            device=person.device,
-            events=events,
+            decision, steering=steering, throttle=throttle, driver="human", device=person.device, events=events
         )
 
     def _throttle(self, telemetry: Telemetry, answer: NetworkAnswer, steering: float, time_s: float) -> float:

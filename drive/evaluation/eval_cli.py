@@ -12,15 +12,7 @@ from typing import TYPE_CHECKING
 
 from common import UserError
 from common.allowed_places import allow_places
-from common.command import (
-    DONE,
-    DONE_BUT_SKIPPED,
-    FAILED,
-    run_command,
-    usage_errors,
-    warn,
-    warn_skipped,
-)
+from common.command import DONE, DONE_BUT_SKIPPED, FAILED, run_command, usage_errors, warn, warn_skipped
 from common.errors import counted
 from common.location import Location, absolute
 from common.output import print_message, print_next, print_result

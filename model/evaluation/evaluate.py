@@ -34,13 +34,7 @@ from model.metrics import Errors, Measures, TargetErrors, errors, measure, targe
 from model.runs.answer_scale import AnswerScale
 from model.runs.car_of_run import refuse_other_steering
 from model.runs.run_files import without_nan
-from model.runs.run_folder import (
-    load_answer_scale,
-    load_config,
-    run_name,
-    speed_ahead_s_of_run,
-    targets_of_run,
-)
+from model.runs.run_folder import load_answer_scale, load_config, run_name, speed_ahead_s_of_run, targets_of_run
 from model.runs.trained_on import count_trained_on
 
 _FROM_INDEX: Final = pa.schema(
