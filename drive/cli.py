@@ -268,7 +268,6 @@ def _print_next(sessions: Sequence[DriveSession], config: Drive, run: Path) -> N
 
 
 def _aggregate(config: Drive, settings: DriveConfig) -> int:
-    """Drive and train by turns."""
     from drive.evaluation.aggregation import Aggregation, check_rounds
     from drive.evaluation.closed_loop import LogFolder
     from drive.evaluation.external_simulator import ExternalSimulator

@@ -189,7 +189,6 @@ def _going_on(run: Path) -> str:
 
 
 def _resume(run: Path, index: Location) -> str:
-    """The command that goes on with a run."""
     from model.runs.run_arguments import run_argument
     from model.runs.run_inputs import index_of
 

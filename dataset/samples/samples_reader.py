@@ -51,7 +51,6 @@ _CONTENT: Final = ("row", *(name for name in FINGERPRINTED if name not in ("offs
 
 
 def loaded_columns(targets: Sequence[TargetName] = STEERING_ONLY) -> tuple[str, ...]:
-    """The columns that a loader needs for these targets."""
     return (*LOADED, *(TARGETS[name].label_column for name in targets if name not in STEERING_ONLY))
 
 
@@ -73,8 +72,6 @@ _UNREADABLE: Final = (
 
 
 class IndexedLog(NamedTuple):
-    """A log of an index."""
-
     path: str  # from the index
     fingerprint: str  # of its content
     file: str  # of the file
@@ -120,7 +117,6 @@ class Samples(Closeable):
 
     @cached_property
     def _part_files(self) -> list[Path]:
-        """The files of divided samples, on this machine."""
         return part_files_here(self._parts, self.path.parent) if self._parts is not None else []
 
     @cached_property

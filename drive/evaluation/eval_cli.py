@@ -234,7 +234,6 @@ def _warn_problem(result: DriveResult) -> int:
 
 
 def _drives(config: Eval) -> list[tuple[BuiltInSimulator, DriveConfig]]:
-    """The drives of each track at each speed."""
     from drive.config import DriveConfig
     from drive.errors import DriveError
     from drive.evaluation.simulator_process import BuiltInSimulator, check_laps

@@ -104,8 +104,6 @@ def _clock(summary: DriveSummary) -> str:
 
 @dataclass(frozen=True)
 class _Sample:
-    """The totals of a drive at one call."""
-
     now_s: float
     replies: int
     bad: int  # of them

@@ -301,7 +301,6 @@ def _from_index(view: pa.Table, samples: Samples) -> pa.Table:
 
 
 def _in_crashes(frames: pa.Table, samples: Samples) -> NDArray[np.bool_]:
-    """A mask of the frames (N,) in crashes."""
     crash = np.zeros(len(frames), np.bool_)
     session = frames["session"].combine_chunks().dictionary_encode()
     for number, name in enumerate(session.dictionary.to_pylist()):

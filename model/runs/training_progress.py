@@ -106,5 +106,4 @@ class Listener(Protocol):
 
 
 def finite(numbers: Mapping[str, float]) -> dict[str, float]:
-    """The finite ones of the numbers."""
     return {name: float(value) for name, value in numbers.items() if math.isfinite(value)}

@@ -51,8 +51,6 @@ CHECKPOINT_S: Final = 60.0
 
 
 class TrainingLoop:
-    """A training in progress."""
-
     def __init__(
         self,
         samples: Samples,

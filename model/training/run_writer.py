@@ -53,7 +53,6 @@ class RunWriter:
         return self._unsaved_best is not None or (self.run / WEIGHTS).exists()
 
     def save(self, network: nn.Module, averaged: nn.Module, optimizer: Adam, position: Position) -> None:
-        """Save the best weights and a checkpoint."""
         self.save_best()
         save_checkpoint(self.run, network, averaged, optimizer, position)
         self.has_saved = True

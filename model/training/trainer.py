@@ -62,8 +62,6 @@ from model.training.validation import validation_notices
 
 @dataclass(frozen=True)
 class Trained:
-    """The result of a training."""
-
     run: Path
     epochs: list[Epoch]  # those of this call; only on the first of several ranks
     skipped: list[Skipped]  # pictures that do not decode, as far as this process met them

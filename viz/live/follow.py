@@ -70,8 +70,6 @@ def follow_log(path: Path, url: str, viewer: Viewer | None) -> int:
 
 
 class LogFeed(ViewerFeed):
-    """Sends a log as it grows."""
-
     def __init__(self, path: Path, url: str) -> None:
         _refuse_windows()
         super().__init__(url)

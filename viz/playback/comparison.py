@@ -44,8 +44,6 @@ _LEFT_OUT: Final = "CoordinateFrame:frame"  # names the entity that a picture wo
 
 @dataclass(frozen=True)
 class _ComparedLog:
-    """A log that is compared with others."""
-
     name: str
     log: Log
     drawn: DrawnMessages

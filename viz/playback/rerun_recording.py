@@ -194,7 +194,6 @@ def draw(drawn: DrawnMessages, drawing: Drawing) -> None:
 
 
 def topics_with_messages(log: Log) -> list[str]:
-    """The topics of a log that have a message."""
     return [topic for topic, count in log.counts.items() if count]
 
 
