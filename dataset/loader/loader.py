@@ -29,9 +29,8 @@ from common.location import Location
 from dataset.config import EpochAlteration
 from dataset.epoch_alterations import EpochAlterations
 from dataset.errors import UnusablePictureError
-from dataset.loader.crops import Crops
+from dataset.loader.crops import Crops, Fill, prefetched
 from dataset.loader.look_ahead import LookAhead
-from dataset.loader.prefetch import Fill, prefetched
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName
 from dataset.preprocessing import Image

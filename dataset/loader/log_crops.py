@@ -20,8 +20,7 @@ from dataset.errors import DatasetError
 from dataset.frames.frames_file import session_name
 from dataset.frames.frames_table import driven_states
 from dataset.frames.pairing import paired_rows
-from dataset.loader.crops import Crops
-from dataset.loader.prefetch import prefetched
+from dataset.loader.crops import Crops, prefetched
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.preprocessing import Image
 from dataset.samples.sample_rows import Rows

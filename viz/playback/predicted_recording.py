@@ -18,7 +18,7 @@ from model.evaluation.predict_log import predict_log, run_names
 from recorder.topics import STEERING
 from viz.playback.blueprint import attention_entity, entity_part
 from viz.playback.curves import Drawing, prediction_curves
-from viz.playback.picture_columns import picture_columns
+from viz.playback.log_chunks import picture_columns
 from viz.playback.rerun_recording import PredictionLayer, PreparedRecording, prepare_log
 from viz.timelines import Clock, Times
 
