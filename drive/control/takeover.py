@@ -109,28 +109,24 @@ class PersonTakeover:
         self._wheel = wheel
         self._car = car
         self._speed = SpeedController(set_speed_mph, car=car)
-        self._control = Control()
+        self.control = Control()
+        """The controls of the last `update`."""
         self.person_drives = False
 
     @property
     def device(self) -> Device | None:
         """What the person steers with; None while the network drives."""
-        return self._control.device if self.person_drives else None
-
-    @property
-    def control(self) -> Control:
-        """The controls of the last `update`."""
-        return self._control
+        return self.control.device if self.person_drives else None
 
     def update(self) -> list[str]:
         """Choose the driver by the newest controls, and return the events of that."""
-        self._control = self._wheel.control()
+        self.control = self._wheel.control()
         if not self.person_drives:
-            if not self._control.is_touching:
+            if not self.control.is_touching:
                 return []
             self.person_drives = True
             return [TAKES_OVER]
-        if self._control.is_absent:
+        if self.control.is_absent:
             self.person_drives = False
             return [NOBODY]
         return []
@@ -144,7 +140,7 @@ class PersonTakeover:
 
     def command(self, speed_mph: float | None) -> tuple[float, float]:
         """Steering and throttle of the person, at the car's speed, if that is known."""
-        control = self._control
+        control = self.control
         if control.hold_mph is None or speed_mph is None or control.throttle < 0.0:  # the brake comes first
             return control.steering, control.throttle
         if control.hold_mph != self._speed.set_speed_mph:
