@@ -28,44 +28,31 @@ from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 
 if TYPE_CHECKING:
-    from dataset.index.build import Indexed, build_index
-    from dataset.index.sessions import find_logs, sessions_not_indexed
-    from dataset.loader.loader import Batch, Loader, load
-    from dataset.loader.torch_dataset import SamplesDataset
-    from dataset.preprocessing import decode, preprocess
-    from dataset.samples.samples_reader import Samples
-
-__all__ = [
-    "MAX_STEERING_DEG",
-    "Batch",
-    "DatasetError",
-    "IndexConfig",
-    "Indexed",
-    "Loader",
-    "Samples",
-    "SamplesDataset",
-    "build_index",
-    "decode",
-    "find_logs",
-    "load",
-    "preprocess",
-    "sessions_not_indexed",
-]
+    from dataset.index.build import Indexed as Indexed
+    from dataset.index.build import build_index as build_index
+    from dataset.index.sessions import find_logs as find_logs
+    from dataset.index.sessions import sessions_not_indexed as sessions_not_indexed
+    from dataset.loader.loader import Batch as Batch
+    from dataset.loader.loader import Loader as Loader
+    from dataset.loader.loader import load as load
+    from dataset.loader.torch_dataset import SamplesDataset as SamplesDataset
+    from dataset.preprocessing import decode as decode
+    from dataset.preprocessing import preprocess as preprocess
+    from dataset.samples.samples_reader import Samples as Samples
 
 # training reads an index where what builds one is not installed; flags and errors need no NumPy
-__getattr__, __dir__ = lazy_names(
-    __name__,
-    {
-        "Batch": "dataset.loader.loader",
-        "Indexed": "dataset.index.build",
-        "Loader": "dataset.loader.loader",
-        "Samples": "dataset.samples.samples_reader",
-        "SamplesDataset": "dataset.loader.torch_dataset",
-        "build_index": "dataset.index.build",
-        "decode": "dataset.preprocessing",
-        "find_logs": "dataset.index.sessions",
-        "load": "dataset.loader.loader",
-        "preprocess": "dataset.preprocessing",
-        "sessions_not_indexed": "dataset.index.sessions",
-    },
-)
+_HOMES = {
+    "Batch": "dataset.loader.loader",
+    "Indexed": "dataset.index.build",
+    "Loader": "dataset.loader.loader",
+    "Samples": "dataset.samples.samples_reader",
+    "SamplesDataset": "dataset.loader.torch_dataset",
+    "build_index": "dataset.index.build",
+    "decode": "dataset.preprocessing",
+    "find_logs": "dataset.index.sessions",
+    "load": "dataset.loader.loader",
+    "preprocess": "dataset.preprocessing",
+    "sessions_not_indexed": "dataset.index.sessions",
+}
+__all__ = ["MAX_STEERING_DEG", "DatasetError", "IndexConfig", *_HOMES]
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal, get_args
 
 from tyro.conf import arg
 
@@ -17,6 +17,9 @@ CORRECTION_SIGNS: Final[Mapping[Camera, float]] = {"center": 0.0, "left": 1.0, "
 """The side correction's sign in the label of each camera that is trained on by default."""
 
 Alteration = Literal["blur", "brightness", "shadow"]
+EpochAlteration = Literal["move", "zoom", "turn", "contrast", "brightness", "colours", "shadow", "box", "noise"]
+EPOCH_ALTERATIONS: Final[tuple[EpochAlteration, ...]] = get_args(EpochAlteration)
+"""What every picture may have in every epoch of a training."""
 Drives = Literal["all", "takeovers"]
 Labels = Literal["auto", "as-recorded"]
 

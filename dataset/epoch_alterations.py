@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset.epoch_alteration_names import EpochAlteration
+from dataset.config import EpochAlteration
 from dataset.preprocessing import Image
 
 STEERING_A_WIDTH: Final = 4.8

@@ -11,37 +11,26 @@ from typing import TYPE_CHECKING
 from common.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from drive.config import DriveConfig
-    from drive.control.driver import Decision, Driver
-    from drive.control.speed_controller import SpeedController
-    from drive.drive_server import DriveServer
-    from drive.errors import DriveError
-    from drive.evaluation.closed_loop import DriveResult, evaluate
-    from drive.evaluation.simulator_process import BuiltInSimulator
+    from drive.config import DriveConfig as DriveConfig
+    from drive.control.driver import Decision as Decision
+    from drive.control.driver import Driver as Driver
+    from drive.control.speed_controller import SpeedController as SpeedController
+    from drive.drive_server import DriveServer as DriveServer
+    from drive.errors import DriveError as DriveError
+    from drive.evaluation.closed_loop import DriveResult as DriveResult
+    from drive.evaluation.closed_loop import evaluate as evaluate
+    from drive.evaluation.simulator_process import BuiltInSimulator as BuiltInSimulator
 
-__all__ = [
-    "BuiltInSimulator",
-    "Decision",
-    "DriveConfig",
-    "DriveError",
-    "DriveResult",
-    "DriveServer",
-    "Driver",
-    "SpeedController",
-    "evaluate",
-]
-
-__getattr__, __dir__ = lazy_names(
-    __name__,
-    {
-        "BuiltInSimulator": "drive.evaluation.simulator_process",
-        "Decision": "drive.control.driver",
-        "DriveConfig": "drive.config",
-        "DriveError": "drive.errors",
-        "DriveResult": "drive.evaluation.closed_loop",
-        "DriveServer": "drive.drive_server",
-        "Driver": "drive.control.driver",
-        "SpeedController": "drive.control.speed_controller",
-        "evaluate": "drive.evaluation.closed_loop",
-    },
-)
+_HOMES = {
+    "BuiltInSimulator": "drive.evaluation.simulator_process",
+    "Decision": "drive.control.driver",
+    "DriveConfig": "drive.config",
+    "DriveError": "drive.errors",
+    "DriveResult": "drive.evaluation.closed_loop",
+    "DriveServer": "drive.drive_server",
+    "Driver": "drive.control.driver",
+    "SpeedController": "drive.control.speed_controller",
+    "evaluate": "drive.evaluation.closed_loop",
+}
+__all__ = [*_HOMES]
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

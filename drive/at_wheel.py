@@ -10,7 +10,7 @@ from common.errors import counted
 from common.interrupts import StopEvent
 from drive.config import DriveConfig
 from drive.control.driver import Decision
-from drive.control.person_takeover import PersonTakeover
+from drive.control.takeover import PersonTakeover
 from recorder.sources.eye_pictures import EyeMoment, EyePictures
 from recorder.teleop.frame_state import FrameState
 from recorder.teleop.rate_meter import RateMeter

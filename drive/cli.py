@@ -69,6 +69,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
     from drive.drive_server import DriveServer
     from drive.evaluation.simulator_process import BuiltInSimulator, check_laps, drive_built_in
     from model import find_run, load_pilot
+    from model.runs.run_folder import load_named
 
     simulator = None
     if config.simulator is not None:
@@ -78,7 +79,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
         is_supervised = config.takeover is not None
         simulator = BuiltInSimulator(config.simulator, config.laps, is_real_time, is_supervised, config.start)
     run = find_run(config.run, config.runs)
-    _load_named(config, run)
+    load_named([config.network], [run])
     settings = _with_car(config, settings, run)
     pilot = load_pilot(run, config.precision)
     pilot.warm_up()
@@ -178,27 +179,19 @@ def _with_car(config: Drive, settings: DriveConfig, run: Path) -> DriveConfig:
     return replace(settings, car=car)
 
 
-def _load_named(config: Drive, run: Path) -> None:
-    """Run the code of --network, if the run needs it."""
-    from model.runs.network_of_run import load_named
-    from model.runs.run_folder import load_config
-
-    if config.network is not None:
-        load_named([config.network], [load_config(run)])
-
-
 def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
     from drive.drive_server import drive_metadata
     from drive.drive_session import DriveSession
     from drive.gymnasium_drive import check_pedals, drive_gymnasium, mean_reward
     from model import find_run, load_pilot
+    from model.runs.run_folder import load_named
     from recorder import LogWriter
     from recorder.sources.gymnasium_car import GymnasiumCar
 
     run = find_run(config.run, config.runs)
     with GymnasiumCar(config.environment) as car, stop_signals() as stopped, contextlib.ExitStack() as after:
         check_pedals(car)
-        _load_named(config, run)
+        load_named([config.network], [run])
         settings = _with_car(config, settings, run)
         pilot = load_pilot(run, config.precision)
         pilot.warm_up()
@@ -275,15 +268,14 @@ def _print_next(sessions: Sequence[DriveSession], config: Drive, run: Path) -> N
 
 
 def _aggregate(config: Drive, settings: DriveConfig) -> int:
-    """Drive and train by turns."""
-    from drive.evaluation.aggregation import Aggregation, AggregationFolders, check_rounds
+    from drive.evaluation.aggregation import Aggregation, check_rounds
     from drive.evaluation.closed_loop import LogFolder
     from drive.evaluation.external_simulator import ExternalSimulator
     from drive.evaluation.simulator_process import BuiltInSimulator, check_laps
     from model import TrainConfig, find_run
     from model.runs.network_of_run import network_settings
     from model.runs.run_arguments import RUNS
-    from model.runs.run_folder import load_config
+    from model.runs.run_folder import load_config, load_named
 
     rounds: list[AggregationRound] = []
     codes = [DONE]
@@ -298,12 +290,20 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
         simulator = BuiltInSimulator(config.simulator, config.laps, config.real_time)
     drives = LogFolder.of(config.drives)
     runs = config.runs if isinstance(config.runs, Path) else RUNS
-    folders = AggregationFolders(config.sessions, drives.here, runs)
     run = find_run(config.run, config.runs)
-    _load_named(config, run)
+    load_named([config.network], [run])
     settings = _with_car(config, settings, run)
     training = replace(training, **network_settings(load_config(run), run))
-    aggregation = Aggregation(run, simulator, settings, config.aggregate, folders, training)
+    aggregation = Aggregation(
+        run,
+        simulator,
+        settings,
+        config.aggregate,
+        training,
+        sessions=config.sessions,
+        drives=drives.here,
+        runs=runs,
+    )
     try:
         for done in aggregation.rounds(config.server, _notify, lambda notice: codes.append(warn(notice))):
             rounds.append(done)

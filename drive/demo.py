@@ -52,7 +52,6 @@ class DemoStep(NamedTuple):
 
 
 def steps_of(config: Demo) -> list[DemoStep]:
-    """The steps of the demo, in their order."""
     tracks: tuple[str, ...] = ("lake", "mountain")
     share, laps, epochs = config.share, config.laps, config.epochs
     network, epoch_s = "", 48.0

@@ -14,7 +14,7 @@ from drive.control.braking import WALKING_MPH
 from drive.control.driver import Decision, Driver
 from drive.log.drive_log import DriveLog
 from drive.log.drive_summary import DriveSummary
-from drive.log.live_status import LiveStatus
+from drive.log.summary_lines import LiveStatus
 from model import Pilot
 from recorder import LogWriter
 from recorder.server.in_flight import RunningClock

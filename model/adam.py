@@ -25,7 +25,6 @@ class Adam:
         `step`, a float32 beside it on the GPU, else on the CPU."""
 
     def zero_grad(self) -> None:
-        """Forget all gradients."""
         for parameter in self.parameters:
             parameter.grad = None
 

@@ -113,7 +113,7 @@ def _tried_out(
     from model.runs.network_of_run import choice_of
     from model.runs.run_folder import load_config, picture_of_run
     from model.training.distributed import local_rank_of_process
-    from model.training.other_network import refuse_other_network
+    from model.training.earlier_run import refuse_other_network
 
     settings = config.config
     begun = load_config(like).get("machine") if like is not None else None
@@ -189,7 +189,6 @@ def _going_on(run: Path) -> str:
 
 
 def _resume(run: Path, index: Location) -> str:
-    """The command that goes on with a run."""
     from model.runs.run_arguments import run_argument
     from model.runs.run_inputs import index_of
 
@@ -256,7 +255,7 @@ def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, i
     """The index of --on or --takeovers, built, and the exit code of what had to be printed about it."""
     from dataset import IndexConfig, find_logs
     from dataset.frames.frames_file import session_name
-    from model.runs.own_index import logs_with_takeovers
+    from model.runs.reproduce import logs_with_takeovers
 
     index = local_path(config.index).with_name(f"index-{run.name}")
     refuse_existing(index, overwrite=False)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Literal
 
 from common.recipe import Recipe
-from dataset.epoch_alteration_names import EPOCH_ALTERATIONS, EpochAlteration
+from dataset.config import EPOCH_ALTERATIONS, EpochAlteration
 from dataset.prediction_targets import STEERING_ONLY, TargetName, check_targets
 from model.network.names import check_network_name
 

@@ -43,12 +43,10 @@ class Export:
 
 def export(config: Export) -> int:
     _refuse_contradictions(config)
-    from model.runs.network_of_run import load_named
-    from model.runs.run_folder import find_run, load_config
+    from model.runs.run_folder import find_run, load_named
 
     run = find_run(config.run, config.runs)
-    if config.network is not None:
-        load_named([config.network], [load_config(run)])
+    load_named([config.network], [run])
     if config.hub is not None:
         return _export_to_hub(run, config.hub, config.license)
     if config.donkeycar is not None:

@@ -21,8 +21,6 @@ from model.runs.training_progress import Epoch
 
 @dataclass(frozen=True)
 class ModelCard:
-    """The contents of a card."""
-
     name: str
     config: Mapping[str, Any]  # of the run; checked as far as driving needs it
     parameters: int

@@ -36,13 +36,7 @@ from model.network.picture_network import PictureNetwork
 from model.onnx_camera import FromCamera, FromCrops
 from model.runs.car_of_run import known_max_steering_deg_of_run
 from model.runs.run_files import run_write_errors
-from model.runs.run_folder import (
-    load_network,
-    picture_of_run,
-    run_name,
-    targets_of_run,
-    weights_checksum,
-)
+from model.runs.run_folder import load_network, picture_of_run, run_name, targets_of_run, weights_checksum
 
 if TYPE_CHECKING:
     from onnx import ModelProto

@@ -20,10 +20,8 @@ from model.config import Precision
 from model.device import training_dtype
 from model.errors import RunError
 from model.evaluation.predict import as_input
-from model.network.layer_swap import swap_layers
-from model.network.packing import pack_weights
+from model.network.faster_layers import pack_weights, sliced_max_pool, swap_layers
 from model.network.picture_network import PictureNetwork
-from model.network.pooling import sliced_max_pool
 from model.runs.run_folder import (
     load_network,
     picture_of_run,

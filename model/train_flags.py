@@ -118,7 +118,7 @@ def defaults() -> Train:
         if name:
             from model.runs.network_of_run import choice_of, is_own_network
             from model.runs.provenance import training_of
-            from model.runs.run_folder import CONFIG, find_any_run, load_config
+            from model.runs.run_folder import find_any_run, load_config
             from model.runs.run_inputs import allowed_index_of, init_of, sessions_of
             from model.runs.runs_in_store import url_of
 
@@ -133,7 +133,7 @@ def defaults() -> Train:
             stored = load_config(run)
             if is_own_network(stored) and flags.network is None:
                 choice_of(stored, run)  # raises: code is never run because a run names it
-            settings = training_of(stored, str(run / CONFIG))
+            settings = training_of(stored, run)
             if flags.resume is None and recipe_given(settings.recipe) != settings.recipe:
                 raise UsageError("--recipe with --like: that run's settings are repeated; leave out one of them")
             init = init_of(run, runs) if flags.resume is None else None

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Final
 
 from dataset import IndexConfig, build_index
-from dataset.epoch_alteration_names import EPOCH_ALTERATIONS
+from dataset.config import EPOCH_ALTERATIONS
 from drive.config import DriveConfig
 from drive.evaluation.closed_loop import evaluate as drive
 from drive.evaluation.simulator_process import BuiltInSimulator

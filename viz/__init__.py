@@ -10,18 +10,16 @@ from typing import TYPE_CHECKING
 from common.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from viz.live.follow import save_growing
-    from viz.playback.blueprint import log_layout
-    from viz.playback.rerun_recording import curves, save_rrd
+    from viz.live.follow import save_growing as save_growing
+    from viz.playback.blueprint import log_layout as log_layout
+    from viz.playback.rerun_recording import curves as curves
+    from viz.playback.rerun_recording import save_rrd as save_rrd
 
-__all__ = ["curves", "log_layout", "save_growing", "save_rrd"]
-
-__getattr__, __dir__ = lazy_names(
-    __name__,
-    {
-        "curves": "viz.playback.rerun_recording",
-        "log_layout": "viz.playback.blueprint",
-        "save_growing": "viz.live.follow",
-        "save_rrd": "viz.playback.rerun_recording",
-    },
-)
+_HOMES = {
+    "curves": "viz.playback.rerun_recording",
+    "log_layout": "viz.playback.blueprint",
+    "save_growing": "viz.live.follow",
+    "save_rrd": "viz.playback.rerun_recording",
+}
+__all__ = [*_HOMES]
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

@@ -21,7 +21,7 @@ from viz.config import Play, check_files, check_video_flags, check_viewer_flags
 
 if TYPE_CHECKING:
     from model.evaluation.log_predictions import LogPredictions
-    from viz.targets import Content, Destination
+    from viz.targets import Destination, FinishedContent, GrowingLogContent
 
 
 def play(config: Play) -> int:
@@ -50,7 +50,7 @@ def _prepare_rerun() -> None:
     os.environ.setdefault("RUST_LOG", SENDER_LOG)  # read when Rerun starts
 
 
-def _show_or_save(config: Play, content: Content) -> int:
+def _show_or_save(config: Play, content: FinishedContent | GrowingLogContent) -> int:
     """Show it, or write it to a file; return the exit code."""
     if config.save is None:
         code = content.show(_destination(config))
@@ -63,7 +63,7 @@ def _show_or_save(config: Play, content: Content) -> int:
     return code
 
 
-def _content(config: Play) -> Content:
+def _content(config: Play) -> FinishedContent | GrowingLogContent:
     from viz.live.live_log import find_log, is_finished
     from viz.playback.comparison import prepare_comparison
     from viz.playback.rerun_recording import prepare_log
@@ -127,8 +127,7 @@ def _play_predicted(config: Play) -> int:
     """Show a log with predictions of networks, or write them; return the exit code."""
     from model import find_run
     from model.evaluation.predict_log import predict_log
-    from model.runs.network_of_run import load_named
-    from model.runs.run_folder import load_config
+    from model.runs.run_folder import load_named
     from viz.playback.predicted_recording import prepare_predictions
     from viz.targets import FinishedContent
 
@@ -142,7 +141,7 @@ def _play_predicted(config: Play) -> int:
             refuse_existing(path, config.force)  # before minutes of work, not after them
     _check_logs(config.logs)
     runs = [find_run(name, config.runs) for name in config.run]
-    load_named(config.network, [load_config(run) for run in runs] if config.network else [])
+    load_named(config.network, runs)
     if is_only_written:
         predictions = predict_log(config.log, runs)
         code = max(_report_predictions(config, predictions), _warn_unfinished(predictions.notice))

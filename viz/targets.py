@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 from urllib.parse import urlsplit
 
 from common import UserError
@@ -39,18 +39,9 @@ class Destination:
     ports: Ports
 
 
-class Content(Protocol):
-    """Logs to be shown."""
-
-    def save(self, rrd: Path, *, overwrite: bool) -> int:
-        """Write it to a file; return the exit code."""
-
-    def show(self, destination: Destination) -> int:
-        """Show it until the viewer is closed, or a viewer that runs already has it; return the exit code."""
-
-
 class FinishedContent:
-    """Logs that do not grow."""
+    """Logs that do not grow. `save` writes them to a file; `show` shows them until the viewer is closed, or until
+    a viewer that runs already has them. Both return the exit code."""
 
     def __init__(self, prepare: Callable[[], AbstractContextManager[PreparedRecording]], size: int = 0) -> None:
         """`size` is that of what is shown, in bytes."""
@@ -81,7 +72,7 @@ class FinishedContent:
 
 
 class GrowingLogContent:
-    """A log that is being written."""
+    """A log that is being written; its methods are those of `FinishedContent`."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

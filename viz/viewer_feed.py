@@ -90,7 +90,6 @@ def feed_viewer(feed: ViewerFeed, viewer: Viewer | None) -> int:
 
 
 def _feed_running_viewer(feed: ViewerFeed) -> int:
-    """Run `feed` for a viewer that ran before."""
     with stop_signals() as stopped:  # raised within join(), Ctrl-C makes Python 3.11 take the thread for ended
         feed.start()
         while feed.is_alive() and not stopped.is_set():

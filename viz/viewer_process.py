@@ -48,7 +48,6 @@ class Ports:
 
     @property
     def web_address(self) -> str:
-        """The address to open in a browser."""
         return f"http://{LOCAL}:{self.web}/?url=rerun%2Bhttp://{LOCAL}:{self.data}/proxy"
 
 

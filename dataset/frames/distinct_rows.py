@@ -1,10 +1,12 @@
-"""Numbering of rows that are alike: samples of one picture, frames of one moment."""
+"""Rows that are alike, numbered or together: samples of one picture, frames of one moment or session."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 
@@ -33,3 +35,12 @@ def _changes(columns: Any) -> NDArray[np.bool_]:
     for column in columns:
         change[1:] |= column[1:] != column[:-1]
     return change
+
+
+def by_session(rows: pa.Table) -> Iterator[tuple[str, pa.Table]]:
+    """Each session, by name, and its rows in their order."""
+    session = rows["session"].combine_chunks().dictionary_encode()
+    number, names = session.indices.to_numpy(), session.dictionary.to_pylist()
+    ends = np.cumsum(np.bincount(number, minlength=len(names)))
+    parts = np.split(np.argsort(number, kind="stable"), ends[:-1])
+    return ((names[at], rows.take(pa.array(parts[at]))) for at in sorted(range(len(names)), key=names.__getitem__))

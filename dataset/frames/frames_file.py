@@ -21,7 +21,7 @@ from common.location import Location, Url, absolute, location, relative_to
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, PlaceNotAllowedError
 from dataset.frames.image_check_cache import read_image_check
-from dataset.frames.topic_columns import TOPIC_COLUMNS
+from dataset.frames.pairing import TOPIC_COLUMNS
 from recorder import Log
 from recorder.log.tags import Tag
 from recorder.topics import VEHICLE_COLUMNS
@@ -74,7 +74,7 @@ def frames_metadata(log: Log, index: Path, config: IndexConfig, tags: Sequence[T
     fingerprint = log.fingerprint
     return {
         "format": FRAMES_FORMAT,
-        "log": relative_log_path(log.path, index),
+        "log": relative_to(log.path, index),
         "fingerprint": fingerprint,
         **file_if_rewritten(fingerprint, log.file_fingerprint),
         "tags": [[tag.name, tag.first_row, tag.last_row] for tag in tags],
@@ -86,12 +86,6 @@ def frames_metadata(log: Log, index: Path, config: IndexConfig, tags: Sequence[T
 def file_if_rewritten(fingerprint: str, file: str) -> dict[str, str]:
     """The file's own fingerprint, kept beside the log's if that is of another file with the same content."""
     return {} if file == fingerprint else {"file": file}
-
-
-def relative_log_path(log: Location, index: Location) -> str:
-    """The name of a log in an index: its path from the index, so that both can be moved together, also into a
-    bucket; where only one of them is in a bucket, the log's URL."""
-    return relative_to(log, index)
 
 
 def log_place(named: str, index: Location) -> Location:

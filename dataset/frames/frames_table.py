@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from common.car import CAMERAS, Camera
@@ -17,15 +18,14 @@ from dataset.frames.drivers import DRIVERS, TAKEOVERS, is_taken, read_commands
 from dataset.frames.frame_flags import ImageFindings, Paired, frame_flags
 from dataset.frames.frames_file import FRAMES_SCHEMA, SPLITS, session_name
 from dataset.frames.image_check_cache import read_image_check
-from dataset.frames.pairing import paired_rows
+from dataset.frames.pairing import TOPIC_COLUMNS, moments, paired_rows, topic_columns
 from dataset.frames.split import block_numbers, near_validation, validation_blocks
-from dataset.frames.topic_columns import TOPIC_COLUMNS, topic_columns
 from dataset.steering_bins import bin_of
 from recorder import Log, Pictures
 from recorder.log.row_devices import device_numbers
 from recorder.log.tags import Tag
 from recorder.rows.devices import DEVICES
-from recorder.rows.row_quality import States, drive_numbers
+from recorder.rows.row_quality import NOT_LEARNT, States, drive_numbers, row_flags
 from recorder.topics import VEHICLE_COLUMNS, camera_topic
 
 
@@ -153,3 +153,26 @@ def _tags_of(row: NDArray[np.int64], tags: Sequence[Tag]) -> pa.Array:
             if tag.name not in names[at]:
                 names[at].append(tag.name)
     return pa.array(names, pa.list_(pa.string()))
+
+
+def is_for_training(frames: pa.Table, log: Log, session: str, config: IndexConfig) -> NDArray[np.bool_]:
+    """A mask of the `frames` of a log (N,) that are on the training side of an index which was made with `config`
+    and called the log `session`. `frames` needs the columns row and log_time_ns.
+
+    The split is computed anew from the log. It depends on neither tags nor cameras nor --where: frames that these
+    kept from training count as for it.
+    """
+    states, driver = driven_states(log)
+    pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
+    indexed = frames_of(states, pictures, session, config, driver=driver)
+    return np.isin(moments(frames), moments(indexed.filter(pc.equal(indexed["split"], "train"))))
+
+
+def in_crashes(frames: pa.Table, log: Log) -> NDArray[np.bool_]:
+    """A mask of the `frames` of a log (N,), by those flags of its rows that are `NOT_LEARNT`, which an index of an
+    earlier version does not have. `frames` needs the columns row and log_time_ns. Raises LogError for a damaged
+    log."""
+    vehicle = log.vehicle()
+    flags = row_flags(States.of(vehicle))
+    crashed = vehicle.filter(pa.array(np.logical_or.reduce([flags[flag] for flag in NOT_LEARNT])))
+    return np.isin(moments(frames), moments(crashed))

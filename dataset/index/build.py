@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 from common.allowed_places import folders_of, remember_places
 from common.car import MAX_STEERING_DEG
 from common.errors import counted
-from common.location import Location, location
+from common.location import Location, location, relative_to
 from common.progress import track
 from common.steering_unit import assumed_deg
 from common.tasks import Tasks, one_by_one
@@ -34,11 +34,9 @@ from dataset.frames.frames_file import (
     extent_of,
     file_if_rewritten,
     index_project,
-    relative_log_path,
     session_name,
 )
 from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
-from dataset.index.build_lock import build_lock
 from dataset.index.build_state import (
     FRAMES_FOLDER,
     STATE_NAME,
@@ -53,7 +51,7 @@ from dataset.index.duplicates import shared_standing_rows
 from dataset.index.log_entries import car_to_warp, log_entries
 from dataset.index.session_labels import labels_of_sessions
 from dataset.index.sessions import by_session_name
-from dataset.index.staging import finish_interrupted_build, staged, stale_frames_files
+from dataset.index.staging import build_lock, finish_interrupted_build, staged, stale_frames_files
 from dataset.missing_index import other_folder, refuse_file
 from dataset.parquet_file import read_columns, read_metadata
 from dataset.samples.divided_writer import write_divided_samples
@@ -72,11 +70,7 @@ from dataset.samples.samples_format import (
 )
 from dataset.samples.samples_writer import write_samples
 from recorder import LogError
-from recorder.log.session_car import (
-    CAR_KEY,
-    Car,
-    metadata_of,
-)
+from recorder.log.session_car import CAR_KEY, Car, metadata_of
 from recorder.mcap.mcap_file import WITHOUT_CRCS
 from recorder.rows.label_plan import NOT_MEASURED
 
@@ -296,7 +290,7 @@ def _about_log(log: Location, index: Path, entry: BuiltLog, views_car: Car | Non
     its views."""
     car = metadata_of(views_car).get(CAR_KEY, entry.car)
     return {
-        "log": relative_log_path(log, index),
+        "log": relative_to(log, index),
         "fingerprint": entry.fingerprint,
         **file_if_rewritten(entry.fingerprint, entry.file),
         **({"max_steering_deg": entry.max_steering_deg} if entry.max_steering_deg != MAX_STEERING_DEG else {}),

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from common.errors import counted
 from dataset.errors import DatasetError
+from dataset.frames.distinct_rows import by_session
 from dataset.frames.frame_flags import is_excluded
 from dataset.frames.pairing import moments
 from dataset.index.build_state import FRAMES_FOLDER
@@ -49,14 +50,10 @@ def _leaks_in(file: Path, index: Path, gap_s: float) -> list[str]:
     """The leaks among the sessions whose samples are in a file."""
     columns = ["session", "row", "log_time_ns", "split", "copy", "alteration"]
     samples = read_columns(file, columns, read_dictionary=["session"]).unify_dictionaries()
-    session = samples["session"].combine_chunks()
-    order = np.argsort(session.indices.to_numpy(), kind="stable")
-    names = session.dictionary.to_pylist()
-    ends = np.cumsum(np.bincount(session.indices.to_numpy(), minlength=len(names)))
     leaks: list[str] = []
-    for name, start, end in zip(names, [0, *ends[:-1].tolist()], ends.tolist(), strict=True):
+    for name, of_session in by_session(samples):
         frames = pq.read_table(index / FRAMES_FOLDER / f"{name}.parquet", columns=["row", "log_time_ns", "tags"])
-        leaks += [f"{name}: {what}" for what in _leaks_of(samples.take(order[start:end]), frames, gap_s)]
+        leaks += [f"{name}: {what}" for what in _leaks_of(of_session, frames, gap_s)]
     return leaks
 
 

@@ -9,17 +9,11 @@ from pathlib import Path
 import msgspec
 
 from common.car import CAMERAS
-from common.location import Location, Url
+from common.location import Location, Url, relative_to
 from common.tasks import Tasks, in_threads, one_by_one
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, index_write_errors, log_problem
-from dataset.frames.frames_file import (
-    FRAMES_FORMAT,
-    file_if_rewritten,
-    frames_metadata,
-    frames_settings,
-    relative_log_path,
-)
+from dataset.frames.frames_file import FRAMES_FORMAT, file_if_rewritten, frames_metadata, frames_settings
 from dataset.frames.frames_table import frames_table
 from dataset.frames.image_check_cache import read_image_check
 from dataset.index.build_state import FRAMES_FOLDER, BuildState, BuiltLog, Stats, sources_of, stat_of
@@ -99,7 +93,7 @@ def _unchanged(
     expected = {
         "format": FRAMES_FORMAT,
         "settings": frames_settings(config, name),
-        "log": relative_log_path(log, index),
+        "log": relative_to(log, index),
         "fingerprint": entry.fingerprint,
         **file_if_rewritten(entry.fingerprint, entry.file),
     }

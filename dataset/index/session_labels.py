@@ -29,10 +29,7 @@ from recorder.topics import VEHICLE_COLUMNS
 
 
 def labels_of_sessions(
-    frames: Mapping[str, Path],
-    built: Mapping[str, BuiltLog],
-    config: IndexConfig,
-    tasks: Tasks = one_by_one,
+    frames: Mapping[str, Path], built: Mapping[str, BuiltLog], config: IndexConfig, tasks: Tasks = one_by_one
 ) -> dict[str, SessionLabels]:
     """The habits and label plan of each session, from its frames file and its log's entry. Raises FramesError for
     a damaged file."""

@@ -15,13 +15,15 @@ of sessions that samples.parquet holds, and were made from the same logs; and th
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import IO, Final
 
 from common.files import final_path, part_path, publish
 from common.interrupts import uninterrupted
+from common.locks import lock
 from dataset.errors import DatasetError, index_write_errors
 from dataset.index.build_state import FRAMES_FOLDER, STATE_NAME
 from dataset.parquet_file import read_metadata
@@ -137,3 +139,31 @@ def _is_ours(file: Path) -> bool:
     if (final := final_path(file)) != file and final.suffix == ".parquet":
         return True
     return (read_metadata(file) or {}).keys() >= {"format", "fingerprint", "looked", "settings"}
+
+
+@contextlib.contextmanager
+def build_lock(index: Path) -> Iterator[None]:
+    """Let one at a time build this index; where none comes of it, nothing stays of what this has made."""
+    made = [folder for folder in (index, *index.parents) if not folder.exists()]
+    with _locked(index) as stream:
+        try:
+            yield
+        finally:
+            if not (index / SAMPLES_NAME).exists():
+                with contextlib.suppress(OSError):  # somebody else's files; Windows removes no open one
+                    Path(stream.name).unlink()
+                    for folder in made:
+                        folder.rmdir()
+
+
+def _locked(index: Path) -> IO[bytes]:
+    """The lock's file, locked until it is closed."""
+    path = index / ".lock"
+    while True:
+        index.mkdir(parents=True, exist_ok=True)
+        with contextlib.ExitStack() as stack, contextlib.suppress(FileNotFoundError):
+            stream = stack.enter_context(path.open("ab"))
+            lock(stream)
+            if os.path.samestat(path.stat(), os.fstat(stream.fileno())):
+                stack.pop_all()
+                return stream

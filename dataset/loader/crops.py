@@ -1,4 +1,4 @@
-"""The crops of samples: pictures read out of the logs, decoded, mirrored, altered; crops are kept in memory.
+"""The crops of samples: pictures read out of the logs, decoded ahead, mirrored, altered; crops are kept in memory.
 
 Any number of threads may ask at once; OpenCV releases Python's lock while it works.
 """
@@ -6,7 +6,9 @@ Any number of threads may ask at once; OpenCV releases Python's lock while it wo
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Final
 
 import cv2
@@ -28,6 +30,14 @@ from recorder.log.session_car import OUTLINE_PX, UDACITY, car_of
 from recorder.pictures.picture_size import width_and_height
 from recorder.topics import camera_topic
 
+UNDECODED: Final = "pictures that do not decode"
+_JOBS: Final = 4  # for each thread of a part: small enough that none waits long for the others' last one
+
+Numbers = NDArray[np.int64]
+Failed = dict[int, UnusablePictureError]
+Fill = Callable[[Image, Numbers], Failed]
+"""Writes the pictures of some numbers into an array; returns the numbers without one, and the reasons."""
+
 
 def different_crops(rows: Rows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Samples that show every crop once, sorted by picture; and for each sample (N,) which of these has its crop.
@@ -48,9 +58,6 @@ def count_crops(rows: Rows) -> int:
 
 def _is_altered(rows: Rows) -> NDArray[np.bool_]:
     return np.array([names != "" for names in rows.alterations], np.bool_)[rows.alteration]
-
-
-UNDECODED: Final = "pictures that do not decode"
 
 
 class Crops:
@@ -79,7 +86,7 @@ class Crops:
         Returns the samples whose picture does not decode, or lies in a damaged chunk of its log, and why; what is
         written for them is arbitrary.
         """
-        failed: dict[int, UnusablePictureError] = {}
+        failed: Failed = {}
         columns = (self._rows.picture, self._rows.flip, self._rows.alteration, self._rows.seed)
         wanted = zip(pictures, samples.tolist(), *(column[samples].tolist() for column in columns), strict=True)
         cropped = -1
@@ -162,3 +169,31 @@ class Crops:
             raise UnusablePictureError(damaged_pictures(log.path), str(error)) from None
         except ValueError as error:
             raise UnusablePictureError(UNDECODED, f"{log.path}: the picture at byte {offset}: {error}") from None
+
+
+def prefetched(
+    parts: Iterable[Numbers], fill: Fill, spec: PictureSpec, *, threads: int, at_once: int
+) -> Iterator[tuple[Numbers, Image, Failed]]:
+    """Each part, what `fill` writes for it (N, `spec.shape`), and its numbers that have no picture, and why.
+
+    `at_once` parts are worked on. What `fill` raises is raised in its part's turn.
+    """
+    waiting: deque[tuple[Numbers, Image, list[Future[Failed]]]] = deque()
+    pool = ThreadPoolExecutor(threads)
+    try:
+        for part in parts:
+            pictures = np.empty((len(part), *spec.shape), np.uint8)
+            size = max(1, -(-len(part) // (_JOBS * threads)))
+            starts = range(0, len(part), size)
+            jobs = [pool.submit(fill, pictures[i : i + size], part[i : i + size]) for i in starts]
+            waiting.append((part, pictures, jobs))
+            if len(waiting) == at_once:
+                yield _finished(*waiting.popleft())
+        while waiting:
+            yield _finished(*waiting.popleft())
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _finished(part: Numbers, pictures: Image, jobs: list[Future[Failed]]) -> tuple[Numbers, Image, Failed]:
+    return part, pictures, {number: error for job in jobs for number, error in job.result().items()}

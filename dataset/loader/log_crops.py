@@ -20,8 +20,7 @@ from dataset.errors import DatasetError
 from dataset.frames.frames_file import session_name
 from dataset.frames.frames_table import driven_states
 from dataset.frames.pairing import paired_rows
-from dataset.loader.crops import Crops
-from dataset.loader.prefetch import prefetched
+from dataset.loader.crops import Crops, prefetched
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.preprocessing import Image
 from dataset.samples.sample_rows import Rows
@@ -42,41 +41,31 @@ class LogCrops(Closeable):
         self.session = printable(session_name(path))  # a file name may be no text
         self.skipped = Skipped()  # each picture once
         self._undecoded: set[int] = set()
-        self._log = Log(path)
+        self.log = Log(path)
         try:
-            self._read(self._log.pictures(camera_topic("center")))
+            self._read(self.log.pictures(camera_topic("center")))
         except BaseException:
             self.close()
             raise
 
     def close(self) -> None:
-        self._log.close()
-
-    @property
-    def fingerprint(self) -> str:
-        """The log's fingerprint: see `Log`."""
-        return self._log.fingerprint
+        self.log.close()
 
     @property
     def max_steering_deg(self) -> float | None:
         """The wheels' angle at steering 1; None: unknown."""
-        return known_max_steering_deg(self._log)
+        return known_max_steering_deg(self.log)
 
     @property
     def about_car(self) -> dict[str, str]:
         """The car's entry in the log's metadata, and the log's source."""
-        return {"log_source": self._log.metadata.get("source", ""), **metadata_of(stored_car(self._log))}
-
-    @property
-    def notice(self) -> str:
-        """A line about a log that was never finished; empty for a finished one."""
-        return self._log.notice
+        return {"log_source": self.log.metadata.get("source", ""), **metadata_of(stored_car(self.log))}
 
     def _read(self, pictures: Pictures) -> None:
         count = len(pictures.sequence)
         if not count:
             raise DatasetError(
-                f"{self._log.path}: no picture of the centre camera in it; `bc-log info` lists its topics"
+                f"{self.log.path}: no picture of the centre camera in it; `bc-log info` lists its topics"
             )
         self.row: NDArray[np.int64] = pictures.sequence
         self.log_time_ns: NDArray[np.int64] = pictures.log_time_ns
@@ -111,7 +100,7 @@ class LogCrops(Closeable):
         numbers = np.arange(0, len(self), step)
         parts = np.split(numbers, numbers[size::size])
         threads = os.cpu_count() or 1
-        of_log = Crops(self._rows, {self.session: self._log}, budget_bytes=0, spec=spec)
+        of_log = Crops(self._rows, {self.session: self.log}, budget_bytes=0, spec=spec)
         for part, crops, failed in prefetched(parts, of_log.fill, spec, threads=threads, at_once=_AT_ONCE):
             for number, error in failed.items():
                 if number not in self._undecoded:
@@ -121,7 +110,7 @@ class LogCrops(Closeable):
             yield part[is_decoded], crops[is_decoded] if failed else crops
 
     def _recorded(self, pictures: Pictures) -> NDArray[np.float64]:
-        states, _ = driven_states(self._log)
+        states, _ = driven_states(self.log)
         state, picture = paired_rows(pictures, states)
         recorded = np.full(len(pictures.sequence), np.nan)
         recorded[picture] = states.steering[state]

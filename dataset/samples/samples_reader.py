@@ -5,6 +5,7 @@ The rows are arrays, not Python objects: 18 bytes a sample and 24 bytes a pictur
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -50,7 +51,6 @@ _CONTENT: Final = ("row", *(name for name in FINGERPRINTED if name not in ("offs
 
 
 def loaded_columns(targets: Sequence[TargetName] = STEERING_ONLY) -> tuple[str, ...]:
-    """The columns that a loader needs for these targets."""
     return (*LOADED, *(TARGETS[name].label_column for name in targets if name not in STEERING_ONLY))
 
 
@@ -72,8 +72,6 @@ _UNREADABLE: Final = (
 
 
 class IndexedLog(NamedTuple):
-    """A log of an index."""
-
     path: str  # from the index
     fingerprint: str  # of its content
     file: str  # of the file
@@ -95,9 +93,7 @@ class Samples(Closeable):
             self.metadata: dict[str, Any] = json.loads(read_schema(self._source()).metadata[METADATA_KEY])
             self.sources = {
                 str(session): IndexedLog(
-                    str(source["log"]),
-                    str(source["fingerprint"]),
-                    str(source.get("file", source["fingerprint"])),
+                    str(source["log"]), str(source["fingerprint"]), str(source.get("file", source["fingerprint"]))
                 )
                 for session, source in self.metadata["logs"].items()
             }
@@ -121,15 +117,12 @@ class Samples(Closeable):
 
     @cached_property
     def _part_files(self) -> list[Path]:
-        """The files of divided samples, on this machine."""
         return part_files_here(self._parts, self.path.parent) if self._parts is not None else []
 
     @cached_property
     def _columns(self) -> list[str]:
-        try:
+        with self._readable():
             return list(read_schema(self._source()).names)
-        except _UNREADABLE as error:
-            raise self._damaged(error) from None
 
     @cached_property
     def table(self) -> pa.Table:
@@ -160,10 +153,8 @@ class Samples(Closeable):
         plain: dict[str, Any] = {"split": _known(split), "flip": False, "copy": False}
         center = self._table(None, **plain, camera="center")
         view = center if len(center) else self._table(None, **plain)
-        try:
+        with self._readable():
             return view.set_column(view.schema.get_field_index("label"), "label", view["recorded"])
-        except _UNREADABLE as error:
-            raise self._damaged(error) from None
 
     @cached_property
     def settings(self) -> IndexConfig:
@@ -207,14 +198,12 @@ class Samples(Closeable):
         """SHA-256 of each column that a fingerprint depends on."""
         logs = {session: log.fingerprint for session, log in self.sources.items()}
         digests = {name: hashlib.sha256() for name in dict.fromkeys((*FINGERPRINTED, *_CONTENT))}
-        try:
+        with self._readable():
             for part in self._groups(tuple(digests)):
                 for name, digest in digests.items():
                     digest.update(
                         _hashable(part[name], SAMPLES_SCHEMA.field(name).type, logs if name == "session" else {})
                     )
-        except _UNREADABLE as error:
-            raise self._damaged(error) from None
         return {name: digest.hexdigest() for name, digest in digests.items()}
 
     @property
@@ -248,34 +237,26 @@ class Samples(Closeable):
     def target_labels(self, table: pa.Table, target: TargetName) -> NDArray[np.float64]:
         """The labels (N,) of a target besides steering, in its unit, in samples of this index; NaN where they are
         not known. Raises DatasetError for what no index holds."""
-        try:
+        with self._readable():
             return target_labels(table, target)
-        except _UNREADABLE as error:
-            raise self._damaged(error) from None
 
     def rows(self, table: pa.Table, targets: Sequence[TargetName] = STEERING_ONLY) -> Rows:
         """Samples of this index as arrays, `table` with the columns of these targets' labels. Raises DatasetError
         for what no index holds."""
-        try:
+        with self._readable():
             return rows_of(table, self.sources, targets)
-        except _UNREADABLE as error:
-            raise self._damaged(error) from None
 
     def _table(self, columns: Sequence[str] | None, **values: str | bool) -> pa.Table:
         """The rows with these values in these columns."""
-        try:
+        with self._readable():
             return pa.concat_tables(self._matching(columns, **values))
-        except _UNREADABLE as error:
-            raise self._damaged(error) from None
 
     def _matching(self, columns: Sequence[str] | None, **values: str | bool) -> Iterator[pa.Table]:
-        try:
+        with self._readable():
             for part in self._groups(columns):
                 for name, value in values.items():
                     part = part.filter(pc.equal(part[name], value))
                 yield part
-        except _UNREADABLE as error:
-            raise self._damaged(error) from None
 
     def _groups(self, columns: Sequence[str] | None) -> Iterator[pa.Table]:
         """The samples part by part, the first one empty. Raises what is `_UNREADABLE`.
@@ -303,6 +284,14 @@ class Samples(Closeable):
                 part.unlink(missing_ok=True)  # a copy, which may come once more
                 part_files_here(self._parts, self.path.parent)
                 yield read_part(part, self._parts, columns, words)
+
+    @contextlib.contextmanager
+    def _readable(self) -> Iterator[None]:
+        """Raise DatasetError for what a damaged file raises in the block."""
+        try:
+            yield
+        except _UNREADABLE as error:
+            raise self._damaged(error) from None
 
     def _damaged(self, error: Exception) -> DatasetError:
         why = " ".join(str(error).split())

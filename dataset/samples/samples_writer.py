@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from common import atomic_file
 from common.car import CAMERAS
 from dataset.config import CORRECTION_SIGNS, IndexConfig
-from dataset.drawn_views import VIEWPOINT, draw_views, mirrored_view
+from dataset.drawn_views import VIEWPOINT, draw_views, has_way_back, label_back, mirrored_view
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import codes, read_frames
 from dataset.parquet_file import METADATA_KEY
@@ -30,7 +30,6 @@ from dataset.samples.frame_choice import choose_frames
 from dataset.samples.labels import planned_speed_mph, recorded_throttle
 from dataset.samples.sample_choice import ChosenSamples, choose_samples
 from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_SCHEMA, Balance, SessionCounts, SessionLabels
-from dataset.samples.viewpoint_labels import has_way_back, label_back
 from dataset.steering_bins import bin_of
 from recorder.log.session_car import UDACITY, Car
 from recorder.log.tags import EXCLUDE
@@ -228,12 +227,7 @@ def _of_camera(
     return np.clip(steering + config.side_correction * signs[camera], -1.0, 1.0) + 0.0
 
 
-def samples_table(
-    frames: pa.Table,
-    session: UsableFrames,
-    chosen: ChosenSamples,
-    config: IndexConfig,
-) -> pa.Table:
+def samples_table(frames: pa.Table, session: UsableFrames, chosen: ChosenSamples, config: IndexConfig) -> pa.Table:
     """The samples of one session: `frames` and `session` are of each sample."""
     names = (VIEWPOINT, *config.alterations)  # first of all: what is blurred or darkened is the view
     combinations = [

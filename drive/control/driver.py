@@ -13,10 +13,9 @@ from drive.config import DriveConfig
 from drive.control.braking import WALKING_MPH, EmergencyBrake
 from drive.control.course_events import CourseEvents
 from drive.control.drive_clock import DriveClock
-from drive.control.person_takeover import PersonTakeover
 from drive.control.speed_controller import SpeedController
 from drive.control.steering_filter import SteeringFilter
-from drive.control.takeover import Takeover
+from drive.control.takeover import PersonTakeover, Takeover
 from drive.control.telemetry_picture import camera_picture
 from model import Pilot
 from model.pilot import NetworkAnswer
@@ -216,12 +215,7 @@ class Driver:
         self._filter.override(time_s, steering)
         self._brake.release()
         return replace(
-            decision,
-            steering=steering,
-            throttle=throttle,
-            driver="human",
-            device=person.device,
-            events=events,
+            decision, steering=steering, throttle=throttle, driver="human", device=person.device, events=events
         )
 
     def _throttle(self, telemetry: Telemetry, answer: NetworkAnswer, steering: float, time_s: float) -> float:

@@ -1,10 +1,16 @@
-"""The takeover: the simulator's expert drives where the network leaves the lane."""
+"""The takeovers: the simulator's expert drives where the network leaves the lane, a person at the first touch of
+a key, stick or wheel."""
 
 from __future__ import annotations
 
 from typing import Final
 
+from drive.control.speed_controller import SpeedController
+from recorder.log.session_car import Car
+from recorder.rows.devices import Device
 from recorder.server.world import World
+from recorder.teleop.seat import Control
+from recorder.teleop.wheel import Wheel
 
 # Tried with networks that fail for seconds at a time, on three tracks: no takeover came too late at 10 and 15 mph,
 # one in thirteen at 20. By the offset alone, from 0.7 of the half width on, it was one in eight at 15, half at 20.
@@ -29,6 +35,8 @@ MISSING_S: Final = 1.0
 """The time until a notice that they are missing: some simulators send them from the second telemetry on."""
 
 PILOT_DRIVES: Final = "the pilot drives again"
+TAKES_OVER: Final = "a person takes over"
+NOBODY: Final = "nobody is at the wheel: the network drives on"
 _LONGEST_GAP_S: Final = 0.5  # between two telemetries that give a sideways speed
 
 
@@ -92,3 +100,49 @@ class Takeover:
                 " does); in Udacity's, a human takes over by holding a key"
             )
         return events
+
+
+class PersonTakeover:
+    """Chooses the driver: the network, or the person at a wheel."""
+
+    def __init__(self, wheel: Wheel, set_speed_mph: float, car: Car | None) -> None:
+        self._wheel = wheel
+        self._car = car
+        self._speed = SpeedController(set_speed_mph, car=car)
+        self.control = Control()
+        """The controls of the last `update`."""
+        self.person_drives = False
+
+    @property
+    def device(self) -> Device | None:
+        """What the person steers with; None while the network drives."""
+        return self.control.device if self.person_drives else None
+
+    def update(self) -> list[str]:
+        """Choose the driver by the newest controls, and return the events of that."""
+        self.control = self._wheel.control()
+        if not self.person_drives:
+            if not self.control.is_touching:
+                return []
+            self.person_drives = True
+            return [TAKES_OVER]
+        if self.control.is_absent:
+            self.person_drives = False
+            return [NOBODY]
+        return []
+
+    def hand_back(self) -> list[str]:
+        """The network drives again, until the next touch; the events of that."""
+        if not self.person_drives:
+            return []
+        self.person_drives = False
+        return [PILOT_DRIVES]
+
+    def command(self, speed_mph: float | None) -> tuple[float, float]:
+        """Steering and throttle of the person, at the car's speed, if that is known."""
+        control = self.control
+        if control.hold_mph is None or speed_mph is None or control.throttle < 0.0:  # the brake comes first
+            return control.steering, control.throttle
+        if control.hold_mph != self._speed.set_speed_mph:
+            self._speed = SpeedController(control.hold_mph, car=self._car)
+        return control.steering, self._speed.throttle(speed_mph)

@@ -23,7 +23,7 @@ from drive.evaluation.external_simulator import ExternalSimulator
 from drive.evaluation.simulator_process import BuiltInSimulator
 from model import TrainConfig, load_pilot, train
 from model.runs.car_of_run import refuse_other_steering
-from model.runs.own_index import logs_with_takeovers
+from model.runs.reproduce import logs_with_takeovers
 from model.runs.run_folder import CONFIG, run_name
 from recorder.log.session_car import UDACITY
 from recorder.server.telemetry_server import ServerMode
@@ -42,15 +42,6 @@ class AggregationRound:
     autonomy_percent: float | None
 
 
-@dataclass(frozen=True)
-class AggregationFolders:
-    """The folders of an aggregation's logs and runs."""
-
-    sessions: Location  # the logs that the run was trained on,
-    drives: Path  # but for those of an aggregation before this one
-    runs: Path
-
-
 class Aggregation:
     """Drives `simulator` and trains by turns, `rounds` times: the takeovers are indexed with what `run` was
     trained on, and its weights are trained on.
@@ -66,21 +57,25 @@ class Aggregation:
         simulator: BuiltInSimulator | ExternalSimulator,
         config: DriveConfig,
         rounds: int,
-        folders: AggregationFolders,
         training: TrainConfig,
+        *,
+        sessions: Location,
+        drives: Path,
+        runs: Path,
     ) -> None:
+        """`sessions` has the logs that the run has learnt from; `drives` those of earlier aggregations."""
         check_rounds(rounds)
         refuse_other_steering(run, (config.car or UDACITY).max_steering_deg, "the car that is driven")
         self._simulator = simulator
         self._config = replace(config, takeover=True)
         self._training = training
         self._threads = torch.get_num_threads()  # a pilot drives on one
-        self._sessions, self._settings = logs_with_takeovers(run, [], folders.sessions, folders.drives)
+        self._sessions, self._settings = logs_with_takeovers(run, [], sessions, drives)
         self._warned: set[str] = set()
         name = f"{run_name(run)}-{simulator.name}"
-        self._index = folders.runs.parent / f"index-{name}"
-        self._logs = [folders.drives / f"{name}-{number}.mcap" for number in range(rounds + 1)]
-        self._runs = [run, *(folders.runs / f"{name}-{number}" for number in range(1, rounds + 1))]
+        self._index = runs.parent / f"index-{name}"
+        self._logs = [drives / f"{name}-{number}.mcap" for number in range(rounds + 1)]
+        self._runs = [run, *(runs / f"{name}-{number}" for number in range(1, rounds + 1))]
         if in_the_way := self._left():
             raise DriveError(f"exist already, of an aggregation before this one; move them away: {in_the_way}")
 

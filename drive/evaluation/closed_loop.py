@@ -94,7 +94,8 @@ def evaluate(
         laps = f"{simulator.laps:g} lap{'' if simulator.laps == 1 else 's'}"
         notify(f"{pilot.run} on {simulator.track} at {config.set_speed_mph:g} mph, {laps}")
         report, _ = drive_and_log(pilot, simulator, config, folder.here / name, overwrite=overwrite)
-        yield DriveResult(simulator, config, *_copied(folder, name, report, overwrite=overwrite))
+        place, problem = folder.copy(name, overwrite)
+        yield DriveResult(simulator, config, place, report, problem)
 
 
 def drive_runs(
@@ -134,15 +135,8 @@ def _drive_run(
     pilot = _warm_pilot(run, networks, precision)
     # whether it may be replaced was asked before: a drive that is made again may find the log of the first one
     report, _ = drive_and_log(pilot, simulator, config, logs.here / name, overwrite=True, shows_progress=False)
-    return DriveResult(simulator, config, *_copied(logs, name, report, overwrite=overwrite))
-
-
-def _copied(
-    logs: LogFolder, name: str, report: dict[str, Any], *, overwrite: bool
-) -> tuple[Location, dict[str, Any], str]:
-    """The rest of a result, once its log is where it belongs."""
     place, problem = logs.copy(name, overwrite)
-    return place, report, problem
+    return DriveResult(simulator, config, place, report, problem)
 
 
 @lru_cache(maxsize=1)

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 
 def print_comparison(comparison: Comparison, names: Sequence[str]) -> None:
-    """Print the table of a comparison on recorded frames, and its verdict."""
     errors = comparison.a.measures
     length = f" of {BLOCK_S:g} s" if comparison.units == "blocks" else ""
     units = f"{comparison.unit_count:,} {comparison.units}{length}"
@@ -38,7 +37,6 @@ def print_comparison(comparison: Comparison, names: Sequence[str]) -> None:
 
 
 def print_drive_comparison(comparison: DriveComparison, names: Sequence[str]) -> None:
-    """Print the tables of a comparison by driving, and its verdict."""
     headings = ("track", "set mph", "interventions", "", "autonomy", "", "mean offset", "")
     drives = plain_table("each drive, A then B", *headings)
     for a, b in zip(comparison.a, comparison.b, strict=True):
@@ -60,7 +58,6 @@ def print_drive_comparison(comparison: DriveComparison, names: Sequence[str]) ->
 
 
 def _print_verdict(verdict: Verdict, differences: Sequence[Difference], tolerance: float, units: str) -> None:
-    """Print the line with the verdict, and the measures that it rests on."""
     headings = {
         kind: ", ".join(difference.measure.heading for difference in differences if difference.verdict == kind)
         for kind in ("worse", "better")

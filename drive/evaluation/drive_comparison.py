@@ -18,14 +18,7 @@ from common.location import Location
 from drive.control.course_events import PUT_BACK
 from drive.evaluation.closed_loop import DriveResult
 from model.evaluation.block_bootstrap import Floats
-from model.evaluation.differences import (
-    CONFIDENCE,
-    Difference,
-    Measure,
-    Verdict,
-    compare_sums,
-    overall,
-)
+from model.evaluation.differences import CONFIDENCE, Difference, Measure, Verdict, compare_sums, overall
 from recorder import Log
 from recorder.topics import EVENTS, POSE
 from simulator.driving.vehicle import AXLE_TO_CENTRE_M

@@ -12,15 +12,7 @@ from typing import TYPE_CHECKING
 
 from common import UserError
 from common.allowed_places import allow_places
-from common.command import (
-    DONE,
-    DONE_BUT_SKIPPED,
-    FAILED,
-    run_command,
-    usage_errors,
-    warn,
-    warn_skipped,
-)
+from common.command import DONE, DONE_BUT_SKIPPED, FAILED, run_command, usage_errors, warn, warn_skipped
 from common.errors import counted
 from common.location import Location, absolute
 from common.output import print_message, print_next, print_result
@@ -48,17 +40,16 @@ def evaluate(config: Eval) -> int:
 def _found_runs(config: Eval, *names: str | None) -> list[Path]:
     """The runs of these names, once the code of --network that they need has run."""
     from model import find_run
-    from model.runs.network_of_run import load_named
-    from model.runs.run_folder import load_config
+    from model.runs.run_folder import load_named
 
     runs = [find_run(name, config.runs) for name in names]
-    load_named(config.network, [load_config(run) for run in runs] if config.network else [])
+    load_named(config.network, runs)
     return runs
 
 
 def _measure(config: Eval) -> int:
     from drive.kept_drive import keep
-    from model.worst_moments import worst_frames
+    from model.runs.worst_pictures import worst_frames
 
     (run,) = _found_runs(config, config.run)
     measured_on, (evaluation,) = _evaluations(config, [run])
@@ -243,7 +234,6 @@ def _warn_problem(result: DriveResult) -> int:
 
 
 def _drives(config: Eval) -> list[tuple[BuiltInSimulator, DriveConfig]]:
-    """The drives of each track at each speed."""
     from drive.config import DriveConfig
     from drive.errors import DriveError
     from drive.evaluation.simulator_process import BuiltInSimulator, check_laps

@@ -17,12 +17,11 @@ from common.output import plain_table, print_result, print_table
 from common.steering_unit import SteeringUnit
 from dataset.prediction_targets import TARGETS
 from model.evaluation.evaluate import Evaluation
-from model.metrics import Measures
+from model.metrics import Measures, TargetErrors
 from model.runs.answer_scale import AnswerScale
 from model.runs.run_arguments import run_argument
 from model.runs.run_folder import run_name
-from model.target_metrics import TargetErrors
-from model.worst_moments import WorstFrame
+from model.runs.worst_pictures import WorstFrame
 
 if TYPE_CHECKING:
     from drive.evaluation.closed_loop import DriveResult  # loads the server

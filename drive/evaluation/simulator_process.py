@@ -91,14 +91,7 @@ def drive_and_log(
     with (
         stop_signals() as stopped,
         DriveServer(
-            pilot,
-            config,
-            log,
-            overwrite=overwrite,
-            port=0,
-            mode=mode,
-            is_built_in=True,
-            track=simulator.track,
+            pilot, config, log, overwrite=overwrite, port=0, mode=mode, is_built_in=True, track=simulator.track
         ) as server,
     ):
         report = drive_built_in(server, simulator, stopped, shows_progress=shows_progress)

@@ -25,8 +25,6 @@ Verdict = Literal["worse", "better", "not told apart", "unknown"]
 
 @dataclass(frozen=True)
 class Measure:
-    """A number that is compared."""
-
     name: str  # in JSON
     heading: str
     is_error: bool = True  # less of it is better

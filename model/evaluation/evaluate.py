@@ -22,26 +22,20 @@ from common.car import MAX_STEERING_DEG
 from common.errors import counted
 from common.location import Location, absolute, location
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
-from dataset.frames.crash_frames import in_crashes
+from dataset.frames.distinct_rows import by_session
+from dataset.frames.frames_table import in_crashes
 from dataset.index.sessions import by_session_name
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, steering_in
 from dataset.preprocessing import Image
 from dataset.samples.samples_reader import Split
 from model.evaluation.predict import BATCH, predict_crops
-from model.metrics import Errors, Measures, errors, measure
+from model.metrics import Errors, Measures, TargetErrors, errors, measure, target_errors
 from model.runs.answer_scale import AnswerScale
 from model.runs.car_of_run import refuse_other_steering
 from model.runs.run_files import without_nan
-from model.runs.run_folder import (
-    load_answer_scale,
-    load_config,
-    run_name,
-    speed_ahead_s_of_run,
-    targets_of_run,
-)
-from model.runs.trained_on import by_session, count_trained_on
-from model.target_metrics import TargetErrors, target_errors
+from model.runs.run_folder import load_answer_scale, load_config, run_name, speed_ahead_s_of_run, targets_of_run
+from model.runs.trained_on import count_trained_on
 
 _FROM_INDEX: Final = pa.schema(
     [
@@ -117,7 +111,7 @@ class Evaluation:
     @cached_property
     def sessions(self) -> dict[str, Measures]:
         """The measures of each session that has frames here."""
-        return {session: self._measure(part) for session, part in by_session(self.frames).items()}
+        return {session: self._measure(part) for session, part in by_session(self.frames)}
 
     @cached_property
     def balanced_rmse_deg(self) -> dict[str, float]:
@@ -237,7 +231,7 @@ def _evaluate(runs: Sequence[Path], samples: Samples, view: pa.Table) -> list[Ev
         )
     frames = _from_index(view, samples)
     frames = frames.append_column("crash", pa.array(_in_crashes(frames, samples)))
-    sessions = by_session(frames.filter(pa.array(is_decoded)))
+    sessions = dict(by_session(frames.filter(pa.array(is_decoded))))
     unmeasured = [_unmeasured(run, samples) for run in runs]
     notices = tuple(dict.fromkeys(notice for of_run in unmeasured for notice in of_run.values()))
     labels = [
@@ -307,7 +301,6 @@ def _from_index(view: pa.Table, samples: Samples) -> pa.Table:
 
 
 def _in_crashes(frames: pa.Table, samples: Samples) -> NDArray[np.bool_]:
-    """A mask of the frames (N,) in crashes."""
     crash = np.zeros(len(frames), np.bool_)
     session = frames["session"].combine_chunks().dictionary_encode()
     for number, name in enumerate(session.dictionary.to_pylist()):

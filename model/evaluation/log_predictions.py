@@ -14,7 +14,7 @@ from common.errors import counted
 from common.steering_unit import SteeringUnit, assumed_deg, steering_unit
 from dataset import MAX_STEERING_DEG
 from model.metrics import measure
-from model.worst_moments import WorstFrame, worst_frames
+from model.runs.worst_pictures import WorstFrame, worst_frames
 
 Values = NDArray[np.float64]
 

@@ -93,7 +93,6 @@ def predict_crops(
 
 
 def answer_shape(network: PictureNetwork) -> tuple[int, ...]:
-    """The shape of the answer to a picture."""
     return () if network.outputs == 1 else (network.outputs,)
 
 

@@ -84,7 +84,7 @@ def predict_log(
             {name: steering_in(values)[is_decoded] for name, values in zip(names, predicted, strict=True)},
             {
                 "log": log.name,
-                "log_fingerprint": crops.fingerprint,
+                "log_fingerprint": crops.log.fingerprint,
                 **{
                     f"weights_sha256.{name}": weights_checksum(run)
                     for name, run in zip(names, folders, strict=True)
@@ -93,7 +93,7 @@ def predict_log(
                 **crops.about_car,
             },
             crops.skipped,
-            crops.notice,
+            crops.log.notice,
             crops.max_steering_deg,
         )
 

@@ -77,7 +77,6 @@ class Comparison:
         return compare_sums(a, b, measures, measures_of_sums, self.tolerance)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
         return {
             "a": run_name(self.a.run),
             "b": run_name(self.b.run),

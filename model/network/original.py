@@ -10,7 +10,7 @@ from typing import Final
 
 from torch import nn
 
-from model.network.onednn_layers import OneDnnLayers
+from model.network.faster_layers import OneDnnLayers
 from model.network.picture_network import LayerChain, glorot_weights
 
 PARAMETERS: Final = 5_022_327

@@ -47,8 +47,6 @@ def visual_backprop(network: nn.Module, inputs: Tensor) -> tuple[Tensor, Tensor]
 
 @dataclass
 class _Step:
-    """A layer that was called."""
-
     layer: nn.Module
     size: torch.Size  # the height and width of what went in
     average: Tensor | None  # over its channels, of what came out of a ReLU

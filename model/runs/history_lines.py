@@ -13,12 +13,10 @@ from typing import Any, Final
 
 from common.car import MAX_STEERING_DEG
 from dataset.prediction_targets import TARGET_NAMES
-from model.metrics import BinErrors, Errors, Measures
+from model.metrics import BinErrors, Errors, Measures, TargetErrors
 from model.runs.answer_scale import AnswerScale
 from model.runs.training_progress import Epoch, Step
-from model.runs.worst_pictures import WORST_COUNT, WorstPictures
-from model.target_metrics import TargetErrors
-from model.worst_moments import WorstFrame
+from model.runs.worst_pictures import WORST_COUNT, WorstFrame, WorstPictures
 
 _LARGEST_COUNT: Final = 1 << 62  # samples, or ns; beyond it, nothing was ever trained
 _LARGEST_NUMBER: Final = 1e100  # its square is still a number

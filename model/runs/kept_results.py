@@ -28,8 +28,6 @@ drive a recording, too."""
 
 
 class KeptResult(msgspec.Struct, frozen=True):
-    """A result as it stands in the file."""
-
     measured_at: str  # UTC, ISO 8601
     way: Way
     weights_sha256: str

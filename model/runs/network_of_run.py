@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import msgspec
 
-from common.errors import UsageError, printable
+from common.errors import printable
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName, check_targets
 from model.errors import RunError
-from model.network.names import BUILT_IN, check_network_name, is_file, is_own
-from model.network.own_code import load_code, named_code, named_otherwise
+from model.network.names import check_network_name, is_file, is_own
+from model.network.own_code import named_code, named_otherwise
 
 if TYPE_CHECKING:
     from model.network.choice import NetworkChoice  # loads PyTorch
@@ -106,24 +105,6 @@ def network_flag(stored: StoredNetwork, folder: Path) -> str:
     if is_own(name) and is_file(name) and (folder / NETWORK_FILE).is_file():
         name = f"{folder / NETWORK_FILE}:{name.rpartition(':')[2]}"
     return f"--network {shlex.quote(name)}"
-
-
-def load_named(names: Sequence[str], configs: Sequence[dict[str, Any]]) -> None:
-    """Run the code of networks that a user has named for runs with these config.json.
-
-    Raises UsageError for a name that none of them needs, RunError where there is no such code.
-    """
-    for name in names:
-        try:
-            check_network_name(name)
-        except ValueError as error:
-            raise UsageError(str(error)) from None
-        if not is_own(name) or not any(is_own_network(config) for config in configs):
-            raise UsageError(
-                f"--network {printable(name)}: no run here needs your own code: runs know"
-                f" {', '.join(BUILT_IN)} by themselves; leave it out"
-            )
-        load_code(name)
 
 
 def is_own_network(config: dict[str, Any]) -> bool:

@@ -21,7 +21,7 @@ from model.device import Machine
 from model.errors import RunError
 from model.network.choice import NetworkChoice
 from model.runs.network_of_run import stored_targets
-from model.runs.run_folder import load_config, run_name, weights_checksum
+from model.runs.run_folder import CONFIG, load_config, run_name, weights_checksum
 from model.runs.run_inputs import relative_place
 
 
@@ -92,20 +92,20 @@ def machine_settings(machine: Machine, ranks: int) -> dict[str, Any]:
     }
 
 
-def training_of(stored: dict[str, Any], where: str) -> TrainConfig:
-    """The settings in a run's config. Raises RunError if they are none; `where` names the file."""
+def training_of(stored: dict[str, Any], run: Path) -> TrainConfig:
+    """The settings in a run's config. Raises RunError if they are none."""
     try:
         return settings_from(TrainConfig, stored.get("training"))
     except ValueError as error:
-        raise RunError(f"{where}: its training settings cannot be used ({error})") from None
+        raise RunError(f"{run / CONFIG}: its training settings cannot be used ({error})") from None
 
 
-def is_trained_on(stored: dict[str, Any], where: str, samples: Samples) -> bool:
+def is_trained_on(stored: dict[str, Any], run: Path, samples: Samples) -> bool:
     """True if a run with this config was trained on these samples, whether or not their logs were rewritten since.
-    Raises RunError if the config does not record its samples; `where` names the file."""
+    Raises RunError if the config does not record its samples."""
     try:
         data = stored["data"]
-        labels = samples.targets_fingerprint(stored_targets(stored, Path(where)))
+        labels = samples.targets_fingerprint(stored_targets(stored, run))
         if str(data.get("targets_fingerprint", "")) != labels:  # earlier versions had steering alone
             return False
         if str(data["fingerprint"]) == samples.fingerprint:
@@ -113,4 +113,4 @@ def is_trained_on(stored: dict[str, Any], where: str, samples: Samples) -> bool:
         # earlier versions did not keep it
         return str(data.get("content_fingerprint", "")) == samples.content_fingerprint
     except (KeyError, TypeError, AttributeError):
-        raise RunError(f"{where}: does not name the data that the run was trained on") from None
+        raise RunError(f"{run / CONFIG}: does not name the data that the run was trained on") from None

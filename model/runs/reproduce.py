@@ -1,8 +1,9 @@
-"""The index that a run was trained on, found or built again."""
+"""The index that a run was trained on: found, built again, or with takeovers added."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from common.random_access import is_there
 from common.stored_settings import settings_from
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
 from dataset.errors import PlaceNotAllowedError
+from dataset.index.sessions import find_unchanged_log
 from model.errors import RunError
 from model.runs.provenance import StoredData, is_trained_on
 from model.runs.run_folder import CONFIG, load_config, run_name
@@ -29,13 +31,12 @@ def index_of_run(
     DatasetError if one is gone, LogError if one cannot be read: without it, the samples would be others.
     """
     stored = load_config(run)
-    where = str(run / CONFIG)
     index = absolute(index)
     own = index.with_name(f"{index.name}-{run_name(run)}")
     for place in (index, own):
-        if _is_of(place, stored, where):
+        if _is_of(place, stored, run):
             return place
-    settings, fingerprints = _data_of(stored, where)
+    settings, fingerprints = _data_of(stored, run)
     before = logs_of(run)
     logs = [
         str(log_to_open(run, name, before[name]))
@@ -49,7 +50,7 @@ def index_of_run(
         changed = [name for name, log in samples.sources.items() if log.fingerprint != fingerprints[name]]
         if changed:
             raise RunError(f"{sessions}: {', '.join(changed)} changed since {run} was trained on them")
-        if not is_trained_on(stored, where, samples):
+        if not is_trained_on(stored, run, samples):
             raise RunError(
                 f"{own}: the same logs and settings as {run} had, but other samples: their tags have changed, they"
                 " were rewritten (`bc-log rewrite`), or it was made by another version of the toolkit"
@@ -57,26 +58,36 @@ def index_of_run(
     return own
 
 
-def data_of_run(run: Path) -> tuple[IndexConfig, dict[str, str]]:
-    """The settings of the index that `run` was trained on, and the fingerprints of its logs by session.
+def logs_with_takeovers(
+    run: Path, takeovers: Sequence[Location], sessions: Location, drives: Location
+) -> tuple[list[Location], IndexConfig]:
+    """The logs that `run` was trained on and those with takeovers, and the settings of their index.
 
-    Raises RunError if its config does not record it.
+    The former are looked for in `sessions`, drives among them in `drives`. Raises RunError if the config of the
+    run does not record them, DatasetError if one is gone or has changed.
     """
-    return _data_of(load_config(run), str(run / CONFIG))
+    settings, fingerprints = _data_of(load_config(run), run)
+    logs: list[Location] = []
+    for name, fingerprint in fingerprints.items():
+        drive = drives / f"{name}.mcap"
+        is_drive = is_there(drive) and not is_there(sessions / drive.name)
+        logs.append(find_unchanged_log(str(drive) if is_drive else name, sessions, fingerprint))
+    return [*logs, *takeovers], replace(settings, drives="takeovers")
 
 
-def _is_of(index: Location, stored: dict[str, Any], where: str) -> bool:
+def _is_of(index: Location, stored: dict[str, Any], run: Path) -> bool:
     """True if an index can be used, and holds the samples that a run with this config was trained on."""
     try:
         with Samples(index) as samples:
-            return is_trained_on(stored, where, samples)
+            return is_trained_on(stored, run, samples)
     except PlaceNotAllowedError:
         raise
     except DatasetError:
         return False
 
 
-def _data_of(stored: dict[str, Any], where: str) -> tuple[IndexConfig, dict[str, str]]:
+def _data_of(stored: dict[str, Any], run: Path) -> tuple[IndexConfig, dict[str, str]]:
+    """The settings of the index that a run has learnt from, and fingerprints of its logs by session."""
     try:
         data = msgspec.convert(stored.get("data"), StoredData)
         if any(Path(name).name != name for name in data.logs):
@@ -84,4 +95,4 @@ def _data_of(stored: dict[str, Any], where: str) -> tuple[IndexConfig, dict[str,
         fingerprints = {name: log.fingerprint for name, log in data.logs.items()}
         return settings_from(IndexConfig, data.settings), fingerprints
     except ValueError as error:
-        raise RunError(f"{where}: its index settings cannot be used ({error})") from None
+        raise RunError(f"{run / CONFIG}: its index settings cannot be used ({error})") from None

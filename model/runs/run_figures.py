@@ -140,7 +140,6 @@ def _draw_constants(loss: Axes, errors: Axes, epoch: Epoch) -> None:
 
 
 def _write_note(axes: Axes, text: str) -> None:
-    """Write a text where there is nothing to draw."""
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=GREY)
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_visible(False)

@@ -1,4 +1,4 @@
-"""The names of a run's files, and writing them: whole or not at all, with errors that name the file."""
+"""A run's files: their names, writing them whole or not at all, and the lock of the process that trains it."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import contextlib
 import json
 import math
 import os
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
 from common import atomic_file
 from common.files import write_remedy
-from model.errors import RunWriteError
+from common.locks import is_being_written, try_lock
+from model.errors import RunError, RunWriteError
 
 WEIGHTS: Final = "model.safetensors"
 CONFIG: Final = "config.json"
@@ -77,3 +79,23 @@ def without_nan(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [without_nan(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@contextlib.contextmanager
+def locked_for_training(run: Path) -> Iterator[None]:
+    """Hold the lock of a run's folder. Raises RunError if another process is training the run."""
+    path = run / TRAINING_LOCK
+    path.parent.mkdir(exist_ok=True)
+    with path.open("ab") as stream:
+        for _ in range(50):  # a process that only tests the lock holds it for a moment
+            if try_lock(stream):
+                break
+            time.sleep(0.02)
+        else:
+            raise RunError(f"{run}: is being trained by another process; wait for it, or give another --name")
+        yield
+
+
+def is_being_trained(run: Path) -> bool:
+    """Whether a process of this machine trains the run."""
+    return is_being_written(run / TRAINING_LOCK)

@@ -15,13 +15,14 @@ import contextlib
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
+from common.errors import UsageError, printable
 from common.files import remove_empty
 from common.location import Location, Url, location
 from common.progress import progress_bar
@@ -31,20 +32,21 @@ from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import TargetName, speed_ahead_s_in
 from model.errors import RunError
 from model.network.choice import NetworkChoice
+from model.network.names import BUILT_IN, check_network_name, is_own
+from model.network.own_code import load_code
 from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import checkpoint_path, position_of
 from model.runs.checksums import load_checksummed, save_checksummed
-from model.runs.network_of_run import NETWORK_FILE, choice_of, picture_of, stored_targets
+from model.runs.network_of_run import NETWORK_FILE, choice_of, is_own_network, picture_of, stored_targets
 from model.runs.run_arguments import RUNS, run_argument, suggest_runs
 from model.runs.run_config import FORMAT, is_last_weights, weights_path
 from model.runs.run_config import config_folder as config_folder
 from model.runs.run_config import load_config as load_config
 from model.runs.run_config import weights_checksum as weights_checksum
 from model.runs.run_files import CONFIG as CONFIG
-from model.runs.run_files import LAST, replaced_file, run_write_errors
+from model.runs.run_files import LAST, is_being_trained, replaced_file, run_write_errors
 from model.runs.run_files import WEIGHTS as WEIGHTS
-from model.runs.run_lock import is_being_trained
 from model.runs.runs_in_store import bring_run, find_in_store
 
 
@@ -212,6 +214,26 @@ def speed_ahead_s_of_run(folder: Path) -> float:
 def choice_of_run(folder: Path) -> NetworkChoice:
     """The run's network, to be made. Raises RunError as `load_config` and `choice_of` do."""
     return choice_of(load_config(folder), config_folder(folder))
+
+
+def load_named(names: Sequence[str | None], runs: Sequence[Path]) -> None:
+    """Run the code of networks that a user has named for these runs; None names none.
+
+    Raises UsageError for a name that none of them needs, RunError where there is no such code.
+    """
+    for name in names:
+        if name is None:
+            continue
+        try:
+            check_network_name(name)
+        except ValueError as error:
+            raise UsageError(str(error)) from None
+        if not is_own(name) or not any(is_own_network(load_config(run)) for run in runs):
+            raise UsageError(
+                f"--network {printable(name)}: no run here needs your own code: runs know"
+                f" {', '.join(BUILT_IN)} by themselves; leave it out"
+            )
+        load_code(name)
 
 
 def load_network(folder: Path) -> PictureNetwork:

@@ -116,7 +116,6 @@ class RunNumbers:
 
     @property
     def drive_command(self) -> str:
-        """The command that lets it drive."""
         if self.is_donkeycar:
             return f"bc-train export {self.run} --donkeycar car"
         return f"bc-drive {self.run}"

@@ -24,8 +24,7 @@ from model.runs.history import read_epochs
 from model.runs.kept_results import KeptResult, kept_results
 from model.runs.network_of_run import stored_network, stored_targets
 from model.runs.run_config import config_folder, load_config, weights_checksum
-from model.runs.run_files import CONFIG, WEIGHTS
-from model.runs.run_lock import is_being_trained
+from model.runs.run_files import CONFIG, WEIGHTS, is_being_trained
 from model.runs.run_numbers import run_numbers
 from model.runs.runs_in_store import bring_summaries
 from model.runs.training_progress import Epoch

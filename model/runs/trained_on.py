@@ -6,22 +6,13 @@ A fine-tuned run was also trained on the data of the run that it started from.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from dataset import IndexConfig, Samples
-from dataset.index.training_frames import is_for_training
-
-
-@dataclass(frozen=True)
-class _TrainingData:
-    """The data of a training."""
-
-    logs: tuple[tuple[str, str], ...]  # session and fingerprint
-    config: IndexConfig  # the settings that the split depends on
+from dataset.frames.frames_table import is_for_training
 
 
 def count_trained_on(frames: Mapping[str, pa.Table], samples: Samples, config: dict[str, Any]) -> int | None:
@@ -38,25 +29,17 @@ def count_trained_on(frames: Mapping[str, pa.Table], samples: Samples, config: d
     count = 0
     for session, part in frames.items():
         is_learnt = np.zeros(len(part), np.bool_)
-        for training in trainings:
-            for name, fingerprint in training.logs:
+        for index_config, logs in trainings:
+            for name, fingerprint in logs.items():
                 if fingerprint == samples.sources[session].fingerprint:
-                    is_learnt |= is_for_training(part, samples.logs[session], name, training.config)
+                    is_learnt |= is_for_training(part, samples.logs[session], name, index_config)
         count += int(is_learnt.sum())
     return count
 
 
-def by_session(frames: pa.Table) -> dict[str, pa.Table]:
-    """The frames of each session."""
-    session = frames["session"].combine_chunks().dictionary_encode()
-    number, names = session.indices.to_numpy(), session.dictionary.to_pylist()
-    ends = np.cumsum(np.bincount(number, minlength=len(names)))
-    parts = np.split(np.argsort(number, kind="stable"), ends[:-1])
-    return {name: frames.take(pa.array(part)) for name, part in sorted(zip(names, parts, strict=True))}
-
-
-def _training_data(stored: dict[str, Any]) -> _TrainingData:
-    """Raises KeyError, TypeError, ValueError, AttributeError or OverflowError if `stored` is none."""
+def _training_data(stored: dict[str, Any]) -> tuple[IndexConfig, dict[str, str]]:
+    """The settings that the split of a training depends on, and fingerprints of its logs by session. Raises
+    KeyError, TypeError, ValueError, AttributeError or OverflowError for what are none."""
     # Not by `settings_from`: values of other types, and settings of other versions, do not hide what was learnt.
     settings = stored["settings"]
     config = IndexConfig(
@@ -67,7 +50,6 @@ def _training_data(stored: dict[str, Any]) -> _TrainingData:
         seed=int(settings["seed"]),
         drives="takeovers" if settings.get("drives") == "takeovers" else "all",
     )
-    logs = tuple((str(session), str(log["fingerprint"])) for session, log in stored["logs"].items())
-    for session, _ in logs:
-        session.encode()  # JSON may hold halves of characters, which no name of a log has
-    return _TrainingData(logs, config)
+    logs = {str(session): str(log["fingerprint"]) for session, log in stored["logs"].items()}
+    "".join(logs).encode()  # JSON may hold halves of characters, which no name of a log has
+    return config, logs

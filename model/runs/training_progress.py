@@ -8,9 +8,8 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Final, Protocol
 
 from common.car import MAX_STEERING_DEG
-from model.metrics import Errors, Measures
+from model.metrics import Errors, Measures, TargetErrors
 from model.runs.answer_scale import AnswerScale
-from model.target_metrics import TargetErrors
 
 METRICS_FILE: Final = "metrics.jsonl"
 """One line an epoch: `Epoch.as_dict`."""
@@ -107,5 +106,4 @@ class Listener(Protocol):
 
 
 def finite(numbers: Mapping[str, float]) -> dict[str, float]:
-    """The finite ones of the numbers."""
     return {name: float(value) for name, value in numbers.items() if math.isfinite(value)}

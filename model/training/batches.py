@@ -7,15 +7,14 @@ the one before it is learnt. All give the same samples in the same order, so tha
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
+from typing import Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from common import Skipped
 from dataset import Batch, Loader
 from dataset.loader.crops import count_crops, different_crops
 from model.evaluation.predict import as_input
@@ -24,27 +23,9 @@ from model.training.altered_on_device import AlteredOnDevice
 Advance = Callable[[int], object]
 
 
-class Batches(ABC):
+class Batches(Protocol):
     """The batches of a loader, brought to a device."""
 
-    def __init__(self, loader: Loader) -> None:
-        self._loader = loader
-
-    def __len__(self) -> int:
-        """Samples in an epoch, those of all ranks together."""
-        return len(self._loader)
-
-    @property
-    def batches(self) -> int:
-        """Batches in an epoch, for every rank the same number."""
-        return self._loader.batches
-
-    @property
-    def skipped(self) -> Skipped:
-        """Pictures that do not decode, as far as they were met: they are left out of their batches."""
-        return self._loader.skipped
-
-    @abstractmethod
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[tuple[Tensor, Tensor]]:
         """The batches of an epoch from `start_batch` on: pictures (N, 3, height, width) uint8 in channels_last
         memory, and labels (N,) or (N, K) float32, both on the device. Any may be smaller than the others, or
@@ -75,19 +56,22 @@ def needed_bytes(loader: Loader) -> int:
     return count_crops(loader.rows) * loader.seen.size_bytes + len(loader) * 16
 
 
-class HostBatches(Batches):
+class HostBatches:
     """The loader's own memory, nothing copied."""
+
+    def __init__(self, loader: Loader) -> None:
+        self._loader = loader
 
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[tuple[Tensor, Tensor]]:
         batches = self._loader.epoch(epoch, start_batch)
         return ((as_input(batch.pictures), torch.from_numpy(batch.labels)) for batch in batches)
 
 
-class PinnedBatches(Batches):
+class PinnedBatches:
     """Each batch is copied to the device while the one before it is learnt; nothing else is kept there."""
 
     def __init__(self, loader: Loader, device: torch.device) -> None:
-        super().__init__(loader)
+        self._loader = loader
         self._device = device
         self._stream = torch.cuda.Stream(device) if device.type == "cuda" else None  # type: ignore[no-untyped-call]
 
@@ -129,12 +113,12 @@ class _Copy:
         return self._pictures, self._labels
 
 
-class DeviceBatches(Batches):
+class DeviceBatches:
     """Every crop, altered or not, lies on the device, once; a batch is picked out of them, and mirrored there."""
 
     def __init__(self, loader: Loader, device: torch.device, advance: Advance = lambda pictures: None) -> None:
         """Reads all pictures. Raises DatasetError or LogError where the index or a log is damaged."""
-        super().__init__(loader)
+        self._loader = loader
         self._device = device
         rows = loader.rows
         samples, self._crop = different_crops(rows)

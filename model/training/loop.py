@@ -23,10 +23,11 @@ from model.adam import Adam
 from model.config import TrainConfig
 from model.device import Machine
 from model.errors import RunError
+from model.evaluation.predict import predict
 from model.network.choice import NetworkChoice
 from model.progress_bar import progress_task
 from model.runs.answer_scale import AnswerScale
-from model.runs.checkpoint import Position, checkpoint_path, load_checkpoint
+from model.runs.checkpoint import Position, checkpoint_path, load_checkpoint, save_checkpoint
 from model.runs.run_arguments import run_argument
 from model.runs.run_folder import load_weights
 from model.runs.training_progress import Epoch, Step
@@ -50,8 +51,6 @@ CHECKPOINT_S: Final = 60.0
 
 
 class TrainingLoop:
-    """A training in progress."""
-
     def __init__(
         self,
         samples: Samples,
@@ -77,7 +76,7 @@ class TrainingLoop:
         self.best_predictions: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         """Predicted and recorded steering of the frames held out, after the best epoch of this call."""
         budget_bytes = config.picture_memory_mb << 20
-        loader = Loader(
+        loader = self.loader = Loader(
             samples,
             samples.rows_of_split("train", config.targets),
             batch=config.batch,
@@ -107,7 +106,7 @@ class TrainingLoop:
             else None
         )
         self.answers = AnswerScale()  # of the last epoch
-        self.skipped = [self.batches.skipped, self.validation.loader.skipped]
+        self.skipped = [self.loader.skipped, self.validation.loader.skipped]
         torch.manual_seed(config.seed)
         self.network = network.build().to(machine.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.averaged = AveragedWeights(self.network, config.average_steps)
@@ -123,10 +122,10 @@ class TrainingLoop:
         load_weights(init, self.network)
 
     def begin(self) -> None:
-        """Save the start of a new training."""
+        """Save the start of a new training: from there a run that is killed early goes on."""
         self.averaged.begin(self.network)
         weights = self.network, self.averaged.network
-        self.group.on_first_rank(lambda: self.writer.begin(*weights, self.optimizer, self.position))
+        self.group.on_first_rank(lambda: save_checkpoint(self.run, *weights, self.optimizer, self.position))
 
     def resume(self) -> None:
         """Go to where the run was stopped. Raises RunError if its checkpoint cannot be used."""
@@ -136,9 +135,9 @@ class TrainingLoop:
         if self.config.epochs < begun:
             learnt = counted(begun, "epoch")
             raise RunError(f"{self.run}: has learnt from {learnt}, not {self.config.epochs:,}; give more --epochs")
-        if self.position.batch > self.batches.batches:
+        if self.position.batch > self.loader.batches:
             raise RunError(
-                f"{path}: stands at batch {self.position.batch:,}, but an epoch has {self.batches.batches:,};"
+                f"{path}: stands at batch {self.position.batch:,}, but an epoch has {self.loader.batches:,};"
                 " train another run, perhaps from its weights: --init"
             )
         of = self.position
@@ -178,18 +177,19 @@ class TrainingLoop:
             self.writer.save_best()  # also if the epochs after it diverge
 
     def _train_epoch(self, network: torch.nn.Module, stopped: threading.Event) -> None:
-        start, batches, group = self.position, self.batches, self.group
+        start, loader, group = self.position, self.loader, self.group
         network.train()
         sums = _EpochSums(start, self.machine.device)
-        interval = max(STEP_BATCHES, math.ceil(batches.batches / MAX_EPOCH_STEPS))
+        interval = max(STEP_BATCHES, math.ceil(loader.batches / MAX_EPOCH_STEPS))
         begun_s = reported_s = time.perf_counter()
         name, note = f"training (epoch {start.epoch:,}/{self.config.epochs:,})", ""
-        total = len(batches) * self.config.epochs
+        total = len(loader) * self.config.epochs
         with progress_task(self.bar, name, total, self._samples_learnt()) as advance:
-            for batch, (pictures, labels) in enumerate(batches.epoch(start.epoch, start.batch), start.batch + 1):
+            of_epoch = self.batches.epoch(start.epoch, start.batch)
+            for batch, (pictures, labels) in enumerate(of_epoch, start.batch + 1):
                 sums.add(self._train_batch(network, batch, pictures, labels), len(labels))
                 self.position = replace(start, batch=batch)
-                is_reported = batch % interval == 0 or batch == batches.batches
+                is_reported = batch % interval == 0 or batch == loader.batches
                 if is_reported:
                     loss, count = group.sum(*sums.take_unreported())
                     now_s = time.perf_counter()  # after what has waited for the GPU
@@ -221,11 +221,11 @@ class TrainingLoop:
                 labels,
                 dtype=self.machine.dtype,
                 micro_batch=self.machine.micro_batch,
-                batch=min(config.batch, len(self.batches) - (batch - 1) * config.batch),
+                batch=min(config.batch, len(self.loader) - (batch - 1) * config.batch),
                 ranks=group.ranks,
                 weights=self.target_weights,
             )
-        self.averaged.update(self.network, (self.position.epoch - 1) * self.batches.batches + batch)
+        self.averaged.update(self.network, (self.position.epoch - 1) * self.loader.batches + batch)
         return squared_error
 
     def _report(self, squared_error: float, samples: int, seconds: float) -> str:
@@ -235,7 +235,7 @@ class TrainingLoop:
         position = self.position
         loss, rate = squared_error / samples, samples / seconds
         if self.group.is_first:
-            step = Step(position.epoch, position.batch, self.batches.batches, self._samples_learnt(), loss, rate)
+            step = Step(position.epoch, position.batch, self.loader.batches, self._samples_learnt(), loss, rate)
             self.writer.add_step(step)
             self.listeners.step(step)
         return f"loss {loss:.4f}  {rate:,.0f} samples/s"
@@ -257,7 +257,7 @@ class TrainingLoop:
         """Measure the network after an epoch, and report it; the best epoch by now, and its error."""
         position = self.position
         with progress_task(self.bar, f"validation {position.epoch}", len(self.validation)) as advance:
-            learnt, recorded = self.validation.predict(self.averaged.network, advance)
+            learnt, recorded = predict(self.averaged.network, self.validation.loader, advance)
         if not np.isfinite(learnt).all() or not self._is_finite():
             raise self._diverged()
         if self.natural_frames is not None:
@@ -304,7 +304,7 @@ class TrainingLoop:
 
     def _samples_learnt(self) -> int:
         """Samples learnt from since the run began, repeated ones included."""
-        position, epoch = self.position, len(self.batches)
+        position, epoch = self.position, len(self.loader)
         return (position.epoch - 1) * epoch + min(position.batch * self.config.batch, epoch)
 
     def _is_finite(self) -> bool:

@@ -62,39 +62,14 @@ class _Call:
     places: Sequence[Location]  # which index and run may name (`common.allowed_places`)
 
 
-class _Recorder:
-    """A listener that keeps the progress until the driver fetches it."""
-
-    def __init__(self) -> None:
-        self._progress: list[Step | Epoch] = []
-        self._lock = threading.Lock()
-
-    def step(self, step: Step) -> None:
-        self._add(step)
-
-    def epoch(self, epoch: Epoch) -> None:
-        self._add(epoch)
-
-    def close(self) -> None:
-        """The driver closes its own."""
-
-    def _add(self, progress: Step | Epoch) -> None:
-        with self._lock:
-            self._progress.append(progress)
-
-    def taken(self) -> list[Step | Epoch]:
-        """The progress since the last call."""
-        with self._lock:
-            taken, self._progress = self._progress, []
-            return taken
-
-
 class _Worker:
-    """A rank, on a node. Ray calls `progress` and `stop` in other threads than `train`."""
+    """A rank, on a node, and the listener of its training: it keeps the progress until the driver fetches it. Ray
+    calls `progress` and `stop` in other threads than `train`."""
 
     def __init__(self, versions: Mapping[str, str], folder: Path) -> None:
         self._refused: UserError | None = None
-        self._recorder = _Recorder()
+        self._progress: list[Step | Epoch] = []
+        self._lock = threading.Lock()
         self._stop = threading.Event()
         try:
             refuse_other_node(versions, folder)
@@ -125,7 +100,7 @@ class _Worker:
                 call.index,
                 call.run,
                 call.config,
-                [self._recorder],
+                [self],
                 init=call.init,
                 like=call.like,
                 resume=call.resume,
@@ -137,8 +112,21 @@ class _Worker:
         except KeyboardInterrupt:
             return None
 
+    def step(self, step: Step | Epoch) -> None:
+        with self._lock:
+            self._progress.append(step)
+
+    def epoch(self, epoch: Epoch) -> None:
+        self.step(epoch)
+
+    def close(self) -> None:
+        """The driver closes its own."""
+
     def progress(self) -> list[Step | Epoch]:
-        return self._recorder.taken()
+        """The progress since the last call."""
+        with self._lock:
+            taken, self._progress = self._progress, []
+            return taken
 
     def stop(self) -> None:
         self._stop.set()

@@ -26,10 +26,6 @@ class RunWriter:
         """Whether anything that was learnt is saved."""
         self._unsaved_best: tuple[int, dict[str, Tensor], AnswerScale] | None = None  # epoch, weights, their scale
 
-    def begin(self, network: nn.Module, averaged: nn.Module, optimizer: Adam, position: Position) -> None:
-        """Save the start of a training: from there a run that is killed early goes on."""
-        save_checkpoint(self.run, network, averaged, optimizer, position)
-
     def cut_history(self, position: Position, samples: int) -> None:
         """Remove from the run's files what comes after `position`, at which so many samples are learnt."""
         for name in (WORST_FILE, METRICS_FILE):
@@ -57,7 +53,6 @@ class RunWriter:
         return self._unsaved_best is not None or (self.run / WEIGHTS).exists()
 
     def save(self, network: nn.Module, averaged: nn.Module, optimizer: Adam, position: Position) -> None:
-        """Save the best weights and a checkpoint."""
         self.save_best()
         save_checkpoint(self.run, network, averaged, optimizer, position)
         self.has_saved = True

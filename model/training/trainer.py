@@ -13,6 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from common import Skipped, UserError
@@ -21,15 +22,17 @@ from common.location import Location, location
 from common.versions import install_line
 from dataset import Samples
 from dataset.picture_spec import PictureSpec
-from dataset.prediction_targets import steering_in
+from dataset.prediction_targets import TARGETS, TargetName, steering_in
 from model.config import TrainConfig
 from model.device import choose_machine
+from model.errors import RunError
 from model.evaluation.predict import predict
 from model.network.choice import NetworkChoice, choose_network, chosen_picture
 from model.progress_bar import open_bar
 from model.runs.car_of_run import refuse_other_steering
 from model.runs.network_of_run import choice_of
 from model.runs.provenance import init_provenance, provenance
+from model.runs.run_files import locked_for_training
 from model.runs.run_folder import (
     WEIGHTS,
     create_run,
@@ -42,22 +45,23 @@ from model.runs.run_folder import (
     write_config,
 )
 from model.runs.run_inputs import init_of, relative_place, remember_inputs
-from model.runs.run_lock import locked_for_training
 from model.runs.training_progress import Epoch, Listener
 from model.training.distributed import group_of_processes, local_rank_of_process
-from model.training.known_targets import target_notices
+from model.training.earlier_run import (
+    arithmetic_remarks,
+    refuse_other_network,
+    refuse_other_samples,
+    resumed_config,
+    resumed_settings,
+)
 from model.training.listeners import Listeners
 from model.training.loop import TrainingLoop
-from model.training.other_network import refuse_other_network
-from model.training.resume import arithmetic_remarks, refuse_other_samples, resumed_config, resumed_settings
 from model.training.run_writer import RunWriter
 from model.training.validation import validation_notices
 
 
 @dataclass(frozen=True)
 class Trained:
-    """The result of a training."""
-
     run: Path
     epochs: list[Epoch]  # those of this call; only on the first of several ranks
     skipped: list[Skipped]  # pictures that do not decode, as far as this process met them
@@ -117,7 +121,7 @@ def train(
         contextlib.ExitStack() as stack,
     ):
         samples.refuse_missing(config.targets)
-        notices = target_notices(samples, config.targets)
+        notices = _target_notices(samples, config.targets)
         guarded = Listeners(listeners, notices)
         stack.callback(guarded.close)
         on_gpu = [machine.device] if machine.device.type == "cuda" else []
@@ -171,6 +175,28 @@ def _new_run(
     create_run(writer.run, config, picture, b"" if network.code is None else network.code.source)
     with removed_unless_saved(writer.run, lambda: writer.has_saved), locked_for_training(writer.run):
         yield
+
+
+def _target_notices(samples: Samples, targets: Sequence[TargetName]) -> list[str]:
+    """A notice for each target that is unknown in some sessions: these are learnt for the others alone.
+
+    Raises RunError where no session does.
+    """
+    columns = [TARGETS[name].label_column for name in targets[1:]]
+    if not columns:
+        return []
+    training = samples.of_split("train", ["session", "split", *columns])
+    session = np.asarray(training["session"])
+    notices = []
+    for name in targets[1:]:
+        is_known = np.isfinite(samples.target_labels(training, name))
+        known = set(session[is_known].tolist())
+        if not known:
+            raise RunError(f"{samples.path}: no session has a {name}; leave it out of --targets")
+        if missing := sorted(set(session.tolist()) - known):
+            others = ", ".join(other for other in targets if other != name)
+            notices.append(f"{samples.path}: no {name} in {', '.join(missing)}: {others} only are learnt there")
+    return notices
 
 
 def _recipe_remarks(samples: Samples, config: TrainConfig) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,19 +11,17 @@ from numpy.typing import NDArray
 
 from common.errors import counted
 from dataset import Loader, Samples
+from dataset.frames.distinct_rows import by_session
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import steering_in
 from model.config import TrainConfig
-from model.evaluation.predict import predict
-from model.metrics import Measures, measure
-from model.network.picture_network import PictureNetwork
+from model.metrics import Measures, measure, other_targets
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position
 from model.runs.run_folder import load_config
 from model.runs.training_outcome import error_to_keep_by
 from model.runs.training_progress import Epoch
 from model.runs.worst_pictures import WORST_COLUMNS, WorstPictures, find_worst
-from model.target_metrics import other_targets
 
 Floats = NDArray[np.float64]
 
@@ -50,10 +48,6 @@ class Validation:
 
     def __len__(self) -> int:
         return len(self.loader)
-
-    def predict(self, network: PictureNetwork, advance: Callable[[int], object]) -> tuple[Floats, Floats]:
-        """The answers and the recorded values, steering (N,) or targets (N, K), of the frames that decode."""
-        return predict(network, self.loader, advance)
 
     def epoch(
         self, position: Position, learnt: Floats, predicted: Floats, recorded: Floats, answers: AnswerScale
@@ -111,9 +105,9 @@ def validation_notices(samples: Samples, validation: Validation, init: Path | No
     if init is None:
         return []
     try:  # making the split of another training again needs more packages than training does
-        from model.runs.trained_on import by_session, count_trained_on
+        from model.runs.trained_on import count_trained_on
 
-        count = count_trained_on(by_session(validation.frames), samples, load_config(init))
+        count = count_trained_on(dict(by_session(validation.frames)), samples, load_config(init))
     except ImportError as error:
         return [f"{init}: whether it has learnt from the frames held out is unknown here ({error})"]
     if count == 0:

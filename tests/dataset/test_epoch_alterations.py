@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS, Camera
 from dataset import IndexConfig, Loader, build_index, load
-from dataset.epoch_alteration_names import EPOCH_ALTERATIONS, EpochAlteration
+from dataset.config import EPOCH_ALTERATIONS, EpochAlteration
 from dataset.epoch_alterations import EpochAlterations
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image, in_channels

@@ -16,8 +16,8 @@ import dataset
 from dataset import IndexConfig, Indexed, build_index
 from dataset.cli import main
 from dataset.frames.drivers import DRIVERS
+from dataset.frames.frames_table import is_for_training
 from dataset.index.leaks import find_leaks
-from dataset.index.training_frames import is_for_training
 from driving import one_line_in, road_jpeg
 from logs import START_NS, write_log
 from recorder import Log, LogWriter

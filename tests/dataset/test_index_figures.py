@@ -23,9 +23,19 @@ from common import UserError
 from common.car import Camera
 from dataset import DatasetError, IndexConfig, Samples, build_index, decode, preprocess
 from dataset.augment import alter
-from dataset.figure_data import Kind, Moment, crop_rows, find_moments, steering_distribution, two_draws
 from dataset.figure_style import figure_style
-from dataset.index_figures import draw_augmentation, draw_balance, draw_preprocessing, write_figures
+from dataset.index_figures import (
+    Kind,
+    Moment,
+    draw_augmentation,
+    draw_balance,
+    draw_preprocessing,
+    find_moments,
+    steering_distribution,
+    two_draws,
+    write_figures,
+)
+from dataset.picture_spec import ORIGINAL
 from dataset.preprocessing import Image
 from logs import write_log
 from udacity import jpeg
@@ -253,7 +263,8 @@ def test_a_broken_picture_names_its_log_and_row(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("height", [160, 120, 240, 480, 77])
 def test_the_edges_drawn_are_those_of_the_networks_crop(height: int) -> None:
-    top, bottom = crop_rows(height)
+    rows = ORIGINAL.crop_slice(height)
+    top, bottom = rows.start, rows.stop
     picture = np.zeros((height, 40, 3), np.uint8)
     picture[:top], picture[bottom:] = 255, 255
     assert not preprocess(picture).any()

@@ -21,7 +21,7 @@ from mcap.reader import make_reader
 from dataset import DatasetError, IndexConfig, build_index
 from drive.cli import main as drive_main
 from drive.config import DriveConfig
-from drive.evaluation.aggregation import Aggregation, AggregationFolders
+from drive.evaluation.aggregation import Aggregation
 from drive.evaluation.simulator_process import BuiltInSimulator
 from driving import Process, call_drive, command, one_line_in, road_jpeg
 from logs import write_log
@@ -170,9 +170,11 @@ def test_the_new_run_learns_from_the_session_and_the_takeovers_alone(aggregated:
 
 
 def aggregation(aggregated: Aggregated, run_name: str, sessions: Path) -> Aggregation:
-    places = AggregationFolders(sessions, aggregated.folder / "drives", aggregated.folder / "runs")
-    run_folder = aggregated.folder / "runs" / run_name
-    return Aggregation(run_folder, BuiltInSimulator("random:4"), DriveConfig(), 1, places, TrainConfig(epochs=1))
+    runs, drives = aggregated.folder / "runs", aggregated.folder / "drives"
+    simulator, training = BuiltInSimulator("random:4"), TrainConfig(epochs=1)
+    return Aggregation(
+        runs / run_name, simulator, DriveConfig(), 1, training, sessions=sessions, drives=drives, runs=runs
+    )
 
 
 def test_the_new_run_can_go_on_from_there(aggregated: Aggregated) -> None:

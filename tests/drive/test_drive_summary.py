@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from drive.control.driver import Decision
 from drive.log.drive_summary import DriveSummary
 from drive.log.latency_histogram import LARGEST_MS, RESOLUTION, SMALLEST_MS, LatencyHistogram
-from drive.log.live_status import LiveStatus
-from drive.log.summary_lines import summary_lines
+from drive.log.summary_lines import LiveStatus, summary_lines
 from recorder.server.telemetry import Telemetry
 from recorder.server.world import World
 from simulator.driving.course import Course

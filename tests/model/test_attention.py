@@ -20,7 +20,7 @@ from model.runs.run_folder import load_network
 from rrd import contents, view_names
 from udacity import call
 from viz.cli import main
-from viz.playback.attention_overlay import overlay
+from viz.playback.predicted_recording import overlay
 
 Values = NDArray[np.float64]
 

@@ -86,7 +86,7 @@ import os, pathlib, sys
 os.environ["ONEDNN_MAX_CPU_ISA"] = "AVX2"  # read when oneDNN is first asked for something
 import numpy as np
 from model import load_pilot
-from model.network.packing import pack_weights
+from model.network.faster_layers import pack_weights
 from model.runs.run_folder import load_network
 
 run, crop = map(pathlib.Path, sys.argv[1:])

@@ -111,7 +111,7 @@ def train_until_killed(
     patch.setattr(*STEP_BATCHES)
     patch.setattr("model.training.loop.CHECKPOINT_S", checkpoint_s)
     if at is None:
-        patch.setattr("model.training.run_writer.save_checkpoint", kill)
+        patch.setattr("model.training.loop.save_checkpoint", kill)
     killed = [At(*at, kill)] if at is not None else []
     choose_network(CONFIG)  # loads its code, which a run that is gone on with does not
     train(index, run, CONFIG, killed, init=init, resume=Path(run).exists(), figures=False)

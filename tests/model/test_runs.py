@@ -20,8 +20,8 @@ from driving import run_code
 from model import RunError, evaluate, export_onnx, find_run, load_pilot, predict_log, train
 from model.evaluation.evaluate import evaluate_sessions
 from model.runs.run_arguments import new_run_name
+from model.runs.run_files import locked_for_training
 from model.runs.run_folder import create_run, find_any_run
-from model.runs.run_lock import locked_for_training
 from toy import SMALL, road, toy_index
 
 

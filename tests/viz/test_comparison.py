@@ -18,8 +18,7 @@ from rrd import contents, view_names
 from simulator.pose import Pose
 from udacity import call
 from viz.cli import main
-from viz.playback.along_track import distances_along
-from viz.playback.comparison import names_of
+from viz.playback.comparison import distances_along, names_of
 
 ROWS = 30
 STEP_NS = 100_000_000

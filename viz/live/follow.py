@@ -43,12 +43,7 @@ class FollowResult:
 
 
 def save_growing(
-    path: Path,
-    rrd: Path,
-    *,
-    overwrite: bool = False,
-    stop: threading.Event | None = None,
-    keeps_up: bool = False,
+    path: Path, rrd: Path, *, overwrite: bool = False, stop: threading.Event | None = None, keeps_up: bool = False
 ) -> FollowResult:
     """Write the log at `path` to the file `rrd` as it grows, until it is finished, its recording was killed, or
     `stop` is set. `keeps_up` is for a file that is watched while it grows: see `_send`.
@@ -75,8 +70,6 @@ def follow_log(path: Path, url: str, viewer: Viewer | None) -> int:
 
 
 class LogFeed(ViewerFeed):
-    """Sends a log as it grows."""
-
     def __init__(self, path: Path, url: str) -> None:
         _refuse_windows()
         super().__init__(url)

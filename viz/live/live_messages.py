@@ -14,7 +14,7 @@ from google.protobuf.message import Message as ProtobufMessage
 from recorder.topics import EVENTS, PICTURE_TOPICS, TOPICS
 from viz.playback.blueprint import CENTER, log_layout
 from viz.playback.curves import Drawing, frame_size
-from viz.playback.picture_columns import picture_columns
+from viz.playback.log_chunks import picture_columns
 from viz.timelines import Times, log_clock
 
 SHOWN: Final[Mapping[str, type[ProtobufMessage]]] = {name: topic.message.load() for name, topic in TOPICS.items()}

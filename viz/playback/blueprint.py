@@ -76,8 +76,6 @@ _FRAME_SHARE: Final = 3.0  # of the height, where logs are beside each other
 
 @dataclass(frozen=True)
 class Curve:
-    """A line of a plot."""
-
     entity: str
     name: str
     color: Color
@@ -130,7 +128,6 @@ def comparison_layout(
 
 
 def attention_entity(run: str) -> str:
-    """The entity of a run's attention maps."""
     return f"/attention/{entity_part(run)}"
 
 
@@ -161,7 +158,6 @@ def _pictures(topics: Collection[str], attention_views: Sequence[rrb.View]) -> P
 
 
 def _plots(topics: Collection[str], *, has_errors: bool) -> list[Shared]:
-    """The plots of a log with these topics."""
     plots = _driving(topics, "", "", has_steering=has_errors or _has_lines(STEERING, topics))
     if has_errors:
         plots.append((rrb.TimeSeriesView(origin=ERRORS, name=ERROR), 1.0))

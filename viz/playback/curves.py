@@ -14,8 +14,9 @@ from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from numpy.typing import NDArray
 
 from dataset.steering_bins import BINS, bin_of
+from model.evaluation.log_predictions import LogPredictions
 from recorder.pictures.picture_size import decoding_problem, width_and_height
-from recorder.topics import EVENTS, PILOT_COMMAND, POSE, TOPICS, VEHICLE
+from recorder.topics import EVENTS, PILOT_COMMAND, POSE, STEERING, TOPICS, VEHICLE
 from viz.playback.blueprint import (
     ARCS,
     BLUE,
@@ -25,9 +26,11 @@ from viz.playback.blueprint import (
     DRIVEN_SPEED,
     DRIVER,
     DRIVERS,
+    ERRORS,
     HISTOGRAM,
     PATH,
     Curve,
+    entity_part,
 )
 from viz.timelines import Clock, Times
 
@@ -51,6 +54,11 @@ _LEVELS: Final = {
     LogMessage.Level.ERROR: "ERROR",
     LogMessage.Level.FATAL: "CRITICAL",
 }
+
+
+_RUN_COLORS: Final = (
+    (240, 90, 190), (240, 220, 90), (90, 220, 220), (170, 120, 240), (230, 90, 90), (150, 200, 80),
+)  # fmt: skip
 
 
 class Drawing:
@@ -221,6 +229,21 @@ def curve_values(topic: str, time_ns: Times, numbers: Numbers) -> Iterator[tuple
         is_known = ~np.isnan(values)
         if is_known.any():
             yield curve, time_ns[is_known], values[is_known]
+
+
+def prediction_curves(predictions: LogPredictions, first: int = 0) -> Iterator[tuple[Curve, Times, Values]]:
+    """The predicted steering of each run and its error, where any was recorded: the curve, log times (N,) in ns,
+    values (N,). `first` is the first run's number, which gives its colour."""
+    is_recorded = np.isfinite(predictions.recorded)
+    for number, (run, steering) in enumerate(predictions.predicted.items(), first):
+        color, part = _RUN_COLORS[number % len(_RUN_COLORS)], entity_part(run)
+        yield Curve(f"{STEERING.path}/predicted_by/{part}", run, color), predictions.log_time_ns, steering
+        if is_recorded.any():
+            yield (
+                Curve(f"{ERRORS}/{part}", run, color),
+                predictions.log_time_ns[is_recorded],
+                predictions.unit.per_deg * predictions.error_deg(run)[is_recorded],
+            )
 
 
 def _numbers(topic: str, contents: Sequence[Any]) -> Numbers:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from google.protobuf.message import DecodeError
@@ -28,12 +29,12 @@ from recorder.errors import damaged_pictures
 from recorder.mcap.mcap_file import Chunk as LogChunk
 from recorder.mcap.message_index import LAST_TIME_NS
 from recorder.topics import COMPRESSED_IMAGE
-from viz.playback.picture_columns import picture_columns
 from viz.timelines import Clock, on_clock
 
 _SENT_BYTES: Final = 1 << 18  # of pictures that are sent at once: of larger parts, a viewer needs more memory
 _OF_SUMMARY: Final = ("metadata", "recording_info", "schema", "stats")  # decoders of what is no message
 _NOT_OF_SUMMARY: Final = tuple(each for each in McapReader.available_decoders() if each not in _OF_SUMMARY)
+_BLOB: Final = pa.list_(pa.field("item", pa.uint8(), nullable=False))
 
 
 def read_chunks(
@@ -161,3 +162,17 @@ def _chunks_with(log: Log, topics: Collection[str]) -> list[LogChunk]:
 
 def _exactly(topics: Collection[str]) -> list[str]:
     return [f"^{re.escape(topic)}$" for topic in topics]
+
+
+def picture_columns(encoded: Sequence[bytes], formats: Sequence[str]) -> rr.ComponentColumnList:
+    """Columns with one picture a row, byte for byte; `formats` are "jpeg", "png" and such. Their coordinate frame
+    is the one that Rerun gives every entity."""
+    media_types = [f"image/{name or 'jpeg'}" for name in formats]
+    return rr.EncodedImage.columns(blob=_blobs(encoded), media_type=media_types)
+
+
+def _blobs(encoded: Sequence[bytes]) -> pa.Array:
+    """Bytes as Rerun stores them; it would convert them one by one."""
+    ends = np.cumsum([0, *map(len, encoded)])
+    values = pa.Array.from_buffers(pa.uint8(), int(ends[-1]), [None, pa.py_buffer(b"".join(encoded))])
+    return pa.ListArray.from_arrays(pa.array(ends, pa.int32()), values, type=_BLOB)

@@ -1,11 +1,13 @@
-"""A log with the predictions of networks, as a Rerun recording."""
+"""A log with the predictions and the attention maps of networks, as a Rerun recording."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Final
 
+import cv2
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
@@ -14,14 +16,19 @@ from dataset.preprocessing import Image
 from model.evaluation.log_predictions import LogPredictions
 from model.evaluation.predict_log import predict_log, run_names
 from recorder.topics import STEERING
-from viz.playback.attention_overlay import send_overlays
 from viz.playback.blueprint import attention_entity, entity_part
-from viz.playback.curves import Drawing
-from viz.playback.prediction_curves import prediction_curves
+from viz.playback.curves import Drawing, prediction_curves
+from viz.playback.log_chunks import picture_columns
 from viz.playback.rerun_recording import PredictionLayer, PreparedRecording, prepare_log
+from viz.timelines import Clock, Times
+
+QUALITY: Final = 90  # of the JPEGs, some 7 KB each
+
+_COLOR: Final = np.array((230, 40, 255), np.float32)  # BGR: no road has it
+_MOST: Final = 0.8  # how much of it covers the picture where the network looks most
+_DIMMED: Final = 0.8  # the picture's brightness
 
 
-@contextlib.contextmanager
 def prepare_predictions(
     path: Path,
     runs: Sequence[Path],
@@ -29,7 +36,7 @@ def prepare_predictions(
     *,
     attention: bool = False,
     at_s: float | None = None,
-) -> Iterator[PreparedRecording]:
+) -> AbstractContextManager[PreparedRecording]:
     """Prepare the log at `path` with predictions of the networks of `runs`, made when it is sent: steering,
     errors, the worst moments as events, and with `attention` their attention maps. `on_found` receives them.
 
@@ -46,8 +53,7 @@ def prepare_predictions(
         flush()
         on_found(predictions)
 
-    with prepare_log(path, PredictionLayer(run_names(runs), attention, send), at_s) as prepared:
-        yield prepared
+    return prepare_log(path, PredictionLayer(run_names(runs), attention, send), at_s)
 
 
 def _draw(predictions: LogPredictions, recording: rr.RecordingStream, drawing: Drawing) -> None:
@@ -62,3 +68,25 @@ def _draw(predictions: LogPredictions, recording: rr.RecordingStream, drawing: D
             recording.send_columns(
                 f"/events/worst/{entity_part(run)}", drawing.clock(np.array(times, np.int64)), columns
             )
+
+
+def overlay(crops: Image, maps: NDArray[np.float32]) -> Image:
+    """Crops (N, 128, 128, 3) BGR and maps (N, 128, 128), 0..1, as pictures (N, 128, 128, 3): the crop, dimmed, and
+    the more of a colour the higher the map."""
+    share = _MOST * maps[..., None]
+    blended = crops * (_DIMMED * (1 - share)) + _COLOR * share
+    return blended.astype(np.uint8)
+
+
+def send_overlays(
+    recording: rr.RecordingStream,
+    entity: str,
+    clock: Clock,
+    time_ns: Times,
+    crops: Image,
+    maps: NDArray[np.float32],
+) -> None:
+    """Send attention maps over their crops, as JPEGs at their log times."""
+    settings = (cv2.IMWRITE_JPEG_QUALITY, QUALITY)
+    jpegs = [cv2.imencode(".jpg", picture, settings)[1].tobytes() for picture in overlay(crops, maps)]
+    recording.send_columns(entity, clock(time_ns), picture_columns(jpegs, ["jpeg"] * len(jpegs)))

@@ -25,9 +25,16 @@ from recorder import Log, LogError
 from recorder.topics import EVENTS, POSE, TOPICS
 from recorder.upkeep.recover import recover
 from viz.playback.blueprint import CENTER, Curve, log_layout
-from viz.playback.curves import Drawing, Numbers, Values, curve_values, frame_size, number_fields
+from viz.playback.curves import (
+    Drawing,
+    Numbers,
+    Values,
+    curve_values,
+    frame_size,
+    number_fields,
+    prediction_curves,
+)
 from viz.playback.log_chunks import protobuf_topics, read_chunks
-from viz.playback.prediction_curves import prediction_curves
 from viz.playback.prediction_log import prediction_topics, read_predictions
 from viz.rrd_file import rrd_file
 from viz.timelines import Times, log_clock
@@ -187,7 +194,6 @@ def draw(drawn: DrawnMessages, drawing: Drawing) -> None:
 
 
 def topics_with_messages(log: Log) -> list[str]:
-    """The topics of a log that have a message."""
     return [topic for topic, count in log.counts.items() if count]
 
 

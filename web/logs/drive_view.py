@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from common import UserError
 from common.errors import printable
 from common.location import Location, absolute
-from drive.control.person_takeover import TAKES_OVER
+from drive.control.takeover import TAKES_OVER
 from recorder import Log, topics
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.meant_gaps import HUMAN_DRIVES

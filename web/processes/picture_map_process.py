@@ -149,7 +149,7 @@ def _look(
         odd = odd_stretches(States.of(log.vehicle()))
     kinds = list(ODD_KINDS)
     with LogCrops(path) as crops:
-        if crops.fingerprint != fingerprint:
+        if crops.log.fingerprint != fingerprint:
             raise WebError(f"{path.name}: it has changed since: reload this page, or bring the index up to date")
         for numbers, pictures in crops.batches(_BATCH, eye.spec, step):
             if not len(numbers):

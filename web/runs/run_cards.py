@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Final
 from common import UserError
 from common.errors import printable
 from common.location import Location
-from model.runs.run_files import CONFIG, RESULTS_FILE, WEIGHTS
-from model.runs.run_lock import is_being_trained
+from model.runs.run_files import CONFIG, RESULTS_FILE, WEIGHTS, is_being_trained
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE
 from model.runs.worst_pictures import WORST_FILE
 from web.folders.background import Background

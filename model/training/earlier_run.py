@@ -1,4 +1,4 @@
-"""Resuming a run: the settings and samples it may go on with, and its config.json from then on."""
+"""What a training takes from an earlier run: the weights of the same network, or everything, to resume it."""
 
 from __future__ import annotations
 
@@ -7,14 +7,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
+from common.errors import printable
 from dataset import Samples
+from dataset.picture_spec import PictureSpec
+from dataset.prediction_targets import TargetName
 from model.config import TrainConfig
 from model.errors import RunError
+from model.network.choice import NetworkChoice
 from model.network.names import is_own
-from model.runs.network_of_run import stored_targets
+from model.runs.network_of_run import network_flag, picture_of, stored_network, stored_targets
 from model.runs.provenance import is_trained_on, training_of
 from model.runs.run_arguments import run_argument
-from model.runs.run_folder import CONFIG, WEIGHTS
+from model.runs.run_folder import CONFIG, WEIGHTS, config_folder, load_config
 
 MAY_CHANGE: Final = ("epochs", "patience", "device", "threads", "picture_memory_mb")
 """Settings that a resumed run may be given anew."""
@@ -25,7 +29,7 @@ def resumed_settings(run: Path, stored: dict[str, Any], config: TrainConfig | No
 
     Raises RunError if `config` changes what may not change.
     """
-    before = training_of(stored, str(run / CONFIG))
+    before = training_of(stored, run)
     if before.targets != (answered := stored_targets(stored, run)):
         raise RunError(
             f"{run / CONFIG}: its network answers {' '.join(answered)}, its training settings are of"
@@ -48,7 +52,7 @@ def resumed_settings(run: Path, stored: dict[str, Any], config: TrainConfig | No
 
 def refuse_other_samples(run: Path, stored: dict[str, Any], samples: Samples) -> None:
     """Raise RunError if these are not the samples that the run was trained on."""
-    if not is_trained_on(stored, str(run / CONFIG), samples):
+    if not is_trained_on(stored, run, samples):
         has_weights = (run / WEIGHTS).exists()
         of_its_weights = (
             f", or train another run from its weights: --init {run_argument(run)}" if has_weights else ""
@@ -80,3 +84,28 @@ def resumed_config(stored: dict[str, Any], now: dict[str, Any]) -> dict[str, Any
             {name: now[name] for name in ("machine", "versions")},
         ],
     }
+
+
+def refuse_other_network(
+    init: Path, network: NetworkChoice, picture: PictureSpec, targets: tuple[TargetName, ...]
+) -> None:
+    """Raise RunError if a training of `network` cannot start from the weights of the run `init`."""
+    config, folder = load_config(init), config_folder(init)
+    before = stored_network(config, folder)
+    if before.name != network.name and not (is_own(before.name) and is_own(network.name)):
+        raise RunError(
+            f"{init}: its network is {printable(before.name)}, and {printable(network.name)} cannot start from its"
+            f" weights; give {network_flag(before, folder)}, or another --init"
+        )
+    answered = stored_targets(config, folder)
+    if answered != targets:
+        raise RunError(
+            f"{init}: its network answers {' '.join(answered)}, and this one {' '.join(targets)}; give --targets"
+            f" {' '.join(answered)}"
+        )
+    own = picture_of(config, folder)
+    if own != picture:
+        raise RunError(
+            f"{init}: its network sees {own}, and this one {picture}; give --picture-px {own.width_px}"
+            f" {own.height_px} --crop-rows {own.crop_top} {own.crop_bottom} --channels {own.channels}"
+        )
