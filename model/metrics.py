@@ -182,7 +182,7 @@ def target_errors(target: TargetName, predicted: Floats, recorded: Floats) -> Ta
     if not len(recorded):
         return TargetErrors(target, 0, nan, nan, nan, nan, nan)
     off = predicted - recorded
-    varies = np.ptp(predicted) > 0 and np.ptp(recorded) > 0
+    varies = predicted.min() < predicted.max() and recorded.min() < recorded.max()
     return TargetErrors(
         target,
         len(recorded),

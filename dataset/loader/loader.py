@@ -116,15 +116,19 @@ class Loader(Closeable):
         """Different pictures that the samples show."""
         return len(self.rows.session)
 
-    def order(self, epoch: int) -> NDArray[np.uint32]:
-        """The order of the samples in an epoch: every one once. It takes half of the memory of int64."""
+    def order(self, epoch: int) -> NDArray[np.int64]:
+        """The order of the samples in an epoch: every one once."""
+        return self._order(epoch).astype(np.int64)
+
+    def _order(self, epoch: int) -> NDArray[np.uint32]:
+        """The same in half of the memory."""
         return np.random.default_rng((self.seed, epoch)).permutation(np.arange(len(self), dtype=np.uint32))
 
     def parts(self, epoch: int, start_batch: int = 0) -> Iterator[NDArray[np.int64]]:
         """The samples of each batch of an epoch that are this rank's, also those that will not decode."""
         if not 0 <= start_batch <= self.batches:
             raise ValueError(f"start_batch must be in 0 to {self.batches}, not {start_batch}")
-        return self._parts(self.order(epoch), start_batch)
+        return self._parts(self._order(epoch), start_batch)
 
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[Batch]:
         """The batches of an epoch in their shuffled order, from `start_batch` on; the last one may be smaller, and
