@@ -344,7 +344,8 @@ def main() -> int:
     undone = make(study, steps)
     print_tables(study)
     results = {step.name: result for step in study.steps() if (result := study.result(step.name))}
-    (folder / "players.json").write_text(json.dumps(results, indent=1))
+    lines = (f"{json.dumps(name)}: {json.dumps(result)}" for name, result in sorted(results.items()))
+    (folder / "players.json").write_text("{\n" + ",\n".join(lines) + "\n}\n")
     return 1 if undone else 0
 
 
