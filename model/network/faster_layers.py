@@ -15,17 +15,17 @@ def swap_layers(network: nn.Module, swap: Callable[[nn.Module], nn.Module | None
 
     If `swap` raises, nothing is changed.
     """
-    found = [
+    swaps = [
         (parent, name, layer, new)
         for parent in network.modules()
         for name, layer in parent.named_children()
         if (new := swap(layer)) is not None
     ]
-    for parent, name, _, new in found:
+    for parent, name, _, new in swaps:
         setattr(parent, name, new)
 
     def undo() -> None:
-        for parent, name, layer, _ in found:
+        for parent, name, layer, _ in swaps:
             setattr(parent, name, layer)
 
     return undo

@@ -190,10 +190,10 @@ def _target_notices(samples: Samples, targets: Sequence[TargetName]) -> list[str
     notices = []
     for name in targets[1:]:
         is_known = np.isfinite(samples.target_labels(training, name))
-        known = set(session[is_known].tolist())
-        if not known:
+        labelled = set(session[is_known].tolist())
+        if not labelled:
             raise RunError(f"{samples.path}: no session has a {name}; leave it out of --targets")
-        if missing := sorted(set(session.tolist()) - known):
+        if missing := sorted(set(session.tolist()) - labelled):
             others = ", ".join(other for other in targets if other != name)
             notices.append(f"{samples.path}: no {name} in {', '.join(missing)}: {others} only are learnt there")
     return notices

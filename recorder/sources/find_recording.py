@@ -1,4 +1,4 @@
-"""Finding recordings: of which kind one is, those in a folder, and the one near a path that is none."""
+"""Finding recordings: the kind of one, all in a folder, and those near a path that holds none."""
 
 from __future__ import annotations
 

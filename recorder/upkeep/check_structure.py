@@ -26,13 +26,13 @@ from recorder.mcap.picture_places import (
 from recorder.mcap.scan import Structure, read_structure
 from recorder.upkeep.check_contents import Finding
 
-Found = tuple[bytes, list[StoredMessage]]  # the records of a chunk, and the messages among them
+ChunkMessages = tuple[bytes, list[StoredMessage]]  # the records of a chunk, and the messages among them
 
 DATA_CRC: Final = "CRC of all data does not hold"
 """The finding that, alone, leaves only what is outside of chunks to be damaged."""
 
 
-def sound_chunks(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[Found]:
+def sound_chunks(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[ChunkMessages]:
     """Every sound chunk, in the order of the file; what is wrong is added to `findings`."""
     return (_without_end if structure.problem else _walk)(file, structure, findings)
 
@@ -50,7 +50,7 @@ def is_damaged_beside_chunks(path: Path) -> bool:
     return {finding.kind for finding in findings} == {DATA_CRC}
 
 
-def _without_end(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[Found]:
+def _without_end(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[ChunkMessages]:
     """The chunks of a log without a readable end: those that were found have been checked."""
     findings.append(Finding("no readable end", structure.problem))
     for start, end in structure.lost:
@@ -64,7 +64,7 @@ def _without_end(file: McapFile, structure: Structure, findings: list[Finding]) 
         yield records, messages
 
 
-def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[Found]:
+def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[ChunkMessages]:
     """Reads a finished log from its start, record by record, and yields its sound chunks."""
     position, crc = len(MAGIC), zlib.crc32(MAGIC)
     indexed = {chunk.start: chunk for chunk in structure.chunks}

@@ -129,10 +129,10 @@ def _sound_tags(log: Log, skipped: Skipped) -> list[Tag]:
 
 @dataclass(frozen=True)
 class LostRows:
-    """The rows of which messages are left out."""
+    """The rows whose messages are left out, and why."""
 
     last_row: int = _NO_ROW
-    torn: frozenset[int] = frozenset()  # rows of which a part is lost
+    torn: frozenset[int] = frozenset()  # rows that have lost a part
 
     def why_not(self, row: int) -> str:
         """The reason why the rest of a row is left out; empty if it is taken."""
