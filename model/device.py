@@ -74,7 +74,6 @@ def choose_machine(config: TrainConfig, local_rank: int = 0, begun: object = Non
         device = torch.device("cuda", local_rank)
         torch.cuda.set_device(device)
         torch.set_float32_matmul_precision("high")  # TF32 where float32 is asked for
-        torch.backends.cudnn.benchmark = True  # one shape again and again: the fastest kernel is worth a search
     else:
         device = torch.device("cpu")
         keep_freed_memory()

@@ -101,7 +101,13 @@ class TrainingLoop:
         # a batch of more than `micro_batch` would only take more memory
         self.validation = Validation(samples, machine.micro_batch, left_bytes, config, picture)
         self.natural_frames = (
-            NaturalFrames(samples, machine.micro_batch, config.threads, picture)
+            NaturalFrames(
+                samples,
+                machine.micro_batch,
+                config.threads,
+                picture,
+                keeps_pictures=machine.device.type != "cpu",  # whose epochs are as short as the decoding
+            )
             if config.answers == "natural"
             else None
         )

@@ -37,9 +37,12 @@ class NaturalFrames:
     The mirror images make both sides alike: what the offset mends is the network, not the direction of the track.
     """
 
-    def __init__(self, samples: Samples, batch: int, threads: int, picture: PictureSpec) -> None:
+    def __init__(
+        self, samples: Samples, batch: int, threads: int, picture: PictureSpec, *, keeps_pictures: bool = False
+    ) -> None:
+        """`keeps_pictures` decodes them once, not in every epoch, and takes up to 50 MB at the default size."""
         frames = _at_natural_frequency(samples)
-        budget_bytes = 0  # each is read once an epoch
+        budget_bytes = len(frames) * picture.size_bytes if keeps_pictures else 0
         self.loader = Loader(
             samples, frames, batch=batch, budget_bytes=budget_bytes, threads=threads, seen=picture
         )
