@@ -81,7 +81,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
     run = find_run(config.run, config.runs)
     load_named([config.network], [run])
     settings = _with_car(config, settings, run)
-    pilot = load_pilot(run, config.precision)
+    pilot = load_pilot(run, config.precision, config.device)
     pilot.warm_up()
     prepare_process()
     with contextlib.ExitStack() as page:  # it outlives the drive: it has what comes next
@@ -193,7 +193,7 @@ def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
         check_pedals(car)
         load_named([config.network], [run])
         settings = _with_car(config, settings, run)
-        pilot = load_pilot(run, config.precision)
+        pilot = load_pilot(run, config.precision, config.device)
         pilot.warm_up()
         source = {"simulator": car.name, "gym.args": json.dumps(car.settings.args), "gym.action": car.actions.text}
         metadata = drive_metadata(pilot, settings) | source

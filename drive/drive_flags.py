@@ -28,7 +28,7 @@ class Drive:
 
     RARE: ClassVar[str] = (
         "network drives start real_time page epochs sessions"
-        " smooth steering_rate precision server host port seed runs"
+        " smooth steering_rate device precision server host port seed runs"
     )
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
     """Name or folder; by default the newest."""
@@ -66,6 +66,8 @@ class Drive:
     """Time constant of the steering's smoothing; 0: none."""
     steering_rate: float = 0.0
     """Largest change of the steering in a second; 0: no limit."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """auto: a GPU if there is one."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Arithmetic; auto: the fastest."""
     viewer: Annotated[str, tyro.conf.arg(metavar="auto|window|web|ADDRESS|FILE.rrd|off")] = "auto"
@@ -136,7 +138,7 @@ def refuse_contradictions(config: Drive) -> None:
         raise UsageError(f"{flags}: only with --aggregate N")
     if config.aggregate is None and config.takeover != "me" and (flags := flags_given(config, "sessions")):
         raise UsageError(f"{flags}: only with --aggregate N, or --takeover me")
-    others = ("log", *(() if config.viewer == "off" else ("viewer",)), "precision", "force")
+    others = ("log", *(() if config.viewer == "off" else ("viewer",)), "device", "precision", "force")
     if config.aggregate is not None and (flags := flags_given(config, *others)):
         raise UsageError(
             f"{flags}: not with --aggregate, which names its logs, replaces nothing, shows a table and takes the"

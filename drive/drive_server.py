@@ -286,6 +286,7 @@ def drive_metadata(pilot: Pilot, config: DriveConfig) -> dict[str, str]:
         "run": pilot.run,
         "weights_sha256": pilot.weights_sha256,
         "arithmetic": pilot.arithmetic,
+        "device": pilot.device,
         **{
             name: f"{value:g}" if isinstance(value, float) else str(value)
             for name, value in vars(config).items()

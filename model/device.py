@@ -10,7 +10,7 @@ import msgspec
 import torch
 
 from common.memory_allocator import keep_freed_memory
-from model.config import Precision, TrainConfig
+from model.config import Device, Precision, TrainConfig
 from model.errors import RunError
 
 
@@ -65,17 +65,13 @@ def choose_machine(config: TrainConfig, local_rank: int = 0, begun: object = Non
     with (the machine in its config.json), as far as a device of the same kind has that, too.
     Raises RunError if there is no such device here.
     """
-    has_gpu = torch.cuda.is_available()
-    if config.device == "cuda" and not has_gpu:
-        raise RunError("--device cuda: PyTorch finds no GPU here; give --device cpu, or install PyTorch for CUDA")
-    if config.device != "cpu" and has_gpu:
+    device = choose_device(config.device, local_rank)
+    if device.type == "cuda":
         if local_rank >= torch.cuda.device_count():
             raise RunError(f"{torch.cuda.device_count()} GPUs here: give torchrun no greater --nproc-per-node")
-        device = torch.device("cuda", local_rank)
         torch.cuda.set_device(device)
         torch.set_float32_matmul_precision("high")  # TF32 where float32 is asked for
     else:
-        device = torch.device("cpu")
         keep_freed_memory()
     if config.threads:
         torch.set_num_threads(config.threads)
@@ -92,6 +88,14 @@ def choose_machine(config: TrainConfig, local_rank: int = 0, begun: object = Non
             processor_way(torch.cpu.get_capabilities(), precision).micro_batch if is_cpu else config.batch
         )
     return Machine(device, training_dtype(precision, device), micro_batch)
+
+
+def choose_device(device: Device, number: int = 0) -> torch.device:
+    """The processor or the GPU, as `--device` asks for. Raises RunError if PyTorch finds no GPU for "cuda"."""
+    has_gpu = torch.cuda.is_available()
+    if device == "cuda" and not has_gpu:
+        raise RunError("--device cuda: PyTorch finds no GPU here; give --device cpu, or install PyTorch for CUDA")
+    return torch.device("cuda", number) if device != "cpu" and has_gpu else torch.device("cpu")
 
 
 def processor_way(capabilities: Mapping[str, object], precision: Precision = "auto") -> ProcessorWay:

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from common.memory_allocator import keep_freed_memory
+from common.named_function import in_one_line
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 from dataset.preprocessing import Image, crop_of, in_channels
-from model.config import Precision
-from model.device import training_dtype
+from model.config import Device, Precision
+from model.device import choose_device, training_dtype
 from model.errors import RunError
 from model.evaluation.predict import as_input
 from model.network.faster_layers import pack_weights, sliced_max_pool, swap_layers
 from model.network.picture_network import PictureNetwork
+from model.network.replayed import ROUNDING, Replayed, exactly, replayed_where_the_same
 from model.runs.run_folder import (
     load_network,
     picture_of_run,
@@ -33,7 +36,7 @@ from model.runs.run_folder import (
 
 WARM_UP_PREDICTIONS = 20
 
-_ROUNDING: Final = 0.02  # of bfloat16, added up in another order
+_PROCESSOR = torch.device("cpu")
 
 
 class NetworkAnswer(NamedTuple):
@@ -50,7 +53,7 @@ class NetworkAnswer(NamedTuple):
 
 
 class Pilot:
-    """Predicts steering from the car's pictures, on the processor. The same picture gives the same number."""
+    """Predicts steering from the car's pictures. On one device, the same picture gives the same number."""
 
     def __init__(
         self,
@@ -61,11 +64,13 @@ class Pilot:
         picture: PictureSpec | None = None,
         targets: Sequence[TargetName] = STEERING_ONLY,
         speed_ahead_s: float = 0.0,
+        device: torch.device = _PROCESSOR,
     ) -> None:
-        """Takes the network over: its weights are rounded to `dtype`, float32 or bfloat16, once and for all.
+        """Takes the network over, to `device`: its weights are rounded to `dtype`, float32 or bfloat16, for good.
 
         `picture` is what it sees, if not the network's default; `targets` are its answers. An answered speed is to
-        be driven `speed_ahead_s` later. Raises ValueError if the network has not as many answers as `targets`.
+        be driven `speed_ahead_s` later. Raises ValueError if the network has not as many answers as `targets`,
+        RuntimeError if it does not work on the device or in `dtype`.
         """
         if len(targets) != network.outputs:
             raise ValueError(f"{len(targets)} targets of a network with {network.outputs} answers")
@@ -73,11 +78,18 @@ class Pilot:
         self.weights_sha256 = weights_sha256
         self.arithmetic = str(dtype).removeprefix("torch.")
         """The arithmetic it calculates in: "float32" or "bfloat16"."""
+        self.device = device.type
+        """What it calculates on: "cpu" or "cuda"."""
         self.picture = picture or network.PICTURE
         self.targets = tuple(targets)
         self.speed_ahead_s = speed_ahead_s
         network.input_dtype = dtype
-        self._network = network.eval().to(dtype=dtype, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self._network = network.eval().to(device, dtype, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self._device = device
+        self._replayed: Replayed | None = None
+        if device != _PROCESSOR:
+            self._answers(np.zeros(self.picture.shape, np.uint8))  # what does not work fails here, not in a drive
+            return
         self._swap_where_the_same(lambda: swap_layers(network, sliced_max_pool))
         if dtype == torch.bfloat16:
             self._swap_where_the_same(lambda: pack_weights(network))
@@ -97,8 +109,16 @@ class Pilot:
     @torch.inference_mode()
     def _answers(self, crop: Image) -> NDArray[np.float32]:
         """(K,) in the units that were learnt."""
-        pixels = np.ascontiguousarray(in_channels(crop, self.picture))
-        answers: NDArray[np.float32] = self._network(as_input(pixels[None])).flatten().float().numpy()
+        pixels = np.ascontiguousarray(in_channels(crop, self.picture))[None]
+        if self._replayed is not None:
+            return self._replayed(pixels)
+        answers: NDArray[np.float32] = self._calculate(as_input(pixels).to(self._device)).cpu().numpy()
+        return answers
+
+    def _calculate(self, inputs: Tensor) -> Tensor:
+        """The same of a picture (1, 3, height, width) uint8, both on the device."""
+        with exactly(self._device):
+            answers: Tensor = self._network(inputs).flatten().float()
         return answers
 
     def predict(self, crop: Image) -> float:
@@ -110,11 +130,13 @@ class Pilot:
 
         From here on it computes on one thread. On two, one picture is a fifth faster, but a busy machine makes
         every layer wait for the slower thread (one answer in a hundred then takes 20 ms), and the number of cores
-        would show in the last bits of a steering.
+        would show in the last bits of a steering. A GPU then replays its work on a picture, if it can.
         """
         keep_freed_memory()
         torch.set_num_threads(1)
         cv2.setNumThreads(1)
+        if self.device == "cuda" and self._replayed is None:
+            self._replayed = replayed_where_the_same(self._calculate, self.picture.shape, self._device)
         for _ in range(WARM_UP_PREDICTIONS):
             self.predict(np.zeros(self.picture.shape, np.uint8))
 
@@ -130,30 +152,46 @@ class Pilot:
         except Exception:
             undo()
             return
-        if not np.allclose(after, before, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True):
+        if not np.allclose(after, before, rtol=ROUNDING, atol=ROUNDING, equal_nan=True):
             undo()
 
 
-def load_pilot(run: Path | str, precision: Precision = "auto") -> Pilot:
+def load_pilot(run: Path | str, precision: Precision = "auto", device: Device = "auto") -> Pilot:
     """The pilot of a run folder.
 
-    `precision` is that of its arithmetic; "auto" takes bfloat16 where the processor has it, as training does. One
-    picture then takes five eighths of the time. Over 5,000 pictures, real and drawn, a trained network's steering
-    differed by 0.02 degrees on average and by 0.2 at most from that of float32, in which evaluations measure.
+    `device` is what it calculates on; "auto" takes a GPU if there is one. `precision` is that of its arithmetic;
+    "auto" takes bfloat16 where the device has it, as training does. On a processor, one picture then takes five
+    eighths of the time. Over 5,000 pictures, real and drawn, a trained network's steering differed by 0.02 degrees
+    on average and by 0.2 at most from that of float32, in which evaluations measure.
 
-    A network that cannot be calculated in bfloat16 drives in float32, unless bfloat16 is asked for.
+    A network that cannot be calculated in bfloat16 drives in float32, unless bfloat16 is asked for; one that does
+    not work on the GPU drives on the processor, unless the GPU is asked for.
 
-    Raises RunError if the run is incomplete, damaged or of another version, or if its network is somebody's own
-    that was not named (`load_code`) or does not work here.
+    Raises RunError if the run is incomplete, damaged or of another version, if its network is somebody's own that
+    was not named (`load_code`) or does not work here, or if there is no such device.
     """
     run = Path(run)
-    picture, network = picture_of_run(run), load_network(run)
-    about = run_name(run), weights_checksum(run)
+    picture, about = picture_of_run(run), (run_name(run), weights_checksum(run))
     answers = targets_of_run(run), speed_ahead_s_of_run(run)
-    dtype = training_dtype(precision, torch.device("cpu"))
-    try:
-        return Pilot(network, *about, dtype, picture, *answers)
-    except RuntimeError as error:  # of types that do not go together
-        if precision == "bfloat16":
-            raise RunError(f"{run}: its network does not work in bfloat16 ({error}); give float32") from None
-        return Pilot(load_network(run), *about, torch.float32, picture, *answers)
+    problem = ""
+    for chosen, dtype in _ways(precision, device):
+        network = load_network(run)
+        try:
+            return Pilot(network, *about, dtype, picture, *answers, chosen)
+        except (RuntimeError, TypeError) as error:  # types that do not go together, or nothing that a GPU can do
+            place = "" if chosen == _PROCESSOR else " on the GPU"
+            problem = f"in {str(dtype).removeprefix('torch.')}{place} ({in_one_line(error)})"
+    other = " or ".join(
+        [*(["float32"] if precision == "bfloat16" else []), *(["--device cpu"] if device == "cuda" else [])]
+    )
+    raise RunError(f"{run}: its network does not work {problem}{f'; give {other}' if other else ''}")
+
+
+def _ways(precision: Precision, device: Device) -> Iterator[tuple[torch.device, torch.dtype]]:
+    """The devices and arithmetics that may be taken, the best first."""
+    chosen = choose_device(device)
+    for each in dict.fromkeys([chosen, _PROCESSOR] if device == "auto" else [chosen]):
+        dtype = training_dtype(precision, each)
+        yield each, dtype
+        if precision == "auto" and dtype != torch.float32:
+            yield each, torch.float32

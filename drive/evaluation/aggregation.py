@@ -145,7 +145,7 @@ class Aggregation:
             raise DriveError(f"{self._index}: {error}") from None
 
     def _drive(self, run: Path, log: Path, mode: ServerMode) -> AggregationRound:
-        pilot = load_pilot(run)
+        pilot = load_pilot(run, device=self._training.device)
         pilot.warm_up()
         summary = self._simulator.drive(pilot, self._config, log, mode)
         return AggregationRound(run_name(run), log, summary.laps, summary.interventions, summary.autonomy_percent)

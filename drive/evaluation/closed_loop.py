@@ -17,7 +17,7 @@ from drive.config import DriveConfig
 from drive.errors import DriveError
 from drive.evaluation.simulator_process import BuiltInSimulator, drive_and_log
 from model import Pilot, load_pilot
-from model.config import Precision
+from model.config import Device, Precision
 from model.network.own_code import load_code
 from model.runs.run_folder import run_name
 from recorder.log_copy_cli import refuse_taken_name
@@ -105,6 +105,7 @@ def drive_runs(
     *,
     networks: Sequence[str] = (),
     precision: Precision = "auto",
+    device: Device = "auto",
     overwrite: bool = False,
 ) -> Iterator[tuple[int, DriveResult]]:
     """Let each of some runs, each with the folder of its logs, make each of the drives; number and result of each,
@@ -113,7 +114,7 @@ def drive_runs(
     `networks` names the code that runs of one's own networks need. Raises what `evaluate` does.
     """
     calls = [
-        (run, tuple(networks), precision, simulator, config, logs, name, overwrite)
+        (run, tuple(networks), precision, device, simulator, config, logs, name, overwrite)
         for run, logs in runs
         for (simulator, config), name in zip(
             drives, _log_names(run_name(run), drives, logs, overwrite=overwrite), strict=True
@@ -126,13 +127,14 @@ def _drive_run(
     run: Path,
     networks: tuple[str, ...],
     precision: Precision,
+    device: Device,
     simulator: BuiltInSimulator,
     config: DriveConfig,
     logs: LogFolder,
     name: str,
     overwrite: bool,
 ) -> DriveResult:
-    pilot = _warm_pilot(run, networks, precision)
+    pilot = _warm_pilot(run, networks, precision, device)
     # whether it may be replaced was asked before: a drive that is made again may find the log of the first one
     report, _ = drive_and_log(pilot, simulator, config, logs.here / name, overwrite=True, shows_progress=False)
     place, problem = logs.copy(name, overwrite)
@@ -140,11 +142,11 @@ def _drive_run(
 
 
 @lru_cache(maxsize=1)
-def _warm_pilot(run: Path, networks: tuple[str, ...], precision: Precision) -> Pilot:
+def _warm_pilot(run: Path, networks: tuple[str, ...], precision: Precision, device: Device) -> Pilot:
     """A process of a cluster makes many drives, most of them of one run."""
     for name in networks:
         load_code(name)
-    pilot = load_pilot(run, precision)
+    pilot = load_pilot(run, precision, device)
     pilot.warm_up()
     return pilot
 

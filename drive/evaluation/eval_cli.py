@@ -266,7 +266,7 @@ def _driven_here(
 
     numbers = itertools.count()
     for run, logs in runs:
-        pilot = load_pilot(run, config.precision or "auto")
+        pilot = load_pilot(run, config.precision or "auto", config.device or "auto")
         pilot.warm_up()
         for result in evaluate_run(
             pilot, drives, logs, overwrite=config.force, notify=lambda text: print_message(f"bc-eval: {text}")
@@ -286,6 +286,7 @@ def _driven_on_cluster(
             tasks,
             networks=config.network,
             precision=config.precision or "auto",
+            device=config.device or "auto",
             overwrite=config.force,
         )
         yield from track(results, "driving", len(runs) * len(drives))

@@ -29,7 +29,7 @@ class Eval:
     bc-eval --compare first second
     """
 
-    RARE: ClassVar[str] = "network tolerance split precision drives ray"
+    RARE: ClassVar[str] = "network tolerance split device precision drives ray"
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
     """Name or folder; by default the newest."""
     network: tuple[str, ...] = ()
@@ -58,6 +58,8 @@ class Eval:
     """Laps on each track."""
     speed: Annotated[tuple[float, ...] | None, _default("MPH [MPH ...]", "10")] = None
     """Set speeds, each on every track."""
+    device: Annotated[Literal["auto", "cpu", "cuda"] | None, _default("{auto,cpu,cuda}", "auto")] = None
+    """auto: a GPU if there is one."""
     precision: Annotated[
         Literal["auto", "float32", "bfloat16"] | None, _default("{auto,float32,bfloat16}", "auto")
     ] = None
@@ -75,7 +77,7 @@ class Eval:
 
 
 OF_FRAMES: Final = ("index", "split", "session", "sessions", "bins", "worst")
-OF_DRIVES: Final = ("laps", "speed", "precision", "drives", "force", "ray")
+OF_DRIVES: Final = ("laps", "speed", "device", "precision", "drives", "force", "ray")
 
 
 def refuse_contradictions(config: Eval) -> None:

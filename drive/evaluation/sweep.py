@@ -101,7 +101,7 @@ def _train_and_drive_here(
         return []
     if copy is not None:
         copy.finish()  # before the minutes that drives take
-    pilot = load_pilot(run)
+    pilot = load_pilot(run, device=training.config.device)
     pilot.warm_up()
     problems = []
     # a log without its result is that of a drive that was killed before it could be kept

@@ -355,6 +355,7 @@ def test_a_simulator_without_an_expert_ends_it_at_once_and_is_told_why(aggregate
         (("--aggregate", "1", "--simulator", "lake", "--force"), "--force: not with --aggregate, which"),
         (("--aggregate", "1", "--simulator", "lake", "--epochs", "0"), "epochs"),
         (("--aggregate", "1", "--viewer", "web"), "--viewer: not with --aggregate, which"),
+        (("--aggregate", "1", "--device", "cpu"), "--device: not with --aggregate, which"),
         (("--aggregate", "1", "--car", "torcs.toml"), "it answers 1 where the wheels are to turn by 25"),
     ],
 )

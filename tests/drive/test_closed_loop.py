@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import torch
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from mcap.reader import make_reader
@@ -251,6 +252,22 @@ def test_an_evaluation_of_nothing_is_one_line(
 ) -> None:
     assert call(eval_main, pilot_run, *flags, "--drives", tmp_path / "logs") == 2
     assert says in one_line_in(capsys)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU here")
+@pytest.mark.parametrize("main", [drive_main, eval_main])
+def test_a_gpu_that_is_not_there_is_one_line(
+    pilot_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], main: Callable[[], None]
+) -> None:
+    flags = ("--simulator", "lake", "--drives", tmp_path / "logs", "--device", "cuda")
+    assert call(main, pilot_run, *flags) == 1
+    assert "--device cuda: PyTorch finds no GPU here; give --device cpu" in one_line_in(capsys)
+    assert not (tmp_path / "logs").exists()
+
+
+def test_the_device_is_that_of_drives_only(pilot_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(eval_main, pilot_run, "--device", "cpu") == 2
+    assert "--device: only with --simulator TRACK" in one_line_in(capsys)
 
 
 def test_bc_drive_with_the_built_in_simulator_ends_by_itself_with_a_log(pilot_run: Path, tmp_path: Path) -> None:

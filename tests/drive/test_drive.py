@@ -445,6 +445,8 @@ def test_ctrl_c_finishes_the_log_under_its_name(drive: Drive) -> None:
         metadata = log.metadata
     assert metadata["weights_sha256"] == load_pilot(drive.run).weights_sha256
     assert (metadata["run"], metadata["source"], metadata["set_speed_mph"]) == ("untrained", "drive", "10")
+    pilot = load_pilot(drive.run)
+    assert (metadata["arithmetic"], metadata["device"]) == (pilot.arithmetic, pilot.device)
 
 
 def test_a_port_in_use_is_one_line_and_writes_nothing(drive: Drive) -> None:
