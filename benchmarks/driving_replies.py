@@ -106,6 +106,7 @@ def print_stages(servers: list[Server]) -> None:
         assert server.log is not None  # noqa: S101
         with Log(server.log) as log:
             commands = [command for _, command in log.commands()]
+            computed = f"{log.metadata['arithmetic']} on {log.metadata['device']}"
         told = sum(len(turn.round_trips_ms) for turn in server.turns)
         if len(commands) != told:
             print(f"{server.name}: {told:,} telemetries, {len(commands):,} logged", file=sys.stderr)
@@ -114,7 +115,7 @@ def print_stages(servers: list[Server]) -> None:
             spent_ms = [getattr(command, stage) for command in commands[len(server.turns[0].round_trips_ms) :]]
             p50, p99 = np.percentile(spent_ms, (50, 99))
             cells.append(f"{p50:.2f} / {p99:.2f} / {max(spent_ms):.2f} ms")
-        print(f"| {server.name} | {' | '.join(cells)} |")
+        print(f"| {server.name}, {computed} | {' | '.join(cells)} |")
 
 
 if __name__ == "__main__":
