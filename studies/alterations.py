@@ -38,6 +38,8 @@ ALL: Final = replace(PEOPLE, alter_each_epoch=("all",))
 RECIPES: Final[Mapping[str, TrainConfig]] = {
     "people": PEOPLE,
     "all": ALL,
+    "people, 10 epochs": replace(PEOPLE, epochs=10),
+    "all, 10 epochs": replace(ALL, epochs=10),
     f"people{LONGER}": replace(PEOPLE, epochs=14),
     f"all{LONGER}": replace(ALL, epochs=14),
     **{f"{name} alone": replace(PEOPLE, alter_each_epoch=(name,)) for name in EPOCH_ALTERATIONS},
