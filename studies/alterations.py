@@ -4,9 +4,10 @@ python studies/alterations.py FOLDER sessions/*.mcap [--network small] [--recipe
     [--parts one three drive] [--table]
 
 "one": a network of each person alone, measured on all the others. "three": a network of all but one, measured on
-that one. Errors are shares of those of always predicting the mean of the very frames. "drive": a network of half a
-lap of both built-in tracks by the simulated keyboard driver drives full laps. Each result is a file in
-FOLDER/results: what is there is not made again, and a training that was stopped goes on. --table only prints.
+that one, without the frames of crashes. Errors are shares of those of always predicting the mean of these frames.
+"drive": a network of half a lap of both built-in tracks by the simulated keyboard driver drives full laps. Each
+result is a file in FOLDER/results: what is there is not made again, and a training that was stopped goes on. --table
+only prints.
 """
 
 from __future__ import annotations
@@ -31,17 +32,11 @@ from model import TrainConfig, load_pilot, train
 from model.evaluation.evaluate import evaluate_sessions
 from model.training.trainer import Trained
 
-LONGER: Final = ", 14 epochs"
-"""Of recipes that go on with the run of the same recipe."""
-PEOPLE: Final = TrainConfig(epochs=6)
+PEOPLE: Final = TrainConfig.of("people")
 ALL: Final = replace(PEOPLE, alter_each_epoch=("all",))
 RECIPES: Final[Mapping[str, TrainConfig]] = {
     "people": PEOPLE,
     "all": ALL,
-    "people, 10 epochs": replace(PEOPLE, epochs=10),
-    "all, 10 epochs": replace(ALL, epochs=10),
-    f"people{LONGER}": replace(PEOPLE, epochs=14),
-    f"all{LONGER}": replace(ALL, epochs=14),
     **{f"{name} alone": replace(PEOPLE, alter_each_epoch=(name,)) for name in EPOCH_ALTERATIONS},
     **{
         f"all but {name}": replace(
@@ -60,7 +55,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("logs", type=Path, nargs="+")
     parser.add_argument("--network", default=TrainConfig.network)
-    parser.add_argument("--recipes", nargs="+", default=list(RECIPES)[:4], choices=RECIPES)
+    parser.add_argument("--recipes", nargs="+", default=["people", "all"], choices=RECIPES)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--parts", nargs="+", default=["one", "three"], choices=["one", "three", "drive"])
     parser.add_argument("--table", action="store_true")
@@ -102,7 +97,7 @@ def measure(
             "error on turns": of.network.turning_mae_deg / of.mean.turning_mae_deg,
             "correlation": of.network.correlation,
         }
-        for session, of in found.sessions.items()
+        for session, of in found.driving.sessions.items()
     }
     keep(result, {"best_epoch": trained.best_epoch, "sessions": values})
 
@@ -112,7 +107,7 @@ def trained_on(folder: Path, network: str, recipe: str, seed: int, learnt: Seque
     index = folder / "indexes" / "-".join(log.stem for log in learnt)
     if not index.exists():
         build_index(list(learnt), index, IndexConfig(validation_share=0.1))
-    run = folder / "runs" / file_of(folder, network, recipe.removesuffix(LONGER), seed, learnt).stem
+    run = folder / "runs" / file_of(folder, network, recipe, seed, learnt).stem
     config = replace(RECIPES[recipe], network=network, seed=seed, threads=1)
     return train(index, run, config, resume=run.exists(), figures=False, show_progress=False)
 
@@ -165,7 +160,7 @@ def keep(result: Path, kept: Mapping[str, object]) -> None:
 
 
 def file_of(folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path]) -> Path:
-    named = "-".join([network, recipe.replace(", ", "-").replace(" ", "-"), *(log.stem for log in learnt)])
+    named = "-".join([network, recipe.replace(" ", "-"), *(log.stem for log in learnt)])
     return folder / "results" / f"{named}-{seed}.json"
 
 
