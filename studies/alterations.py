@@ -6,8 +6,8 @@ python studies/alterations.py FOLDER sessions/*.mcap [--network small] [--recipe
 "one": a network of each person alone, measured on all the others. "three": a network of all but one, measured on
 that one, without the frames of crashes. Errors are shares of those of always predicting the mean of these frames.
 "drive": a network of half a lap of both built-in tracks by the simulated keyboard driver drives full laps. Each
-result is a file in FOLDER/results: what is there is not made again, and a training that was stopped goes on. --table
-only prints.
+result is a file in FOLDER/results: what is there is not made again, and a training that was stopped goes on.
+--table only prints.
 """
 
 from __future__ import annotations
