@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, get_args
 from tyro.conf import arg
 
 from common.car import Camera
-from common.recipe import Recipe
+from common.recipe import IndexRecipe, Recipe
 from dataset.prediction_targets import MAX_AHEAD_S
 from dataset.steering_bins import BINS
 
@@ -35,7 +35,7 @@ class IndexConfig:
         "per_bin max_uses alter viewpoints label_smooth_s"
         " label_shift_s speed_ahead_s block_s gap_s validation_share drives"
     )
-    recipe: Recipe = "people"
+    recipe: IndexRecipe = "people"
     """Defaults for learning from people, or the original project's."""
     bins: int = BINS
     """Equal steering bins over -1..1."""
@@ -80,7 +80,7 @@ class IndexConfig:
 
     @classmethod
     def of(cls, recipe: Recipe) -> IndexConfig:
-        """The defaults of a recipe."""
+        """The defaults of a training's or an index's recipe."""
         return cls(**cls.EARLIER) if recipe == "original" else cls()
 
     def __post_init__(self) -> None:

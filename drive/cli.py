@@ -284,7 +284,7 @@ def _aggregate(config: Drive, settings: DriveConfig) -> int:
     with usage_errors(DriveError, ValueError):
         check_rounds(config.aggregate)
         check_laps(config.laps)
-        training = TrainConfig(epochs=config.epochs)
+        training = replace(TrainConfig.of("people"), epochs=config.epochs)
     simulator: BuiltInSimulator | ExternalSimulator = ExternalSimulator(config.laps, config.host, config.port)
     if config.simulator is not None:
         simulator = BuiltInSimulator(config.simulator, config.laps, config.real_time)

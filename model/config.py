@@ -38,6 +38,7 @@ class TrainConfig:
         "average_steps": 1,
         "answers": "as-learnt",
         "keep": "balanced-rmse",
+        "alter_each_epoch": ("none",),
     }
     """Settings of the original project, and of earlier versions of this one, which lacked these fields."""
 
@@ -45,8 +46,8 @@ class TrainConfig:
         "network_args target_weights picture_px crop_rows channels average_steps"
         " answers keep dropout precision micro_batch threads picture_memory_mb"
     )
-    recipe: Recipe = "people"
-    """Defaults for learning from people, or the original project's."""
+    recipe: Recipe = "altered"
+    """Defaults for learning from people, with or without altered pictures, or the original project's."""
     network: str = "original"
     """original, pilotnet, small, resnet18, FILE.py:CLASS or MODULE:CLASS."""
     network_args: tuple[str, ...] = ()
@@ -61,7 +62,7 @@ class TrainConfig:
     """Rows of 160 cut off at top and bottom."""
     channels: Literal["BGR", "RGB", "YUV"] | None = None
     """Colour order of the network's picture."""
-    alter_each_epoch: tuple[EpochAlteration | Literal["all", "none"], ...] = ("none",)
+    alter_each_epoch: tuple[EpochAlteration | Literal["all", "none"], ...] = ("all",)
     """Changes to every picture, drawn anew in every epoch: all, or some."""
     epochs: int = 10
     """Passes over the balanced samples."""
@@ -95,7 +96,9 @@ class TrainConfig:
     @classmethod
     def of(cls, recipe: Recipe) -> TrainConfig:
         """The defaults of a recipe."""
-        return cls(**cls.EARLIER) if recipe == "original" else cls()
+        if recipe == "original":
+            return cls(**cls.EARLIER)
+        return cls() if recipe == "altered" else cls(recipe=recipe, alter_each_epoch=("none",))
 
     def __post_init__(self) -> None:
         """Raises ValueError, naming the flag, for a value that makes no sense."""

@@ -19,6 +19,7 @@ import torch
 from common import Skipped, UserError
 from common.interrupts import stop_signals
 from common.location import Location, location
+from common.recipe import index_recipe
 from common.versions import install_line
 from dataset import Samples
 from dataset.picture_spec import PictureSpec
@@ -202,11 +203,12 @@ def _target_notices(samples: Samples, targets: Sequence[TargetName]) -> list[str
 def _recipe_remarks(samples: Samples, config: TrainConfig) -> list[str]:
     """A remark if the index was built by another recipe than it is trained by."""
     built = samples.metadata["settings"].get("recipe", "original")  # earlier versions had no other
-    if built == config.recipe:
+    wanted = index_recipe(config.recipe)
+    if built == wanted:
         return []
     return [
         f"{samples.path}: built by the recipe {built}, trained by {config.recipe}; for one of both give bc-train"
-        f" --recipe {built}, or build it again: `bc-index --recipe {config.recipe}`"
+        f" --recipe {built}, or build it again: `bc-index --recipe {wanted}`"
     ]
 
 

@@ -30,14 +30,15 @@ def trained(folder: Path, *flags: object) -> dict[str, Any]:
 
 
 @pytest.mark.usefixtures("without_figures")
-@pytest.mark.parametrize("recipe", ["people", "original"])
+@pytest.mark.parametrize("recipe", ["altered", "people", "original"])
 def test_the_recipe_is_that_of_the_training_and_of_its_index(tmp_path: Path, recipe: Any) -> None:
     toy_index(tmp_path)
-    config = trained(tmp_path, *(["--recipe", recipe] if recipe == "original" else []))
+    config = trained(tmp_path, *(["--recipe", recipe] if recipe != "altered" else []))
     assert settings_from(TrainConfig, config["training"]) == replace(
         TrainConfig.of(recipe), network="small", epochs=1, threads=1
     )
     assert settings_from(IndexConfig, config["data"]["settings"]) == IndexConfig.of(recipe)
+    assert config["data"]["settings"]["recipe"] == ("original" if recipe == "original" else "people")
 
 
 def test_other_flags_change_what_they_name(tmp_path: Path) -> None:
@@ -78,4 +79,4 @@ def test_an_index_of_another_recipe_is_remarked_on(tmp_path: Path, capsys: pytes
     flags = ["--sessions", tmp_path, "--index", tmp_path / "new" / "index"]
     assert call(bc_index, *flags, "--recipe", "original") in (0, 3)
     trained(tmp_path)
-    assert "built by the recipe original, trained by people" in capsys.readouterr().err
+    assert "built by the recipe original, trained by altered" in capsys.readouterr().err

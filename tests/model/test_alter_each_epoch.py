@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from dataset import load
+from dataset.config import EPOCH_ALTERATIONS
 from model import RunError, TrainConfig, train
 from model.cli import main
 from model.evaluation.evaluate import evaluate
@@ -85,9 +86,10 @@ def test_frames_held_out_are_measured_as_they_were_recorded(index: Path, whole: 
     assert last.measures.network.rmse_deg == pytest.approx(found.network.rmse_deg, rel=1e-4)
 
 
-def test_a_run_of_before_had_none_and_the_default_is_none(index: Path) -> None:
-    assert TrainConfig().epoch_alterations == TrainConfig.of("original").epoch_alterations == ()
-    with load(index, alter_each_epoch=TrainConfig().epoch_alterations) as loader:
+def test_a_run_of_before_had_none_as_have_the_other_recipes(index: Path) -> None:
+    assert TrainConfig().epoch_alterations == EPOCH_ALTERATIONS
+    assert TrainConfig.of("people").epoch_alterations == TrainConfig.of("original").epoch_alterations == ()
+    with load(index, alter_each_epoch=TrainConfig.of("people").epoch_alterations) as loader:
         assert loader.alterations is None
 
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 from common.location import Location, Url
+from common.recipe import IndexRecipe, Recipe
 from dataset.config import IndexConfig
 from model.config import TrainConfig
 from model.network.names import BUILT_IN
@@ -126,7 +127,7 @@ _TARGETS: Final = ("steering", "steering speed", "steering throttle", "steering 
 _KEEP: Final = ("driving-error", "balanced-rmse", "rmse", "last")
 INDEX_FIELDS: Final = (
     Field("sessions", "sessions", "", hint="all of them", known="sessions", is_several=True),
-    Field("recipe", "recipe", choices=("people", "original")),
+    Field("recipe", "recipe", choices=get_args(IndexRecipe)),
     Field("bins", "bins", hint=str(_INDEX.bins)),
     Field("per_bin", "samples a bin", hint=str(_INDEX.per_bin)),
     Field("max_uses", "most uses of a picture", hint=str(_INDEX.max_uses)),
@@ -200,7 +201,7 @@ FORMS: Final[Sequence[JobForm]] = (
             Field("rate", "learning rate", hint=str(_TRAIN.rate)),
             Field("batch", "samples in a step", hint=str(_TRAIN.batch)),
             Field("targets", "what it learns", choices=_TARGETS, is_several=True),
-            Field("recipe", "recipe", choices=("people", "original")),
+            Field("recipe", "recipe", choices=get_args(Recipe)),
             Field("device", "computes on", choices=("cpu", "cuda")),
             Field("on", "on these sessions alone", hint="the index", known="sessions", is_several=True),
             Field("init", "start from the run", hint="random weights", known="runs"),
