@@ -1,158 +1,148 @@
-"""The training step, the index and the reply of a drive, beside what they have been on this kind of processor.
+"""Does the training step, the index or the reply of a drive take 10 % more time than in an earlier version?
 
-python benchmarks/bench.py            # make bench: five minutes; exit code 1 if something takes 10 % more
-python benchmarks/bench.py --keep     # keeps these figures for this kind of processor
+python benchmarks/bench.py                  # make bench; exit code 1 if something takes longer
+python benchmarks/bench.py --base COMMIT    # compares with this commit; else with that in bench_base.txt
 
-benchmarks/kept_figures.json has the kept ones. Each figure is the best of its rounds, by processor time: whatever
-else a machine does only slows it. The rounds take turns, so that a slow minute meets all of them. What looks
-slower is measured once more. A wait is not found: it takes no processor time.
+Both versions do the same work at the same time on the same core. The scheduler changes between them every few
+milliseconds, so that whatever else the machine does slows both. A ratio is that of their processor times, and the
+median over all rounds. What looks slower is measured again. Waiting takes no processor time and is not noticed.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import math
 import os
 import statistics
+import subprocess
 import sys
+import tarfile
 import tempfile
-import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
-os.environ["THP_MEM_ALLOC_ENABLE"] = "1"  # as bc-train has it: before PyTorch is imported
+from common.progress import track
 
-import torch
-from driving_servers import start_ours, write_pictures
-from indexing import write_log
+ROOT: Final = Path(__file__).parents[1]
+BASE: Final = Path(__file__).with_name("bench_base.txt")
+WORKER: Final = "benchmarks/bench_worker.py"
+UNITS: Final = {"training step": "samples", "index": "frames", "reply": "replies"}
+LIMIT: Final = 1.06  # a ratio whose whole interval is above it counts; 1.10 less what intervals were wide
+STARTS: Final = 5  # of each version's process: two of the same version can differ by 1 %
+ROUNDS: Final = 5  # after each start
 
-from dataset import IndexConfig, build_index
-from model.adam import Adam
-from model.config import TrainConfig
-from model.device import choose_machine
-from model.network.original import SteeringNetwork
-from model.training.step import training_step
-
-sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
-from driving import untrained_run
-
-KEPT: Final = Path(__file__).with_name("kept_figures.json")
-MOVED: Final = 0.07  # 10 % more time is 9 % fewer a second
-ROUNDS: Final = 5
-BATCHES: Final = 4  # of 256, in a round
-ROWS: Final = 20_000  # of the log that is indexed
-REPLIES: Final = 1_500  # in a round
-UNITS: Final = {"training step": "samples", "index": "frames", "reply": "replies"}  # a second of processor time
+Rates = tuple[float, float]  # of now and of the base, per second of processor time
 
 
-def processor() -> str:
-    """Its name, what it multiplies with, and how many cores this process may use."""
-    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    about = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
-    flags = set(about.get("flags", "").split())
-    units = [name for name in ("avx2", "avx512f", "avx512_bf16", "amx_bf16") if name in flags]
-    return f"{about.get('model name', 'unknown')}, {' '.join(units)}, {len(os.sched_getaffinity(0))} cores"
-
-
-def train_steps() -> Callable[[], float]:
-    """The default network learns random pictures in memory."""
-    config = TrainConfig()
-    machine = choose_machine(config)
-    network = SteeringNetwork(config.dropout).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    optimizer = Adam(network.parameters(), config.rate)
-    pictures = torch.randint(0, 256, (config.batch, 128, 128, 3), dtype=torch.uint8).permute(0, 3, 1, 2)
-    steering = torch.rand(config.batch) * 2 - 1
-    network.train()
-
-    def round_of() -> float:
-        begin_s = time.process_time()
-        for _ in range(BATCHES):
-            training_step(
-                network, optimizer, pictures, steering, dtype=machine.dtype, micro_batch=machine.micro_batch
-            )
-        return BATCHES * config.batch / (time.process_time() - begin_s)
-
-    return round_of
-
-
-def index_log(folder: Path) -> Callable[[], float]:
-    """A log of three cameras is indexed anew, with balanced samples."""
-    log = write_log(folder, ROWS, 0)
-    rounds = iter(range(ROUNDS + 1))
-
-    def round_of() -> float:
-        begin_s = time.process_time()
-        made = build_index([log], folder / f"index{next(rounds)}", IndexConfig())
-        taken_s = time.process_time() - begin_s
-        return sum(counts.frames for counts in made.counts.values()) / taken_s
-
-    return round_of
-
-
-@contextmanager
-def answer(folder: Path) -> Iterator[Callable[[], float]]:
-    """`bc-drive` with the default network answers a client with one telemetry in flight."""
-    pictures = folder / "pictures"
-    pictures.mkdir()
-    write_pictures(None, pictures)
-    with ExitStack() as stack:
-        server = start_ours(
-            "bc-drive", untrained_run(folder / "run", network="original"), folder / "drive.mcap", stack
+def git(*arguments: str) -> str:
+    done = subprocess.run(["git", "-C", str(ROOT), *arguments], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(
+            f"git {' '.join(arguments)}: {done.stderr.strip()}\nThe base must be a commit of this clone. In a"
+            " shallow clone, run `git fetch --unshallow` first, or give another with --base COMMIT."
         )
-        server.suspend()
-
-        def round_of() -> float:
-            begin = server.process.cpu_times()
-            turn = server.drive(pictures, REPLIES, 60.0)
-            end = server.process.cpu_times()
-            used_s = float(end.user + end.system - begin.user - begin.system)
-            return len(turn.round_trips_ms) / used_s
-
-        yield round_of
+    return done.stdout.strip()
 
 
-def measure() -> dict[str, float]:
-    with tempfile.TemporaryDirectory(prefix="bc-bench-") as name, answer(Path(name)) as reply:
-        rounds = {"training step": train_steps(), "index": index_log(Path(name)), "reply": reply}
-        rates_of: dict[str, list[float]] = {what: [] for what in rounds}
-        for _ in range(ROUNDS + 1):
-            for what, round_of in rounds.items():
-                rates_of[what].append(round_of())
-    for what, rates in rates_of.items():
-        shown = ", ".join(f"{rate:,.0f}" for rate in sorted(rates[1:]))
-        print(f"{what}: {shown} (median {statistics.median(rates[1:]):,.0f})", file=sys.stderr)
-    return {what: max(rates[1:]) for what, rates in rates_of.items()}  # the first warms up
+def check_out(commit: str, folder: Path) -> Path:
+    """The files of a commit in `folder`/tree."""
+    git("archive", "--output", str(folder / "tree.tar"), commit)
+    with tarfile.open(folder / "tree.tar") as archive:
+        archive.extractall(folder / "tree", filter="data")
+    return folder / "tree"
 
 
-def slower(rates: dict[str, float], kept: dict[str, float]) -> list[str]:
-    return [what for what, rate in rates.items() if what in kept and rate < (1 - MOVED) * kept[what]]
+def start(tree: Path, inputs: Path, core: int, stack: ExitStack) -> subprocess.Popen[str]:
+    """A process that works with the version in `tree`; it ends with `stack`."""
+    own = tree / WORKER  # what calls a version changes with it; a version before the first worker has none
+    line = [sys.executable, str(own if own.exists() else ROOT / WORKER), str(inputs)]
+    path = os.pathsep.join([str(tree), str(tree / "tests" / "helpers")])
+    environment = {"PYTHONPATH": path, "PYTHONHASHSEED": "0", "OMP_NUM_THREADS": "1"}
+    environment["THP_MEM_ALLOC_ENABLE"] = "1"  # as bc-train has it
+    process = subprocess.Popen(
+        line,
+        cwd=inputs,
+        env={**os.environ, **environment},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,  # Ctrl-C ends this process, which then ends that one
+    )
+    stack.callback(process.wait)
+    stack.callback(process.terminate)
+    os.sched_setaffinity(process.pid, {core})
+    return process
+
+
+def work(processes: Sequence[subprocess.Popen[str]], what: str) -> Iterator[float]:
+    """Let all work at the same time; their rates."""
+    for process in processes:
+        print(what, file=process.stdin, flush=True)
+    for process in processes:
+        answer = process.stdout.readline() if process.stdout else ""
+        if not answer:
+            raise SystemExit(f"{' '.join(map(str, process.args))}: it failed")  # type: ignore[arg-type]
+        yield float(answer)
+
+
+def measure(trees: Sequence[Path], folders: Sequence[Path], figures: Sequence[str]) -> dict[str, list[Rates]]:
+    """The rates of all rounds, of each figure."""
+
+    def rounds() -> Iterator[tuple[str, Rates]]:
+        cores = sorted(os.sched_getaffinity(0))
+        for number in range(STARTS):
+            core = cores[number % len(cores)]
+            with ExitStack() as stack:
+                workers = [start(*places, core, stack) for places in zip(trees, folders, strict=True)]
+                for what in figures:
+                    list(work(workers, what))  # warms up
+                    for _ in range(ROUNDS):
+                        now, base = work(workers, what)
+                        yield what, (now, base)
+
+    rates_of = defaultdict(list)
+    for what, rates in track(rounds(), f"Measuring {', '.join(figures)}", STARTS * ROUNDS * len(figures)):
+        rates_of[what].append(rates)
+    return rates_of
+
+
+def interval(rates: Sequence[Rates]) -> tuple[float, float, float]:
+    """The time of now as a multiple of the base's: lower bound, median, upper bound (95 %, by the sign test)."""
+    ratios = sorted(base / now for now, base in rates)
+    left_out = max(0, int(len(ratios) / 2 - 0.98 * math.sqrt(len(ratios))))
+    return ratios[left_out], statistics.median(ratios), ratios[-1 - left_out]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--keep", action="store_true", help="keep the figures for this kind of processor")
+    parser.add_argument("--base", metavar="COMMIT", default=BASE.read_text(encoding="utf-8").strip())
     arguments = parser.parse_args()
-    kind = processor()
-    all_kept = json.loads(KEPT.read_text(encoding="utf-8"))
-    kept: dict[str, float] = all_kept.get(kind, {})
-    rates = measure()
-    if slower(rates, kept):
-        again = measure()
-        rates = {what: max(rate, again[what]) for what, rate in rates.items()}
-    print(f"{kind}:\n\n| a second of processor time | now | kept | ratio | |\n|---|---|---|---|---|")
-    for what, rate in rates.items():
-        if what not in kept:
-            print(f"| {what}, {UNITS[what]} | {rate:,.0f} | - | - | nothing kept: --keep |")
-            continue
-        ratio = rate / kept[what]
-        moved = "**slower**" if what in slower(rates, kept) else "faster: --keep" if ratio > 1 + MOVED else ""
-        print(f"| {what}, {UNITS[what]} | {rate:,.0f} | {kept[what]:,.0f} | {ratio:.2f} | {moved} |")
-    if arguments.keep:
-        all_kept[kind] = {what: round(rate) for what, rate in rates.items()}
-        KEPT.write_text(json.dumps(all_kept, indent=2, sort_keys=True) + "\n", encoding="utf-8")
-    raise SystemExit(int(bool(slower(rates, kept))))
+    name_of_base = git("log", "-1", "--format=%h of %cs (%s)", arguments.base)
+    with tempfile.TemporaryDirectory(prefix="bc-bench-") as name:
+        folders = [Path(name) / "now", Path(name) / "base"]
+        for folder in folders:
+            folder.mkdir()
+        trees = [ROOT, check_out(arguments.base, folders[1])]
+        rates_of = measure(trees, folders, list(UNITS))
+        if again := [what for what, rates in rates_of.items() if interval(rates)[1] > LIMIT]:
+            for what, rates in measure(trees, folders, again).items():
+                rates_of[what] += rates
+    print(f"The base is {name_of_base}.\n")
+    print("| per second of processor time | now | base | time, of the base's | |\n|---|---|---|---|---|")
+    slower = False
+    for what, rates in rates_of.items():
+        if os.environ.get("BENCH_RAW"):
+            print(what, [round(b / n, 3) for n, b in rates], file=sys.stderr)
+        now, base = (statistics.median(of) for of in zip(*rates, strict=True))
+        low, ratio, high = interval(rates)
+        slower |= low > LIMIT
+        verdict = "**slower**" if low > LIMIT else "faster" if high < 1 / LIMIT else ""
+        bounds = f"{low:.3f} to {high:.3f}"
+        print(f"| {what}, {UNITS[what]} | {now:,.0f} | {base:,.0f} | {ratio:.3f} ({bounds}) | {verdict} |")
+    raise SystemExit(int(slower))
 
 
 if __name__ == "__main__":
