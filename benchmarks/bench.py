@@ -1,75 +1,141 @@
 """Does the training step, the index or the reply of a drive take 10 % more time than in an earlier version?
 
-python benchmarks/bench.py                  # make bench; exit code 1 if something takes longer
-python benchmarks/bench.py --base COMMIT    # compares with this commit; else with that in bench_base.txt
+python benchmarks/bench.py                  # make bench, five minutes; exit code 1 if something takes longer
+python benchmarks/bench.py --base COMMIT    # the version to compare with; else that of bench_base.txt
 
 Both versions do the same work at the same time on the same core. The scheduler changes between them every few
-milliseconds, so that whatever else the machine does slows both. A ratio is that of their processor times, and the
-median over all rounds. What looks slower is measured again. Waiting takes no processor time and is not noticed.
+milliseconds, so other programs slow both alike. A ratio is the median of all rounds, with the interval (95 %) of
+the sign test. What looks slower is measured again. Only processor time counts, on one thread. Needs Linux.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import os
+import signal
 import statistics
 import subprocess
 import sys
 import tarfile
 import tempfile
+import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
+import torch
+from driving_client import OneInFlight
+from driving_servers import start_ours, write_pictures
+from indexing import write_log
+
 from common.progress import track
+from dataset import IndexConfig, build_index
+from model.adam import Adam
+from model.config import TrainConfig
+from model.device import choose_machine
+from model.network.original import SteeringNetwork
+from model.training.step import training_step
+from simulator.protocol.client import SimulatorClient
 
 ROOT: Final = Path(__file__).parents[1]
-BASE: Final = Path(__file__).with_name("bench_base.txt")
-WORKER: Final = "benchmarks/bench_worker.py"
-UNITS: Final = {"training step": "samples", "index": "frames", "reply": "replies"}
-LIMIT: Final = 1.06  # a ratio whose whole interval is above it counts; 1.10 less what intervals were wide
-STARTS: Final = 5  # of each version's process: two of the same version can differ by 1 %
-ROUNDS: Final = 5  # after each start
+UNITS: Final = {"training step": "samples", "index": "rows", "reply": "replies"}
+LIMIT: Final = 1.06  # for the lower bound of a ratio: intervals reach 2 % below it, and 1.10 is to be found
+STARTS: Final = 4  # of each version's process, on the cores in turn
+WARM_UP: Final = 3  # rounds after each start: the first training steps wait for memory
+ROUNDS: Final = 8
+SAMPLES, INDEXES, REPLIES = 32, 4, 40  # in a round
+ROWS: Final = 2_000  # of the log that is indexed
 
-Rates = tuple[float, float]  # of now and of the base, per second of processor time
+
+def training(*_: object) -> Callable[[], float]:
+    """The default network learns random pictures in memory."""
+    config = TrainConfig(device="cpu")
+    dtype = choose_machine(config).dtype
+    network = SteeringNetwork(config.dropout).train().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    optimizer = Adam(network.parameters(), config.rate)
+    pictures = torch.randint(0, 256, (SAMPLES, 128, 128, 3), dtype=torch.uint8).permute(0, 3, 1, 2)
+    steering = torch.rand(SAMPLES) * 2 - 1
+
+    def samples_per_s() -> float:
+        begin_s = time.process_time()
+        training_step(network, optimizer, pictures, steering, dtype=dtype, micro_batch=SAMPLES)
+        return SAMPLES / (time.process_time() - begin_s)
+
+    return samples_per_s
+
+
+def indexing(inputs: Path, scratch: Path, _: object) -> Callable[[], float]:
+    """A log of three cameras is indexed anew, with balanced samples."""
+    log = write_log(inputs, ROWS, 0)
+    numbers = itertools.count()
+
+    def rows_per_s() -> float:
+        begin_s = time.process_time()
+        for _ in range(INDEXES):
+            build_index([log], scratch / f"index{next(numbers)}", IndexConfig())
+        return INDEXES * ROWS / (time.process_time() - begin_s)
+
+    return rows_per_s
+
+
+def replying(inputs: Path, scratch: Path, stack: ExitStack) -> Callable[[], float]:
+    """`bc-drive` with the default network answers a client with one telemetry in flight."""
+    if not any(inputs.glob("*.jpg")):
+        write_pictures(None, inputs)
+    pictures = [path.read_bytes() for path in sorted(inputs.glob("*.jpg"))]
+    from driving import untrained_run  # tests/helpers/driving.py
+
+    run = untrained_run(scratch / "run", network="original")
+    server = start_ours("bc-drive", run, scratch / "drive.mcap", stack)
+    clock = ~server.process.pid << 3 | 2  # of the processor time of all its threads: Linux's clock_getcpuclockid
+
+    def replies_per_s() -> float:
+        begin_s = time.clock_gettime(clock)
+        SimulatorClient(port=server.port).run(OneInFlight(pictures, REPLIES, float("inf")).next_telemetry)
+        return REPLIES / (time.clock_gettime(clock) - begin_s)
+
+    return replies_per_s
+
+
+def serve(inputs: Path) -> None:
+    """Do a round of each figure that stdin names, and print its rate."""
+    works: dict[str, Callable[[], float]] = {}
+    with tempfile.TemporaryDirectory(dir=inputs) as scratch, ExitStack() as stack:
+        for figure in map(str.strip, sys.stdin):
+            if figure not in works:
+                prepare = {"training step": training, "index": indexing, "reply": replying}[figure]
+                works[figure] = prepare(inputs, Path(scratch), stack)
+            print(works[figure](), flush=True)
 
 
 def git(*arguments: str) -> str:
     done = subprocess.run(["git", "-C", str(ROOT), *arguments], capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(
-            f"git {' '.join(arguments)}: {done.stderr.strip()}\nThe base must be a commit of this clone. In a"
-            " shallow clone, run `git fetch --unshallow` first, or give another with --base COMMIT."
+            f"git {' '.join(arguments)}: {done.stderr.strip()}\nThe base is not in this clone. Run `git fetch"
+            " --unshallow` if the clone is shallow, or give --base COMMIT."
         )
     return done.stdout.strip()
 
 
-def check_out(commit: str, folder: Path) -> Path:
-    """The files of a commit in `folder`/tree."""
-    git("archive", "--output", str(folder / "tree.tar"), commit)
-    with tarfile.open(folder / "tree.tar") as archive:
-        archive.extractall(folder / "tree", filter="data")
-    return folder / "tree"
-
-
 def start(tree: Path, inputs: Path, core: int, stack: ExitStack) -> subprocess.Popen[str]:
-    """A process that works with the version in `tree`; it ends with `stack`."""
-    own = tree / WORKER  # what calls a version changes with it; a version before the first worker has none
-    line = [sys.executable, str(own if own.exists() else ROOT / WORKER), str(inputs)]
-    path = os.pathsep.join([str(tree), str(tree / "tests" / "helpers")])
-    environment = {"PYTHONPATH": path, "PYTHONHASHSEED": "0", "OMP_NUM_THREADS": "1"}
-    environment["THP_MEM_ALLOC_ENABLE"] = "1"  # as bc-train has it
+    """A process that works with the version in `tree`, and ends with `stack`."""
+    script = tree / "benchmarks" / "bench.py"  # it knows how to call its version
+    if "--serve" not in script.read_text(encoding="utf-8"):
+        script = Path(__file__)  # before 2026-11-27
+    path = {"PYTHONPATH": f"{tree}{os.pathsep}{tree / 'tests' / 'helpers'}"}
+    fixed = {"PYTHONHASHSEED": "0", "OMP_NUM_THREADS": "1", "THP_MEM_ALLOC_ENABLE": "1"}  # its pages: bc-train's
     process = subprocess.Popen(
-        line,
-        cwd=inputs,
-        env={**os.environ, **environment},
+        [sys.executable, script, "--serve", inputs],
+        env={**os.environ, **path, **fixed},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        start_new_session=True,  # Ctrl-C ends this process, which then ends that one
+        start_new_session=True,  # Ctrl-C ends only this process, which ends that one
     )
     stack.callback(process.wait)
     stack.callback(process.terminate)
@@ -77,72 +143,77 @@ def start(tree: Path, inputs: Path, core: int, stack: ExitStack) -> subprocess.P
     return process
 
 
-def work(processes: Sequence[subprocess.Popen[str]], what: str) -> Iterator[float]:
-    """Let all work at the same time; their rates."""
+def work(processes: Sequence[subprocess.Popen[str]], figure: str) -> list[float]:
+    """Let all work at the same time; their rates, per second of processor time."""
     for process in processes:
-        print(what, file=process.stdin, flush=True)
-    for process in processes:
-        answer = process.stdout.readline() if process.stdout else ""
-        if not answer:
-            raise SystemExit(f"{' '.join(map(str, process.args))}: it failed")  # type: ignore[arg-type]
-        yield float(answer)
+        print(figure, file=process.stdin, flush=True)
+    answers = [process.stdout.readline() if process.stdout else "" for process in processes]
+    if not all(answers):
+        raise SystemExit(f"{figure}: a version failed")
+    return [float(answer) for answer in answers]
 
 
-def measure(trees: Sequence[Path], folders: Sequence[Path], figures: Sequence[str]) -> dict[str, list[Rates]]:
-    """The rates of all rounds, of each figure."""
-
-    def rounds() -> Iterator[tuple[str, Rates]]:
-        cores = sorted(os.sched_getaffinity(0))
-        for number in range(STARTS):
+def measure(trees: Sequence[Path], folder: Path, figures: Sequence[str]) -> Iterator[tuple[str, list[float]]]:
+    """A figure and the rates of the `trees`, for each round."""
+    cores = sorted(os.sched_getaffinity(0))
+    for number in range(STARTS):
+        with ExitStack() as stack:
             core = cores[number % len(cores)]
-            with ExitStack() as stack:
-                workers = [start(*places, core, stack) for places in zip(trees, folders, strict=True)]
-                for what in figures:
-                    list(work(workers, what))  # warms up
-                    for _ in range(ROUNDS):
-                        now, base = work(workers, what)
-                        yield what, (now, base)
-
-    rates_of = defaultdict(list)
-    for what, rates in track(rounds(), f"Measuring {', '.join(figures)}", STARTS * ROUNDS * len(figures)):
-        rates_of[what].append(rates)
-    return rates_of
+            processes = [start(tree, folder / str(at), core, stack) for at, tree in enumerate(trees)]
+            for figure in figures:
+                for _ in range(WARM_UP):
+                    work(processes, figure)
+                yield from ((figure, work(processes, figure)) for _ in range(ROUNDS))
 
 
-def interval(rates: Sequence[Rates]) -> tuple[float, float, float]:
-    """The time of now as a multiple of the base's: lower bound, median, upper bound (95 %, by the sign test)."""
+def interval(rates: Sequence[Sequence[float]]) -> tuple[float, float, float]:
+    """The time of now as a multiple of the base's: lower bound, median, upper bound."""
     ratios = sorted(base / now for now, base in rates)
-    left_out = max(0, int(len(ratios) / 2 - 0.98 * math.sqrt(len(ratios))))
-    return ratios[left_out], statistics.median(ratios), ratios[-1 - left_out]
+    beyond = max(0, int(len(ratios) / 2 - 0.98 * math.sqrt(len(ratios))))
+    return ratios[beyond], statistics.median(ratios), ratios[-1 - beyond]
 
 
 def main() -> None:
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # and leave nothing behind
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--base", metavar="COMMIT", default=BASE.read_text(encoding="utf-8").strip())
+    parser.add_argument(
+        "--base", metavar="COMMIT", default=(ROOT / "benchmarks" / "bench_base.txt").read_text().strip()
+    )
+    parser.add_argument("--serve", metavar="FOLDER", type=Path, help=argparse.SUPPRESS)  # one version's process
     arguments = parser.parse_args()
-    name_of_base = git("log", "-1", "--format=%h of %cs (%s)", arguments.base)
+    if arguments.serve:
+        serve(arguments.serve)
+        return
+    base = arguments.base
+    rates_of = defaultdict(list)
     with tempfile.TemporaryDirectory(prefix="bc-bench-") as name:
-        folders = [Path(name) / "now", Path(name) / "base"]
-        for folder in folders:
-            folder.mkdir()
-        trees = [ROOT, check_out(arguments.base, folders[1])]
-        rates_of = measure(trees, folders, list(UNITS))
-        if again := [what for what, rates in rates_of.items() if interval(rates)[1] > LIMIT]:
-            for what, rates in measure(trees, folders, again).items():
-                rates_of[what] += rates
-    print(f"The base is {name_of_base}.\n")
-    print("| per second of processor time | now | base | time, of the base's | |\n|---|---|---|---|---|")
-    slower = False
-    for what, rates in rates_of.items():
+        folder = Path(name)
+        git("archive", "--output", f"{folder}/base.tar", base)
+        with tarfile.open(folder / "base.tar") as archive:
+            archive.extractall(folder / "base", filter="data")
+        for at in ("0", "1"):
+            (folder / at).mkdir()
+        figures = list(UNITS)
+        for doing in ("Measuring", "Measuring again:"):
+            if not figures:
+                break
+            rounds = measure([ROOT, folder / "base"], folder, figures)
+            for figure, rates in track(rounds, f"{doing} {', '.join(figures)}", STARTS * ROUNDS * len(figures)):
+                rates_of[figure].append(rates)
+            figures = [figure for figure in figures if interval(rates_of[figure])[1] > LIMIT]
+    print(f"The base is {git('log', '-1', '--format=%h of %cs (%s)', base)}.\n")
+    print("| per second of processor time | now | base | time now / base | |\n|---|---|---|---|---|")
+    are_slower = []
+    for figure, all_rates in rates_of.items():
         if os.environ.get("BENCH_RAW"):
-            print(what, [round(b / n, 3) for n, b in rates], file=sys.stderr)
-        now, base = (statistics.median(of) for of in zip(*rates, strict=True))
-        low, ratio, high = interval(rates)
-        slower |= low > LIMIT
+            print(figure, [round(b / n, 3) for n, b in all_rates], file=sys.stderr)
+        now, before = map(statistics.median, zip(*all_rates, strict=True))
+        low, ratio, high = interval(all_rates)
+        are_slower.append(low > LIMIT)
         verdict = "**slower**" if low > LIMIT else "faster" if high < 1 / LIMIT else ""
-        bounds = f"{low:.3f} to {high:.3f}"
-        print(f"| {what}, {UNITS[what]} | {now:,.0f} | {base:,.0f} | {ratio:.3f} ({bounds}) | {verdict} |")
-    raise SystemExit(int(slower))
+        shown = f"{ratio:.3f} ({low:.3f} to {high:.3f})"
+        print(f"| {figure}, {UNITS[figure]} | {now:,.0f} | {before:,.0f} | {shown} | {verdict} |")
+    raise SystemExit(any(are_slower))
 
 
 if __name__ == "__main__":
