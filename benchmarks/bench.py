@@ -42,7 +42,6 @@ from model.training.step import training_step
 from simulator.protocol.client import SimulatorClient
 
 ROOT: Final = Path(__file__).parents[1]
-UNITS: Final = {"training step": "samples", "index": "rows", "reply": "replies"}
 LIMIT: Final = 1.06  # for the lower bound of a ratio: intervals reach 2 % below it, and 1.10 is to be found
 STARTS: Final = 4  # of each version's process, on the cores in turn
 WARM_UP: Final = 3  # rounds after each start: the first training steps wait for memory
@@ -51,75 +50,72 @@ SAMPLES, INDEXES, REPLIES = 32, 4, 40  # in a round
 ROWS: Final = 2_000  # of the log that is indexed
 
 
-def training(*_: object) -> Callable[[], float]:
-    """The default network learns random pictures in memory."""
+def training(*_: object) -> Iterator[float]:
+    """The default network learns random pictures in memory; samples per second."""
     config = TrainConfig(device="cpu")
     dtype = choose_machine(config).dtype
     network = SteeringNetwork(config.dropout).train().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimizer = Adam(network.parameters(), config.rate)
     pictures = torch.randint(0, 256, (SAMPLES, 128, 128, 3), dtype=torch.uint8).permute(0, 3, 1, 2)
     steering = torch.rand(SAMPLES) * 2 - 1
-
-    def samples_per_s() -> float:
+    while True:
         begin_s = time.process_time()
         training_step(network, optimizer, pictures, steering, dtype=dtype, micro_batch=SAMPLES)
-        return SAMPLES / (time.process_time() - begin_s)
-
-    return samples_per_s
+        yield SAMPLES / (time.process_time() - begin_s)
 
 
-def indexing(inputs: Path, scratch: Path, _: object) -> Callable[[], float]:
-    """A log of three cameras is indexed anew, with balanced samples."""
+def indexing(inputs: Path, scratch: Path, _: object) -> Iterator[float]:
+    """A log of three cameras is indexed anew, with balanced samples; rows per second."""
     log = write_log(inputs, ROWS, 0)
     numbers = itertools.count()
-
-    def rows_per_s() -> float:
+    while True:
         begin_s = time.process_time()
         for _ in range(INDEXES):
             build_index([log], scratch / f"index{next(numbers)}", IndexConfig())
-        return INDEXES * ROWS / (time.process_time() - begin_s)
-
-    return rows_per_s
+        yield INDEXES * ROWS / (time.process_time() - begin_s)
 
 
-def replying(inputs: Path, scratch: Path, stack: ExitStack) -> Callable[[], float]:
-    """`bc-drive` with the default network answers a client with one telemetry in flight."""
+def replying(inputs: Path, scratch: Path, stack: ExitStack) -> Iterator[float]:
+    """`bc-drive` with the default network answers a client with one telemetry in flight; replies per second."""
+    from driving import untrained_run  # tests/helpers/driving.py
+
     if not any(inputs.glob("*.jpg")):
         write_pictures(None, inputs)
     pictures = [path.read_bytes() for path in sorted(inputs.glob("*.jpg"))]
-    from driving import untrained_run  # tests/helpers/driving.py
-
     run = untrained_run(scratch / "run", network="original")
     server = start_ours("bc-drive", run, scratch / "drive.mcap", stack)
     clock = ~server.process.pid << 3 | 2  # of the processor time of all its threads: Linux's clock_getcpuclockid
-
-    def replies_per_s() -> float:
+    while True:
         begin_s = time.clock_gettime(clock)
         SimulatorClient(port=server.port).run(OneInFlight(pictures, REPLIES, float("inf")).next_telemetry)
-        return REPLIES / (time.clock_gettime(clock) - begin_s)
+        yield REPLIES / (time.clock_gettime(clock) - begin_s)
 
-    return replies_per_s
+
+FIGURES: Final[dict[str, Callable[[Path, Path, ExitStack], Iterator[float]]]] = {
+    "training step, samples": training,
+    "index, rows": indexing,
+    "reply, replies": replying,
+}
 
 
 def serve(inputs: Path) -> None:
-    """Do a round of each figure that stdin names, and print its rate."""
-    works: dict[str, Callable[[], float]] = {}
+    """Do a round of each figure that stdin names, and print what was done per second of processor time."""
+    inputs.mkdir(exist_ok=True)
+    works: dict[str, Iterator[float]] = {}
     with tempfile.TemporaryDirectory(dir=inputs) as scratch, ExitStack() as stack:
         for figure in map(str.strip, sys.stdin):
             if figure not in works:
-                prepare = {"training step": training, "index": indexing, "reply": replying}[figure]
-                works[figure] = prepare(inputs, Path(scratch), stack)
-            print(works[figure](), flush=True)
+                works[figure] = FIGURES[figure](inputs, Path(scratch), stack)
+            print(next(works[figure]), flush=True)
 
 
-def git(*arguments: str) -> str:
-    done = subprocess.run(["git", "-C", str(ROOT), *arguments], capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SystemExit(
-            f"git {' '.join(arguments)}: {done.stderr.strip()}\nThe base is not in this clone. Run `git fetch"
-            " --unshallow` if the clone is shallow, or give --base COMMIT."
-        )
-    return done.stdout.strip()
+def check_out(commit: str, folder: Path) -> None:
+    """Put the files of a commit into a folder."""
+    line = ["git", "-C", str(ROOT), "archive", f"--output={folder}.tar", commit]
+    if subprocess.run(line, check=False).returncode:
+        raise SystemExit(f"{commit} is not in this clone: run `git fetch --unshallow`, or give --base COMMIT")
+    with tarfile.open(f"{folder}.tar") as archive:
+        archive.extractall(folder, filter="data")
 
 
 def start(tree: Path, inputs: Path, core: int, stack: ExitStack) -> subprocess.Popen[str]:
@@ -174,46 +170,37 @@ def interval(rates: Sequence[Sequence[float]]) -> tuple[float, float, float]:
 
 
 def main() -> None:
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # and leave nothing behind
+    for stop in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(stop, lambda *_: sys.exit(130))  # and leave nothing behind
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--base", metavar="COMMIT", default=(ROOT / "benchmarks" / "bench_base.txt").read_text().strip()
-    )
+    kept = Path(__file__).with_name("bench_base.txt").read_text(encoding="utf-8").strip()
+    parser.add_argument("--base", metavar="COMMIT", default=kept, help="to compare with; %(default)s")
     parser.add_argument("--serve", metavar="FOLDER", type=Path, help=argparse.SUPPRESS)  # one version's process
     arguments = parser.parse_args()
     if arguments.serve:
         serve(arguments.serve)
         return
-    base = arguments.base
     rates_of = defaultdict(list)
     with tempfile.TemporaryDirectory(prefix="bc-bench-") as name:
         folder = Path(name)
-        git("archive", "--output", f"{folder}/base.tar", base)
-        with tarfile.open(folder / "base.tar") as archive:
-            archive.extractall(folder / "base", filter="data")
-        for at in ("0", "1"):
-            (folder / at).mkdir()
-        figures = list(UNITS)
-        for doing in ("Measuring", "Measuring again:"):
-            if not figures:
-                break
+        check_out(arguments.base, folder / "base")
+        figures = list(FIGURES)
+        for doing in ("Measuring", "Measuring again"):
             rounds = measure([ROOT, folder / "base"], folder, figures)
-            for figure, rates in track(rounds, f"{doing} {', '.join(figures)}", STARTS * ROUNDS * len(figures)):
+            for figure, rates in track(rounds, doing, STARTS * ROUNDS * len(figures)):
                 rates_of[figure].append(rates)
             figures = [figure for figure in figures if interval(rates_of[figure])[1] > LIMIT]
-    print(f"The base is {git('log', '-1', '--format=%h of %cs (%s)', base)}.\n")
+            if not figures:
+                break
+    print(f"The base is {arguments.base}.\n")
     print("| per second of processor time | now | base | time now / base | |\n|---|---|---|---|---|")
-    are_slower = []
     for figure, all_rates in rates_of.items():
-        if os.environ.get("BENCH_RAW"):
-            print(figure, [round(b / n, 3) for n, b in all_rates], file=sys.stderr)
         now, before = map(statistics.median, zip(*all_rates, strict=True))
         low, ratio, high = interval(all_rates)
-        are_slower.append(low > LIMIT)
         verdict = "**slower**" if low > LIMIT else "faster" if high < 1 / LIMIT else ""
         shown = f"{ratio:.3f} ({low:.3f} to {high:.3f})"
-        print(f"| {figure}, {UNITS[figure]} | {now:,.0f} | {before:,.0f} | {shown} | {verdict} |")
-    raise SystemExit(any(are_slower))
+        print(f"| {figure} | {now:,.0f} | {before:,.0f} | {shown} | {verdict} |")
+    raise SystemExit(any(interval(all_rates)[0] > LIMIT for all_rates in rates_of.values()))
 
 
 if __name__ == "__main__":
