@@ -127,6 +127,7 @@ def start(tree: Path, inputs: Path, core: int, stack: ExitStack) -> subprocess.P
     fixed = {"PYTHONHASHSEED": "0", "OMP_NUM_THREADS": "1", "THP_MEM_ALLOC_ENABLE": "1"}  # its pages: bc-train's
     process = subprocess.Popen(
         [sys.executable, script, "--serve", inputs],
+        cwd=inputs.parent,  # else `python -c`, which starts the server, imports from here
         env={**os.environ, **path, **fixed},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
