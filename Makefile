@@ -50,7 +50,7 @@ coverage: $(VENV)/installed-dev
 	$(BIN)/coverage report --precision=2 >build/coverage/report.txt
 	@tail -1 build/coverage/report.txt
 
-# training step, index and reply, beside what is kept for this kind of processor; `ARGS=--keep` keeps them
+# training step, index and reply, next to those of an earlier version; `ARGS="--base COMMIT"` chooses it
 bench: $(VENV)/installed-dev
 	$(BIN)/python benchmarks/bench.py $(ARGS)
 

@@ -1,158 +1,207 @@
-"""The training step, the index and the reply of a drive, beside what they have been on this kind of processor.
+"""Does the training step, the index or the reply of a drive take 10 % more time than in an earlier version?
 
-python benchmarks/bench.py            # make bench: five minutes; exit code 1 if something takes 10 % more
-python benchmarks/bench.py --keep     # keeps these figures for this kind of processor
+python benchmarks/bench.py                  # make bench, five minutes; exit code 1 if something takes longer
+python benchmarks/bench.py --base COMMIT    # the version to compare with; else that of bench_base.txt
 
-benchmarks/kept_figures.json has the kept ones. Each figure is the best of its rounds, by processor time: whatever
-else a machine does only slows it. The rounds take turns, so that a slow minute meets all of them. What looks
-slower is measured once more. A wait is not found: it takes no processor time.
+Both versions do the same work at the same time on the same core. The scheduler changes between them every few
+milliseconds, so other programs slow both alike. A ratio is the median of all rounds, with the interval (95 %) of
+the sign test. What looks slower is measured again. Only processor time counts, on one thread. Needs Linux.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import itertools
+import math
 import os
+import signal
 import statistics
+import subprocess
 import sys
+import tarfile
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
-os.environ["THP_MEM_ALLOC_ENABLE"] = "1"  # as bc-train has it: before PyTorch is imported
-
 import torch
+from driving_client import OneInFlight
 from driving_servers import start_ours, write_pictures
 from indexing import write_log
 
+from common.progress import track
 from dataset import IndexConfig, build_index
 from model.adam import Adam
 from model.config import TrainConfig
 from model.device import choose_machine
 from model.network.original import SteeringNetwork
 from model.training.step import training_step
+from simulator.protocol.client import SimulatorClient
 
-sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
-from driving import untrained_run
-
-KEPT: Final = Path(__file__).with_name("kept_figures.json")
-MOVED: Final = 0.07  # 10 % more time is 9 % fewer a second
-ROUNDS: Final = 5
-BATCHES: Final = 4  # of 256, in a round
-ROWS: Final = 20_000  # of the log that is indexed
-REPLIES: Final = 1_500  # in a round
-UNITS: Final = {"training step": "samples", "index": "frames", "reply": "replies"}  # a second of processor time
+ROOT: Final = Path(__file__).parents[1]
+LIMIT: Final = 1.06  # for the lower bound of a ratio: intervals reach 2 % below it, and 1.10 is to be found
+STARTS: Final = 4  # of each version's process, on the cores in turn
+WARM_UP: Final = 3  # rounds after each start: the first training steps wait for memory
+ROUNDS: Final = 8
+SAMPLES, INDEXES, REPLIES = 32, 4, 40  # in a round
+ROWS: Final = 2_000  # of the log that is indexed
 
 
-def processor() -> str:
-    """Its name, what it multiplies with, and how many cores this process may use."""
-    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    about = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
-    flags = set(about.get("flags", "").split())
-    units = [name for name in ("avx2", "avx512f", "avx512_bf16", "amx_bf16") if name in flags]
-    return f"{about.get('model name', 'unknown')}, {' '.join(units)}, {len(os.sched_getaffinity(0))} cores"
-
-
-def train_steps() -> Callable[[], float]:
-    """The default network learns random pictures in memory."""
-    config = TrainConfig()
-    machine = choose_machine(config)
-    network = SteeringNetwork(config.dropout).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+def training(*_: object) -> Iterator[float]:
+    """The default network learns random pictures in memory; samples per second."""
+    config = TrainConfig(device="cpu")
+    dtype = choose_machine(config).dtype
+    network = SteeringNetwork(config.dropout).train().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimizer = Adam(network.parameters(), config.rate)
-    pictures = torch.randint(0, 256, (config.batch, 128, 128, 3), dtype=torch.uint8).permute(0, 3, 1, 2)
-    steering = torch.rand(config.batch) * 2 - 1
-    network.train()
-
-    def round_of() -> float:
+    pictures = torch.randint(0, 256, (SAMPLES, 128, 128, 3), dtype=torch.uint8).permute(0, 3, 1, 2)
+    steering = torch.rand(SAMPLES) * 2 - 1
+    while True:
         begin_s = time.process_time()
-        for _ in range(BATCHES):
-            training_step(
-                network, optimizer, pictures, steering, dtype=machine.dtype, micro_batch=machine.micro_batch
-            )
-        return BATCHES * config.batch / (time.process_time() - begin_s)
-
-    return round_of
+        training_step(network, optimizer, pictures, steering, dtype=dtype, micro_batch=SAMPLES)
+        yield SAMPLES / (time.process_time() - begin_s)
 
 
-def index_log(folder: Path) -> Callable[[], float]:
-    """A log of three cameras is indexed anew, with balanced samples."""
-    log = write_log(folder, ROWS, 0)
-    rounds = iter(range(ROUNDS + 1))
-
-    def round_of() -> float:
+def indexing(inputs: Path, scratch: Path, _: object) -> Iterator[float]:
+    """A log of three cameras is indexed anew, with balanced samples; rows per second."""
+    log = write_log(inputs, ROWS, 0)
+    numbers = itertools.count()
+    while True:
         begin_s = time.process_time()
-        made = build_index([log], folder / f"index{next(rounds)}", IndexConfig())
-        taken_s = time.process_time() - begin_s
-        return sum(counts.frames for counts in made.counts.values()) / taken_s
-
-    return round_of
+        for _ in range(INDEXES):
+            build_index([log], scratch / f"index{next(numbers)}", IndexConfig())
+        yield INDEXES * ROWS / (time.process_time() - begin_s)
 
 
-@contextmanager
-def answer(folder: Path) -> Iterator[Callable[[], float]]:
-    """`bc-drive` with the default network answers a client with one telemetry in flight."""
-    pictures = folder / "pictures"
-    pictures.mkdir()
-    write_pictures(None, pictures)
-    with ExitStack() as stack:
-        server = start_ours(
-            "bc-drive", untrained_run(folder / "run", network="original"), folder / "drive.mcap", stack
-        )
-        server.suspend()
+def replying(inputs: Path, scratch: Path, stack: ExitStack) -> Iterator[float]:
+    """`bc-drive` with the default network answers a client with one telemetry in flight; replies per second."""
+    from driving import untrained_run  # tests/helpers/driving.py
 
-        def round_of() -> float:
-            begin = server.process.cpu_times()
-            turn = server.drive(pictures, REPLIES, 60.0)
-            end = server.process.cpu_times()
-            used_s = float(end.user + end.system - begin.user - begin.system)
-            return len(turn.round_trips_ms) / used_s
-
-        yield round_of
+    if not any(inputs.glob("*.jpg")):
+        write_pictures(None, inputs)
+    pictures = [path.read_bytes() for path in sorted(inputs.glob("*.jpg"))]
+    run = untrained_run(scratch / "run", network="original")
+    server = start_ours("bc-drive", run, scratch / "drive.mcap", stack)
+    clock = ~server.process.pid << 3 | 2  # of the processor time of all its threads: Linux's clock_getcpuclockid
+    while True:
+        begin_s = time.clock_gettime(clock)
+        SimulatorClient(port=server.port).run(OneInFlight(pictures, REPLIES, float("inf")).next_telemetry)
+        yield REPLIES / (time.clock_gettime(clock) - begin_s)
 
 
-def measure() -> dict[str, float]:
-    with tempfile.TemporaryDirectory(prefix="bc-bench-") as name, answer(Path(name)) as reply:
-        rounds = {"training step": train_steps(), "index": index_log(Path(name)), "reply": reply}
-        rates_of: dict[str, list[float]] = {what: [] for what in rounds}
-        for _ in range(ROUNDS + 1):
-            for what, round_of in rounds.items():
-                rates_of[what].append(round_of())
-    for what, rates in rates_of.items():
-        shown = ", ".join(f"{rate:,.0f}" for rate in sorted(rates[1:]))
-        print(f"{what}: {shown} (median {statistics.median(rates[1:]):,.0f})", file=sys.stderr)
-    return {what: max(rates[1:]) for what, rates in rates_of.items()}  # the first warms up
+FIGURES: Final[dict[str, Callable[[Path, Path, ExitStack], Iterator[float]]]] = {
+    "training step, samples": training,
+    "index, rows": indexing,
+    "reply, replies": replying,
+}
 
 
-def slower(rates: dict[str, float], kept: dict[str, float]) -> list[str]:
-    return [what for what, rate in rates.items() if what in kept and rate < (1 - MOVED) * kept[what]]
+def serve(inputs: Path) -> None:
+    """Do a round of each figure that stdin names, and print what was done per second of processor time."""
+    inputs.mkdir(exist_ok=True)
+    works: dict[str, Iterator[float]] = {}
+    with tempfile.TemporaryDirectory(dir=inputs) as scratch, ExitStack() as stack:
+        for figure in map(str.strip, sys.stdin):
+            if figure not in works:
+                works[figure] = FIGURES[figure](inputs, Path(scratch), stack)
+            print(next(works[figure]), flush=True)
+
+
+def check_out(commit: str, folder: Path) -> None:
+    """Put the files of a commit into a folder."""
+    line = ["git", "-C", str(ROOT), "archive", f"--output={folder}.tar", commit]
+    if subprocess.run(line, check=False).returncode:
+        raise SystemExit(f"{commit} is not in this clone: run `git fetch --unshallow`, or give --base COMMIT")
+    with tarfile.open(f"{folder}.tar") as archive:
+        archive.extractall(folder, filter="data")
+
+
+def start(tree: Path, inputs: Path, core: int, stack: ExitStack) -> subprocess.Popen[str]:
+    """A process that works with the version in `tree`, and ends with `stack`."""
+    script = tree / "benchmarks" / "bench.py"  # it knows how to call its version
+    if "--serve" not in script.read_text(encoding="utf-8"):
+        script = Path(__file__)  # before 2026-11-27
+    path = {"PYTHONPATH": f"{tree}{os.pathsep}{tree / 'tests' / 'helpers'}"}
+    fixed = {"PYTHONHASHSEED": "0", "OMP_NUM_THREADS": "1", "THP_MEM_ALLOC_ENABLE": "1"}  # its pages: bc-train's
+    process = subprocess.Popen(
+        [sys.executable, script, "--serve", inputs],
+        cwd=inputs.parent,  # else `python -c`, which starts the server, imports from here
+        env={**os.environ, **path, **fixed},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,  # Ctrl-C ends only this process, which ends that one
+    )
+    stack.callback(process.wait)
+    stack.callback(process.terminate)
+    os.sched_setaffinity(process.pid, {core})
+    return process
+
+
+def work(processes: Sequence[subprocess.Popen[str]], figure: str) -> list[float]:
+    """Let all work at the same time; their rates, per second of processor time."""
+    for process in processes:
+        print(figure, file=process.stdin, flush=True)
+    answers = [process.stdout.readline() if process.stdout else "" for process in processes]
+    if not all(answers):
+        raise SystemExit(f"{figure}: a version failed")
+    return [float(answer) for answer in answers]
+
+
+def measure(trees: Sequence[Path], folder: Path, figures: Sequence[str]) -> Iterator[tuple[str, list[float]]]:
+    """A figure and the rates of the `trees`, for each round."""
+    cores = sorted(os.sched_getaffinity(0))
+    for number in range(STARTS):
+        with ExitStack() as stack:
+            core = cores[number % len(cores)]
+            processes = [start(tree, folder / str(at), core, stack) for at, tree in enumerate(trees)]
+            for figure in figures:
+                for _ in range(WARM_UP):
+                    work(processes, figure)
+                yield from ((figure, work(processes, figure)) for _ in range(ROUNDS))
+
+
+def interval(rates: Sequence[Sequence[float]]) -> tuple[float, float, float]:
+    """The time of now as a multiple of the base's: lower bound, median, upper bound."""
+    ratios = sorted(base / now for now, base in rates)
+    beyond = max(0, int(len(ratios) / 2 - 0.98 * math.sqrt(len(ratios))))
+    return ratios[beyond], statistics.median(ratios), ratios[-1 - beyond]
 
 
 def main() -> None:
+    for stop in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(stop, lambda *_: sys.exit(130))  # and leave nothing behind
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--keep", action="store_true", help="keep the figures for this kind of processor")
+    kept = Path(__file__).with_name("bench_base.txt").read_text(encoding="utf-8").strip()
+    parser.add_argument("--base", metavar="COMMIT", default=kept, help="to compare with; %(default)s")
+    parser.add_argument("--serve", metavar="FOLDER", type=Path, help=argparse.SUPPRESS)  # one version's process
     arguments = parser.parse_args()
-    kind = processor()
-    all_kept = json.loads(KEPT.read_text(encoding="utf-8"))
-    kept: dict[str, float] = all_kept.get(kind, {})
-    rates = measure()
-    if slower(rates, kept):
-        again = measure()
-        rates = {what: max(rate, again[what]) for what, rate in rates.items()}
-    print(f"{kind}:\n\n| a second of processor time | now | kept | ratio | |\n|---|---|---|---|---|")
-    for what, rate in rates.items():
-        if what not in kept:
-            print(f"| {what}, {UNITS[what]} | {rate:,.0f} | - | - | nothing kept: --keep |")
-            continue
-        ratio = rate / kept[what]
-        moved = "**slower**" if what in slower(rates, kept) else "faster: --keep" if ratio > 1 + MOVED else ""
-        print(f"| {what}, {UNITS[what]} | {rate:,.0f} | {kept[what]:,.0f} | {ratio:.2f} | {moved} |")
-    if arguments.keep:
-        all_kept[kind] = {what: round(rate) for what, rate in rates.items()}
-        KEPT.write_text(json.dumps(all_kept, indent=2, sort_keys=True) + "\n", encoding="utf-8")
-    raise SystemExit(int(bool(slower(rates, kept))))
+    if arguments.serve:
+        serve(arguments.serve)
+        return
+    rates_of = defaultdict(list)
+    with tempfile.TemporaryDirectory(prefix="bc-bench-") as name:
+        folder = Path(name)
+        check_out(arguments.base, folder / "base")
+        figures = list(FIGURES)
+        for doing in ("Measuring", "Measuring again"):
+            rounds = measure([ROOT, folder / "base"], folder, figures)
+            for figure, rates in track(rounds, doing, STARTS * ROUNDS * len(figures)):
+                rates_of[figure].append(rates)
+            figures = [figure for figure in figures if interval(rates_of[figure])[1] > LIMIT]
+            if not figures:
+                break
+    print(f"The base is {arguments.base}.\n")
+    print("| per second of processor time | now | base | time now / base | |\n|---|---|---|---|---|")
+    for figure, all_rates in rates_of.items():
+        now, before = map(statistics.median, zip(*all_rates, strict=True))
+        low, ratio, high = interval(all_rates)
+        verdict = "**slower**" if low > LIMIT else "faster" if high < 1 / LIMIT else ""
+        shown = f"{ratio:.3f} ({low:.3f} to {high:.3f})"
+        print(f"| {figure} | {now:,.0f} | {before:,.0f} | {shown} | {verdict} |")
+    raise SystemExit(any(interval(all_rates)[0] > LIMIT for all_rates in rates_of.values()))
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ import contextlib
 import errno
 import os
 import re
-import secrets
 import shutil
 import threading
 from collections.abc import Iterator, Sequence
@@ -33,7 +32,7 @@ def write_remedy(error: OSError) -> str:
 
 def part_path(path: Path) -> Path:
     """A fresh temporary name beside `path`: visible, so that after a crash its owner finds it."""
-    return path.with_name(f"{path.name}.{secrets.token_hex(3)}{PART_SUFFIX}")
+    return path.with_name(f"{path.name}.{os.urandom(3).hex()}{PART_SUFFIX}")
 
 
 def final_path(path: Path) -> Path:

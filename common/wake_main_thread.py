@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
-import socket
 import sys
 import threading
 import time
@@ -26,7 +26,7 @@ def signals_wake_main_thread() -> Iterator[None]:
     does not block it, and libraries start such threads; or it comes just before the main thread begins to wait. In
     both cases a Ctrl-C would else be noticed only when the waiting ends by itself.
 
-    Python's C handler writes the number of a signal to a socket at once, in whichever thread
+    Python's C handler writes the number of a signal to a pipe at once, in whichever thread
     (https://docs.python.org/3/library/signal.html#signal.set_wakeup_fd); a thread that reads it sends the main one
     SIGURG, until that runs Python again. Nothing else here uses SIGURG, which is otherwise ignored.
 
@@ -35,22 +35,22 @@ def signals_wake_main_thread() -> Iterator[None]:
     if sys.platform == "win32" or threading.current_thread() is not threading.main_thread():
         yield
         return
-    receiver, sender = socket.socketpair()
-    sender.setblocking(False)
+    receiver, sender = os.pipe()
+    os.set_blocking(sender, False)
     main = _MainThread()
     thread = threading.Thread(target=main.wake_at_signals, args=(receiver,), name="signals", daemon=True)
     urgent = signal.signal(signal.SIGURG, main.on_wake)
-    wakeup_fd = signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False)
+    wakeup_fd = signal.set_wakeup_fd(sender, warn_on_full_buffer=False)
     thread.start()
     try:
         yield
     finally:
         signal.set_wakeup_fd(wakeup_fd)
-        sender.send(bytes([_END]))  # closing it would not do: a forked process may have it, too
+        os.write(sender, bytes([_END]))  # closing it would not do: a forked process may have it, too
         thread.join()
         signal.signal(signal.SIGURG, urgent)
-        receiver.close()
-        sender.close()
+        os.close(receiver)
+        os.close(sender)
 
 
 class _MainThread:
@@ -62,9 +62,9 @@ class _MainThread:
         """The handler of SIGURG. Those of signals with smaller numbers have been called before it."""
         self._is_awake = True
 
-    def wake_at_signals(self, receiver: socket.socket) -> None:
+    def wake_at_signals(self, receiver: int) -> None:
         leave_signals_to_main_thread()
-        while _END not in (numbers := receiver.recv(64)):
+        while _END not in (numbers := os.read(receiver, 64)):
             self._is_awake = not any(number in numbers for number in STOP_SIGNALS)
             while not self._is_awake:  # it may just have begun to wait
                 if sys.platform != "win32":  # where no thread of this class is begun

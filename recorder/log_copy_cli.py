@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import shlex
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -19,7 +18,6 @@ from common.errors import StoreError, UsageError, as_user_error, counted, printa
 from common.location import Location, Url
 from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result
-from common.progress import progress_bar
 from recorder.log.logs_in_folder import logs_at, logs_in
 from recorder.log_flag import named_log
 
@@ -52,6 +50,7 @@ class CopyLogs:
 
 def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = False, prog: str = "bc-log") -> int:
     """Copy logs and folders of logs, also those behind one that cannot be; the worst of the exit codes."""
+    from common.progress import progress_bar
     from recorder.upkeep.copy_log import copy_log  # obstore, an extra
 
     pairs = _pairs(places, to)
@@ -124,6 +123,9 @@ def copy_recording(log: Path, to: Location, overwrite: bool, *, prog: str = "bc-
 def brought_here(places: Sequence[Location]) -> Iterator[tuple[Path, ...]]:
     """The same logs as files of this machine: those in a store as copies, which are gone afterwards. Raises what
     `copy_log` does."""
+    import tempfile
+
+    from common.progress import progress_bar
     from recorder.upkeep.copy_log import copy_log  # obstore, an extra
 
     with tempfile.TemporaryDirectory(prefix="bc-logs-") as folder:

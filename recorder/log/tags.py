@@ -11,10 +11,8 @@ import contextlib
 import json
 import os
 import re
-import tempfile
 from collections import defaultdict
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import IO, Annotated, Final, NamedTuple, overload
 
@@ -75,6 +73,8 @@ def read_tags(log: Location, fingerprint: str) -> list[Tag]:
 
 def names_used(folder: Location) -> set[str]:
     """The names of the tags of all logs in a folder; EXCLUDE and FINE are always among them. Raises StoreError."""
+    from concurrent.futures import ThreadPoolExecutor
+
     with ThreadPoolExecutor() as pool:  # each file of a store is a request
         names = list(pool.map(_names_in, _tag_files(folder)))
     return {EXCLUDE, FINE}.union(*names)
@@ -181,6 +181,8 @@ def _append(log: Location, action: str, fingerprint: str, tags: Sequence[Tag]) -
 
 def _append_there(url: Url, lines: bytes) -> None:
     """Write a journal in a store anew, with more lines, unless somebody else has meanwhile."""
+    import tempfile
+
     from common.object_file import ObjectFile, ObjectVersion  # an extra
     from common.object_store import put_file
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from mcap.opcode import Opcode
 
@@ -14,6 +13,9 @@ from common.closeable import Closeable
 from recorder.errors import LogError
 from recorder.mcap.chunk_cache import ChunkCache
 from recorder.mcap.mcap_file import Chunk, McapFile
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
 
 GAP_BYTES: Final = 1 << 16
 """Between two chunks that are fetched in one request: rows lie between those of pictures."""
@@ -95,6 +97,8 @@ class FetchedChunks(Closeable):
         """Fetch chunks that lie side by side, but those that others fetch already, in one request; each of them,
         or what is wrong with it. Raises what `read` does where the request fails: threads that wait for one of
         them get the error, too, and later calls try again."""
+        from concurrent.futures import Future
+
         with self._lock:
             futures: dict[int, Future[bytes]] = {
                 number: Future() for number in run if number not in self._coming and number not in self._kept

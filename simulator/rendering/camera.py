@@ -21,7 +21,7 @@ from simulator.rendering.bonnet import draw_bonnet
 from simulator.rendering.noise import Field, cobble_tile, grain_tile
 from simulator.rendering.props_view import PropsView
 from simulator.rendering.raycast import COLUMNS, ROWS, Eye, RayCaster, look_up, on_map, with_rim
-from simulator.rendering.road_texture import ACROSS_M, LEVELS, REACH_M
+from simulator.rendering.road_texture import ACROSS_M, REACH_M
 from simulator.rendering.road_texture import COLUMNS as ROAD_COLUMNS
 from simulator.rendering.sky import BOTTOM, HAZE, TOP
 from simulator.rendering.terrain import CELL_M
@@ -40,10 +40,13 @@ MOUNT_LEFT_M: dict[Camera, float] = {"center": 0.0, "left": 0.9, "right": -0.9}
 HAZE_M = 420.0  # the distance at which 63 % of a colour is haze
 GRAIN_TEXEL_M, COBBLE_TEXEL_M, COARSE_TEXEL_M = 0.02, 0.0125, 0.16
 SKY_PER_M = 1e-4  # one over the distance: what is no nearer is sky
+SKY_SPARE_PX = 8  # more rows of sky, which the other cameras of a pose may need
 SHARP_M = 9.0  # up to here the road texture's sharpest level is right
+# The next levels begin at these multiples of it: 1, 2 and 4, as logarithms in single precision round them.
+BLURRED_FROM = 1.0, 1.9999999, 3.9999995
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Directions:
     """Where the pixels of a picture look, level to the ground: the same for all cameras of a pose."""
 
@@ -57,7 +60,7 @@ class Directions:
 
 
 class Renderer:
-    """Renders pictures of one world; holds no state between pictures."""
+    """Renders pictures of one world. No picture depends on those before it."""
 
     def __init__(self, world: WorldMaps) -> None:
         self._world = world
@@ -73,6 +76,7 @@ class Renderer:
         random = np.random.default_rng(3)
         self._grain, self._cobbles = grain_tile(random), cobble_tile(random)
         self._props = PropsView(world.props)
+        self._kept_sky: tuple[Directions | None, float, Picture] = None, 0.0, np.zeros((0, 0, 4), np.uint8)
         self._bonnets = {camera: _bonnet(camera) for camera in MOUNT_LEFT_M}
 
     def render(self, pose: Pose, camera: Camera = "center", scale: float = 1.0) -> Picture:
@@ -84,19 +88,20 @@ class Renderer:
         table = self._rays.inverse_distance(eye, rays.side_range, rays.up_range)
         at, border = (rays.table_column, rays.table_row), cv2.BORDER_REPLICATE
         inverse = np.asarray(cv2.remap(table, *at, cv2.INTER_LINEAR, borderMode=border), dtype=np.float32)
-        picture = np.zeros((height, width, 3), np.uint8)
+        shown = np.zeros((height, width, 4), np.uint8)  # BGRA: OpenCV and numpy copy a pixel as one word
         first = int((inverse > SKY_PER_M).any(axis=1).argmax())  # above it there is nothing but sky
-        picture[first:] = self._ground(eye, rays.side[first:], inverse[first:], scale)
-        self._sky(picture, rays, inverse, pose.heading_rad)
+        shown[first:] = self._ground(eye, rays.side[first:], inverse[first:], scale)
+        self._sky(shown, rays, inverse, pose.heading_rad)
         place = self._world.origin_m + CELL_M * np.array([eye.column, eye.row])
         self._props.draw(
-            picture,
+            shown,
             inverse,
             (*place.tolist(), eye.height_m),
             pose.heading_rad,
             (rays.rotation @ _mount()).T,  # from (ahead, left, up), level to the ground, to the camera's own axes
             FOCAL_PX * scale,
         )
+        picture = np.asarray(cv2.cvtColor(shown, cv2.COLOR_BGRA2BGR), dtype=np.uint8)
         lowest = picture[round(BONNET_PX * scale) :]
         keep, paint = self._bonnets[camera] if scale == 1.0 else _bonnet(camera, (width, len(lowest)))
         np.floor_divide(lowest * keep + paint, 255, out=lowest, casting="unsafe")
@@ -110,9 +115,9 @@ class Renderer:
         return Eye((x - origin_x) / CELL_M, (y - origin_y) / CELL_M, pose.z_m + up, cos, sin)
 
     def _ground(self, eye: Eye, side: Field, inverse: Field, scale: float) -> Picture:
-        """The ground's colours at every pixel; those of the sky are left for ``_sky``."""
+        """The ground's colours (BGRA) at every pixel; those of the sky are left for ``_sky``."""
         world = self._world
-        distance = 1.0 / np.maximum(inverse, np.float32(1 / 400))
+        distance = 1.0 / np.clip(inverse, 1 / 400, np.inf)  # np.maximum takes twice as long
         reach = distance * np.float32(1 / CELL_M)
         column = np.float32(eye.column) + reach * (np.float32(eye.cos) - side * np.float32(eye.sin))
         row = np.float32(eye.row) + reach * (np.float32(eye.sin) + side * np.float32(eye.cos))
@@ -125,10 +130,11 @@ class Renderer:
         arc_of_car = float(look_up(self._arcs[0], *beneath)[0, 0])
         arcs = self._arcs[0 if 0.25 * lap < arc_of_car < 0.75 * lap else 1]
         near = slice(int(on_road.any(axis=1).argmax()), None)  # above it there is no road
-        level = np.clip(np.floor(np.log2(distance[near] * np.float32(1 / (SHARP_M * scale))) + 1.0), 0, LEVELS - 1)
+        blur = distance[near] * np.float32(1 / (SHARP_M * scale))
+        level = np.sum([blur >= least for least in BLURRED_FROM], axis=0, dtype=np.uint8)
         texel = (offset[near] + np.float32(REACH_M)) * np.float32(1 / ACROSS_M) - np.float32(0.5)
         arc = np.asarray(cv2.remap(arcs, x[near], y[near], cv2.INTER_LINEAR), dtype=np.float32)
-        texel = np.clip(texel, 0, ROAD_COLUMNS - 2) + level * ROAD_COLUMNS
+        texel = np.clip(texel, 0, ROAD_COLUMNS - 2) + level * np.float32(ROAD_COLUMNS)
         arc *= np.float32(world.road.shape[0] / lap)
         border = cv2.BORDER_WRAP
         road = np.asarray(cv2.remap(world.road, texel, arc, cv2.INTER_LINEAR, borderMode=border))
@@ -140,7 +146,7 @@ class Renderer:
         gain *= haze
         mist = np.float32(1.0) - haze
         shown = [plane * gain + mist * np.float32(colour) for plane, colour in zip(planes, HAZE, strict=True)]
-        return np.asarray(cv2.merge([cv2.convertScaleAbs(plane) for plane in shown]), dtype=np.uint8)
+        return np.asarray(cv2.merge([*(cv2.convertScaleAbs(plane) for plane in shown), cobbles]), dtype=np.uint8)
 
     def _texture(self, eye: Eye, column: Field, row: Field, distance: Field, cobbles: Picture) -> Field:
         """The factors of the colours by grain, coarse unevenness and cobblestones; each fades where pixels
@@ -161,13 +167,12 @@ class Renderer:
             values = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
             return values.astype(np.float32) - np.float32(128.0)
 
-        near = np.minimum(np.float32(1.0), np.float32(5.0) / distance)
-        far = np.minimum(np.float32(1.0), np.float32(25.0) / distance)
+        near, far = (np.clip(np.float32(reach_m) / distance, 0.0, 1.0) for reach_m in (5.0, 25.0))
         gain = tile(self._grain, GRAIN_TEXEL_M) * (near * near) + tile(self._grain, COARSE_TEXEL_M) * (
             far * far * np.float32(0.7)
         )
         if cobbles.any():
-            stones = tile(self._cobbles, COBBLE_TEXEL_M) * np.minimum(np.float32(1.0), np.float32(12.0) / distance)
+            stones = tile(self._cobbles, COBBLE_TEXEL_M) * np.clip(np.float32(12.0) / distance, 0.0, 1.0)
             share = cobbles * np.float32(1 / 255)
             gain += share * (np.float32(1.6) * stones - np.float32(0.7) * gain)
         return np.asarray(1.0 + gain * np.float32(1 / 256), dtype=np.float32)
@@ -177,7 +182,14 @@ class Renderer:
         lowest = int(np.flatnonzero(sky.any(axis=1)).max(initial=-1)) + 1
         if lowest == 0:
             return
-        side, up = rays.side[:lowest], rays.up[:lowest]
+        # All cameras of a pose see the same sky: it is kept.
+        if self._kept_sky[:2] != (rays, heading_rad) or len(self._kept_sky[2]) < lowest:
+            self._kept_sky = rays, heading_rad, self._sky_colours(rays, heading_rad, lowest + SKY_SPARE_PX)
+        cv2.copyTo(self._kept_sky[2][:lowest], sky[:lowest].view(np.uint8), picture[:lowest])
+
+    def _sky_colours(self, rays: Directions, heading_rad: float, height: int) -> Picture:
+        """The upper rows of a picture (``height``, W, 4) uint8 BGRA that shows nothing but sky."""
+        side, up = rays.side[:height], rays.up[:height]
         rows, columns = self._world.sky.shape[:2]
         azimuth = np.arctan(side) + np.float32(heading_rad)
         level = up / np.sqrt(1.0 + side * side)
@@ -185,7 +197,7 @@ class Renderer:
         _wrap(column, columns)
         row = np.clip((TOP - level) * np.float32((rows - 1) / (TOP - BOTTOM)), 0, rows - 1)
         colours = cv2.remap(self._panorama, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-        cv2.copyTo(cv2.cvtColor(colours, cv2.COLOR_BGRA2BGR), sky[:lowest].view(np.uint8), picture[:lowest])
+        return np.asarray(colours, dtype=np.uint8)
 
 
 def _bonnet(camera: Camera, size: tuple[int, int] | None = None) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:

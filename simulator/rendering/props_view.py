@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +20,10 @@ class PropsView:
 
     def __init__(self, props: Floats) -> None:
         self._props = props
-        self._sprites = {kind: [_halvings(s) for s in variants] for kind, variants in draw_sprites().items()}
+        sprites = {kind: [_halvings(s) for s in variants] for kind, variants in draw_sprites().items()}
+        variants = [sprites[int(kind)] for kind in props[:, 4]]
+        self._sprites = [levels[k % len(levels)] for k, levels in enumerate(variants)]
+        self._last_halving = np.array([len(levels) - 1 for levels in self._sprites])
 
     def draw(
         self,
@@ -33,7 +34,7 @@ class PropsView:
         to_camera: Floats,
         focal_px: float,
     ) -> None:
-        """Draw, far ones first, into a picture whose ground is at the given inverse forward distances (1/m)."""
+        """Draw, far ones first, into a BGRA picture whose ground is at these inverse forward distances (1/m)."""
         cos, sin = np.cos(heading_rad), np.sin(heading_rad)
         east, north, up = (self._props[:, :3] - eye_m).T
         ahead, left = east * cos + north * sin, north * cos - east * sin
@@ -50,23 +51,79 @@ class PropsView:
         )
         seen = np.flatnonzero(is_visible)[np.argsort(-ahead[is_visible], kind="stable")]
         ahead, size_px = ahead[seen], size_px[seen]
-        halvings = np.log2(SIZE_PX / size_px)
-        strengths = np.minimum(1.0, (FAR_M - ahead) / FADE_M) / 255.0
-        for k, kind, *place, halving, hidden, strength in zip(
-            seen.tolist(),
-            self._props[seen, 4].tolist(),
-            column[seen].tolist(),
-            row[seen].tolist(),
-            size_px.tolist(),
-            halvings.tolist(),
-            1 / ahead * 1.02,
-            strengths.astype(np.float32),
-            strict=True,
-        ):
-            variants = self._sprites[int(kind)]
-            levels = variants[k % len(variants)]
-            sprite = levels[int(min(max(halving, 0), len(levels) - 1))]
-            _stamp(picture, inverse, sprite, place, hidden, strength)
+        halvings = np.clip(np.log2(SIZE_PX / size_px), 0, self._last_halving[seen]).astype(int)
+        sprites = [self._sprites[k][halving] for k, halving in zip(seen.tolist(), halvings.tolist(), strict=True)]
+        stamps = _Stamps(sprites, column[seen], row[seen], size_px, (width, height))
+        strengths = (np.minimum(1.0, (FAR_M - ahead) / FADE_M) / 255.0).astype(np.float32)
+        # Ground before a prop hides it.
+        free = inverse.ravel()[stamps.place] < (1 / ahead * 1.02)[stamps.sprite]
+        colours = stamps.colours(np.bincount(stamps.sprite, free, len(sprites)) > 0)
+        alpha = colours[:, 3] * free * strengths[stamps.sprite]
+        _blend(picture.view(np.uint32).ravel(), stamps.place, colours.view(np.uint32).ravel(), alpha)
+
+
+class _Stamps:
+    """Sprites at their places in a picture. Their pixels (N,) come row by row, one sprite after the other."""
+
+    def __init__(
+        self, sprites: list[Sprite], column: Floats, foot: Floats, size_px: Floats, picture_px: tuple[int, int]
+    ) -> None:
+        """A sprite's foot is at ``column`` and ``foot``, and it is ``size_px`` high."""
+        height, width = np.array([sprite.shape[:2] for sprite in sprites]).reshape(-1, 2).T
+        scale = size_px / height
+        left, top = column - width * scale / 2, foot - size_px
+        x0, y0 = np.maximum(0, np.floor(left)).astype(int), np.maximum(0, np.floor(top)).astype(int)
+        x1 = np.minimum(picture_px[0], np.ceil(left + width * scale)).astype(int)
+        y1 = np.minimum(picture_px[1], np.ceil(foot)).astype(int)
+        self._sprites = sprites
+        self._columns, self._rows = np.maximum(0, x1 - x0), np.maximum(0, y1 - y0)
+        # Sub-pixel placement: sprite coordinates of the target's pixel centres.
+        self._affine = np.zeros((len(sprites), 2, 3))
+        self._affine[:, 0, 0] = self._affine[:, 1, 1] = 1 / scale
+        self._affine[:, 0, 2] = (x0 + 0.5 - left) / scale - 0.5
+        self._affine[:, 1, 2] = (y0 + 0.5 - top) / scale - 0.5
+        sizes = self._columns * self._rows
+        self._ends = np.cumsum(sizes)
+        self.sprite = np.repeat(np.arange(len(sprites)), sizes)  # the number of each pixel's sprite
+        within = np.arange(len(self.sprite)) - (self._ends - sizes)[self.sprite]
+        row = within // self._columns[self.sprite]
+        rest = (picture_px[0] - self._columns)[self.sprite]  # of a picture's row, beside the sprite
+        self.place = (y0 * picture_px[0] + x0)[self.sprite] + row * rest + within  # in the picture, row by row
+
+    def colours(self, is_shown: NDArray[np.bool_]) -> NDArray[np.uint8]:
+        """(N, 4) BGRA; those of sprites that are not shown are 0."""
+        colours = np.zeros((len(self.sprite), 4), np.uint8)
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        columns, rows, ends = self._columns.tolist(), self._rows.tolist(), self._ends.tolist()
+        for k in np.flatnonzero(is_shown).tolist():
+            size = columns[k], rows[k]
+            patch = colours[ends[k] - size[0] * size[1] : ends[k]].reshape(size[1], size[0], 4)
+            cv2.warpAffine(self._sprites[k], self._affine[k], size, patch, flags, cv2.BORDER_CONSTANT)
+        return colours
+
+
+def _blend(
+    picture: NDArray[np.uint32], pixels: NDArray[np.int64], colours: NDArray[np.uint32], alpha: Field
+) -> None:
+    """Lay colours (N,) over the pixels (N,) of a picture (P,), both BGRA as one word. A pixel that occurs twice is
+    blended twice, in this order."""
+    shown = np.flatnonzero(alpha)
+    pixels, colours, alpha = pixels[shown], colours[shown], alpha[shown]
+    earliest = np.empty(len(picture), np.intp)
+    while len(pixels):
+        # What comes first to its pixel is blended at once.
+        count = np.arange(len(pixels))
+        earliest[pixels[::-1]] = count[::-1]
+        is_first = earliest[pixels] == count
+        at = pixels[is_first]
+        under = picture[at].view(np.uint8)
+        blend = cv2.subtract(colours[is_first].view(np.uint8), under, dtype=cv2.CV_32F).ravel()
+        blend *= np.repeat(alpha[is_first], 4)
+        blend += under
+        blend += np.float32(0.5)
+        picture[at] = blend.astype(np.uint8).view(np.uint32)
+        later = ~is_first
+        pixels, colours, alpha = pixels[later], colours[later], alpha[later]
 
 
 def _halvings(sprite: Sprite) -> list[Sprite]:
@@ -81,37 +138,3 @@ def _halvings(sprite: Sprite) -> list[Sprite]:
         colour = weighted[..., :3] / np.maximum(weighted[..., 3:], 1e-3)
         levels.append(np.dstack([colour, weighted[..., 3:]]).astype(np.uint8))
     return levels
-
-
-def _stamp(
-    picture: NDArray[np.uint8],
-    inverse: Field,
-    sprite: Sprite,
-    place: list[float],
-    hidden: np.float64,
-    strength: np.float32,
-) -> None:
-    """Blend one sprite in; ``place`` is its foot's column and row and its height, in pixels. Ground whose inverse
-    distance is ``hidden`` or more stands before it."""
-    column, foot, size = place
-    scale = size / sprite.shape[0]
-    left, top = column - sprite.shape[1] * scale / 2, foot - size
-    x0, x1 = max(0, math.floor(left)), min(picture.shape[1], math.ceil(left + sprite.shape[1] * scale))
-    y0, y1 = max(0, math.floor(top)), min(picture.shape[0], math.ceil(foot))
-    if x0 >= x1 or y0 >= y1:
-        return
-    free = inverse[y0:y1, x0:x1] < hidden
-    if not np.count_nonzero(free):
-        return
-    # Sub-pixel placement: sprite coordinates of the target's pixel centres.
-    affine = np.array(
-        [[1 / scale, 0.0, (x0 + 0.5 - left) / scale - 0.5], [0.0, 1 / scale, (y0 + 0.5 - top) / scale - 0.5]]
-    )
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    patch = cv2.warpAffine(sprite, affine, (x1 - x0, y1 - y0), flags=flags, borderMode=cv2.BORDER_CONSTANT)
-    alpha = patch[..., 3] * free * strength
-    target = picture[y0:y1, x0:x1]
-    # A broadcast over three channels would cost more than all else here.
-    blend = cv2.subtract(cv2.cvtColor(patch, cv2.COLOR_BGRA2BGR), target, dtype=cv2.CV_32F)
-    blend = blend * cv2.cvtColor(alpha, cv2.COLOR_GRAY2BGR) + target
-    np.add(blend, np.float32(0.5), out=target, casting="unsafe")

@@ -19,6 +19,7 @@ from simulator.rendering.terrain import CELL_M
 
 NEAR_M, FAR_M = 1.0, 340.0
 COLUMNS, SAMPLES, ROWS = 400, 180, 240
+BLOCKS = 15  # of rows; divides SAMPLES and ROWS
 COARSE = 4  # far samples are taken from a map of cells this much larger, as they are so far apart
 COARSE_FROM_M = 45.0
 
@@ -47,6 +48,7 @@ class RayCaster:
         # sample is the sky: 0.
         inverse = 1.0 / self._distance_m[:, 0]
         self._inverse, self._step = np.zeros((2, 1, 256), np.float32)
+        self._numbers = np.arange(SAMPLES, dtype=np.uint8)[:, None].repeat(COLUMNS, axis=1)
         self._inverse[0, : SAMPLES - 1], self._step[0, : SAMPLES - 1] = inverse[:-1], np.diff(inverse)
 
     def inverse_distance(self, eye: Eye, side: tuple[float, float], up: tuple[float, float]) -> Field:
@@ -55,29 +57,32 @@ class RayCaster:
         Column and row give the point where the line of sight pierces a vertical plane one metre ahead: columns run
         from ``side[0]`` to ``side[1]`` metres to the left, rows from ``up[0]`` to ``up[1]`` metres up.
         """
-        slopes = self._slopes(eye, np.linspace(*side, COLUMNS, dtype=np.float32)[None, :])
-        # The number of samples below each line of sight is the number of the sample that ends it: count them
-        # all at once in a histogram over the rows. Cheaper than a search per line of sight.
-        levels = (slopes - np.float32(up[0])) * np.float32((ROWS - 1) / (up[1] - up[0]))
-        first_above = np.clip(np.floor(levels) + np.float32(1.0), 0, ROWS) * np.float32(COLUMNS)
-        lanes = np.arange(COLUMNS)
-        bins = (first_above + lanes.astype(np.float32)).astype(np.intp)
-        counts = np.bincount(bins.ravel(), minlength=COLUMNS * ROWS)[: COLUMNS * ROWS].reshape(ROWS, COLUMNS)
-        sums = cv2.integral(
-            counts.astype(np.uint8)
-        )  # over rows and columns: ten times as fast as np.cumsum over rows
-        below = sums[1:, 1:] - sums[1:, :-1]
-        ground = below[: np.count_nonzero(below.min(axis=1) < SAMPLES)]
-        last = (np.maximum(ground, 1) - 1).astype(np.uint8)
+        levels = self._slopes(eye, np.linspace(*side, COLUMNS, dtype=np.float32)[None, :])
+        levels -= np.float32(up[0])
+        levels *= np.float32((ROWS - 1) / (up[1] - up[0]))
+        # The last sample below each line of sight: write each sample's number to the first row above it, and carry
+        # it up. Cheaper than a search per line of sight.
+        places = np.floor(levels)
+        places += np.float32(1.0)
+        np.clip(places, 0.0, ROWS, out=places)
+        places *= np.float32(COLUMNS)
+        places += np.arange(COLUMNS, dtype=np.float32)
+        last = np.zeros((ROWS + 1) * COLUMNS, np.uint8)
+        last[places.astype(np.intp)] = self._numbers
+        last = last.reshape(-1, COLUMNS)[:ROWS]
+        _carry_maximum(last)
+        last = last[: np.count_nonzero(last.min(axis=1) < SAMPLES - 1)]  # above it there is nothing but sky
         # Between two samples the ground is a plane, on which one over the distance is linear in the row.
         rise = np.ones_like(levels)
-        np.maximum(levels[1:] - levels[:-1], np.float32(1e-6), out=rise[:-1])
-        at = last * np.intp(COLUMNS) + lanes
-        share = (np.arange(len(ground), dtype=np.float32)[:, None] - levels.take(at)) / rise.take(at)
+        np.clip(levels[1:] - levels[:-1], 1e-6, np.inf, out=rise[:-1])
+        at = last * np.intp(COLUMNS)
+        at += np.arange(COLUMNS)
+        share = np.arange(len(last), dtype=np.float32)[:, None] - levels.take(at)
+        share /= rise.take(at)
+        np.clip(share, 0.0, 1.0, out=share)
+        share *= cv2.LUT(last, self._step)
         inverse = np.zeros((ROWS, COLUMNS), np.float32)
-        inverse[: len(ground)] = cv2.LUT(last, self._inverse) + np.clip(share, 0.0, 1.0) * cv2.LUT(
-            last, self._step
-        )
+        np.add(share, cv2.LUT(last, self._inverse), out=inverse[: len(last)])
         return inverse
 
     def _slopes(self, eye: Eye, side: Field) -> Field:
@@ -91,9 +96,17 @@ class RayCaster:
         centre = np.float32((COARSE - 1) / 2)  # of the first large cell, in small ones
         height[k:] = look_up(self._coarse, (column[k:] - centre) / COARSE, (row[k:] - centre) / COARSE)
         slopes = (height - np.float32(eye.height_m)) / self._distance_m
-        for k in range(1, SAMPLES):  # as np.maximum.accumulate, in half of its time
-            np.maximum(slopes[k - 1], slopes[k], out=slopes[k])
+        _carry_maximum(slopes)
         return slopes
+
+
+def _carry_maximum(rows: NDArray[Any]) -> None:
+    """As np.maximum.accumulate over the rows, in a third of its time: within blocks, then from block to block."""
+    blocks = rows.reshape(BLOCKS, -1, rows.shape[1])
+    for k in range(1, blocks.shape[1]):
+        np.maximum(blocks[:, k - 1], blocks[:, k], out=blocks[:, k])
+    for k in range(1, BLOCKS):
+        np.maximum(blocks[k - 1, -1], blocks[k], out=blocks[k])
 
 
 def with_rim(image: NDArray[Any]) -> NDArray[Any]:
