@@ -18,7 +18,6 @@ import statistics
 import sys
 import tempfile
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -31,23 +30,12 @@ WARM_UP: Final = 50  # telemetries
 STAGES: Final = ("parse_ms", "decode_ms", "network_ms", "total_ms")
 
 
-@dataclass(frozen=True)
-class Ours:
-    """One of our contenders: the flags of `bc-drive`."""
-
-    name: str
-    flags: tuple[str, ...] = ()
-    viewer: bool = False  # with a viewer that writes a file
-    frozen: bool = False  # and is stopped (SIGSTOP) once it is warm
-
-
-OURS: Final = (
-    Ours("`bc-drive`"),
-    Ours("`bc-drive --viewer`", viewer=True),
-    Ours("`bc-drive --viewer`, the viewer stopped by SIGSTOP", viewer=True, frozen=True),
-    Ours("`bc-drive --server threading`", ("--server", "threading")),
-    Ours("`bc-drive --precision float32`", ("--precision", "float32")),
-)
+VIEWER: Final = ("--viewer",)  # one that writes a file
+OURS: Final = {
+    "`bc-drive`": (),
+    "`bc-drive --viewer`": VIEWER,
+    "`bc-drive --precision float32`": ("--precision", "float32"),
+}
 
 
 def main() -> None:
@@ -64,22 +52,19 @@ def main() -> None:
         (folder / "pictures").mkdir()
         write_pictures(chosen.recording, folder / "pictures")
         servers = [start_contender(ours, chosen.run, folder, stack) for ours in OURS]
-        frozen = {ours.name for ours in OURS if ours.frozen}
         for number in range(1 + chosen.rounds):
             frames = chosen.frames // chosen.rounds if number else WARM_UP
             for server in servers:
-                keep_stopped = number > 0 and server.name in frozen
-                turn = server.drive(folder / "pictures", frames, chosen.turn_seconds, keep_stopped=keep_stopped)
+                turn = server.drive(folder / "pictures", frames, chosen.turn_seconds)
                 print(f"round {number}: {server.name}: {turn.replies_per_s:,.1f} replies/s", file=sys.stderr)
         print(f"{chosen.rounds} rounds, {os.cpu_count()} cores\n")
         print_round_trips(servers)
         print_stages(servers)
 
 
-def start_contender(ours: Ours, run: Path, folder: Path, stack: ExitStack) -> Server:
-    number = OURS.index(ours)
-    viewer = ("--viewer", str(folder / f"{number}.rrd")) if ours.viewer else ()
-    server = start_ours(ours.name, run, folder / f"{number}.mcap", stack, *viewer, *ours.flags)
+def start_contender(ours: str, run: Path, folder: Path, stack: ExitStack) -> Server:
+    flags = (*VIEWER, str(folder / "drive.rrd")) if OURS[ours] == VIEWER else OURS[ours]
+    server = start_ours(ours, run, folder / f"{list(OURS).index(ours)}.mcap", stack, *flags)
     server.suspend()
     return server
 

@@ -55,10 +55,9 @@ class Server:
     log: Path | None = None
     turns: list[Turn] = field(default_factory=list)
 
-    def drive(self, pictures: Path, frames: int, seconds: float, *, keep_stopped: bool = False) -> Turn:
-        """One turn: `frames` telemetries, or as many as `seconds` allow. `keep_stopped` leaves what the server has
-        started suspended."""
-        self.resume(keep_stopped=keep_stopped)
+    def drive(self, pictures: Path, frames: int, seconds: float) -> Turn:
+        """One turn: `frames` telemetries, or as many as `seconds` allow."""
+        self.resume()
         line = [sys.executable, str(HERE / "driving_client.py"), str(self.port), str(pictures), str(frames)]
         line += ["--seconds", str(seconds)]
         client = subprocess.run(line, stdout=subprocess.PIPE, text=True, check=False)
@@ -79,11 +78,10 @@ class Server:
         for child in self.started():
             child.suspend()
 
-    def resume(self, *, keep_stopped: bool = False) -> None:
+    def resume(self) -> None:
         self.process.resume()
-        if not keep_stopped:
-            for child in self.started():
-                child.resume()
+        for child in self.started():
+            child.resume()
 
     def end(self) -> int:
         """As Ctrl-C ends it; its exit code."""
