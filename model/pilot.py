@@ -171,11 +171,12 @@ def load_pilot(run: Path | str, precision: Precision = "auto", device: Device = 
     was not named (`load_code`) or does not work here, or if there is no such device.
     """
     run = Path(run)
-    picture, about = picture_of_run(run), (run_name(run), weights_checksum(run))
+    picture = picture_of_run(run)
     answers = targets_of_run(run), speed_ahead_s_of_run(run)
     problem = ""
     for chosen, dtype in _ways(precision, device):
-        network = load_network(run)
+        network = load_network(run)  # names what is wrong with the weights' file
+        about = run_name(run), weights_checksum(run)
         try:
             return Pilot(network, *about, dtype, picture, *answers, chosen)
         except (RuntimeError, TypeError) as error:  # types that do not go together, or nothing that a GPU can do
