@@ -228,7 +228,19 @@ class Study:
         rows = sum((self.result(name) or {})["rows"] for name in recordings)
         epochs = EPOCHS_MORE if "--takeovers" in words else quick_epochs(rows)
         self._make_way(run)
-        printed = done(self.folder, "bc-train", "--name", run, "--seed", seed, "--epochs", epochs, *words)
+        printed = done(
+            self.folder,
+            "bc-train",
+            "--recipe",
+            "people",
+            "--name",
+            run,
+            "--seed",
+            seed,
+            "--epochs",
+            epochs,
+            *words,
+        )
         return {"epochs": epochs, "printed": printed[-2000:]}
 
     def _make_way(self, run: str) -> None:

@@ -125,7 +125,7 @@ def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list
     run = next(free for free in names if key_of(Path(free)) not in runs)
     if place == "drives":
         values = {"run": name, "takeovers": str(log), "name": run, "epochs": str(EPOCHS_MORE)}
-        return form_of("learn").words(values, folders), run
+        return [*form_of("learn").words(values, folders), f"--recipe={QUICK_RECIPE}"], run
     with Log(log) as session:
         epochs = quick_epochs(session.counts.get(topics.VEHICLE, 0))
     values = {"name": run, "epochs": str(epochs), "recipe": QUICK_RECIPE}
