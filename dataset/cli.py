@@ -12,7 +12,7 @@ import tyro
 from common.command import run_command
 from common.location_flag import LocationFlag
 from common.ray_flag import RayAddress
-from common.recipe import index_recipe_given
+from common.recipe import recipe_given
 from dataset.config import IndexConfig
 
 
@@ -58,4 +58,4 @@ def main() -> None:
         from dataset.index_export_cli import main as export
 
         export()
-    run_command("bc-index", Index, _index, default=lambda: Index(config=IndexConfig.of(index_recipe_given())))
+    run_command("bc-index", Index, _index, default=lambda: Index(config=IndexConfig.of(recipe_given())))

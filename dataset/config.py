@@ -80,7 +80,7 @@ class IndexConfig:
 
     @classmethod
     def of(cls, recipe: Recipe) -> IndexConfig:
-        """The defaults of a training's or an index's recipe."""
+        """The defaults of the index that a recipe learns from."""
         return cls(**cls.EARLIER) if recipe == "original" else cls()
 
     def __post_init__(self) -> None:

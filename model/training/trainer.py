@@ -19,9 +19,8 @@ import torch
 from common import Skipped, UserError
 from common.interrupts import stop_signals
 from common.location import Location, location
-from common.recipe import index_recipe
 from common.versions import install_line
-from dataset import Samples
+from dataset import IndexConfig, Samples
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import TARGETS, TargetName, steering_in
 from model.config import TrainConfig
@@ -203,7 +202,7 @@ def _target_notices(samples: Samples, targets: Sequence[TargetName]) -> list[str
 def _recipe_remarks(samples: Samples, config: TrainConfig) -> list[str]:
     """A remark if the index was built by another recipe than it is trained by."""
     built = samples.metadata["settings"].get("recipe", "original")  # earlier versions had no other
-    wanted = index_recipe(config.recipe)
+    wanted = IndexConfig.of(config.recipe).recipe
     if built == wanted:
         return []
     return [
