@@ -33,7 +33,7 @@ from scripted_player import DEVICES, Device, Player, Supervisor
 
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
-from web.jobs.wheels import EPOCHS_MORE, quick_epochs
+from web.jobs.wheels import EPOCHS_MORE, QUICK_RECIPE, quick_epochs
 
 RECORDED: Final = ("lake", "mountain")
 DRIVEN: Final = ("lake", "mountain", "random:1", "random:2", "random:3")
@@ -228,19 +228,8 @@ class Study:
         rows = sum((self.result(name) or {})["rows"] for name in recordings)
         epochs = EPOCHS_MORE if "--takeovers" in words else quick_epochs(rows)
         self._make_way(run)
-        printed = done(
-            self.folder,
-            "bc-train",
-            "--recipe",
-            "people",
-            "--name",
-            run,
-            "--seed",
-            seed,
-            "--epochs",
-            epochs,
-            *words,
-        )
+        settings = ("--recipe", QUICK_RECIPE, "--name", run, "--seed", seed, "--epochs", epochs)
+        printed = done(self.folder, "bc-train", *settings, *words)
         return {"epochs": epochs, "printed": printed[-2000:]}
 
     def _make_way(self, run: str) -> None:
