@@ -99,6 +99,16 @@ def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
 
 
+@pytest.fixture(scope="module")
+def exported_once() -> Iterator[None]:
+    """What is made of an ONNX export is tested, and not the export itself."""
+    from exports import export_once  # onnx
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("model.onnx_export._exported", export_once)
+        yield
+
+
 @pytest.fixture(scope="session")
 def bucket_of_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
     """An S3 server whose bucket is the folder of all temporary files; the environment that leads there."""

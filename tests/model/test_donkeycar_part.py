@@ -23,6 +23,8 @@ from model.network.choice import built_in
 from model.onnx_export import export_onnx
 from udacity import call
 
+pytestmark = pytest.mark.usefixtures("exported_once")
+
 ALONE = (
     "import sys\n"
     "ours = ['common', 'simulator', 'recorder', 'dataset', 'model', 'viz', 'drive', 'torch', 'cv2', 'onnx']\n"

@@ -24,6 +24,8 @@ from model.runs.run_folder import create_run, save_weights
 from toy import SMALL, toy_index
 from udacity import call
 
+pytestmark = pytest.mark.usefixtures("exported_once")
+
 OURS = ["common", "simulator", "recorder", "dataset", "model", "viz", "drive", "behavioural_cloning_toolkit"]
 DRIVE = {"distance_m": 2000.0, "autonomy_percent": 98.7, "mean_offset": 0.1, "max_offset": 0.9, "laps": 2.0}
 NETWORK = """

@@ -22,11 +22,14 @@ from dataset import decode
 from dataset.preprocessing import Image
 from disk import files_of_at_most
 from driving import PATIENCE_S, environment, road_jpeg, untrained_run
+from exports import export
 from model import RunError, load_pilot
 from model.cli import main
 from model.onnx_export import export_onnx
 from repository import ROOT
 from udacity import call
+
+pytestmark = pytest.mark.usefixtures("exported_once")
 
 OURS = ["common", "simulator", "recorder", "dataset", "model", "viz", "drive"]
 HIDDEN = f"import sys; sys.modules.update(dict.fromkeys({['torch', 'onnx', *OURS]}))\n"
@@ -135,7 +138,10 @@ def test_it_says_which_run_it_is(trained: Path, exported: Path) -> None:
     assert said["toolkit"].startswith("behavioural-cloning-toolkit ")
 
 
-def test_the_same_run_gives_the_same_bytes_wherever_it_lies(trained: Path, exported: Path, tmp_path: Path) -> None:
+def test_the_same_run_gives_the_same_bytes_wherever_it_lies(
+    trained: Path, exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("model.onnx_export._exported", export)
     moved = shutil.copytree(trained, tmp_path / "elsewhere" / "first")
     export_onnx(moved, tmp_path / "other name.onnx")
     data = exported.read_bytes()
