@@ -14,11 +14,9 @@ import pytest
 
 from bucket import Bucket, serving_bucket
 from common.errors import StoreError
-from common.location import Location
 from dataset import DatasetError, IndexConfig, build_index
 from dataset.loader.loader import Loader, load
 from logs import write_log
-from model.evaluation.evaluate import evaluate
 from model.training.trainer import train
 from recorder.mcap.chunk_cache import ChunkCache
 from toy import SMALL, STEERING, road
@@ -90,25 +88,6 @@ def test_an_index_may_lie_in_the_store_beside_its_logs(
         assert pictures(load(bucket.url(name), batch=7)) == expected
     with pytest.raises(DatasetError, match=r"s3://logs/none: no index"):
         load("s3://logs/none")
-
-
-def test_divided_samples_in_a_store_train_as_those_on_a_disk(
-    bucket: Bucket, indexes: tuple[Path, Path], tmp_path: Path
-) -> None:
-    logs = sorted(bucket.folder.glob("*.mcap"))
-    disk = build_index(logs, tmp_path / "divided", CONFIG, divide_from_frames=1).path
-    build_index(logs, bucket.folder / "divided", CONFIG, divide_from_frames=1)
-    bucket.fail_each_once()
-    runs = [tmp_path / "runs" / name for name in ("disk", "store")]
-    places: tuple[Location, ...] = (disk, bucket.url("divided"))
-    for place, run in zip(places, runs, strict=True):
-        train(place, run, replace(SMALL, epochs=2))
-    assert len({(run / "model.safetensors").read_bytes() for run in runs}) == 1
-    there, here = (evaluate(runs[0], place).as_dict() for place in places)
-    for found in (there, here):
-        assert {session.pop("log") is None for session in found["sessions"].values()} == {False}
-    assert there == here
-    assert [path for method, path, _ in bucket.requests if method == "GET" and "/divided/samples/" in path]
 
 
 def test_a_picture_comes_once_and_neighbours_together(
