@@ -34,7 +34,7 @@ from dataset.steering_bins import bin_of
 from recorder.log.session_car import UDACITY, Car
 from recorder.log.tags import EXCLUDE
 
-_FROM_FRAMES: Final = ("session", "row", "camera", "log_time_ns", "offset", "length", "chunk", "split")
+FROM_FRAMES: Final = ("session", "row", "camera", "log_time_ns", "offset", "length", "chunk", "split")
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def write_samples(
             if end > start:
                 part_of = chosen.between(start, end)
                 frame = part_of.frame - first_frame
-                taken = read_frames(file, _FROM_FRAMES).take(pa.array(session.position[frame]))
+                taken = read_frames(file, FROM_FRAMES).take(pa.array(session.position[frame]))
                 table = _samples_table(taken, session.taken(frame), part_of, config)
                 if written is not None:
                     written.result()
@@ -241,7 +241,7 @@ def _samples_table(
         np.where(chosen.flip, -steering, steering) + 0.0 for steering in (session.label, session.recorded)
     )
     columns = {
-        **{name: frames[name] for name in _FROM_FRAMES},
+        **{name: frames[name] for name in FROM_FRAMES},
         "flip": chosen.flip,
         "alteration": pa.DictionaryArray.from_arrays(chosen.alteration << 1 | is_view, combinations),
         "seed": np.where(is_view, (chosen.seed >> 1) << 32 | view, chosen.seed),
