@@ -113,9 +113,6 @@ class ObjectFile(Closeable):
         while waiting:
             yield waiting.popleft().result()
 
-    def read_alone(self, offset: int, length: int) -> bytes:
-        return self._fetched(offset, length)
-
     def read_from(self, start: int = 0, part_bytes: int = LARGEST_READ) -> Iterator[bytes]:
         """All that follows `start`, in parts of so many bytes. Raises what `read_many` does."""
         starts = range(start, self.size, part_bytes)

@@ -30,9 +30,6 @@ class RandomAccess(Protocol):
     def read(self, offset: int, length: int) -> bytes:
         """`length` bytes from `offset`; fewer where the file ends before. Raises OSError or StoreError."""
 
-    def read_alone(self, offset: int, length: int) -> bytes:
-        """The same as `read`, but nothing beside is read, and nothing is kept for the next call."""
-
     def read_many(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
         """The bytes of each range (first byte, number of bytes), in their order; later ones are requested
         meanwhile. Raises what `read` does."""
@@ -65,8 +62,6 @@ class LocalFile(Closeable):
                 self._stream.seek(offset)
                 return self._stream.read(length)
         return os.pread(self._stream.fileno(), length, offset)
-
-    read_alone = read
 
     def read_many(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
         return (self.read(offset, length) for offset, length in ranges)

@@ -36,7 +36,6 @@ from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, speed
 from dataset.samples.sample_rows import Rows, numbers, rows_of, target_labels, words_as_numbers
 from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA
 from recorder import Log, LogError
-from recorder.mcap.chunk_cache import default_cache
 
 Split = Literal["train", "validation"]
 
@@ -291,7 +290,7 @@ def open_logs(index: Location, sources: Mapping[str, IndexedLog]) -> dict[str, L
 
     Raises DatasetError for a log that is not the one that was indexed; none is left open then.
     """
-    allow_open_files(2 * len(sources))  # what is kept of a log in a store is a file, too
+    allow_open_files(len(sources))
     places = {session: log_place(source.path, index) for session, source in sources.items()}
     folder_of = cache(short_path)  # asks the disk about each folder in the path
     logs = _open_in_stores({name: place for name, place in places.items() if isinstance(place, Url)})
@@ -327,11 +326,10 @@ def _open_in_stores(places: Mapping[str, Url]) -> dict[str, Log]:
     """Logs by session, several at a time: each takes three requests or so."""
     if not places:
         return {}
-    cache = default_cache()
 
     def opened(session: str) -> Log:
         try:
-            return Log(places[session], cache=cache)
+            return Log(places[session])
         except LogError as error:
             raise _unreadable(error, session) from None
 

@@ -211,5 +211,4 @@ def test_what_lies_behind_the_end_of_an_object_is_nothing_as_on_a_disk(bucket: B
     for place in (bucket.url("x"), bucket.folder / "x"):
         with contextlib.closing(open_for_reading(place)) as file:
             assert [len(file.read(at, 9)) for at in (size - 4, size, size + 4)] == [4, 0, 0]
-            assert [len(file.read_alone(at, 9)) for at in (size - 4, size + 4)] == [4, 0]
             assert [len(found) for found in file.read_many([(9, size), (size + 4, 9)])] == [size - 9, 0]
