@@ -18,9 +18,6 @@ class RandomAccess(Protocol):
 
     size: int
     """Bytes, when it was opened or has last grown."""
-    version: str
-    """Identifies the content among all that have had the same name, as its store does (ETag); empty for files
-    of this machine, which stay what they are while they are open."""
     is_remote: bool
     """True where a request takes long, however few bytes it is for."""
 
@@ -38,7 +35,6 @@ class RandomAccess(Protocol):
 
 
 class LocalFile(Closeable):
-    version = ""
     is_remote = False
 
     def __init__(self, path: os.PathLike[str]) -> None:
