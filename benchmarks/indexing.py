@@ -1,7 +1,7 @@
 """How fast a real log is indexed, and what ten million frames in 1,000 logs cost, here or on a Ray cluster.
 
 python benchmarks/indexing.py --log LOG
-python benchmarks/indexing.py [--logs 1000] [--frames 10000000] [--ray local] [--divide] [--folder FOLDER]
+python benchmarks/indexing.py [--logs 1000] [--frames 10000000] [--ray local] [--folder FOLDER]
 
 The 1,000 logs have tiny pictures (1.6 GB for ten million frames). --folder keeps them for the next run.
 """
@@ -29,7 +29,6 @@ from common.tasks import Tasks
 from dataset import IndexConfig
 from dataset.frames.frames_table import frames_table
 from dataset.index import build
-from dataset.samples.samples_format import DIVIDED_FROM_FRAMES
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 
@@ -111,22 +110,19 @@ class Costs:
         return counting
 
 
-def index(logs: Sequence[Path], folder: Path, ray: tuple[str, ...] | None, divide_from_frames: int) -> None:
+def index(logs: Sequence[Path], folder: Path, ray: tuple[str, ...] | None) -> None:
     costs = Costs()
     for part, name in (
         ("the same pictures twice", "shared_standing_rows"),
         ("how each session was steered", "labels_of_sessions"),
         ("balance and samples", "write_samples"),
-        ("balance, and samples by tasks", "write_divided_samples"),
     ):
         setattr(build, name, costs.timed(part, getattr(build, name)))
     with tempfile.TemporaryDirectory(dir=folder) as name, tasks_of(ray) as tasks:
         if ray is not None:  # processes that have imported nothing yet are not the cluster's speed
             list(tasks(_warm, [(number,) for number in range(4 * (os.cpu_count() or 1))]))
         wall_s, cpu_s = time.perf_counter(), time.process_time()
-        indexed = build.build_index(
-            logs, Path(name), IndexConfig(), tasks=costs.of_tasks(tasks), divide_from_frames=divide_from_frames
-        )
+        indexed = build.build_index(logs, Path(name), IndexConfig(), tasks=costs.of_tasks(tasks))
         wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
         frames = sum(count.frames for count in indexed.counts.values())
         size_mb = sum(file.stat().st_size for file in Path(name).rglob("*.parquet")) / 1e6
@@ -140,7 +136,7 @@ def index(logs: Sequence[Path], folder: Path, ray: tuple[str, ...] | None, divid
             f" {size_mb:,.0f} MB of index (load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors)"
         )
         start_s = time.perf_counter()
-        build.build_index(logs, Path(name), IndexConfig(), divide_from_frames=divide_from_frames)
+        build.build_index(logs, Path(name), IndexConfig())
         print(f"  again, with no log changed: {time.perf_counter() - start_s:.2f} s")
 
 
@@ -158,9 +154,6 @@ def main() -> None:
     parser.add_argument("--logs", type=int, default=1000)
     parser.add_argument("--frames", type=int, default=10_000_000)
     parser.add_argument("--ray", nargs="?", const="")
-    parser.add_argument(
-        "--divide", action="store_true", help="samples in a file a session, as of 100 million frames"
-    )
     parser.add_argument("--folder", type=Path)
     chosen = parser.parse_args()
     if chosen.log:
@@ -172,7 +165,7 @@ def main() -> None:
         with ProcessPoolExecutor() as pool:
             logs = list(pool.map(write, range(chosen.logs), chunksize=10))
         ray = None if chosen.ray is None else (chosen.ray,) if chosen.ray else ()
-        index(logs, folder, ray, 1 if chosen.divide else DIVIDED_FROM_FRAMES)
+        index(logs, folder, ray)
 
 
 if __name__ == "__main__":

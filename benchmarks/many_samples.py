@@ -12,17 +12,15 @@ import resource
 import sys
 import tempfile
 import time
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from dataset import load
-from dataset.parquet_file import METADATA_KEY, write_table
-from dataset.samples.samples_format import DIVIDED_FORMAT, SAMPLES_FORMAT, SAMPLES_NAME, Division
+from dataset.parquet_file import METADATA_KEY
+from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME
 from recorder import Log, LogWriter
 
 SESSIONS = 100
@@ -30,19 +28,17 @@ USES = 3  # how often each picture is used: as it is, mirrored, altered
 
 
 def main() -> None:
-    """Make such indexes in other processes, divided and in one file, open them, and print what that took."""
+    """Make such an index in another process, open it, and print what that took."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", type=int, default=10_000_000)
     count = parser.parse_args().samples
     with tempfile.TemporaryDirectory() as name:
-        few, divided, many = (Path(name) / each for each in ("few", "divided", "many"))
+        few, many = Path(name) / "few", Path(name) / "many"
         spawned = multiprocessing.get_context("spawn")
         with spawned.Pool(1) as pool:
-            pool.starmap(_make, [(few, 1_000), (divided, count), (many, count)])
-            pool.apply(_divide, (divided,))
-        for index in (divided, many):
-            with spawned.Pool(1) as pool:  # whose peak is its own
-                print(f"{index.name}:", pool.apply(_open, (index, few)))
+            pool.starmap(_make, [(few, 1_000), (many, count)])
+        with spawned.Pool(1) as pool:  # whose peak is its own
+            print(pool.apply(_open, (many, few)))
 
 
 def _open(index: Path, few: Path) -> str:
@@ -101,20 +97,6 @@ def _make(index: Path, count: int) -> None:
     metadata = {"format": SAMPLES_FORMAT, "settings": {}, "logs": logs}
     table = pa.table(columns).replace_schema_metadata({METADATA_KEY: json.dumps(metadata).encode()})
     pq.write_table(table, index / SAMPLES_NAME, compression="zstd")
-
-
-def _divide(index: Path) -> None:
-    """Bring the samples into a file a session."""
-    table = pq.read_table(index / SAMPLES_NAME)
-    metadata = json.loads(table.schema.metadata[METADATA_KEY])
-    parts = Division("0" * 64, tuple(metadata["logs"]))
-    for session, place in zip(parts.sessions, parts.places(index), strict=True):
-        path = Path(str(place))
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = table.filter(pc.equal(table["session"], session))
-        write_table(path, part, {"format": DIVIDED_FORMAT, "digest": parts.digest})
-    about = {**metadata, "format": DIVIDED_FORMAT, "parts": asdict(parts)}
-    write_table(index / SAMPLES_NAME, table.slice(0, 0), about)
 
 
 if __name__ == "__main__":

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NoReturn
+from typing import TYPE_CHECKING, Final, NoReturn, TypeVar
 
 from common.closeable import Closeable
 from common.errors import ObjectChangedError, StoreError
@@ -25,12 +25,11 @@ AT_ONCE: Final = 16
 LARGEST_READ: Final = 1 << 23
 """The most bytes that are read ahead of a reader that goes through a file in order."""
 
-CUT_OFF: Final = 4
-"""Requests for a range that arrives incomplete; obstore itself repeats requests that get no answer."""
-
+T = TypeVar("T")
 Range = tuple[int, int]
 """First byte, and number of bytes."""
 
+_CUT_OFF: Final = 4  # requests whose answer is cut off
 _SMALL: Final = 1 << 15  # a read of less brings its neighbours along: records lie side by side
 _KEPT_BYTES: Final = 1 << 26
 _KEPT: Final = 16  # stretches of a file that were read
@@ -73,8 +72,7 @@ class ObjectFile(Closeable):
                 meta, data = read_part(url, (0, _SMALL))
                 is_end = len(data) == meta["size"]
         self.size: int = meta["size"]
-        self.version: str = meta["e_tag"] or ""
-        self.object_version = ObjectVersion(self.version, meta["version"])
+        self.version = ObjectVersion(meta["e_tag"] or "", meta["version"])
         self._keep(self.size - len(data) if is_end else 0, data)
         if not is_end:
             last = min(_END, self.size)
@@ -113,9 +111,6 @@ class ObjectFile(Closeable):
         while waiting:
             yield waiting.popleft().result()
 
-    def read_alone(self, offset: int, length: int) -> bytes:
-        return self._fetched(offset, length)
-
     def read_from(self, start: int = 0, part_bytes: int = LARGEST_READ) -> Iterator[bytes]:
         """All that follows `start`, in parts of so many bytes. Raises what `read_many` does."""
         starts = range(start, self.size, part_bytes)
@@ -125,35 +120,31 @@ class ObjectFile(Closeable):
         length = min(length, self.size - offset)
         if length <= 0:
             return b""
-        with as_store_error(self.url):
-            for attempt in range(CUT_OFF):
-                try:
-                    answer = obstore.get(
-                        store_of(self.url, True),
-                        self.url.key,
-                        options=_range_of(offset, length, self.version),
-                    )
-                    if (answer.meta["e_tag"] or "") != self.version or answer.meta["size"] != self.size:
-                        self._changed()
-                    data = answer.bytes().to_bytes()
-                except failures.PreconditionError:
+
+        def part() -> bytes | None:
+            options = _range_of(offset, length, self.version.e_tag)
+            try:
+                answer = obstore.get(store_of(self.url, True), self.url.key, options=options)
+                if (answer.meta["e_tag"] or "") != self.version.e_tag or answer.meta["size"] != self.size:
                     self._changed()
-                except FileNotFoundError:
-                    raise ObjectChangedError(f"{self.url}: was removed while it was read") from None
-                except failures.GenericError as error:
-                    if is_out_of_range(str(error)):  # but it was within the object's size
-                        self._changed()
-                    if attempt == CUT_OFF - 1 or not is_cut_off(str(error)):
-                        raise
-                    continue
-                if len(data) == length:
-                    return data
-        raise StoreError(f"{self.url}: bytes {offset:,} to {offset + length:,} were cut off {CUT_OFF} times")
+                data = answer.bytes().to_bytes()
+            except failures.PreconditionError:
+                self._changed()
+            except FileNotFoundError:
+                raise ObjectChangedError(f"{self.url}: was removed while it was read") from None
+            except failures.GenericError as error:
+                if is_out_of_range(str(error)):  # but it was within the object's size
+                    self._changed()
+                raise
+            return data if len(data) == length else None
+
+        with as_store_error(self.url):
+            return again_if_cut_off(self.url, part)
 
     def _changed(self) -> NoReturn:
         raise ObjectChangedError(
-            f"{self.url}: was replaced while it was read (another ETag or size than {self.version or self.size});"
-            " give the command again"
+            f"{self.url}: was replaced while it was read (another ETag or size than"
+            f" {self.version.e_tag or self.size}); give the command again"
         )
 
     def _known(self, offset: int, length: int) -> bytes | None:
@@ -173,21 +164,34 @@ class ObjectFile(Closeable):
 
 
 def read_part(url: Url, part: tuple[int, int] | SuffixRange) -> tuple[ObjectMeta, bytes]:
-    """An object's metadata, and the bytes of a part of it, which may reach over its end. The request is repeated
-    if the answer is cut off, or has fewer bytes than it declares."""
-    for attempt in range(CUT_OFF):
+    """An object's metadata, and the bytes of a part of it, which may reach over its end."""
+
+    def answer() -> tuple[ObjectMeta, bytes] | None:
+        result = obstore.get(store_of(url, False), url.key, options={"range": part})
+        data = result.bytes().to_bytes()
+        return (result.meta, data) if len(data) == result.range[1] - result.range[0] else None
+
+    try:
+        return again_if_cut_off(url, answer)
+    except failures.GenericError as error:
+        if is_out_of_range(str(error)):  # nothing is in it
+            return obstore.head(store_of(url, False), url.key), b""
+        raise
+
+
+def again_if_cut_off(
+    url: Url, request: Callable[[], T | None], may_repeat: Callable[[], bool] = lambda: True
+) -> T:
+    """The answer to a request, which is repeated where it is cut off: then obstore raises, or it is None. obstore
+    itself repeats requests that get no answer. Raises what it does, and StoreError."""
+    for attempt in range(1, _CUT_OFF + 1):
         try:
-            result = obstore.get(store_of(url, False), url.key, options={"range": part})
-            data = result.bytes().to_bytes()
+            if (answer := request()) is not None:
+                return answer
         except failures.GenericError as error:
-            if is_out_of_range(str(error)):  # nothing is in it
-                return obstore.head(store_of(url, False), url.key), b""
-            if attempt == CUT_OFF - 1 or not is_cut_off(str(error)):
+            if attempt == _CUT_OFF or not (is_cut_off(str(error)) and may_repeat()):
                 raise
-            continue
-        if len(data) == result.range[1] - result.range[0]:
-            return result.meta, data
-    raise StoreError(f"{url}: the download was cut off {CUT_OFF} times")
+    raise StoreError(f"{url}: the download was cut off {_CUT_OFF} times")
 
 
 def _range_of(offset: int, length: int, version: str) -> GetOptions:

@@ -7,22 +7,21 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from common.errors import ObjectChangedError, StoreError
 from common.location import Url
-from common.object_file import CUT_OFF, LARGEST_READ, ObjectFile, ObjectVersion, read_part
+from common.object_file import LARGEST_READ, ObjectFile, ObjectVersion, again_if_cut_off, read_part
 from common.store_connection import store_of
-from common.store_errors import as_store_error, is_cut_off, is_no_bucket, is_refused, obstore
+from common.store_errors import as_store_error, is_no_bucket, is_refused, obstore
 from common.store_errors import exceptions as failures
 
 if TYPE_CHECKING:
-    from obstore import ObjectMeta, PutMode
+    from obstore import ObjectMeta, PutMode, PutResult
 
-T = TypeVar("T")
 OnBytes: TypeAlias = Callable[[int], object]
 """Called with the number of bytes transferred since the last call."""
 
@@ -44,20 +43,19 @@ class StoredObject:
 
 def list_objects(folder: Url) -> list[StoredObject]:
     """The objects right in a folder, by name. One request for a thousand names. Raises StoreError."""
-    with as_store_error(folder):
-        objects = _again_if_cut_off(
-            lambda: obstore.list_with_delimiter(store_of(folder, False), folder.key or None)["objects"]
-        )
-    return sorted(_stored_object(folder, meta) for meta in objects)
+    return _listed(
+        folder, lambda: obstore.list_with_delimiter(store_of(folder, False), folder.key or None)["objects"]
+    )
 
 
 def list_below(folder: Url) -> list[StoredObject]:
     """The objects in a folder and in those within it, by name. Raises StoreError."""
+    return _listed(folder, lambda: [*itertools.chain(*obstore.list(store_of(folder, False), folder.key or None))])
+
+
+def _listed(folder: Url, request: Callable[[], Sequence[ObjectMeta]]) -> list[StoredObject]:
     with as_store_error(folder):
-        objects = _again_if_cut_off(
-            lambda: list(itertools.chain.from_iterable(obstore.list(store_of(folder, False), folder.key or None)))
-        )
-    return sorted(_stored_object(folder, meta) for meta in objects)
+        return sorted(_stored_object(folder, meta) for meta in again_if_cut_off(folder, request))
 
 
 def find_object(url: Url) -> StoredObject | None:
@@ -141,7 +139,7 @@ def _version_if_same(url: Url, file: Path) -> ObjectVersion | None:
     """The object's version, if it has the bytes of the file. Raises StoreError."""
     with ObjectFile(url) as stored, file.open("rb") as stream:
         is_same = all(data == stream.read(len(data)) for data in stored.read_from()) and not stream.read(1)
-        return stored.object_version if is_same else None
+        return stored.version if is_same else None
 
 
 def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
@@ -155,8 +153,8 @@ def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
         has_begun = True
         yield from parts
 
-    def put() -> None:
-        obstore.put(
+    def put() -> PutResult:
+        return obstore.put(
             store_of(url, True),
             url.key,
             given(),
@@ -166,15 +164,20 @@ def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
         )
 
     with as_store_error(url):
-        _again_if_cut_off(put, lambda: not has_begun)
+        again_if_cut_off(url, put, lambda: not has_begun)
 
 
 def name_new(made: Url, url: Url) -> None:
     """Give an object another name in its bucket, in the store itself. Raises ObjectExistsError where that is
     taken, also by this very call if the answer was lost: then, and where anything else is raised, it keeps the one
     it has."""
+
+    def copy() -> bool:
+        obstore.copy(store_of(url, True), made.key, url.key, overwrite=False)
+        return True
+
     with as_store_error(url):
-        _again_if_cut_off(lambda: obstore.copy(store_of(url, True), made.key, url.key, overwrite=False))
+        again_if_cut_off(url, copy)
     remove(made)
 
 
@@ -182,14 +185,3 @@ def remove(url: Url) -> None:
     """See to it that there is no such object. Raises StoreError."""
     with as_store_error(url), contextlib.suppress(FileNotFoundError):
         obstore.delete(store_of(url, True), url.key)
-
-
-def _again_if_cut_off(request: Callable[[], T], may_repeat: Callable[[], bool] = lambda: True) -> T:
-    """The answer to a request, which is repeated if the answer is cut off and `may_repeat` allows it."""
-    for _ in range(CUT_OFF - 1):
-        try:
-            return request()
-        except failures.GenericError as error:
-            if not (is_cut_off(str(error)) and may_repeat()):
-                raise
-    return request()

@@ -18,9 +18,6 @@ class RandomAccess(Protocol):
 
     size: int
     """Bytes, when it was opened or has last grown."""
-    version: str
-    """Identifies the content among all that have had the same name, as its store does (ETag); empty for files
-    of this machine, which stay what they are while they are open."""
     is_remote: bool
     """True where a request takes long, however few bytes it is for."""
 
@@ -30,9 +27,6 @@ class RandomAccess(Protocol):
     def read(self, offset: int, length: int) -> bytes:
         """`length` bytes from `offset`; fewer where the file ends before. Raises OSError or StoreError."""
 
-    def read_alone(self, offset: int, length: int) -> bytes:
-        """The same as `read`, but nothing beside is read, and nothing is kept for the next call."""
-
     def read_many(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
         """The bytes of each range (first byte, number of bytes), in their order; later ones are requested
         meanwhile. Raises what `read` does."""
@@ -41,7 +35,6 @@ class RandomAccess(Protocol):
 
 
 class LocalFile(Closeable):
-    version = ""
     is_remote = False
 
     def __init__(self, path: os.PathLike[str]) -> None:
@@ -65,8 +58,6 @@ class LocalFile(Closeable):
                 self._stream.seek(offset)
                 return self._stream.read(length)
         return os.pread(self._stream.fileno(), length, offset)
-
-    read_alone = read
 
     def read_many(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
         return (self.read(offset, length) for offset, length in ranges)

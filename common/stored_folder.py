@@ -41,7 +41,7 @@ from common.store_record import (
     record_of,
     write_record,
 )
-from common.users_cache import users_cache
+from common.users_cache import cached_copy
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -239,7 +239,7 @@ class StoredFolder(Closeable):
                         content.update(data)
                         stream.write(data)
                         on_bytes(len(data))
-                if recorded is not None and _version_of(recorded).name == source.object_version.name:
+                if recorded is not None and _version_of(recorded).name == source.version.name:
                     os.utime(part, ns=(recorded.mtime_ns, recorded.mtime_ns))
                 elif stored.written_ns:
                     os.utime(part, ns=(stored.written_ns, stored.written_ns))
@@ -252,20 +252,14 @@ class StoredFolder(Closeable):
         return Copy(
             status.st_size,
             status.st_mtime_ns,
-            source.object_version.e_tag,
-            source.object_version.version,
+            source.version.e_tag,
+            source.version.version,
             content.hexdigest(),
         )
 
     def _write_record(self, left: dict[str, Copy], record_version: str) -> None:
         self._record = StoreRecord(str(self.url), dict(self._copies), left, record_version)
         write_record(self.here, self._record)
-
-
-def cached_copy(url: Url) -> Path:
-    """The place of the copy of a store's folder in the user's cache, if there is one."""
-    digest = hashlib.sha256(str(url).encode()).hexdigest()[:12]
-    return users_cache() / "folders" / digest / (url.name or url.bucket)
 
 
 def _do_at_once(do: Callable[[str], None], names: Sequence[str]) -> None:

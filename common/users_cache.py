@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sys
 from pathlib import Path
+
+from common.location import Url
 
 
 def users_cache() -> Path:
@@ -18,3 +21,9 @@ def users_cache() -> Path:
     else:
         above = Path.home() / ".cache"
     return above / "behavioural-cloning-toolkit"
+
+
+def cached_copy(url: Url, kind: str = "folders") -> Path:
+    """The place of a copy of a store's folder, whether or not there is one. `kind`: who works in it."""
+    digest = hashlib.sha256(str(url).encode()).hexdigest()[:12]
+    return users_cache() / kind / digest / (url.name or url.bucket)

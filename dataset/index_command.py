@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,7 +24,7 @@ from dataset.index.sessions import find_logs, sessions_beside
 from dataset.index.stored_index import index_here
 from dataset.parquet_file import read_columns
 from dataset.samples.filter import Condition
-from dataset.samples.samples_format import sample_files
+from dataset.samples.samples_format import SAMPLES_NAME
 
 if TYPE_CHECKING:
     from dataset.cli import Index
@@ -68,13 +67,11 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
     print_table(sessions_table(indexed))
     print_table(labels_table(indexed.labels))
     print_table(balance_table(indexed.balance))
-    splits = Counter[str]()
-    for file in sample_files(folder):
-        split = read_columns(file, ["split"], read_dictionary=["split"])["split"]
-        splits.update({row["values"]: row["counts"] for row in pc.value_counts(split).to_pylist()})
+    split = read_columns(folder / SAMPLES_NAME, ["split"], read_dictionary=["split"])["split"]
+    splits = {row["values"]: row["counts"] for row in pc.value_counts(split).to_pylist()}
     counts = ", ".join(f"{count:,} {split}" for split, count in sorted(splits.items()))
     frames = sum(session.frames for session in indexed.counts.values())
-    print_result(f"{config.index}: {counted(frames, 'frame')}, {counted(splits.total(), 'sample')} ({counts})")
+    print_result(f"{config.index}: {counted(frames, 'frame')}, {counted(len(split), 'sample')} ({counts})")
     if config.figures is not None:
         for path in write_figures(folder, config.figures, seed=config.config.seed, overwrite=config.force):
             print_result(str(path))

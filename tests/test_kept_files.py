@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from common.versions import VERSION
-from dataset import Samples, build_index, decode, load
+from dataset import DatasetError, Samples, build_index, decode, load
 from dataset.frames.frames_file import FRAMES_FORMAT
 from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT
 from kept_files import DATA, ROWS
@@ -31,14 +31,13 @@ WITH_DIVIDED = [version for version in VERSIONS if (DATA / version / "divided").
 WITH_RUN = [version for version in VERSIONS if (DATA / version / "run").is_dir()]
 
 
-def expected(version: str, name: str = "expected") -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((DATA / version / f"{name}.json").read_text(encoding="utf-8"))
+def expected(version: str) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((DATA / version / "expected.json").read_text(encoding="utf-8"))
     return found
 
 
 def test_this_version_has_files_and_all_of_them_are_small() -> None:
     assert VERSION in WITH_RUN, "python tests/helpers/kept_files.py"
-    assert VERSION in WITH_DIVIDED, "python tests/helpers/kept_files.py"
     assert sum(path.stat().st_size for path in DATA.rglob("*") if path.is_file()) <= 2_000_000
 
 
@@ -67,19 +66,14 @@ def test_indexes_are_learnt_from_as_they_are_and_built_anew(version: str, tmp_pa
 
 
 @pytest.mark.parametrize("version", WITH_DIVIDED)
-def test_divided_indexes_are_learnt_from_as_they_are_and_built_anew(version: str, tmp_path: Path) -> None:
-    told, folder = expected(version, "expected_divided"), DATA / version
-    with Samples(folder / "divided") as samples:
-        assert samples.fingerprint == told["fingerprint"]
-        np.testing.assert_allclose(samples.table["label"], told["labels"], atol=1e-6)
-        assert set(samples.table["session"].to_pylist()) == {"more", "toy"}
-    with load(folder / "divided", batch=8) as loader:
-        assert next(loader.epoch(1)).pictures.shape == (8, 128, 128, 3)
-    copy = shutil.copytree(folder, tmp_path / version)
+def test_indexes_of_several_sample_files_are_refused_and_built_anew(version: str, tmp_path: Path) -> None:
+    copy = shutil.copytree(DATA / version, tmp_path / version)
+    with pytest.raises(DatasetError, match=r"samples\.parquet: has format 6, not 5; run `bc-index` again"):
+        Samples(copy / "divided")
     build_index([copy / "toy.mcap"], copy / "divided")
-    assert not (copy / "divided" / "samples").exists()
     with Samples(copy / "divided") as samples:
         assert samples.metadata["format"] == SAMPLES_FORMAT
+        assert len(samples.table)
 
 
 @pytest.mark.parametrize("version", WITH_RUN)

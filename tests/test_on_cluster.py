@@ -171,9 +171,9 @@ def tasks_whose_node_dies(
 @pytest.mark.long
 def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_index(tmp_path: Path, cluster: Any) -> None:
     logs = drives(tmp_path / "sessions")
-    build_index(logs, tmp_path / "here", divide_from_frames=1)
+    build_index(logs, tmp_path / "here")
     with tasks_whose_node_dies(cluster, tmp_path) as tasks:
-        build_index(logs, tmp_path / "there", tasks=tasks, divide_from_frames=1)
+        build_index(logs, tmp_path / "there", tasks=tasks)
     assert index_files(tmp_path / "there") == index_files(tmp_path / "here")
 
 

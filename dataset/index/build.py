@@ -54,19 +54,13 @@ from dataset.index.sessions import by_session_name
 from dataset.index.staging import build_lock, finish_interrupted_build, staged, stale_frames_files
 from dataset.missing_index import other_folder, refuse_file
 from dataset.parquet_file import read_columns, read_metadata
-from dataset.samples.divided_writer import write_divided_samples
 from dataset.samples.filter import Condition
 from dataset.samples.samples_format import (
-    DIVIDED_FORMAT,
-    DIVIDED_FROM_FRAMES,
-    SAMPLES_FOLDER,
     SAMPLES_FORMAT,
     SAMPLES_NAME,
     Balance,
-    Division,
     SessionCounts,
     SessionLabels,
-    sample_files,
 )
 from dataset.samples.samples_writer import write_samples
 from recorder import LogError
@@ -107,7 +101,7 @@ class Indexed:
 
     @cached_property
     def samples(self) -> pa.Table:
-        return pa.concat_tables(map(read_columns, sample_files(self.path)))
+        return read_columns(self.path / SAMPLES_NAME)
 
 
 def build_index(
@@ -118,7 +112,6 @@ def build_index(
     leave_out_unreadable: bool = False,
     passed_over: Sequence[str] = (),
     tasks: Tasks = one_by_one,
-    divide_from_frames: int = DIVIDED_FROM_FRAMES,
 ) -> Indexed:
     """Bring `index` up to date: it then holds the sessions of `logs`, and only those.
 
@@ -127,13 +120,12 @@ def build_index(
     if two of them have the same name or, but for a standing start, a picture in common, if `config` names a
     session that is not among them, or if a file cannot be written; and what `check_settings` does. `passed_over`
     are the sessions that somebody chose not to have in the index: `sessions_not_indexed` does not list them.
-    `tasks` reads the logs: here, or on a cluster (`common.ray_cluster`), which comes to the same bytes. With
-    `divide_from_frames` or more, the samples are a file a session (`dataset.samples.divided_writer`).
+    `tasks` reads the logs: here, or on a cluster (`common.ray_cluster`), which comes to the same bytes.
     """
     index, config = Path(index), config or IndexConfig()
     by_name = dict(sorted(by_session_name(map(location, logs)).items()))
     check_settings(list(by_name.values()), index, config)
-    build = _Build(by_name, index, config, leave_out_unreadable, sorted(passed_over), tasks, divide_from_frames)
+    build = _Build(by_name, index, config, leave_out_unreadable, sorted(passed_over), tasks)
     with build_lock(index):
         finish_interrupted_build(index)
         state, damaged = read_state(index), dict[str, str]()
@@ -162,7 +154,7 @@ def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -
     refuse_file(index)
     if what := other_folder(index):
         raise DatasetError(f"{index}: {what}; an index needs a folder of its own: give --index another name")
-    for folder in (index / name for name in (FRAMES_FOLDER, IMAGE_CHECKS_FOLDER, SAMPLES_FOLDER)):
+    for folder in (index / name for name in (FRAMES_FOLDER, IMAGE_CHECKS_FOLDER)):
         # what is written and deleted in a link would be somebody else's
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise DatasetError(f"{folder}: not a plain folder; remove it")
@@ -193,7 +185,6 @@ class _Build:
     leave_out_unreadable: bool
     passed_over: list[str]
     tasks: Tasks
-    divide_from_frames: int
 
     def run(self, state: BuildState, damaged: Mapping[str, str]) -> Indexed:
         """`damaged`: what was found of logs that look sound while their pictures are not read."""
@@ -210,7 +201,7 @@ class _Build:
             if config.viewpoints:
                 cars = {name: car_to_warp(by_name[name], entry) for name, entry in held.items()}
             logs = {name: _about_log(by_name[name], index, entry, cars.get(name)) for name, entry in held.items()}
-            made = _up_to_date(index, held, logs, config, state, self.divide_from_frames)
+            made = _up_to_date(index, held, logs, config, state)
             samples = (index if made else stage) / SAMPLES_NAME
             if made is None:
                 frames = {
@@ -260,9 +251,7 @@ class _Build:
         labels = labels_of_sessions(frames, held, self.config, self.tasks)
         labels |= {name: replace(labels[name], shared_rows=rows) for name, rows in standing.items()}
         with index_write_errors(self.index / SAMPLES_NAME):
-            if sum(extent.frames for extent in extents.values()) < self.divide_from_frames:
-                return *write_samples(frames, samples, self.config, logs, labels, cars), labels
-            return *write_divided_samples(frames, samples, self.config, logs, labels, cars, self.tasks), labels
+            return *write_samples(frames, samples, self.config, logs, labels, cars), labels
 
 
 def _mixed(log: Location, entry: BuiltLog) -> str:
@@ -305,7 +294,6 @@ def _up_to_date(
     places: Mapping[str, object],
     config: IndexConfig,
     state: BuildState,
-    divide_from_frames: int,
 ) -> _Made | None:
     """Balance, counts and labels from samples.parquet, if building it anew would give the same file."""
     before = {name: (entry.frames, entry.lag) for name, entry in state.logs.items() if entry.fingerprint}
@@ -322,11 +310,7 @@ def _up_to_date(
         labels = {name: msgspec.convert(stored["labels"][name], SessionLabels) for name in held}
         if any(count.not_measured is None for count in counts.values()):
             return None  # earlier versions measured by crashes
-        is_divided = sum(count.frames for count in counts.values()) >= divide_from_frames
-        parts = Division.of(stored)
-        if stored["format"] != (DIVIDED_FORMAT if is_divided else SAMPLES_FORMAT) or (parts is None) == is_divided:
-            return None
-        if parts is not None and not all(Path(str(place)).is_file() for place in parts.places(index)):
+        if stored["format"] != SAMPLES_FORMAT:
             return None
         return Balance.from_dict(stored["balance"]), counts, labels
     except (OSError, KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError):

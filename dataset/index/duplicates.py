@@ -31,7 +31,6 @@ from dataset.errors import DatasetError, SessionError
 from dataset.frames.frame_flags import is_excluded
 from dataset.frames.frames_file import Extent, read_frames
 from recorder import Log, LogError
-from recorder.mcap.chunk_cache import default_cache
 from recorder.rows.row_quality import STANDING_MPH
 
 _PRIME: Final = np.uint64(0x9E3779B97F4A7C15)
@@ -79,7 +78,7 @@ def shared_standing_rows(
             for at in order[start:end].tolist():
                 number, place = int(owner[at]), int(position[at])
                 if number not in opened:
-                    log = stack.enter_context(Log(logs[names[number]], cache=default_cache()))
+                    log = stack.enter_context(Log(logs[names[number]]))
                     opened[number] = _Session(log, frames[names[number]])
                 try:
                     data = opened[number].picture(place)

@@ -21,7 +21,7 @@ from dataset.frames.frame_flags import is_excluded
 from dataset.frames.pairing import moments
 from dataset.index.build_state import FRAMES_FOLDER
 from dataset.parquet_file import read_columns, read_metadata
-from dataset.samples.samples_format import SAMPLES_NAME, sample_files
+from dataset.samples.samples_format import SAMPLES_NAME
 
 
 def find_leaks(index: Path | str) -> list[str]:
@@ -36,20 +36,15 @@ def find_leaks(index: Path | str) -> list[str]:
     metadata = read_metadata(path)
     if metadata is None:
         raise DatasetError(f"{path}: no index, or a damaged one; build it with `bc-index`")
-    leaks: list[str] = []
     try:
-        gap_s = float(metadata["settings"]["gap_s"])
-        for file in sample_files(index):
-            leaks += _leaks_in(file, index, gap_s)
+        return _leaks_in(path, index, float(metadata["settings"]["gap_s"]))
     except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
         raise DatasetError(f"{index}: damaged ({error}); remove it and build it again with `bc-index`") from None
-    return leaks
 
 
-def _leaks_in(file: Path, index: Path, gap_s: float) -> list[str]:
-    """The leaks among the sessions whose samples are in a file."""
+def _leaks_in(path: Path, index: Path, gap_s: float) -> list[str]:
     columns = ["session", "row", "log_time_ns", "split", "copy", "alteration"]
-    samples = read_columns(file, columns, read_dictionary=["session"]).unify_dictionaries()
+    samples = read_columns(path, columns, read_dictionary=["session"]).unify_dictionaries()
     leaks: list[str] = []
     for name, of_session in by_session(samples):
         frames = pq.read_table(index / FRAMES_FOLDER / f"{name}.parquet", columns=["row", "log_time_ns", "tags"])

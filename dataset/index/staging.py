@@ -1,12 +1,10 @@
 """An index changes whole or not at all: new files are written beside it first, and then all get their names.
 
 Several files cannot be renamed in one step. So the frames files that are replaced, or whose sessions the new index
-does not hold, are moved out first, and divided samples come beside the old ones; then the new samples.parquet
-comes, then the new frames, and what samples.parquet does not name goes. At every moment the files in `frames` are
-of sessions that samples.parquet holds, and were made from the same logs; and the parts that it names are there.
+does not hold, are moved out first; then the new samples.parquet comes, then the new frames. At every moment the
+files in `frames` are of sessions that samples.parquet holds, and were made from the same logs.
 
     index/new.XXXXXX.part/samples.parquet, state.json, frames/SESSION.parquet   what is new
-    index/new.XXXXXX.part/samples/DIGEST/SESSION.parquet                        where samples are divided
     index/new.XXXXXX.part/old/SESSION.parquet                                   what was moved out
 
 `old` shows that everything new was on the disk: a killed build is then carried through, and else removed.
@@ -27,7 +25,7 @@ from common.locks import lock
 from dataset.errors import DatasetError, index_write_errors
 from dataset.index.build_state import FRAMES_FOLDER, STATE_NAME
 from dataset.parquet_file import read_metadata
-from dataset.samples.samples_format import SAMPLES_FOLDER, SAMPLES_NAME, Division, folders_of_parts
+from dataset.samples.samples_format import SAMPLES_NAME
 
 _STAGE: Final = "new"
 _OLD: Final = "old"
@@ -87,11 +85,9 @@ def _publish_all(stage: Path, index: Path) -> None:
             replaced = [frames / file.name for file in (stage / FRAMES_FOLDER).iterdir()]
             for file in [*gone, *filter(Path.exists, replaced)]:
                 file.replace(old / file.name)
-            _bring_parts(stage, index)
             samples.replace(index / SAMPLES_NAME)
     except BaseException as error:
         with contextlib.suppress(OSError):  # if that fails too, the next build carries it through
-            _remove_other_parts(index)
             for file in old.iterdir():
                 file.replace(frames / file.name)
             old.rmdir()
@@ -103,34 +99,9 @@ def _publish_all(stage: Path, index: Path) -> None:
     frames.mkdir(exist_ok=True)
     for file in sorted((stage / FRAMES_FOLDER).iterdir()):
         file.replace(frames / file.name)
-    _remove_other_parts(index)
     if (stage / STATE_NAME).exists():
         publish(stage / STATE_NAME, index / STATE_NAME, overwrite=True)
     shutil.rmtree(stage, ignore_errors=True)
-
-
-def _bring_parts(stage: Path, index: Path) -> None:
-    """Give new divided samples their names; where some were lost, the others have the same bytes."""
-    for folder in folders_of_parts(stage):
-        target = index / SAMPLES_FOLDER / folder.name
-        target.mkdir(parents=True, exist_ok=True)
-        for file in folder.iterdir():
-            file.replace(target / file.name)
-
-
-def _remove_other_parts(index: Path) -> None:
-    """Remove divided samples that samples.parquet does not name."""
-    folders = folders_of_parts(index)
-    try:
-        parts = Division.of(read_metadata(index / SAMPLES_NAME) or {}) if folders else None
-    except (KeyError, TypeError, ValueError):  # damaged: which of them are its own nobody knows
-        return
-    for folder in folders:
-        if parts is None or folder != parts.folder(index):
-            shutil.rmtree(folder, ignore_errors=True)
-    if folders:
-        with contextlib.suppress(OSError):
-            (index / SAMPLES_FOLDER).rmdir()
 
 
 def _is_ours(file: Path) -> bool:

@@ -1,9 +1,8 @@
 """An index in a store: fetched, built on this machine, and then sent, whole or not at all.
 
-Readers use samples.parquet, and divided samples, if it has some. These are sent first, beside the old ones, and
-then samples.parquet, on the condition that it is still the one that was fetched: of two machines that index at
-once one wins, and the other gets an error. The rest saves work to the next build, on any machine; until it is
-sent, that build reads some logs once more. Divided samples that samples.parquet names no more are removed last.
+Readers use samples.parquet. It is sent first, on the condition that it is still the one that was fetched: of two
+machines that index at once one wins, and the other gets an error. The rest saves work to the next build, on any
+machine; until it is sent, that build reads some logs once more.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from common.location import Location, Url
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import index_project
 from dataset.index.build_state import FRAMES_FOLDER, STATE_NAME
-from dataset.samples.samples_format import SAMPLES_FOLDER, SAMPLES_NAME
+from dataset.samples.samples_format import SAMPLES_NAME
 
 if TYPE_CHECKING:
     from common.stored_folder import StoredFolder
@@ -49,7 +48,7 @@ def index_here(index: Location, logs: Sequence[Location]) -> Iterator[tuple[Path
 
     with StoredFolder(index) as folder:
         folder.bring()
-        folder.forget(SAMPLES_NAME, STATE_NAME, f"{SAMPLES_FOLDER}/")  # of a build that could not be put there
+        folder.forget(SAMPLES_NAME, STATE_NAME)  # of a build that could not be put there
         yield folder.here, lambda: _put(folder, index, logs)
 
 
@@ -70,7 +69,7 @@ def frames_here(index: Location) -> Path:
 
 def _put(folder: StoredFolder, index: Url, logs: Sequence[Location]) -> None:
     try:
-        folder.send(first=[f"{SAMPLES_FOLDER}/", SAMPLES_NAME, f"{FRAMES_FOLDER}/"])
+        folder.send(first=[SAMPLES_NAME, f"{FRAMES_FOLDER}/"])
     except ObjectChangedError as error:
         raise DatasetError(f"{error}; give the command again: it continues") from None
     remember_places(index, index_project(index), folders_of(logs))

@@ -111,14 +111,6 @@ class Crops:
                 picture[:] = in_channels(picture, self._spec)
         return failed
 
-    def wanted(self, samples: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The pictures that have to be read for some samples, because no crop of them is kept."""
-        numbers = np.unique(self._rows.picture[samples]).astype(np.int64)
-        is_kept = np.zeros(len(numbers), np.bool_)
-        can_be = numbers < len(self._kept)
-        is_kept[can_be] = self._is_kept[numbers[can_be]]
-        return numbers[~is_kept]
-
     def name(self, number: int) -> str:
         """A picture's name for people: session, row and camera."""
         rows = self._rows

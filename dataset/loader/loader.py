@@ -30,12 +30,12 @@ from dataset.config import EpochAlteration
 from dataset.epoch_alterations import EpochAlterations
 from dataset.errors import UnusablePictureError
 from dataset.loader.crops import Crops, Fill, prefetched
-from dataset.loader.look_ahead import LookAhead
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName
 from dataset.preprocessing import Image
 from dataset.samples.sample_rows import Rows
 from dataset.samples.samples_reader import Samples, Split
+from recorder.log.kept_logs import bring_here
 
 DEFAULT_BUDGET_BYTES: Final = 1 << 30
 
@@ -89,17 +89,15 @@ class Loader(Closeable):
         self.skipped = Skipped()  # each picture once, however often it was wanted
         self._samples = samples
         self._undecoded: set[int] = set()  # the pictures in `skipped`
+        bring_here(samples.logs[session] for session in self.rows.sessions)
         self._crops = Crops(self.rows, samples.logs, budget_bytes, seen)
         self.alterations: EpochAlterations | None = None
         """What `epoch` does to every picture; nothing else does."""
         if alter_each_epoch:
             self.alterations = EpochAlterations(alter_each_epoch, seed, samples.settings.side_correction)
-        self._look_ahead = LookAhead.of(self.rows, samples.logs, rank / ranks)
         self._at_once = 1 + max(1, _AHEAD * ranks // batch)  # batches that are worked on
 
     def close(self) -> None:
-        if self._look_ahead is not None:
-            self._look_ahead.close()
         self._samples.close()
 
     def __len__(self) -> int:
@@ -175,8 +173,6 @@ class Loader(Closeable):
         self, parts: Iterable[NDArray[np.int64]], crops: Crops, epoch: int | None = None
     ) -> Iterator[tuple[NDArray[np.int64], Image]]:
         """The samples of each part that decode, and their pictures; the others are skipped."""
-        if self._look_ahead is not None:
-            parts = self._look_ahead.parts(parts, crops.wanted)
         fill: Fill = crops.fill
         if epoch is not None and self.alterations is not None:
             fill = partial(crops.fill, altered=partial(self.alterations.alter, epoch))

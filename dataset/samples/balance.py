@@ -24,14 +24,6 @@ class Balanced:
     short: dict[int, int]  # bins that the cap left below it, and how many samples they lack
 
 
-@dataclass(frozen=True)
-class Quota:
-    """The number of samples that each bin gives: candidates used once, and copies of these; (bins,)."""
-
-    originals: NDArray[np.int64]
-    copies: NDArray[np.int64]
-
-
 def balance(
     bin_index: NDArray[Any], bins: int, max_uses: int, random: np.random.Generator, per_bin: PerBin = "mean"
 ) -> Balanced:
@@ -40,61 +32,26 @@ def balance(
     A bin above it is pruned at random to it. A bin below is filled up to it with copies, spread evenly over its
     originals. None is used more than `max_uses` times (itself included).
     """
-    quota, target, short = quota_of(np.bincount(bin_index, minlength=bins), max_uses, per_bin)
-    chosen, is_copy = draw(bin_index, quota, random)
-    return Balanced(chosen, is_copy, target, short)
-
-
-def quota_of(counts: NDArray[np.int64], max_uses: int, per_bin: PerBin) -> tuple[Quota, int, dict[int, int]]:
-    """The quota of bins with `counts` candidates, the count that each is brought to, and what bins lack of it."""
+    counts = np.bincount(bin_index, minlength=bins)
     filled = np.flatnonzero(counts)
     target = _target(counts[filled], per_bin) if len(filled) else 0
-    originals = np.minimum(counts, target)
-    copies = np.minimum(target, originals * max_uses) - originals
-    lacking = target - originals - copies
-    return (
-        Quota(originals, copies),
-        target,
-        {each: int(lacking[each]) for each in filled.tolist() if lacking[each]},
-    )
-
-
-def draw(
-    bin_index: NDArray[Any], quota: Quota, random: np.random.Generator
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Positions in `bin_index`, as many of each bin as the quota has; and a mask of those that are copies."""
-    counts = np.bincount(bin_index, minlength=len(quota.originals))
     chosen: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
     is_copy: list[NDArray[np.bool_]] = [np.zeros(0, np.bool_)]
+    short: dict[int, int] = {}
     # so few bins fit into 16 bits, whose stable sort takes linear time
     order = np.argsort(bin_index.astype(np.int16), kind="stable")
     ends = np.cumsum(counts)
-    for index in np.flatnonzero(quota.originals).tolist():
+    for index in filled.tolist():
         members = order[ends[index] - counts[index] : ends[index]]
-        wanted, copied = int(quota.originals[index]), int(quota.copies[index])
-        originals = members if len(members) == wanted else np.sort(random.choice(members, wanted, replace=False))
-        rounds = [random.permutation(originals) for _ in range(-(-copied // wanted))]
+        originals = members if len(members) <= target else np.sort(random.choice(members, target, replace=False))
+        copied = min(target, len(originals) * max_uses) - len(originals)
+        rounds = [random.permutation(originals) for _ in range(-(-copied // len(originals)))]
         copies = np.concatenate([*rounds, originals[:0]])[:copied]
         chosen += [originals, copies]
         is_copy += [np.zeros(len(originals), np.bool_), np.ones(len(copies), np.bool_)]
-    return np.concatenate(chosen), np.concatenate(is_copy)
-
-
-def shares(quota: Quota, counts: NDArray[np.int64]) -> list[Quota]:
-    """Divide a quota among sessions that have `counts` (sessions, bins) candidates: each has its share of every
-    bin, to within one sample, and its originals are copied as often as all others'."""
-    originals = _shared(quota.originals, counts)
-    rounds, rest = np.divmod(quota.copies, np.maximum(quota.originals, 1))
-    copies = originals * rounds + _shared(rest, originals)
-    return [Quota(*of_session) for of_session in zip(originals, copies, strict=True)]
-
-
-def _shared(wanted: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The `wanted` number of each bin, divided among sessions (sessions, bins) in proportion to `counts`."""
-    total = np.maximum(counts.sum(axis=0), 1)
-    # 64 bits hold the square of three billion, and more are in no bin
-    up_to: NDArray[np.int64] = np.cumsum(counts, axis=0) * wanted // total
-    return np.diff(up_to, axis=0, prepend=0)
+        if lacking := target - len(originals) - copied:
+            short[index] = lacking
+    return Balanced(np.concatenate(chosen), np.concatenate(is_copy), target, short)
 
 
 def unbalanced(count: int) -> Balanced:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.config import IndexConfig
-from dataset.samples.balance import Quota, balance, draw, unbalanced
+from dataset.samples.balance import balance, unbalanced
 from dataset.samples.samples_format import Balance
 from dataset.steering_bins import bin_of
 
@@ -44,33 +44,12 @@ def choose_samples(
     before = np.bincount(bins[training], minlength=config.bins)
     candidate = training[balanced.chosen]
     after = np.bincount(bins[candidate], minlength=config.bins)
-    candidate, is_copy = _with_validation(candidate, balanced.is_copy, is_training)
+    validation = np.flatnonzero(~is_training)  # all of it, once
+    candidate = np.concatenate([candidate, validation])
+    is_copy = np.concatenate([balanced.is_copy, np.zeros(len(validation), np.bool_)])
     per_bin, short = balanced.per_bin, balanced.short
     del training, balanced, bins, is_training  # of ten million frames, half a gigabyte
     return _in_order(candidate, is_copy, len(label), config, random), Balance(before, after, per_bin, short)
-
-
-def count_candidates(
-    label: NDArray[np.float64], is_training: NDArray[np.bool_], config: IndexConfig
-) -> NDArray[np.int64]:
-    """The number of candidates for training in each bin (bins,)."""
-    bins, is_training = _candidates(label, is_training, config)
-    return np.bincount(bins[is_training], minlength=config.bins)
-
-
-def choose_share(
-    label: NDArray[np.float64],
-    is_training: NDArray[np.bool_],
-    config: IndexConfig,
-    share: Quota,
-    random: np.random.Generator,
-) -> ChosenSamples:
-    """The same as `choose_samples`, for one session, whose share of the balanced samples is given."""
-    bins, is_training = _candidates(label, is_training, config)
-    training = np.flatnonzero(is_training)
-    chosen, is_copy = draw(bins[training], share, random)
-    candidate, is_copy = _with_validation(training[chosen], is_copy, is_training)
-    return _in_order(candidate, is_copy, len(label), config, random)
 
 
 def _candidates(
@@ -84,14 +63,6 @@ def _candidates(
     middle = np.concatenate([label == 0, label == 0])
     bins[middle] = bin_of(np.zeros(1), config.bins)[0]  # its own mirror image
     return bins, np.concatenate([is_training, is_training])
-
-
-def _with_validation(
-    chosen: NDArray[np.int64], is_copy: NDArray[np.bool_], is_training: NDArray[np.bool_]
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The samples chosen for training, and behind them all of validation, once."""
-    validation = np.flatnonzero(~is_training)
-    return np.concatenate([chosen, validation]), np.concatenate([is_copy, np.zeros(len(validation), np.bool_)])
 
 
 def _in_order(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -37,9 +37,6 @@ class Rows:
         return len(self.label)
 
 
-_ARRAYS: Final = ("picture", "flip", "alteration", "seed", "label", "session", "offset", "length", "chunk")
-
-
 def rows_of(table: pa.Table, sources: Mapping[str, object], targets: Sequence[TargetName] = STEERING_ONLY) -> Rows:
     """Raises ValueError, TypeError or KeyError for values that do not make sense."""
     session, sessions = words_as_numbers(table["session"])
@@ -69,25 +66,6 @@ def rows_of(table: pa.Table, sources: Mapping[str, object], targets: Sequence[Ta
         alterations,
         sessions,
     )
-
-
-def joined_rows(parts: Iterable[Rows]) -> Rows:
-    """The rows of sessions that follow one another, each part of sessions of its own."""
-    columns: dict[str, list[NDArray[Any]]] = {name: [] for name in _ARRAYS}
-    alterations, sessions, pictures = dict[str, int](), list[str](), 0
-    for part in parts:
-        number = [alterations.setdefault(names, len(alterations)) for names in part.alterations]
-        changed = {
-            "picture": part.picture + np.int32(pictures),
-            "alteration": np.array(number, np.uint8)[part.alteration],
-            "session": part.session + np.int32(len(sessions)),
-        }
-        for name, arrays in columns.items():
-            arrays.append(changed.get(name, getattr(part, name)))
-        sessions += part.sessions
-        pictures += len(part.session)
-    joined = {name: np.concatenate(columns.pop(name)) for name in _ARRAYS}
-    return Rows(**joined, alterations=tuple(alterations), sessions=tuple(sessions))
 
 
 def _labels(table: pa.Table, steering: NDArray[np.float64], targets: Sequence[TargetName]) -> NDArray[np.float32]:

@@ -1,34 +1,23 @@
-"""`index/samples.parquet`: its name, version, columns, metadata and parts, on which writers and readers agree."""
+"""`index/samples.parquet`: its name, version, columns and metadata, on which writers and readers agree."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from pathlib import Path, PurePath
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from common.location import Location
-from dataset.parquet_file import read_metadata
 from recorder.rows.label_plan import LabelPlan
 from recorder.rows.steering_habits import SteeringHabits, SteeringLag
 
 SAMPLES_NAME: Final = "samples.parquet"
 
 SAMPLES_FORMAT: Final = 5
-DIVIDED_FORMAT: Final = 6
-READABLE_FORMATS: Final = (4, 5, 6)
-"""4 has no labels of other targets than steering; 6 has its samples in files beside it, one a session."""
-
-SAMPLES_FOLDER: Final = "samples"
-"""The folder of divided samples, with one for each digest; `samples.parquet` then has no rows."""
-
-DIVIDED_FROM_FRAMES: Final = 100_000_000
-"""From so many frames on samples are divided: in one file, they would take the driver 12 GB and minutes."""
+READABLE_FORMATS: Final = (4, 5)
+"""4 has no labels of other targets than steering."""
 
 SAMPLES_SCHEMA: Final = pa.schema(
     [
@@ -53,53 +42,6 @@ SAMPLES_SCHEMA: Final = pa.schema(
         pa.field("throttle", pa.float64()),  # less the brake: -1..1; null: nobody knows
     ]
 )
-
-
-_DIGEST: Final = re.compile("[0-9a-f]{64}")
-_FOLDER_OF_DIGEST: Final = re.compile("[0-9a-f]{16}")
-
-
-@dataclass(frozen=True)
-class Division:
-    """The division of samples into files.
-
-    Their folder is named by what they were made from: new ones are there, whole, beside the old ones, before
-    `samples.parquet` names them.
-    """
-
-    digest: str  # SHA-256 of what all of them were made from, which each of them has, too
-    sessions: tuple[str, ...]  # that have samples, in the order of these
-
-    def folder(self, index: Location) -> Location:
-        return index / SAMPLES_FOLDER / self.digest[:16]
-
-    def places(self, index: Location) -> list[Location]:
-        return [self.folder(index) / f"{session}.parquet" for session in self.sessions]
-
-    @classmethod
-    def of(cls, metadata: Mapping[str, Any]) -> Division | None:
-        """None if all samples are in one file. Raises KeyError, TypeError or ValueError for other metadata."""
-        if "parts" not in metadata:
-            return None
-        digest, sessions = str(metadata["parts"]["digest"]), tuple(map(str, metadata["parts"]["sessions"]))
-        if not _DIGEST.fullmatch(digest) or any(PurePath(name).name != name for name in sessions):
-            raise ValueError("parts whose names lead elsewhere")
-        return cls(digest, sessions)
-
-
-def folders_of_parts(index: Path) -> list[Path]:
-    """The folders of divided samples that are there, of whatever digest."""
-    try:
-        paths = sorted((index / SAMPLES_FOLDER).iterdir())
-    except OSError:
-        return []
-    return [path for path in paths if _FOLDER_OF_DIGEST.fullmatch(path.name) and not path.is_symlink()]
-
-
-def sample_files(index: Path) -> list[Path]:
-    """The files that hold the samples of an index, in their order. Raises what `Division.of` does."""
-    parts = Division.of(read_metadata(index / SAMPLES_NAME) or {})
-    return [index / SAMPLES_NAME] if parts is None else [Path(str(place)) for place in parts.places(index)]
 
 
 @dataclass(frozen=True)

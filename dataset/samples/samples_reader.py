@@ -33,11 +33,9 @@ from dataset.frames.frames_file import log_place, refuse_other_places
 from dataset.missing_index import missing_index
 from dataset.parquet_file import METADATA_KEY, METADATA_MOST_BYTES, read_schema
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, speed_ahead_s_in
-from dataset.samples.fetched_parts import part_files_here, read_part
-from dataset.samples.sample_rows import Rows, joined_rows, numbers, rows_of, target_labels, words_as_numbers
-from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA, Division
+from dataset.samples.sample_rows import Rows, numbers, rows_of, target_labels, words_as_numbers
+from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA
 from recorder import Log, LogError
-from recorder.mcap.chunk_cache import default_cache
 
 Split = Literal["train", "validation"]
 
@@ -98,7 +96,6 @@ class Samples(Closeable):
                 for session, source in self.metadata["logs"].items()
             }
             version = self.metadata["format"]
-            self._parts = Division.of(self.metadata)
         except (FileNotFoundError, NotADirectoryError):
             raise missing_index(index) from None
         except _UNREADABLE as error:
@@ -114,10 +111,6 @@ class Samples(Closeable):
 
     def _source(self) -> Path | pa.BufferReader:
         return self._file if isinstance(self._file, Path) else pa.BufferReader(self._file)
-
-    @cached_property
-    def _part_files(self) -> list[Path]:
-        return part_files_here(self._parts, self.path.parent) if self._parts is not None else []
 
     @cached_property
     def _columns(self) -> list[str]:
@@ -138,11 +131,8 @@ class Samples(Closeable):
         return self._matching(columns, split=_known(split))
 
     def rows_of_split(self, split: Split, targets: Sequence[TargetName] = STEERING_ONLY) -> Rows:
-        """The same as arrays. Divided samples are never held as a table, which takes four times the memory."""
-        columns = loaded_columns(targets)
-        if self._parts is None:
-            return self.rows(self.of_split(split, columns), targets)
-        return joined_rows(self.rows(part, targets) for part in self.parts_of_split(split, columns))
+        """The same as arrays."""
+        return self.rows(self.of_split(split, loaded_columns(targets)), targets)
 
     def driving_view(self, split: Split) -> pa.Table:
         """Samples as the car itself sees them: the centre camera, unmirrored and unaltered, each picture once.
@@ -273,17 +263,6 @@ class Samples(Closeable):
             yield file.schema_arrow.empty_table().select(columns or file.schema_arrow.names)
             for group in range(file.num_row_groups):
                 yield file.read_row_group(group, columns)
-        if self._parts is None:
-            return
-        for part in self._part_files:
-            try:
-                yield read_part(part, self._parts, columns, words)
-            except _UNREADABLE:
-                if isinstance(self.path, Path):
-                    raise
-                part.unlink(missing_ok=True)  # a copy, which may come once more
-                part_files_here(self._parts, self.path.parent)
-                yield read_part(part, self._parts, columns, words)
 
     @contextlib.contextmanager
     def _readable(self) -> Iterator[None]:
@@ -311,7 +290,7 @@ def open_logs(index: Location, sources: Mapping[str, IndexedLog]) -> dict[str, L
 
     Raises DatasetError for a log that is not the one that was indexed; none is left open then.
     """
-    allow_open_files(2 * len(sources))  # what is kept of a log in a store is a file, too
+    allow_open_files(len(sources))
     places = {session: log_place(source.path, index) for session, source in sources.items()}
     folder_of = cache(short_path)  # asks the disk about each folder in the path
     logs = _open_in_stores({name: place for name, place in places.items() if isinstance(place, Url)})
@@ -347,11 +326,10 @@ def _open_in_stores(places: Mapping[str, Url]) -> dict[str, Log]:
     """Logs by session, several at a time: each takes three requests or so."""
     if not places:
         return {}
-    cache = default_cache()
 
     def opened(session: str) -> Log:
         try:
-            return Log(places[session], cache=cache)
+            return Log(places[session])
         except LogError as error:
             raise _unreadable(error, session) from None
 

@@ -38,7 +38,7 @@ FROM_FRAMES: Final = ("session", "row", "camera", "log_time_ns", "offset", "leng
 
 
 @dataclass(frozen=True)
-class UsableFrames:
+class _UsableFrames:
     """The frames of a session that can be used; arrays of one length."""
 
     position: NDArray[np.int32]  # in its frames file
@@ -49,9 +49,9 @@ class UsableFrames:
     later_speed_mph: NDArray[np.float64]
     throttle: NDArray[np.float64]  # less the brake
 
-    def taken(self, frame: NDArray[np.int64]) -> UsableFrames:
+    def taken(self, frame: NDArray[np.int64]) -> _UsableFrames:
         """Some of the frames, perhaps more than once."""
-        return UsableFrames(*(column[frame] for column in vars(self).values()))
+        return _UsableFrames(*(column[frame] for column in vars(self).values()))
 
 
 def write_samples(
@@ -69,24 +69,24 @@ def write_samples(
     DatasetError if no frame can be used.
     """
     condition = Condition(config.where) if config.where is not None else None
-    sessions: list[UsableFrames] = []
+    sessions: list[_UsableFrames] = []
     counts: dict[str, SessionCounts] = {}
-    slower_mph = slower_set_speeds_mph(labels)
+    slower_mph = _slower_set_speeds_mph(labels)
     random = np.random.default_rng((config.seed, 1))  # of the views alone: without them nothing else changes
     for name, file in frames.items():
         car = (cars or {}).get(name, UDACITY)
-        session, counts[name] = usable_frames(
+        session, counts[name] = _usable_frames(
             read_frames(file), config, labels[name], slower_mph[name], condition, car, random
         )
         sessions.append(session)
     sizes = np.array([len(session.position) for session in sessions], np.int64)
     if not sizes.sum():
-        raise nothing_usable(config, counts)
+        raise _nothing_usable(config, counts)
     label = np.concatenate([session.label for session in sessions])
     is_training = np.concatenate([session.is_training for session in sessions])
     chosen, balanced = choose_samples(label, is_training, config)
     del label, is_training
-    metadata = {"format": SAMPLES_FORMAT, **samples_metadata(config, logs, labels, balanced, counts)}
+    metadata = {"format": SAMPLES_FORMAT, **_samples_metadata(config, logs, labels, balanced, counts)}
     stored = {METADATA_KEY: json.dumps(metadata, sort_keys=True).encode()}
     ends = np.searchsorted(chosen.frame, np.cumsum(sizes))
     starts = np.concatenate([[0], ends[:-1]])
@@ -105,7 +105,7 @@ def write_samples(
                 part_of = chosen.between(start, end)
                 frame = part_of.frame - first_frame
                 taken = read_frames(file, FROM_FRAMES).take(pa.array(session.position[frame]))
-                table = samples_table(taken, session.taken(frame), part_of, config)
+                table = _samples_table(taken, session.taken(frame), part_of, config)
                 if written is not None:
                     written.result()
                 written = thread.submit(writer.write_table, table)
@@ -114,7 +114,7 @@ def write_samples(
     return balanced, counts
 
 
-def slower_set_speeds_mph(labels: Mapping[str, SessionLabels]) -> dict[str, list[float]]:
+def _slower_set_speeds_mph(labels: Mapping[str, SessionLabels]) -> dict[str, list[float]]:
     """The set speeds of each session's driver that are below the highest of all (`planned_speed_mph`)."""
     fastest_mph = max((mph for of_session in labels.values() for mph in of_session.set_speeds_mph), default=0.0)
     return {
@@ -123,7 +123,7 @@ def slower_set_speeds_mph(labels: Mapping[str, SessionLabels]) -> dict[str, list
     }
 
 
-def nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) -> DatasetError:
+def _nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) -> DatasetError:
     """The error for sessions without a usable frame: it says why their frames are not used."""
     chosen = " or not what --where chooses" if config.where is not None else ""
     shift = f" with --label-shift {config.label_shift_s:g}" if config.label_shift_s else ""
@@ -148,7 +148,7 @@ def nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) -> 
     return DatasetError(f"no frame can be used: {frames or 'no session has a picture'}")
 
 
-def samples_metadata(
+def _samples_metadata(
     config: IndexConfig,
     logs: Mapping[str, Mapping[str, Any]],
     labels: Mapping[str, SessionLabels],
@@ -165,7 +165,7 @@ def samples_metadata(
     }
 
 
-def usable_frames(
+def _usable_frames(
     frames: pa.Table,
     config: IndexConfig,
     labels: SessionLabels,
@@ -173,7 +173,7 @@ def usable_frames(
     condition: Condition | None,
     car: Car,
     random: np.random.Generator,
-) -> tuple[UsableFrames, SessionCounts]:
+) -> tuple[_UsableFrames, SessionCounts]:
     """The frames of a session that can be used, with their labels. `condition` is that of `config.where`; `random`
     draws views."""
     choice = choose_frames(frames, config, labels, condition)
@@ -182,7 +182,7 @@ def usable_frames(
     label = _of_camera(choice.steering[at], camera[at], config)
     recorded = _of_camera(frames["steering"].to_numpy()[at], camera[at], config)
     view = np.full(len(at), -1)
-    session = UsableFrames(
+    session = _UsableFrames(
         at.astype(np.int32),
         label,
         recorded,
@@ -199,13 +199,13 @@ def usable_frames(
 
 
 def _with_views(
-    session: UsableFrames,
+    session: _UsableFrames,
     speed_mph: NDArray[np.float64],
     has_views: NDArray[np.bool_],
     views: int,
     car: Car,
     random: np.random.Generator,
-) -> UsableFrames:
+) -> _UsableFrames:
     """A session's frames, and behind each that `has_views` its views from beside the line."""
     times = np.where(has_views, 1 + views, 1)
     frame = np.repeat(np.arange(len(times)), times)
@@ -227,7 +227,9 @@ def _of_camera(
     return np.clip(steering + config.side_correction * signs[camera], -1.0, 1.0) + 0.0
 
 
-def samples_table(frames: pa.Table, session: UsableFrames, chosen: ChosenSamples, config: IndexConfig) -> pa.Table:
+def _samples_table(
+    frames: pa.Table, session: _UsableFrames, chosen: ChosenSamples, config: IndexConfig
+) -> pa.Table:
     """The samples of one session: `frames` and `session` are of each sample."""
     names = (VIEWPOINT, *config.alterations)  # first of all: what is blurred or darkened is the view
     combinations = [

@@ -12,6 +12,7 @@ import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
@@ -25,9 +26,7 @@ from common.closeable import Closeable
 from common.location import Location, location
 from recorder import topics
 from recorder.errors import LogError
-from recorder.mcap.chunk_cache import ChunkCache
 from recorder.mcap.chunk_reader import ChunkReader
-from recorder.mcap.fetched_chunks import FetchedChunks
 from recorder.mcap.mcap_file import CHUNK_HEADER, Chunk, McapFile, has_crc_in, stored_message
 from recorder.mcap.message_index import LAST_TIME_NS, UNCOMPRESSED, Read, index_messages
 from recorder.mcap.number_fields import decode_numbers
@@ -44,6 +43,7 @@ if TYPE_CHECKING:  # training reads pictures where protobuf is not installed; a 
 
 _PLACE: Final = ("offset", "length", "chunk")
 _ROWS_AT_ONCE: Final = 4096
+_PART: Final = 1 << 23
 _NEAR_BYTES: Final = 4096  # takes as long to read, and for its CRC, as a message to be read alone
 
 Decoded = TypeVar("Decoded", bound="ProtobufMessage")
@@ -65,7 +65,6 @@ class Log(Closeable):
 
     `salvages`: with whole chunks that lie elsewhere than they should, or have a damaged header, for a recovery.
     `shows_progress`: with a progress bar while all of it is read, which is when messages are first read.
-    `cache`: keeps the chunks of a log in a store that pictures are read from.
     Raises LogError where the file is missing, not an MCAP file, or damaged.
     """
 
@@ -75,7 +74,6 @@ class Log(Closeable):
         *,
         salvages: bool = False,
         shows_progress: bool = False,
-        cache: ChunkCache | None = None,
     ) -> None:
         self.path = location(path)
         self._shows_progress = shows_progress
@@ -89,8 +87,6 @@ class Log(Closeable):
                 salvage(self._file, self._structure)
             self.size = self._file.size
             """Bytes of the file when it was opened."""
-            self.fetched = self._fetched_chunks(cache)
-            """The part on this machine of a log in a store, if it has a cache."""
         except BaseException:
             self._file.close()
             raise
@@ -107,8 +103,6 @@ class Log(Closeable):
 
     def close(self) -> None:
         self._file.close()
-        if self.fetched is not None:
-            self.fetched.close()
 
     @property
     def chunks(self) -> list[Chunk]:
@@ -117,16 +111,20 @@ class Log(Closeable):
 
     @cached_property
     def _chunk_reader(self) -> ChunkReader:
-        return ChunkReader(self._file, self.chunks, self.fetched)
+        return ChunkReader(self._file, self.chunks)
 
-    def _fetched_chunks(self, cache: ChunkCache | None) -> FetchedChunks | None:
-        if cache is None or not self._file.is_remote:
-            return None
-        return FetchedChunks(self._file, self.chunks, cache, self.file_fingerprint)
+    @property
+    def is_remote(self) -> bool:
+        """True if each read is a request to a store."""
+        return self._file.is_remote
 
-    def chunk_numbers(self, offsets: NDArray[np.int64], chunks: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The number of the chunk that each of these places is in: arrays (N,), as in `Pictures`."""
-        return self._chunk_reader.numbers_of(offsets, chunks)
+    def all_bytes(self) -> Iterator[bytes]:
+        """All of the file, in parts. Raises LogError, StoreError."""
+        return self._file.read_many((at, min(_PART, self.size - at)) for at in range(0, self.size, _PART))
+
+    def read_from(self, copy: Path) -> None:
+        """Read a copy of the file from now on; `path` stays the log's own. Raises OSError."""
+        self._file.read_from(copy)
 
     @property
     def notice(self) -> str:

@@ -189,7 +189,7 @@ def _append_there(url: Url, lines: bytes) -> None:
     before = b""
     replaces: ObjectVersion | None = None
     with contextlib.suppress(NoSuchObjectError), ObjectFile(url) as journal:
-        replaces = journal.object_version
+        replaces = journal.version
         before = journal.read(0, journal.size)
     with tempfile.TemporaryDirectory(prefix="bc-tags-") as folder:
         file = Path(folder) / url.name

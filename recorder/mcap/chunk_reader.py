@@ -8,10 +8,6 @@ from collections import OrderedDict
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-from recorder.mcap.fetched_chunks import FetchedChunks
 from recorder.mcap.mcap_file import Chunk, McapFile
 from recorder.mcap.message_index import UNCOMPRESSED
 
@@ -23,14 +19,13 @@ class ChunkReader:
     """Reads from chunks of a file. The CRC of each is compared once; compressed ones stay unpacked for
     a while, as do those that were fetched from a store."""
 
-    def __init__(self, file: McapFile, chunks: Sequence[Chunk], fetched: FetchedChunks | None = None) -> None:
+    def __init__(self, file: McapFile, chunks: Sequence[Chunk]) -> None:
         self._file = file
         self._chunks = chunks
         self._starts = [chunk.start for chunk in chunks]
         self._is_verified = bytearray(len(chunks))
         self._unpacked: OrderedDict[int, bytes] = OrderedDict()
         self._lock = threading.Lock()
-        self._fetched = fetched
 
     def set_verified(self, chunks: Iterable[Chunk]) -> None:
         """Note that these chunks have been read, and that their CRCs hold."""
@@ -45,9 +40,6 @@ class ChunkReader:
             if offset < 0 or len(data) != length:
                 raise self._file.damaged(f"bytes {offset} to {offset + length} lie outside their chunk")
             return data
-        if self._fetched is not None:
-            number = self._number_of(offset, length)
-            return self._fetched.read(number, offset, length)
         if self._file.is_remote:  # a chunk is one request, and so is a picture of it
             start, records = self.records_around(offset, length)
             return records[offset - start : offset - start + length]
@@ -66,17 +58,6 @@ class ChunkReader:
         self._is_verified[number] = True
         return self._file.records_at(chunk), records
 
-    def _records(self, number: int) -> bytes:
-        chunk = self._chunks[number]
-        if self._fetched is None:
-            return self._file.records(chunk)
-        return self._file.unpacked(self._fetched.record(number), chunk.start)
-
-    def numbers_of(self, offsets: NDArray[np.int64], chunks: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The chunk, by its number, that each of these places is in (see `read`)."""
-        where = np.where(chunks == UNCOMPRESSED, offsets, chunks)
-        return np.maximum(np.searchsorted(self._starts, where, side="right") - 1, 0)
-
     def _number_of(self, offset: int, length: int) -> int:
         number = bisect.bisect_right(self._starts, offset) - 1
         if number < 0 or offset + length > self._chunks[number].end:
@@ -89,7 +70,7 @@ class ChunkReader:
             number = bisect.bisect_left(self._starts, start)
             if number == len(self._chunks) or self._starts[number] != start:
                 raise self._file.damaged(f"no chunk begins at byte {start:,}")
-            records = self._records(number)
+            records = self._file.records(self._chunks[number])
             with self._lock:
                 self._unpacked[start] = records
                 kept = list(self._unpacked.values())

@@ -6,6 +6,7 @@ https://mcap.dev/spec; all integers are little-endian.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import struct
 import zlib
@@ -27,7 +28,7 @@ from mcap.records import Metadata as MetadataRecord
 from common.closeable import Closeable
 from common.errors import NoSuchObjectError, counted, did_you_mean
 from common.location import Location
-from common.random_access import open_for_reading
+from common.random_access import LocalFile, open_for_reading
 from recorder.errors import LogError
 from recorder.topics import LIBRARY, PROFILE
 
@@ -119,7 +120,7 @@ class McapFile(Closeable):
         except OSError as error:
             advice = _advice(path) if isinstance(path, Path) else "give the command again"
             raise LogError(f"{path}: cannot be opened ({error.strerror}); {advice}") from None
-        self.is_remote = self._bytes.is_remote
+        self._copy: Path | None = None
         self._unpacked_at = set[int]()  # compressed chunks that count in the bytes unpacked
         self._unpacked_bytes = 0
         self._beside_chunks_at = set[int]()  # attachments and metadata that were read
@@ -134,6 +135,17 @@ class McapFile(Closeable):
 
     def close(self) -> None:
         self._bytes.close()
+
+    @property
+    def is_remote(self) -> bool:
+        """True where a request takes long, however few bytes it is for."""
+        return self._bytes.is_remote
+
+    def read_from(self, copy: Path) -> None:
+        """Read a whole copy of this file from now on, which is removed when damage is found. Raises OSError."""
+        opened = LocalFile(copy)
+        self._bytes.close()
+        self._bytes, self._copy = opened, copy
 
     def grow(self) -> bool:
         """Take in what was written behind the end since; False if the file has been deleted."""
@@ -159,11 +171,6 @@ class McapFile(Closeable):
         ranges = ((chunk.start, chunk.end - chunk.start) for chunk in chunks)
         for chunk, data in zip(chunks, self.read_many(ranges), strict=True):
             yield chunk, self.records_in(chunk, data)
-
-    def read_alone(self, offset: int, length: int) -> bytes:
-        """The same as `read`, but of a file in a store nothing beside is read, and nothing is kept."""
-        self._check_range(offset, length)
-        return self._bytes.read_alone(offset, length)
 
     def read_many(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
         """The bytes of each range; of a file in a store, several are requested at a time, and nothing beside is
@@ -337,6 +344,9 @@ class McapFile(Closeable):
 
     def damaged(self, what: str) -> LogError:
         path = self.path
+        if self._copy is not None:  # then the next command fetches it anew
+            with contextlib.suppress(OSError):
+                self._copy.unlink(missing_ok=True)
         if not isinstance(path, Path):
             return LogError(
                 f"{path}: damaged: {what}; `bc-log copy {path} FOLDER` brings it here, for `bc-log recover`"

@@ -146,7 +146,7 @@ def _download(url: Url, path: Path, overwrite: bool, keeps_damaged: bool, on_byt
             return Copied(path, source.size, False, _download_tags(url, path, overwrite))
         refuse_existing(path, overwrite)
         make_folder(path.parent)
-        token = hashlib.sha256(f"{url} {source.version} {source.size}".encode()).hexdigest()[:6]
+        token = hashlib.sha256(f"{url} {source.version.e_tag} {source.size}".encode()).hexdigest()[:6]
         part = path.with_name(f"{path.name}.{token}{PART_SUFFIX}")
         with part.open("ab") as stream:
             if not try_lock(stream):

@@ -127,18 +127,6 @@ def test_the_example_of_each_library_gives_the_answer(library: str, folder: Path
     assert sum(frames for _, frames, _ in found) == 3 * len(ROWS)
 
 
-def test_the_example_for_divided_samples_gives_them(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    duckdb = pytest.importorskip("duckdb", reason="DuckDB is not installed: its example was not tried")
-    (files,) = re.findall(r"`(read_parquet\('index/samples/.*?'\))`", PAGE)
-    indexed = build_index([folder / "lake.mcap"], folder / "divided" / "index", divide_from_frames=1)
-    monkeypatch.chdir(folder / "divided")
-    expected = indexed.samples
-    assert expected.num_rows > 300
-    assert sorted(duckdb.sql(f"from {files}").fetchall(), key=repr) == sorted(
-        zip(*expected.to_pydict().values(), strict=True), key=repr
-    )
-
-
 def test_the_example_for_a_picture_gives_its_bytes(folder: Path) -> None:
     (code,) = (block for block in BLOCKS if "jpeg = " in block)
     row, camera, data = run_block(code, folder, '[row["row"], row["camera"], jpeg.hex()]')
@@ -180,7 +168,6 @@ def test_every_key_of_the_metadata_stands_on_the_page(folder: Path) -> None:
 def test_the_index_holds_the_files_on_the_page_and_no_others(folder: Path) -> None:
     told = {name.replace("SESSION", "lake") for name in first_column(PAGE, "file")}
     told.remove("index/.store.json")  # only of an index in a bucket
-    told.remove("index/samples/DIGEST/lake.parquet")  # only of a hundred million frames
     index = folder / "index"
     assert {path.relative_to(folder).as_posix() for path in index.rglob("*") if path.is_file()} == told
 

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
 import pytest
 
-import dataset.index_command
 from bucket import Bucket, serving_bucket
-from common.allowed_places import allow_places
 from common.location import Url
 from common.random_access import open_for_reading
 from common.store_record import Copy, StoreRecord, write_record
 from common.stored_folder import StoredFolder
-from dataset import Samples, build_index
+from dataset import Samples
 from dataset.cli import main
 from logs import write_log
 from udacity import call
@@ -184,78 +180,6 @@ def test_a_name_that_leads_elsewhere_is_refused(bucket: Bucket, capsys: pytest.C
     )
 
 
-# Of a hundred million frames: samples in a file a session
-
-
-@pytest.fixture
-def divided(bucket: Bucket, monkeypatch: pytest.MonkeyPatch) -> Bucket:
-    """Two sessions, of which any number of frames are many."""
-    monkeypatch.setattr(dataset.index_command, "build_index", partial(build_index, divide_from_frames=1))
-    drive(bucket, 1)
-    return bucket
-
-
-def samples_in(place: Path | str) -> pa.Table:
-    with Samples(place) as samples:
-        return samples.table
-
-
-def test_divided_samples_in_a_bucket_follow_sessions_as_on_a_disk(
-    divided: Bucket, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    changes: list[Callable[[], None]] = [
-        lambda: None,
-        lambda: drive(divided, 2),
-        lambda: (divided.folder / "sessions/0.mcap").unlink(),
-    ]
-    for number, change in enumerate(changes):
-        change()
-        assert index(place="disk") == 0
-        told = capsys.readouterr().out
-        use_machine(f"{number}", monkeypatch)  # what it needs comes from the bucket
-        divided.fail_each_once()
-        assert index() == 0
-        divided.pass_all()
-        assert capsys.readouterr().out.replace(INDEX, "disk") == told
-        here = {path.relative_to("disk").as_posix(): path.read_bytes() for path in Path("disk").rglob("*.parquet")}
-        assert {name: data for name, data in files(divided).items() if name.endswith(".parquet")} == here
-        assert sum(name.startswith("samples/") for name in here) == 2 + (number == 1)
-    divided.requests.clear()
-    use_machine("another", monkeypatch)
-    assert index("--check") == 0
-    assert divided.count("PUT") == divided.count("DELETE") == 0
-
-
-def test_wherever_an_upload_is_cut_samples_that_are_named_are_there(
-    divided: Bucket, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    assert index() == 0
-    before = samples_in(INDEX)
-    drive(divided, 2)
-    moments: list[Path] = []
-
-    def keep(handler: Any) -> bool:
-        if handler.command in ("PUT", "DELETE"):  # what is there before it is what a cut would leave
-            with divided.lock:
-                moments.append(tmp_path / f"moments/{len(moments)}")
-                for name, data in files(divided).items():
-                    (moments[-1] / name).parent.mkdir(parents=True, exist_ok=True)
-                    (moments[-1] / name).write_bytes(data)
-        return False
-
-    divided.answer = keep
-    assert index() == 0
-    divided.answer = lambda handler: False
-    after = samples_in(INDEX)
-    allow_places(Url("s3", "logs", "sessions"))  # the copies are on the disk
-    found = [samples_in(moment) for moment in moments]
-    is_new = [table.equals(after) for table in found]
-    assert is_new == sorted(is_new)
-    assert is_new.count(False) == 3 + 1  # before each part, and before samples.parquet
-    assert is_new.count(True) == 1 + 1 + 2 + 1  # frames, state.json, the old parts, and the record of all of it
-    assert all(table.equals(after if new else before) for table, new in zip(found, is_new, strict=True))
-
-
 def test_a_bucket_may_be_an_index_but_none_that_logs_are_in(
     bucket: Bucket, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -287,5 +211,4 @@ def test_what_lies_behind_the_end_of_an_object_is_nothing_as_on_a_disk(bucket: B
     for place in (bucket.url("x"), bucket.folder / "x"):
         with contextlib.closing(open_for_reading(place)) as file:
             assert [len(file.read(at, 9)) for at in (size - 4, size, size + 4)] == [4, 0, 0]
-            assert [len(file.read_alone(at, 9)) for at in (size - 4, size + 4)] == [4, 0]
             assert [len(found) for found in file.read_many([(9, size), (size + 4, 9)])] == [size - 9, 0]

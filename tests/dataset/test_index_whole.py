@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import os
 import shutil
@@ -12,7 +11,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import example, given, settings
@@ -20,7 +18,6 @@ from hypothesis import strategies as st
 
 from dataset import DatasetError, IndexConfig, build_index, find_logs
 from dataset.cli import main
-from dataset.samples.samples_format import sample_files
 from disk import files_of_at_most
 from layouts import Layout, mixed, two_kinds
 from logs import write_log
@@ -341,49 +338,6 @@ def test_a_build_that_is_stopped_leaves_the_old_index_or_the_new_one(
             break
     assert old in found
     assert len(found) * every > 20
-
-
-def test_divided_samples_survive_a_killed_or_stopped_build(tmp_path: Path, moments: Moments) -> None:
-    sessions = tmp_path / "sessions"
-    index = build_index(
-        [log_of(sessions / f"{name}.mcap") for name in "ab"], tmp_path / "i", divide_from_frames=1
-    ).path
-    logs = [log_of(sessions / "b.mcap", "other"), log_of(sessions / "c.mcap")]
-    new = build_index(logs, tmp_path / "n", divide_from_frames=1)
-    old_samples, old_files = samples_of(index), files_of(index)
-    left: list[Path] = []
-
-    def kill() -> None:
-        left.append(shutil.copytree(index, tmp_path / f"killed{len(left)}"))
-
-    before = shutil.copytree(index, tmp_path / "before")
-    moments.each(index, kill)
-    build_index(logs, index, divide_from_frames=1)
-    moments.over()
-    assert files_of(index) == files_of(new.path)
-    found = [samples_of(killed) for killed in left]
-    is_new = [samples.equals(new.samples) for samples in found]
-    assert is_new == sorted(is_new)
-    assert all(
-        samples.equals(new.samples if changed else old_samples)
-        for samples, changed in zip(found, is_new, strict=True)
-    )
-    turn = is_new.index(True)
-    for number in {*range(0, len(left), 8), *range(turn - 3, turn + 4)} & {*range(len(left))}:
-        build_index(logs, left[number], divide_from_frames=1)
-        assert files_of(left[number]) == files_of(new.path)
-    for number in range(turn - 3, turn + 1):
-        stopped = shutil.copytree(before, tmp_path / f"stopped{number}")
-        countdown = itertools.count(-number)
-        moments.each(stopped, lambda c=countdown: signal.raise_signal(signal.SIGINT) if next(c) == 0 else None)  # type: ignore[misc]
-        with contextlib.suppress(KeyboardInterrupt):
-            build_index(logs, stopped, divide_from_frames=1)
-        moments.over()
-        assert files_of(stopped) in (old_files, files_of(new.path))
-
-
-def samples_of(index: Path) -> pa.Table:
-    return pa.concat_tables(map(pq.read_table, sample_files(index)))
 
 
 def test_a_full_disk_names_the_file_and_leaves_the_index(tmp_path: Path) -> None:

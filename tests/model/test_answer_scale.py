@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import shutil
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,6 @@ from safetensors.torch import load_file as load_tensors
 from common.car import Camera
 from dataset import IndexConfig, Loader, Samples, build_index
 from dataset.picture_spec import ORIGINAL
-from dataset.samples.sample_rows import Rows
-from divided import in_one_file
 from logs import write_log
 from model import RunError, evaluate, load_pilot, train
 from model.network.small import SmallNetwork
@@ -209,23 +206,3 @@ def test_a_scale_that_no_training_gives_is_refused(natural: Path, tmp_path: Path
         save_checksummed(run / path.name, load_tensors(path), {"epoch": "1", **metadata})
         with pytest.raises(RunError, match="train the run again"):
             load_answer_scale(run)
-
-
-def test_divided_samples_have_the_frames_of_the_same_samples_in_one_file(tmp_path: Path) -> None:
-    logs = [
-        write_log(
-            tmp_path / f"{n}.mcap",
-            [round(math.sin(row / (3 + n)), 2) for row in range(60)],
-            lambda camera, row: f"{camera} {row}".encode(),
-            start_ns=(n + 1) * 10**18,
-        )
-        for n in range(2)
-    ]
-    divided = build_index(logs, tmp_path / "divided", IndexConfig(block_s=1.0, gap_s=0), divide_from_frames=1).path
-    found = []
-    for index in (divided, in_one_file(divided, tmp_path / "whole")):
-        with Samples(index) as samples:
-            found.append(NaturalFrames(samples, 8, 1, ORIGINAL).loader.rows)
-    assert len(found[0]) > 100  # of the centre camera, and mirrored
-    for field in fields(Rows):
-        assert np.array_equal(getattr(found[0], field.name), getattr(found[1], field.name)), field.name

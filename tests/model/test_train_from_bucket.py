@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import shutil
 from collections.abc import Iterator
@@ -13,14 +12,12 @@ from typing import Any
 import pytest
 
 from bucket import Bucket, serving_bucket
-from common.errors import StoreError
-from common.location import Location
-from dataset import DatasetError, IndexConfig, build_index
+from common.errors import StoreError, UserError
+from dataset import DatasetError, IndexConfig, Samples, build_index
 from dataset.loader.loader import Loader, load
 from logs import write_log
-from model.evaluation.evaluate import evaluate
 from model.training.trainer import train
-from recorder.mcap.chunk_cache import ChunkCache
+from recorder.log.kept_logs import bring_here
 from toy import SMALL, STEERING, road
 
 pytestmark = pytest.mark.usefixtures("without_figures")
@@ -46,7 +43,7 @@ def indexes(bucket: Bucket, tmp_path: Path) -> tuple[Path, Path]:
 
 
 def cached(tmp_path: Path) -> list[Path]:
-    return sorted(path for path in (tmp_path / "cache" / "chunks").rglob("*") if path.is_file())
+    return sorted((tmp_path / "cache" / "logs").glob("*.mcap"))
 
 
 def pictures(loader: Loader, epochs: int = 2) -> list[Any]:
@@ -92,40 +89,20 @@ def test_an_index_may_lie_in_the_store_beside_its_logs(
         load("s3://logs/none")
 
 
-def test_divided_samples_in_a_store_train_as_those_on_a_disk(
-    bucket: Bucket, indexes: tuple[Path, Path], tmp_path: Path
-) -> None:
-    logs = sorted(bucket.folder.glob("*.mcap"))
-    disk = build_index(logs, tmp_path / "divided", CONFIG, divide_from_frames=1).path
-    build_index(logs, bucket.folder / "divided", CONFIG, divide_from_frames=1)
-    bucket.fail_each_once()
-    runs = [tmp_path / "runs" / name for name in ("disk", "store")]
-    places: tuple[Location, ...] = (disk, bucket.url("divided"))
-    for place, run in zip(places, runs, strict=True):
-        train(place, run, replace(SMALL, epochs=2))
-    assert len({(run / "model.safetensors").read_bytes() for run in runs}) == 1
-    there, here = (evaluate(runs[0], place).as_dict() for place in places)
-    for found in (there, here):
-        assert {session.pop("log") is None for session in found["sessions"].values()} == {False}
-    assert there == here
-    assert [path for method, path, _ in bucket.requests if method == "GET" and "/divided/samples/" in path]
-
-
-def test_a_picture_comes_once_and_neighbours_together(
-    bucket: Bucket, indexes: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_a_log_comes_once_and_whole(bucket: Bucket, indexes: tuple[Path, Path], tmp_path: Path) -> None:
     _, store = indexes
     bucket.requests.clear()
     first = pictures(load(store, batch=7, budget_bytes=0), epochs=3)
     opened = 2 * 3  # the end, the start, and what lies before the end, of each log
-    assert gets(bucket) <= opened + 2  # all chunks of a log lie side by side
-    assert cached(tmp_path)
+    assert gets(bucket) <= opened + 2
+    logs = sorted(bucket.folder.glob("*.mcap"))
+    assert sorted(path.read_bytes() for path in cached(tmp_path)) == sorted(path.read_bytes() for path in logs)
     bucket.requests.clear()
     assert pictures(load(store, batch=7, budget_bytes=0), epochs=3) == first
     assert gets(bucket) <= opened
 
 
-def test_a_cache_that_is_damaged_or_goes_is_fetched_anew(
+def test_a_copy_that_is_damaged_cut_or_gone_is_fetched_anew(
     bucket: Bucket, indexes: tuple[Path, Path], tmp_path: Path
 ) -> None:
     _, store = indexes
@@ -134,12 +111,14 @@ def test_a_cache_that_is_damaged_or_goes_is_fetched_anew(
     whole = damaged.read_bytes()
     at = len(whole) // 2
     damaged.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
-    assert pictures(load(store, batch=7, budget_bytes=0)) == expected
-    assert damaged.read_bytes() == whole
     cut.write_bytes(cut.read_bytes()[: len(whole) // 3])
-    assert pictures(load(store, batch=7, budget_bytes=0)) == expected
     with load(store, batch=7, budget_bytes=0) as loader:
         list(loader.epoch(1))
+        assert len(loader.skipped) > 0
+    assert not damaged.exists()
+    assert pictures(load(store, batch=7, budget_bytes=0)) == expected
+    assert damaged.read_bytes() == whole
+    with load(store, batch=7, budget_bytes=0) as loader:
         for path in cached(tmp_path):
             path.unlink()
         assert [batch.pictures.tobytes() for batch in loader.epoch(1)] == [
@@ -147,54 +126,61 @@ def test_a_cache_that_is_damaged_or_goes_is_fetched_anew(
         ]
 
 
-def test_a_cache_that_is_too_small_says_so_and_gives_the_same(
-    bucket: Bucket,
-    indexes: tuple[Path, Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
+def test_without_room_for_the_logs_the_error_says_what_to_give(
+    indexes: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    expected = pictures(load(indexes[0], batch=7, budget_bytes=0))
-    monkeypatch.setenv("BC_CACHE_GB", "0.0001")
-    with caplog.at_level(logging.WARNING):
-        assert pictures(load(indexes[1], batch=7, budget_bytes=0)) == expected
-    assert "BC_CACHE_GB=" in caplog.text
+    size = sum(path.stat().st_size for path in (tmp_path / "server").rglob("*.mcap"))
+    monkeypatch.setenv("BC_CACHE_GB", f"{(size - 1) / 1e9:.9f}")
+    with pytest.raises(UserError, match=r"GB of logs have to be fetched to it, but .*BC_CACHE_GB sets how much"):
+        load(indexes[1])
+    monkeypatch.setenv("BC_CACHE_GB", "many")
+    with pytest.raises(UserError, match="BC_CACHE_GB=many: a number of gigabytes was expected"):
+        load(indexes[1])
+    monkeypatch.delenv("BC_CACHE_GB")
+    usage = shutil.disk_usage(tmp_path)._replace(free=10**9 + size - 1)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+    with pytest.raises(UserError, match="the disk has no more room"):
+        load(indexes[1])
+    assert not cached(tmp_path)
 
 
-def test_a_cache_that_cannot_be_written_says_so_and_gives_the_same(
-    bucket: Bucket, indexes: tuple[Path, Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_cache_that_cannot_be_written_says_so(indexes: tuple[Path, Path], tmp_path: Path) -> None:
     shutil.rmtree(tmp_path / "cache", ignore_errors=True)
     (tmp_path / "cache").write_text("no folder")
-    expected = pictures(load(indexes[0], batch=7, budget_bytes=0))
-    with caplog.at_level(logging.WARNING):
-        assert pictures(load(indexes[1], batch=7, budget_bytes=0)) == expected
-    assert caplog.text.count("cannot be written") == 1
+    with pytest.raises(UserError, match=r"cache: logs cannot be fetched to it .*BC_CACHE names another folder"):
+        load(indexes[1])
 
 
-def test_logs_that_were_not_used_for_longest_make_room(tmp_path: Path) -> None:
-    folder = tmp_path / "small"
-    for number in range(3):
-        with ChunkCache(folder, 1 << 20).open(f"{number}" * 32) or pytest.fail("not opened") as kept:
-            assert kept.keep(1 << 30, bytes([1 + number]) * 300_000)
-        os.utime(next(folder.glob(f"{number}*")), (1000 + number, 1000 + number))
-    cache = ChunkCache(folder, 1 << 20)
-    with cache.open("new" * 16) or pytest.fail("not opened") as kept:
-        assert kept.keep(0, bytes(300_000))
-        assert sorted(path.name[0] for path in folder.iterdir()) == ["1", "2", "n"]
-        written = sum(kept.keep(300_000 * number, b"x" * 300_000) for number in range(1, 9))
-    assert written == 2  # nothing else has to go; what is in use stays
-    assert [path.name[0] for path in folder.iterdir()] == ["n"]
-
-
-def test_a_store_that_fails_for_good_ends_it_and_nothing_is_left_out(
-    bucket: Bucket, indexes: tuple[Path, Path]
+def test_logs_that_were_not_used_for_longest_make_room(
+    indexes: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with load(indexes[1], batch=7, budget_bytes=0) as loader:
+    load(indexes[1]).close()
+    used = cached(tmp_path)
+    for number, name in enumerate(("older", "newer")):
+        path = tmp_path / "cache" / "logs" / f"{name}.mcap"
+        path.write_bytes(bytes(200_000))
+        os.utime(path, (1000 + number, 1000 + number))
+    (tmp_path / "cache" / "logs" / "killed.mcap.0a1b2c.part").write_bytes(bytes(9))
+    lost = used[0].stat().st_size
+    used[0].unlink()
+    held = used[1].stat().st_size + 2 * 200_000
+    monkeypatch.setenv("BC_CACHE_GB", f"{(held + lost - 1) / 1e9:.9f}")
+    load(indexes[1]).close()
+    assert {path.name for path in (tmp_path / "cache" / "logs").iterdir()} == {
+        ".lock",
+        "newer.mcap",
+        *(path.name for path in used),
+    }
+
+
+def test_a_store_that_fails_while_a_log_comes_leaves_nothing(
+    bucket: Bucket, indexes: tuple[Path, Path], tmp_path: Path
+) -> None:
+    with Samples(indexes[1]) as samples:
         bucket.answer = lambda handler: bool(handler.fail(403, "ExpiredToken"))
         with pytest.raises(StoreError, match=r"s3://logs: credentials that are not valid \(ExpiredToken\)"):
-            list(loader.epoch(1))
-        assert len(loader.skipped) == 0
+            bring_here(samples.logs.values())
+    assert [path.name for path in (tmp_path / "cache" / "logs").iterdir()] == [".lock"]
 
 
 def test_a_log_that_was_replaced_is_refused(bucket: Bucket, indexes: tuple[Path, Path]) -> None:

@@ -21,6 +21,8 @@ from drives import a_drive
 from driving import road_jpeg
 from logs import START_NS, write_log
 from model.runs.kept_results import keep_result
+from recorder import Log
+from recorder.log.kept_logs import bring_here
 from recorder.log.tags import read_tags
 from runs import a_run
 from udacity import call
@@ -174,9 +176,14 @@ def test_the_store_is_asked_once_for_what_was_not_seen_yet(bucket: Bucket, serve
     assert asked_for(bucket) == ["drives", "sessions", "sessions/broken.mcap"]  # perhaps it can be read by now
     bench.get("/sessions/first/state")
     opening = asked_for(bucket)
-    for row in range(len(TURNING)):
-        assert bench.get(f"/sessions/first/pictures/center/{row}").body == road_jpeg(row)
     assert set(opening) == {"sessions/first.mcap"}
+    with Log(bucket.url("sessions/first.mcap")) as log:
+        bring_here([log])
+    bench = serve()
+    bench.get("/sessions/first/state")
+    assert asked_for(bucket)
+    for row in range(len(TURNING)):  # a training has brought the log
+        assert bench.get(f"/sessions/first/pictures/center/{row}").body == road_jpeg(row)
     assert asked_for(bucket) == []
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import threading
 import time
 from collections.abc import Mapping
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from common.errors import StoreError
 from common.location import Url
-from common.users_cache import users_cache
+from common.users_cache import cached_copy
 from web.folders.refreshed import Refreshed
 
 if TYPE_CHECKING:
@@ -88,8 +87,7 @@ class StoredCopy:
     """
 
     def __init__(self, url: Url) -> None:
-        digest = hashlib.sha256(str(url).encode()).hexdigest()[:12]
-        self.here = users_cache() / "shown" / digest / (url.name or url.bucket)
+        self.here = cached_copy(url, "shown")
         self._url = url
         self._listed = Refreshed[Listing](str(url), self._brought)
 

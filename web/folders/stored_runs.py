@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from common import UserError
 from common.location import Url
+from common.users_cache import cached_copy
 from web.folders.file_versions import version_of_stats
 from web.folders.refreshed import Refreshed
 
@@ -70,7 +71,6 @@ class StoredRuns:
             self._others[run, tuple(names)] = version
 
     def _bring_changed(self) -> None:
-        from common.stored_folder import cached_copy  # an extra
         from model.runs.runs_in_store import bring_summary, runs_in_store
 
         def bring(run: RunInStore) -> UserError | None:

@@ -23,7 +23,6 @@ from dataset.samples.samples_format import (
     SAMPLES_NAME,
     Balance,
     SessionCounts,
-    sample_files,
 )
 from dataset.steering_bins import BINS, bin_of
 from web.logs.steering_sketch import bars, root_heights, svg
@@ -98,12 +97,9 @@ def session_bins_sketch(index: Path, session: str) -> bytes:
     height, bins = 28, len(view_index(index).before)
     filters = [("session", "=", session), ("split", "=", "train")]
     try:
-        # where they are divided, a session has a file of its own, or none
-        files = [file for file in sample_files(index) if file.name == SAMPLES_NAME or file.stem == session]
-        tables = [read_columns(file, ["label"], filters=filters) for file in files[:1]]
+        labels = read_columns(index / SAMPLES_NAME, ["label"], filters=filters)["label"].to_numpy()
     except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
         raise DatasetError(f"{index / SAMPLES_NAME}: cannot be read ({error}); `bc-index` makes it anew") from None
-    labels = tables[0]["label"].to_numpy() if tables else np.zeros(0)
     counts = np.bincount(bin_of(labels, bins), minlength=bins)
     path = bars(root_heights(counts, height), 0, _WIDTH, height)
     return _svg(_WIDTH, height, [f'<path d="{path}" fill="{_AFTER}"/>'])

@@ -13,8 +13,8 @@ import numpy as np
 
 from common.location import Location, Url
 from recorder import Log, LogError
+from recorder.log.kept_logs import read_kept
 from recorder.log.road_places import states_of
-from recorder.mcap.chunk_cache import ChunkCache, default_cache
 from recorder.rows.row_quality import States
 from web.folders.project_folders import ProjectFolders
 
@@ -26,15 +26,16 @@ MAX_MESSAGES: Final = 500_000
 class OpenLog:
     """An open log with what several requests need of it."""
 
-    def __init__(self, path: Location, version: str, cache: ChunkCache | None) -> None:
-        self.log = Log(path, cache=cache)
+    def __init__(self, path: Location, version: str) -> None:
+        self.log = Log(path)
         self.version = version
         """The version of the file, by `ProjectFolders.version_of`."""
         self.messages = sum(self.log.counts.values())
         self.users = 0
         if isinstance(path, Url):  # a page's requests come at once: each would ask the store for the same
             try:
-                with contextlib.suppress(LogError):  # raised again where its rows are used
+                with contextlib.suppress(LogError, OSError):  # raised again where its rows are used
+                    read_kept(self.log)
                     _ = self.states
             except BaseException:
                 self.log.close()
@@ -97,7 +98,7 @@ class OpenLogs:
 
     def _opened(self, path: Location, version: str) -> OpenLog:
         self._folders.refuse_unanswered(path)
-        opened = OpenLog(path, version, self._cache if isinstance(path, Url) else None)
+        opened = OpenLog(path, version)
         with self._lock:
             if path in self._kept:  # of another version
                 self._drop(path)
@@ -109,10 +110,6 @@ class OpenLogs:
 
     def _messages(self) -> int:
         return sum(each.messages for each in self._kept.values())
-
-    @cached_property
-    def _cache(self) -> ChunkCache:
-        return default_cache()  # shared with trainings, which need not fetch the same chunks again
 
     def drop_changed(self) -> None:
         """Close those whose files were deleted or replaced: an open file keeps its space on the disk."""

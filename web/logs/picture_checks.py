@@ -15,7 +15,7 @@ from dataset.frames.frame_flags import ImageFindings
 from dataset.frames.frames_file import session_name
 from dataset.frames.image_check_cache import check_images, read_image_check, write_image_check
 from recorder import Log
-from recorder.mcap.chunk_cache import default_cache
+from recorder.log.kept_logs import bring_here
 from web.errors import report_bug
 from web.folders.cache_folder import CacheFolder
 
@@ -76,7 +76,8 @@ class PictureChecks:
                 raise _StoppedError
 
         try:
-            with Log(path, cache=default_cache()) as log:  # of its own: a page may close the other
+            with Log(path) as log:  # of its own: a page may close the other
+                bring_here([log])
                 found = check_images(log, on_decoded)
             write_image_check(self._kept, fingerprint, fingerprint, found)
         except _StoppedError:
