@@ -7,7 +7,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import signal
 import socket
 import subprocess
 import sysconfig
@@ -25,7 +24,6 @@ import jsonschema
 import numpy as np
 import pytest
 import yaml
-from safetensors.numpy import load_file
 
 from bucket import serving_bucket
 from clusters import ray_cluster
@@ -45,9 +43,8 @@ from drive.evaluation.closed_loop import LogFolder, drive_runs
 from drive.evaluation.simulator_process import BuiltInSimulator
 from drive.evaluation.sweep import run_sweep
 from drive.evaluation.sweep_plan import read_sweep
-from driving import Process, command, one_line_of, run, run_code, untrained_run
+from driving import one_line_of, run, run_code, untrained_run
 from logs import not_a_picture, write_log
-from model.runs.checkpoint import read_position
 from ports import free_ports
 from recorder.upkeep.check import check
 from repository import ROOT
@@ -302,13 +299,6 @@ def test_a_cluster_with_a_token_that_is_not_here_is_told(tmp_path: Path, monkeyp
     assert done.returncode == 1
 
 
-def test_more_workers_than_this_machine_has_room_for_are_refused_at_once(tmp_path: Path) -> None:
-    toy_index(tmp_path)
-    done = run("bc-train", "--network", "small", "--ray", 2000, "local", cwd=tmp_path)
-    assert "2,000 workers of 1 processor, but this machine has" in done.stderr
-    assert done.returncode == 1
-
-
 def test_the_message_of_a_dead_node_is_one_line_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
     dump = "".join(f"\n    [state-dump] line {number}" for number in range(36))
     print_node_message(
@@ -372,30 +362,6 @@ def test_a_sweep_on_a_cluster_comes_to_the_runs_of_one_machine(tmp_path: Path, c
         assert (tmp_path / "there" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
 
 
-@pytest.mark.long
-def test_a_training_whose_worker_dies_goes_on_to_the_same_weights(tmp_path: Path, cluster: Any) -> None:
-    toy_index(tmp_path)
-    flags = ["--network", "small", "--batch", 10, "--precision", "float32", "--threads", 1, "--seed", 3]
-    workers = ["--ray", 2, cluster.address]
-    whole = run("bc-train", "--name", "whole", *flags, "--epochs", 60, *workers, cwd=tmp_path)
-    assert whole.returncode == 0, whole.stderr
-    first = run("bc-train", "--name", "killed", *flags, "--epochs", 2, *workers, cwd=tmp_path)
-    assert first.returncode == 0, first.stderr
-    metrics = tmp_path / "runs" / "killed" / "metrics.jsonl"
-    with Process(command("bc-train", "--resume", "killed", "--epochs", 60, *workers), cwd=tmp_path) as training:
-        wait_until(lambda: len(metrics.read_text().splitlines()) > 5)
-        assert len(metrics.read_text().splitlines()) < 60
-        cluster.remove_node(cluster.worker_nodes.copy().pop(), allow_graceful=False)
-        cluster.add_node(num_cpus=1, include_dashboard=False)
-        assert training.join() == 0, training.stderr
-    assert any("a worker was lost; going on from the checkpoint" in line for line in training.stderr)
-    runs = [tmp_path / "runs" / name for name in ("whole", "killed")]
-    best = [(folder / "model.safetensors").read_bytes() for folder in runs]
-    last = [load_file(folder / "last" / "checkpoint.safetensors") for folder in runs]
-    assert best[0] == best[1]
-    assert all(np.array_equal(last[0][name], last[1][name]) for name in last[0])
-
-
 def test_the_example_of_a_cluster_is_one_by_rays_own_schema() -> None:
     import ray.autoscaler
 
@@ -405,19 +371,6 @@ def test_the_example_of_a_cluster_is_one_by_rays_own_schema() -> None:
     assert example["head_node_type"] in example["available_node_types"]
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate({**example, "max_worker": 1}, schema)
-
-
-@pytest.mark.long
-def test_a_training_on_a_cluster_that_is_stopped_keeps_what_it_has_learnt(tmp_path: Path, cluster: Any) -> None:
-    toy_index(tmp_path)
-    flags = ["--network", "small", "--batch", 10, "--precision", "float32", "--threads", 1, "--epochs", 1000]
-    line = command("bc-train", "--name", "stopped", *flags, "--ray", 2, cluster.address)
-    with Process(line, cwd=tmp_path) as training:
-        wait_until((tmp_path / "runs" / "stopped" / "metrics.jsonl").exists)
-        training.popen.send_signal(signal.SIGINT)
-        assert training.join() == 130, training.stderr
-    assert "the run is kept; continue with" in " ".join(training.stderr)
-    assert 1 <= read_position(tmp_path / "runs" / "stopped").epoch < 1000
 
 
 @pytest.mark.long

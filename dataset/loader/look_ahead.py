@@ -32,11 +32,8 @@ Numbers = NDArray[np.int64]
 class LookAhead(Closeable):
     """Fetches the chunks of the pictures that some rows show."""
 
-    def __init__(self, rows: Rows, logs: Mapping[str, Log], begin: float) -> None:
-        """`begin`: where in what is to be fetched at a time to begin, 0 to 1: each rank elsewhere, so that what
-        one has fetched the others find on the disk."""
+    def __init__(self, rows: Rows, logs: Mapping[str, Log]) -> None:
         self._logs = [logs[session] for session in rows.sessions]
-        self._begin = begin
         self._session = rows.session
         self._chunk = np.full(len(rows.session), -1, np.int64)  # of each picture: its number in its log
         for number, log in enumerate(self._logs):
@@ -49,10 +46,10 @@ class LookAhead(Closeable):
         self._warn_if_too_small()
 
     @classmethod
-    def of(cls, rows: Rows, logs: Mapping[str, Log], begin: float = 0.0) -> LookAhead | None:
+    def of(cls, rows: Rows, logs: Mapping[str, Log]) -> LookAhead | None:
         """None where all logs are on this machine."""
         is_remote = any(logs[session].fetched is not None for session in rows.sessions)
-        return cls(rows, logs, begin) if is_remote else None
+        return cls(rows, logs) if is_remote else None
 
     def close(self) -> None:
         self._pool.shutdown(wait=False, cancel_futures=True)
@@ -102,19 +99,15 @@ class LookAhead(Closeable):
 
     def _fetch(self, pictures: list[Numbers]) -> None:
         every = np.concatenate([*pictures, np.zeros(0, np.int64)])
-        jobs: list[tuple[Log, list[int]]] = []
         for session in np.unique(self._session[every]).tolist():
-            log = self._logs[session]
-            assert log.fetched is not None  # noqa: S101
+            fetched = self._logs[session].fetched
+            assert fetched is not None  # noqa: S101
             chunks = np.unique(self._chunk[every[self._session[every] == session]]).tolist()
-            jobs += [(log, run) for run in log.fetched.runs(log.fetched.missing(chunks))]
-        first = round(self._begin * len(jobs))
-        for log, run in jobs[first:] + jobs[:first]:
-            assert log.fetched is not None  # noqa: S101
-            size = log.fetched.sizes(run)
-            with self._lock:
-                self._coming_bytes += size
-            self._pool.submit(log.fetched.fetch, run).add_done_callback(self._when_done(size))
+            for run in fetched.runs(fetched.missing(chunks)):
+                size = fetched.sizes(run)
+                with self._lock:
+                    self._coming_bytes += size
+                self._pool.submit(fetched.fetch, run).add_done_callback(self._when_done(size))
 
     def _when_done(self, size: int) -> Callable[[Future[Any]], None]:
         def done(future: Future[Any]) -> None:
