@@ -31,7 +31,7 @@ from common.streams import unescaped
 
 _COMMAND: Final = re.compile(
     r"(`|&& )"
-    r"(bc-(?:record|log|index|train|runs|drive|play|sim|eval|demo|sweep|doctor|web)|rerun|pip)"
+    r"(bc-(?:record|log|index|train|runs|drive|play|sim|eval|demo|doctor|web)|rerun|pip)"
     r"(?![\w-])"
 )
 _live_displays: Final[list[Console]] = []  # those with a progress bar on the terminal; the last one is drawn now

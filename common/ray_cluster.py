@@ -34,7 +34,7 @@ SAME_VERSIONS: Final = (TOOLKIT, "numpy", "pyarrow", "opencv-python-headless", "
 UNREACHABLE_S: Final = 8.0
 """Ray itself tries for more than a minute, and then ends the process."""
 
-NOTICE_AFTER_S: Final = 10.0
+_NOTICE_AFTER_S: Final = 10.0
 """A start that takes longer says what it waits for."""
 
 MAX_RETRIES: Final = 5
@@ -54,10 +54,6 @@ _LOCAL_ADDRESSES: Final = ("", "auto", "local")
 
 class ClusterError(UserError):
     """A cluster that cannot be reached, or on whose nodes nothing of ours can run."""
-
-
-class _LostError(ClusterError):
-    """A task whose process died each time."""
 
 
 @dataclass(frozen=True)
@@ -84,23 +80,21 @@ def cluster_tasks(address: str = "", **options: object) -> Iterator[Tasks]:
 
     `address` is HOST:PORT of its head, from one of its nodes; ray://HOST:PORT from elsewhere; "auto" a cluster
     that this machine is a node of; "local" starts one on this machine alone; "" is RAY_ADDRESS, else
-    "auto", else "local". `options` are those of Ray's tasks, such as what a call takes (`num_cpus`,
-    1 by default; `num_gpus`). Raises ClusterError if there is none, or its versions are others.
+    "auto", else "local". `options` are those of Ray's tasks. Raises ClusterError if there is none, or its versions
+    are others.
     """
-    with connection(address) as ray:
+    with _connection(address) as ray:
 
         def tasks(
-            function: Callable[..., Result],
-            calls: Sequence[tuple[Any, ...]],
-            lost: Callable[[int, str], Result] | None = None,
+            function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]
         ) -> Iterator[tuple[int, Result]]:
-            return _results(ray, options, function, calls, lost)
+            return _results(ray, options, function, calls)
 
         yield tasks
 
 
 @contextlib.contextmanager
-def connection(address: str) -> Iterator[Any]:
+def _connection(address: str) -> Iterator[Any]:
     """The module `ray`, connected to a cluster in the block. See `cluster_tasks`."""
     os.environ.setdefault("RAY_CLIENT_MAX_CONNECTION_TIMEOUT_S", str(round(UNREACHABLE_S)))
     try:
@@ -117,7 +111,7 @@ def connection(address: str) -> Iterator[Any]:
     before = signal.getsignal(signal.SIGTERM)  # Ray puts its own in its place
     where = "of this machine" if address == "local" else address or "that is found by itself"
     waiting = threading.Timer(
-        NOTICE_AFTER_S, print_message, [f"--ray: waiting for the cluster {where} to start and to answer"]
+        _NOTICE_AFTER_S, print_message, [f"--ray: waiting for the cluster {where} to start and to answer"]
     )
     waiting.daemon = True
     waiting.start()
@@ -198,13 +192,11 @@ def _results(
     options: Mapping[str, object],
     function: Callable[..., Result],
     calls: Sequence[tuple[Any, ...]],
-    lost: Callable[[int, str], Result] | None,
 ) -> Iterator[tuple[int, Result]]:
     of_tasks = {"num_cpus": 1, "max_retries": MAX_RETRIES, "name": function.__name__.strip("_"), **options}
     call = ray.remote(_call).options(**of_tasks)
     versions, folder = package_versions(), Path.cwd()
-    # once its process has died, each call of a task gets a task of its own
-    size = -(-len(calls) // _MAX_TASKS) if lost is None else 1
+    size = -(-len(calls) // _MAX_TASKS)
     firsts: dict[Any, int] = {}  # of each task that goes on, the number of its first call
     to_do = iter(range(0, len(calls), max(1, size)))
     try:
@@ -217,13 +209,7 @@ def _results(
             ready, _ = ray.wait(pending, num_returns=min(len(pending), _READY_AT_ONCE), timeout=_POLL_EVERY_S)
             for reference in ready:
                 first = firsts.pop(reference)
-                try:
-                    results = _get(ray, reference)
-                except _LostError as error:
-                    if lost is None:
-                        raise
-                    results = [lost(first, str(error))]
-                for number, result in enumerate(results, first):
+                for number, result in enumerate(_get(ray, reference), first):
                     if isinstance(result, _Failed):
                         raise result.error
                     yield number, result
@@ -241,7 +227,7 @@ def _get(ray: Any, reference: Any) -> list[Any]:
         raise
     except ray.exceptions.RayError as error:
         why = printable(" ".join(str(error).split())[:300])
-        raise _LostError(f"a task has failed {MAX_RETRIES + 1} times: {why}") from None
+        raise ClusterError(f"a task has failed {MAX_RETRIES + 1} times: {why}") from None
     return results
 
 

@@ -41,14 +41,11 @@ from dataset import build_index
 from drive.config import DriveConfig
 from drive.evaluation.closed_loop import LogFolder, drive_runs
 from drive.evaluation.simulator_process import BuiltInSimulator
-from drive.evaluation.sweep import run_sweep
-from drive.evaluation.sweep_plan import read_sweep
 from driving import one_line_of, run, run_code, untrained_run
 from logs import not_a_picture, write_log
 from ports import free_ports
 from recorder.upkeep.check import check
 from repository import ROOT
-from toy import toy_index
 from waiting import wait_until
 
 
@@ -126,11 +123,9 @@ def test_the_index_has_the_same_bytes_and_omits_a_damaged_log(tmp_path: Path, sm
 
 
 @contextlib.contextmanager
-def tasks_whose_node_dies(
-    cluster: Any, folder: Path, is_time: Callable[[], bool] | None = None
-) -> Iterator[Tasks]:
-    """Calls on one node, which goes when the first one is done and it `is_time`: by default when the last one is
-    done, and nobody knows its result yet. Then another node comes."""
+def tasks_whose_node_dies(cluster: Any, folder: Path) -> Iterator[Tasks]:
+    """Calls on one node, which goes when the last one is done, and nobody knows its result yet. Then another node
+    comes."""
     began, gone = folder / "began", folder / "gone"
     dying = cluster.add_node(num_cpus=1, resources={"dying": 1}, include_dashboard=False)
 
@@ -146,16 +141,11 @@ def tasks_whose_node_dies(
 
     with cluster_tasks(cluster.address, resources={"dying": 0.01}) as there:
 
-        def tasks(
-            function: Callable[..., Any],
-            calls: Sequence[tuple[Any, ...]],
-            lost: Callable[[int, str], Any] | None = None,
-        ) -> Iterator[tuple[int, Any]]:
-            last = len(calls) - 1 if is_time is None else -1
-            marked = [(number == last, *arguments) for number, arguments in enumerate(calls)]
-            for number, result in there(holding(function), marked, lost):
+        def tasks(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
+            marked = [(number == len(calls) - 1, *arguments) for number, arguments in enumerate(calls)]
+            for number, result in there(holding(function), marked):
                 if not gone.exists():
-                    wait_until(is_time or began.exists)
+                    wait_until(began.exists)
                     gone.write_text("")
                     cluster.remove_node(dying, allow_graceful=False)
                     cluster.add_node(num_cpus=1, resources={"dying": 1}, include_dashboard=False)
@@ -187,39 +177,6 @@ def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_drives(tmp_path: Pa
         assert driven.report["trajectory_sha256"] == here[number].report["trajectory_sha256"]
         assert not check(driven.log).findings
     assert len(list((tmp_path / "there").iterdir())) == 2
-
-
-@pytest.mark.long
-def test_a_node_that_dies_in_the_middle_costs_nothing_of_a_sweep(tmp_path: Path, cluster: Any) -> None:
-    index = toy_index(tmp_path)
-    settings = 'epochs = 60\nbatch = 10\nnetwork = "small"\nprecision = "float32"\nthreads = 1\n'
-    (tmp_path / "s.toml").write_text(
-        f'seeds = [1, 2]\n[train]\n{settings}[drive]\nsimulator = ["lake"]\nlaps = 0.001\n'
-    )
-    metrics = tmp_path / "there" / "s-seed2" / "metrics.jsonl"
-
-    def is_in_the_middle() -> bool:
-        return metrics.exists() and len(metrics.read_text().splitlines()) > 5
-
-    plan = read_sweep(tmp_path / "s.toml")
-    made = {}
-    for name in ("here", "there"):
-        with contextlib.ExitStack() as stack:
-            tasks: Tasks = one_by_one
-            if name == "there":
-                tasks = stack.enter_context(tasks_whose_node_dies(cluster, tmp_path, is_in_the_middle))
-            found = list(run_sweep(plan, index, tmp_path / name, tmp_path / name / "drives", tasks))
-        assert [swept.failure for swept in found] == ["", ""]
-        made[name] = {
-            swept.training.run: (
-                (tmp_path / name / swept.training.run / "model.safetensors").read_bytes(),
-                [drive["trajectory_sha256"] for drive in swept.summary.drives],
-            )
-            for swept in found
-            if swept.summary is not None
-        }
-    assert made["there"] == made["here"]
-    assert list(made["here"]) == ["s-seed1", "s-seed2"]
 
 
 def test_a_cluster_of_another_version_is_told(tmp_path: Path, small_cluster: Any) -> None:
@@ -346,20 +303,6 @@ def test_drives_on_a_cluster_have_the_numbers_of_drives_one_by_one(tmp_path: Pat
     assert sorted(there.stdout.splitlines()) == sorted(expected)
     assert all("trajectory_sha256" in line for line in expected)
     assert len(list((tmp_path / "there").glob("*.mcap"))) == 2
-
-
-@pytest.mark.long
-def test_a_sweep_on_a_cluster_comes_to_the_runs_of_one_machine(tmp_path: Path, cluster: Any) -> None:
-    toy_index(tmp_path)
-    settings = 'epochs = 2\nbatch = 10\nnetwork = "small"\nprecision = "float32"\nthreads = 1\n'
-    (tmp_path / "s.toml").write_text(f"seeds = [1, 2]\n[train]\n{settings}[grid]\nrate = [1e-4, 1e30]\n")
-    here = run("bc-sweep", "s.toml", "--runs", "here", cwd=tmp_path)
-    there = run("bc-sweep", "s.toml", "--runs", "there", "--ray", cluster.address, cwd=tmp_path)
-    assert (here.returncode, there.returncode) == (3, 3), there.stderr
-    assert there.stdout == here.stdout
-    for seed in (1, 2):
-        name = f"s-rate_0.0001-seed{seed}/model.safetensors"
-        assert (tmp_path / "there" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
 
 
 def test_the_example_of_a_cluster_is_one_by_rays_own_schema() -> None:
