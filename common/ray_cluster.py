@@ -1,7 +1,7 @@
 """Calls made by a Ray cluster: each is a task there, and is made again where its node died.
 
-Work on one machine does not import it; `pip install ".[scale]"` brings Ray. Files are
-not sent: a task works in the folder that the command was started in, so that every path means the same.
+Work on one machine does not import it; `pip install ".[scale]"` brings Ray. Files are not sent: a task works in
+the folder that the command was started in, so that every path means the same.
 
 Ray unpickles what it is sent, and runs code for anybody who reaches its ports: see docs/scale.md.
 """
@@ -38,7 +38,7 @@ _NOTICE_AFTER_S: Final = 10.0
 """A start that takes longer says what it waits for."""
 
 MAX_RETRIES: Final = 5
-"""A call whose worker died for the sixth time is given up: it may be the call that kills it."""
+"""A call whose process died for the sixth time is given up: it may be the call that kills it."""
 
 _MAX_MESSAGE_CHARACTERS: Final = 300  # of a node's message
 _MAX_TASKS: Final = 4_000
@@ -240,7 +240,7 @@ def _without_toolkit(error: str) -> str:
 
 
 def package_versions() -> dict[str, str]:
-    """The folder and versions that `refuse_other_node` compares."""
+    """The versions that `refuse_other_node` compares."""
     return {package: version_of(package) for package in SAME_VERSIONS}
 
 

@@ -8,18 +8,11 @@ from typing import Protocol
 
 from rich.progress import Progress
 
-from common.progress import progress_bar
-
 
 class Advance(Protocol):
     """Count so many more steps of a task as done, and show a note beside them."""
 
     def __call__(self, count: int, note: str = "") -> object: ...
-
-
-def open_bar(*, is_shown: bool) -> Progress:
-    """A progress bar, to be used as a context manager."""
-    return progress_bar() if is_shown else Progress(disable=True)
 
 
 @contextlib.contextmanager

@@ -14,10 +14,12 @@ from typing import Any
 
 import numpy as np
 import torch
+from rich.progress import Progress
 
 from common import Skipped, UserError
 from common.interrupts import stop_signals
 from common.location import Location, location
+from common.progress import progress_bar
 from common.versions import install_line
 from dataset import IndexConfig, Samples
 from dataset.picture_spec import PictureSpec
@@ -27,7 +29,6 @@ from model.device import choose_machine
 from model.errors import RunError
 from model.evaluation.predict import predict
 from model.network.choice import NetworkChoice, choose_network, chosen_picture
-from model.progress_bar import open_bar
 from model.runs.car_of_run import refuse_other_steering
 from model.runs.network_of_run import choice_of
 from model.runs.provenance import init_provenance, provenance
@@ -112,7 +113,7 @@ def train(
         refuse_other_network(init, network, picture, config.targets)
     with (
         Samples(index) as samples,
-        open_bar(is_shown=show_progress) as bar,
+        progress_bar() if show_progress else Progress(disable=True) as bar,
         contextlib.ExitStack() as stack,
     ):
         samples.refuse_missing(config.targets)
