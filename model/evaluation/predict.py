@@ -11,14 +11,13 @@ import torch
 from numpy.typing import NDArray
 
 from common.memory_allocator import keep_freed_memory
-from common.progress import progress_bar
+from common.progress import progress_bar, progress_task
 from dataset import Loader
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image, as_bgr
 from model.errors import RunError
 from model.network.picture_network import PictureNetwork
 from model.network.visual_backprop import visual_backprop
-from model.progress_bar import progress_task
 from model.runs.run_folder import load_network, picture_of_run
 
 BATCH: Final = 64  # what stays in a processor's cache

@@ -16,6 +16,7 @@ from rich.progress import Progress
 from torch import Tensor
 
 from common.errors import counted
+from common.progress import progress_task
 from dataset import Loader, Samples
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import steering_in
@@ -25,7 +26,6 @@ from model.device import Machine
 from model.errors import RunError
 from model.evaluation.predict import predict
 from model.network.choice import NetworkChoice
-from model.progress_bar import progress_task
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position, checkpoint_path, load_checkpoint, save_checkpoint
 from model.runs.run_arguments import run_argument
