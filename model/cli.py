@@ -63,7 +63,7 @@ def train(config: Train) -> int:
     if copy is not None:
         listeners.append(copy)
     is_own_index = bool(config.on or config.takeovers)
-    index, code = _own_index(config, run, init) if is_own_index else _index_of(config)
+    index, code = _own_index(config, run, init) if is_own_index else _index_of(config, like)
     print_result(f"{run}: {summary}{_going_on(run) if is_resumed else ''}")
     try:
         trained = train_network(index, run, settings, listeners, init=init, like=like, resume=is_resumed)
@@ -217,16 +217,13 @@ def _own_listener(name: str, run: Path, config: TrainConfig) -> Listener:
 def _run_of(config: Train) -> Path:
     from model.runs.run_folder import find_any_run, refuse_existing_run
 
-    if config.resume is not None:
-        return find_any_run(_here(config.resume), config.runs)
+    if (resumed := config.resume) is not None:
+        # one in a store was brought here, under its name
+        name = resumed.rstrip("/").rpartition("/")[2] if is_in_store(resumed) else resumed
+        return find_any_run(name, config.runs)
     run = local_path(config.runs) / (config.name or new_run_name())
     refuse_existing_run(run)
     return run
-
-
-def _here(resumed: str) -> str:
-    """The name of a run that --resume has brought here."""
-    return resumed.rstrip("/").rpartition("/")[2] if is_in_store(resumed) else resumed
 
 
 def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, int]:
@@ -245,23 +242,20 @@ def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, i
     return index, _build_index(logs, index, settings, config.sessions, [session_name(log) for log in logs])
 
 
-def _index_of(config: Train) -> tuple[Location, int]:
-    """The index to train on, built if need be, and the exit code of what had to be printed about it."""
+def _index_of(config: Train, like: Path | None) -> tuple[Location, int]:
+    """The index to train on, built if need be, and the exit code of what had to be printed about it. `like` is the
+    run that is resumed or repeated."""
     from dataset import IndexConfig, find_logs, sessions_not_indexed
     from dataset.index.not_learnt import not_learnt_in
     from dataset.missing_index import missing_index
     from dataset.samples.samples_format import SAMPLES_NAME
 
     is_built = is_there(config.index / SAMPLES_NAME)
-    if config.like is not None or (config.resume is not None and not is_built):
+    if like is not None and (config.resume is None or not is_built):
         from model.runs.reproduce import index_of_run
-        from model.runs.run_folder import find_any_run
 
-        name = config.like if config.like is not None else _here(config.resume or "")
-        assert name is not None  # noqa: S101
         codes = [DONE]
-        run = find_any_run(name, config.runs)
-        index = index_of_run(run, config.index, config.sessions, lambda notice: codes.append(warn(notice)))
+        index = index_of_run(like, config.index, config.sessions, lambda notice: codes.append(warn(notice)))
         return index, max(codes)
     if not is_built:
         if not _is_built_unasked(config.index):

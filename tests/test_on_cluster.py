@@ -127,7 +127,8 @@ def tasks_whose_node_dies(cluster: Any, folder: Path) -> Iterator[Tasks]:
     """Calls on one node, which goes when the last one is done, and nobody knows its result yet. Then another node
     comes."""
     began, gone = folder / "began", folder / "gone"
-    dying = cluster.add_node(num_cpus=1, resources={"dying": 1}, include_dashboard=False)
+    kind = {folder.name: 1}  # of no node of another test
+    dying = cluster.add_node(num_cpus=1, resources=kind, include_dashboard=False)
 
     def holding(function: Callable[..., Any]) -> Callable[..., Any]:
         def call(is_held: bool, *arguments: Any) -> Any:
@@ -139,7 +140,7 @@ def tasks_whose_node_dies(cluster: Any, folder: Path) -> Iterator[Tasks]:
 
         return call
 
-    with cluster_tasks(cluster.address, resources={"dying": 0.01}) as there:
+    with cluster_tasks(cluster.address, resources={folder.name: 0.01}) as there:
 
         def tasks(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
             marked = [(number == len(calls) - 1, *arguments) for number, arguments in enumerate(calls)]
@@ -148,7 +149,7 @@ def tasks_whose_node_dies(cluster: Any, folder: Path) -> Iterator[Tasks]:
                     wait_until(began.exists)
                     gone.write_text("")
                     cluster.remove_node(dying, allow_graceful=False)
-                    cluster.add_node(num_cpus=1, resources={"dying": 1}, include_dashboard=False)
+                    cluster.add_node(num_cpus=1, resources=kind, include_dashboard=False)
                 yield number, result
 
         yield tasks
