@@ -17,6 +17,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -75,22 +76,15 @@ def address_of(flag: Sequence[str]) -> str:
 
 
 @contextlib.contextmanager
-def cluster_tasks(address: str = "", **options: object) -> Iterator[Tasks]:
+def cluster_tasks(address: str = "") -> Iterator[Tasks]:
     """Connect to a cluster, and yield what makes calls there.
 
     `address` is HOST:PORT of its head, from one of its nodes; ray://HOST:PORT from elsewhere; "auto" a cluster
     that this machine is a node of; "local" starts one on this machine alone; "" is RAY_ADDRESS, else
-    "auto", else "local". `options` are those of Ray's tasks. Raises ClusterError if there is none, or its versions
-    are others.
+    "auto", else "local". Raises ClusterError if there is none, or its versions are others.
     """
     with _connection(address) as ray:
-
-        def tasks(
-            function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]
-        ) -> Iterator[tuple[int, Result]]:
-            return _results(ray, options, function, calls)
-
-        yield tasks
+        yield partial(_results, ray)
 
 
 @contextlib.contextmanager
@@ -188,13 +182,10 @@ def _why_not(address: str, error: str) -> str:
 
 
 def _results(
-    ray: Any,
-    options: Mapping[str, object],
-    function: Callable[..., Result],
-    calls: Sequence[tuple[Any, ...]],
+    ray: Any, function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]
 ) -> Iterator[tuple[int, Result]]:
-    of_tasks = {"num_cpus": 1, "max_retries": MAX_RETRIES, "name": function.__name__.strip("_"), **options}
-    call = ray.remote(_call).options(**of_tasks)
+    name = function.__name__.strip("_")
+    call = ray.remote(_call).options(num_cpus=1, max_retries=MAX_RETRIES, name=name)
     versions, folder = package_versions(), Path.cwd()
     size = -(-len(calls) // _MAX_TASKS)
     firsts: dict[Any, int] = {}  # of each task that goes on, the number of its first call

@@ -123,12 +123,10 @@ def test_the_index_has_the_same_bytes_and_omits_a_damaged_log(tmp_path: Path, sm
 
 
 @contextlib.contextmanager
-def tasks_whose_node_dies(cluster: Any, folder: Path) -> Iterator[Tasks]:
-    """Calls on one node, which goes when the last one is done, and nobody knows its result yet. Then another node
-    comes."""
+def tasks_whose_node_dies(folder: Path) -> Iterator[Tasks]:
+    """Calls on a cluster of one node, which goes when the last one is done, and nobody knows its result yet. Then
+    another node comes."""
     began, gone = folder / "began", folder / "gone"
-    kind = {folder.name: 1}  # of no node of another test
-    dying = cluster.add_node(num_cpus=1, resources=kind, include_dashboard=False)
 
     def holding(function: Callable[..., Any]) -> Callable[..., Any]:
         def call(is_held: bool, *arguments: Any) -> Any:
@@ -140,38 +138,40 @@ def tasks_whose_node_dies(cluster: Any, folder: Path) -> Iterator[Tasks]:
 
         return call
 
-    with cluster_tasks(cluster.address, resources={folder.name: 0.01}) as there:
+    with ray_cluster(nodes=0) as cluster:
+        dying = cluster.add_node(num_cpus=1, include_dashboard=False)
+        with cluster_tasks(cluster.address) as there:
 
-        def tasks(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
-            marked = [(number == len(calls) - 1, *arguments) for number, arguments in enumerate(calls)]
-            for number, result in there(holding(function), marked):
-                if not gone.exists():
-                    wait_until(began.exists)
-                    gone.write_text("")
-                    cluster.remove_node(dying, allow_graceful=False)
-                    cluster.add_node(num_cpus=1, resources=kind, include_dashboard=False)
-                yield number, result
+            def tasks(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
+                marked = [(number == len(calls) - 1, *arguments) for number, arguments in enumerate(calls)]
+                for number, result in there(holding(function), marked):
+                    if not gone.exists():
+                        wait_until(began.exists)
+                        gone.write_text("")
+                        cluster.remove_node(dying, allow_graceful=False)
+                        cluster.add_node(num_cpus=1, include_dashboard=False)
+                    yield number, result
 
-        yield tasks
+            yield tasks
     assert gone.exists()
 
 
 @pytest.mark.long
-def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_index(tmp_path: Path, cluster: Any) -> None:
+def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_index(tmp_path: Path) -> None:
     logs = drives(tmp_path / "sessions")
     build_index(logs, tmp_path / "here", divide_from_frames=1)
-    with tasks_whose_node_dies(cluster, tmp_path) as tasks:
+    with tasks_whose_node_dies(tmp_path) as tasks:
         build_index(logs, tmp_path / "there", tasks=tasks, divide_from_frames=1)
     assert index_files(tmp_path / "there") == index_files(tmp_path / "here")
 
 
 @pytest.mark.long
-def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_drives(tmp_path: Path, cluster: Any) -> None:
+def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_drives(tmp_path: Path) -> None:
     run = untrained_run(tmp_path / "runs" / "untrained")
     lake = BuiltInSimulator("lake", laps=0.002)
     drives = [(lake, DriveConfig(set_speed_mph=speed)) for speed in (8, 12)]
     here = dict(drive_runs([(run, LogFolder(tmp_path / "here"))], drives, one_by_one))
-    with tasks_whose_node_dies(cluster, tmp_path) as tasks:
+    with tasks_whose_node_dies(tmp_path) as tasks:
         there = dict(drive_runs([(run, LogFolder(tmp_path / "there"))], drives, tasks))
     assert sorted(there) == [0, 1]
     for number, driven in there.items():
