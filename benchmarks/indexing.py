@@ -88,11 +88,7 @@ class Costs:
     def of_tasks(self, tasks: Tasks) -> Tasks:
         """Adds what the calls take in their own processes."""
 
-        def counting(
-            function: Callable[..., Any],
-            calls: Sequence[tuple[Any, ...]],
-            lost: Callable[[int, str], Any] | None = None,
-        ) -> Iterator[tuple[int, Any]]:
+        def counting(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
             def call(*arguments: Any) -> tuple[Any, float]:
                 cpu_s = time.process_time()
                 result = function(*arguments)

@@ -89,7 +89,8 @@ def print_memory(folder: Path) -> None:
 
 def _most_memory_mb(index: Path, runs: Path, flags: tuple[str, ...]) -> float:
     """Of the whole process of a bc-train."""
-    command = [sys.executable, "-P", "-m", "model.train", "--epochs", "1", "--device", "cpu", *flags]
+    bc_train = "from behavioural_cloning_toolkit import bc_train; bc_train()"
+    command = [sys.executable, "-P", "-c", bc_train, "--epochs", "1", "--device", "cpu", *flags]
     process = subprocess.Popen([*command, "--index", str(index), "--runs", str(runs)], stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)

@@ -109,11 +109,6 @@ def folders_of(files: Iterable[Location]) -> set[Location]:
     return {absolute(file).parent for file in files}
 
 
-def places_of(*holders: Location) -> list[Location]:
-    """All that is allowed to these besides their projects, for `allow_places` on another machine."""
-    return [*_named, *(location(place) for holder in holders for place in _recorded(holder))]
-
-
 def _is_in_project(place: Location, project: Location) -> bool:
     """A project is never the root of the disk, nor a home: these hold all that somebody has."""
     if isinstance(project, Url):

@@ -30,8 +30,8 @@ from common.errors import printable
 from common.streams import unescaped
 
 _COMMAND: Final = re.compile(
-    r"(`|--no-python |&& )"
-    r"(bc-(?:record|log|index|train|runs|drive|play|sim|eval|demo|sweep|doctor|web)|rerun|torchrun|pip)"
+    r"(`|&& )"
+    r"(bc-(?:record|log|index|train|runs|drive|play|sim|eval|demo|doctor|web)|rerun|pip)"
     r"(?![\w-])"
 )
 _live_displays: Final[list[Console]] = []  # those with a progress bar on the terminal; the last one is drawn now

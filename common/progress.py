@@ -5,9 +5,10 @@ Where stderr is no terminal, a line now and then says the same.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Iterable, Iterator
-from typing import Final, Self, TypeVar
+from typing import Final, Protocol, Self, TypeVar
 
 from rich.console import Console
 from rich.markup import escape
@@ -20,6 +21,12 @@ from common.output import add_live_display, message_console, print_message, remo
 Item = TypeVar("Item")
 
 LINE_EVERY_S: Final = 30.0
+
+
+class Advance(Protocol):
+    """Count so many more steps of a task as done, and show a note beside them."""
+
+    def __call__(self, count: int, note: str = "") -> object: ...
 
 
 class _Bar(Progress):
@@ -73,13 +80,26 @@ def progress_bar() -> Progress:
     )
 
 
+@contextlib.contextmanager
+def progress_task(bar: Progress, name: str, total: int, completed: int = 0) -> Iterator[Advance]:
+    """A line of `bar`, there while the block runs; of `total` steps, `completed` are done already."""
+    task = bar.add_task(name, total=total, completed=completed, note="")
+
+    def advance(count: int, note: str = "") -> None:
+        bar.update(task, advance=count, note=note)
+
+    try:
+        yield advance
+    finally:
+        bar.remove_task(task)
+
+
 def track(items: Iterable[Item], description: str, total: int) -> Iterator[Item]:
     """Yield `items` while a bar with this description counts them up to `total`."""
-    with progress_bar() as progress:
-        task = progress.add_task(description, total=total, note="")
+    with progress_bar() as bar, progress_task(bar, description, total) as advance:
         for item in items:  # rich's own `track` counts nothing where no bar is shown
             yield item
-            progress.advance(task)
+            advance(1)
 
 
 class StatusLine:

@@ -1,7 +1,7 @@
 """Calls made by a Ray cluster: each is a task there, and is made again where its node died.
 
-Work on one machine does not import it; `pip install ".[scale]"` brings Ray. Files are
-not sent: a task works in the folder that the command was started in, so that every path means the same.
+Work on one machine does not import it; `pip install ".[scale]"` brings Ray. Files are not sent: a task works in
+the folder that the command was started in, so that every path means the same.
 
 Ray unpickles what it is sent, and runs code for anybody who reaches its ports: see docs/scale.md.
 """
@@ -17,6 +17,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -34,11 +35,11 @@ SAME_VERSIONS: Final = (TOOLKIT, "numpy", "pyarrow", "opencv-python-headless", "
 UNREACHABLE_S: Final = 8.0
 """Ray itself tries for more than a minute, and then ends the process."""
 
-NOTICE_AFTER_S: Final = 10.0
+_NOTICE_AFTER_S: Final = 10.0
 """A start that takes longer says what it waits for."""
 
 MAX_RETRIES: Final = 5
-"""A call whose worker died for the sixth time is given up: it may be the call that kills it."""
+"""A call whose process died for the sixth time is given up: it may be the call that kills it."""
 
 _MAX_MESSAGE_CHARACTERS: Final = 300  # of a node's message
 _MAX_TASKS: Final = 4_000
@@ -54,10 +55,6 @@ _LOCAL_ADDRESSES: Final = ("", "auto", "local")
 
 class ClusterError(UserError):
     """A cluster that cannot be reached, or on whose nodes nothing of ours can run."""
-
-
-class _LostError(ClusterError):
-    """A task whose process died each time."""
 
 
 @dataclass(frozen=True)
@@ -79,28 +76,19 @@ def address_of(flag: Sequence[str]) -> str:
 
 
 @contextlib.contextmanager
-def cluster_tasks(address: str = "", **options: object) -> Iterator[Tasks]:
+def cluster_tasks(address: str = "") -> Iterator[Tasks]:
     """Connect to a cluster, and yield what makes calls there.
 
     `address` is HOST:PORT of its head, from one of its nodes; ray://HOST:PORT from elsewhere; "auto" a cluster
     that this machine is a node of; "local" starts one on this machine alone; "" is RAY_ADDRESS, else
-    "auto", else "local". `options` are those of Ray's tasks, such as what a call takes (`num_cpus`,
-    1 by default; `num_gpus`). Raises ClusterError if there is none, or its versions are others.
+    "auto", else "local". Raises ClusterError if there is none, or its versions are others.
     """
-    with connection(address) as ray:
-
-        def tasks(
-            function: Callable[..., Result],
-            calls: Sequence[tuple[Any, ...]],
-            lost: Callable[[int, str], Result] | None = None,
-        ) -> Iterator[tuple[int, Result]]:
-            return _results(ray, options, function, calls, lost)
-
-        yield tasks
+    with _connection(address) as ray:
+        yield partial(_results, ray)
 
 
 @contextlib.contextmanager
-def connection(address: str) -> Iterator[Any]:
+def _connection(address: str) -> Iterator[Any]:
     """The module `ray`, connected to a cluster in the block. See `cluster_tasks`."""
     os.environ.setdefault("RAY_CLIENT_MAX_CONNECTION_TIMEOUT_S", str(round(UNREACHABLE_S)))
     try:
@@ -117,7 +105,7 @@ def connection(address: str) -> Iterator[Any]:
     before = signal.getsignal(signal.SIGTERM)  # Ray puts its own in its place
     where = "of this machine" if address == "local" else address or "that is found by itself"
     waiting = threading.Timer(
-        NOTICE_AFTER_S, print_message, [f"--ray: waiting for the cluster {where} to start and to answer"]
+        _NOTICE_AFTER_S, print_message, [f"--ray: waiting for the cluster {where} to start and to answer"]
     )
     waiting.daemon = True
     waiting.start()
@@ -194,17 +182,12 @@ def _why_not(address: str, error: str) -> str:
 
 
 def _results(
-    ray: Any,
-    options: Mapping[str, object],
-    function: Callable[..., Result],
-    calls: Sequence[tuple[Any, ...]],
-    lost: Callable[[int, str], Result] | None,
+    ray: Any, function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]
 ) -> Iterator[tuple[int, Result]]:
-    of_tasks = {"num_cpus": 1, "max_retries": MAX_RETRIES, "name": function.__name__.strip("_"), **options}
-    call = ray.remote(_call).options(**of_tasks)
+    name = function.__name__.strip("_")
+    call = ray.remote(_call).options(num_cpus=1, max_retries=MAX_RETRIES, name=name)
     versions, folder = package_versions(), Path.cwd()
-    # once its process has died, each call of a task gets a task of its own
-    size = -(-len(calls) // _MAX_TASKS) if lost is None else 1
+    size = -(-len(calls) // _MAX_TASKS)
     firsts: dict[Any, int] = {}  # of each task that goes on, the number of its first call
     to_do = iter(range(0, len(calls), max(1, size)))
     try:
@@ -217,13 +200,7 @@ def _results(
             ready, _ = ray.wait(pending, num_returns=min(len(pending), _READY_AT_ONCE), timeout=_POLL_EVERY_S)
             for reference in ready:
                 first = firsts.pop(reference)
-                try:
-                    results = _get(ray, reference)
-                except _LostError as error:
-                    if lost is None:
-                        raise
-                    results = [lost(first, str(error))]
-                for number, result in enumerate(results, first):
+                for number, result in enumerate(_get(ray, reference), first):
                     if isinstance(result, _Failed):
                         raise result.error
                     yield number, result
@@ -241,7 +218,7 @@ def _get(ray: Any, reference: Any) -> list[Any]:
         raise
     except ray.exceptions.RayError as error:
         why = printable(" ".join(str(error).split())[:300])
-        raise _LostError(f"a task has failed {MAX_RETRIES + 1} times: {why}") from None
+        raise ClusterError(f"a task has failed {MAX_RETRIES + 1} times: {why}") from None
     return results
 
 
@@ -254,7 +231,7 @@ def _without_toolkit(error: str) -> str:
 
 
 def package_versions() -> dict[str, str]:
-    """The folder and versions that `refuse_other_node` compares."""
+    """The versions that `refuse_other_node` compares."""
     return {package: version_of(package) for package in SAME_VERSIONS}
 
 

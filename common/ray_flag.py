@@ -15,11 +15,11 @@ RayAddress = Annotated[
 """The flag `--ray [ADDRESS]`: None where it is not given, empty where no address is."""
 
 
-def tasks_of(ray: RayAddress, **options: object) -> contextlib.AbstractContextManager[Tasks]:
-    """The way to make calls that `--ray` chooses: one by one without it. `options` are those of Ray's tasks.
-    Raises UsageError for an address that is none, ClusterError where no cluster can be reached."""
+def tasks_of(ray: RayAddress) -> contextlib.AbstractContextManager[Tasks]:
+    """The way to make calls that `--ray` chooses: one by one without it. Raises UsageError for an address that is
+    none, ClusterError where no cluster can be reached."""
     if ray is None:
         return contextlib.nullcontext(one_by_one)
     from common.ray_cluster import address_of, cluster_tasks
 
-    return cluster_tasks(address_of(ray), **options)
+    return cluster_tasks(address_of(ray))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -31,6 +31,7 @@ from common.object_store import (
     read_object,
     remove,
 )
+from common.progress import progress_task
 from common.store_record import (
     RECORD_NAME,
     Copy,
@@ -276,17 +277,13 @@ def _is_it_or_in_it(name: str, file_or_folder: str) -> bool:
     return name == file_or_folder or (file_or_folder.endswith("/") and name.startswith(file_or_folder))
 
 
-@contextlib.contextmanager
-def _line_of(progress: Progress | None, description: str, total: int) -> Iterator[OnBytes]:
+def _line_of(
+    progress: Progress | None, description: str, total: int
+) -> contextlib.AbstractContextManager[OnBytes]:
     """Show a line of a progress bar while the block runs; yields the callback that advances it."""
     if progress is None or not total:
-        yield lambda more: None
-        return
-    task = progress.add_task(description, total=total, note="")
-    try:
-        yield lambda more: progress.advance(task, more)
-    finally:
-        progress.remove_task(task)
+        return contextlib.nullcontext(lambda more: None)
+    return progress_task(progress, description, total)
 
 
 def _version_of(copy: Copy) -> ObjectVersion:

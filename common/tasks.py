@@ -15,34 +15,22 @@ class Tasks(Protocol):
     """A way to make calls that do not depend on each other."""
 
     def __call__(
-        self,
-        function: Callable[..., Result],
-        calls: Sequence[tuple[Any, ...]],
-        lost: Callable[[int, str], Result] | None = None,
+        self, function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]
     ) -> Iterator[tuple[int, Result]]:
         """Call `function` with each of the tuples of arguments; yield number and result of each, as they come.
 
         What one raises is raised, and the rest is not done. A call may be made again where its process died: it
-        must give the same result. `lost` is called with the number of a call whose process died each time, and the
-        reason, and gives its result; without it, an error is raised.
+        must give the same result.
         """
 
 
-def one_by_one(
-    function: Callable[..., Result],
-    calls: Sequence[tuple[Any, ...]],
-    lost: Callable[[int, str], Result] | None = None,
-) -> Iterator[tuple[int, Result]]:
+def one_by_one(function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Result]]:
     """Make the calls in this process, in their order."""
     for number, arguments in enumerate(calls):
         yield number, function(*arguments)
 
 
-def in_threads(
-    function: Callable[..., Result],
-    calls: Sequence[tuple[Any, ...]],
-    lost: Callable[[int, str], Result] | None = None,
-) -> Iterator[tuple[int, Result]]:
+def in_threads(function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Result]]:
     """Make several calls at a time in this process, which wait for a store more than they compute."""
     with ThreadPoolExecutor(_THREADS) as pool:
         numbers = {pool.submit(function, *arguments): number for number, arguments in enumerate(calls)}

@@ -1,7 +1,7 @@
 """Alterations of every picture, drawn anew in every epoch, so that a network learns no pixels by heart.
 
 What is drawn is a pure function of (seed, epoch, sample): a resumed training sees what it would have seen, and
-threads, batches and ranks do not matter. Each alteration is drawn the same, whichever others there are.
+threads and batches do not matter. Each alteration is drawn the same, whichever others there are.
 """
 
 from __future__ import annotations

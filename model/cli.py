@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import sys
 from collections.abc import Sequence
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from common import UserError
 from common.allowed_places import allow_places
-from common.command import DONE, FAILED, run_command, warn, warn_skipped
+from common.command import DONE, run_command, warn, warn_skipped
 from common.errors import counted, printable
 from common.files import refuse_existing
 from common.location import Location, Url, absolute, is_in_store, local_path, location
@@ -20,12 +19,11 @@ from common.memory_allocator import use_large_pages
 from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
 from common.random_access import is_there
-from common.streams import end_process
 from model.config import TrainConfig
 from model.epoch_printer import EpochPrinter
 from model.network.names import is_own
 from model.runs.run_arguments import RUNS, new_run_name
-from model.train_flags import Train, defaults, refuse_contradictions, workers_of
+from model.train_flags import Train, defaults, refuse_contradictions
 
 if TYPE_CHECKING:
     from dataset import IndexConfig
@@ -41,11 +39,9 @@ def train(config: Train) -> int:
     from model.errors import RunWriteError
     from model.runs.run_folder import find_any_run, find_run
     from model.runs.stored_run import RunCopy, place_of_copies
-    from model.training.distributed import FirstRankError, rank_of_process
     from model.training.trainer import train as train_network
 
-    workers = workers_of(config.ray)
-    is_first, is_resumed, settings = rank_of_process() == 0, config.resume is not None, config.config
+    is_resumed, settings = config.resume is not None, config.config
     # all that can fail at once, before the minutes that an index may take
     run = _run_of(config)
     copies = _folder_of_copies(config)
@@ -61,36 +57,25 @@ def train(config: Train) -> int:
     if config.like is not None:
         like = find_any_run(config.like, config.runs)
     allow_places(config.sessions, config.drives)
-    summary = _tried_out(config, run, init, like, workers)
-    listeners = _listeners(config, run) if is_first else []
-    copy = RunCopy(run, copied_to) if copied_to is not None and is_first else None
+    summary = _tried_out(config, run, init, like)
+    listeners = _listeners(config, run)
+    copy = RunCopy(run, copied_to) if copied_to is not None else None
     if copy is not None:
         listeners.append(copy)
     is_own_index = bool(config.on or config.takeovers)
-    index, code = _own_index(config, run, init) if is_own_index else _index_of(config, is_first=is_first)
-    if is_first:
-        print_result(f"{run}: {summary}{_going_on(run) if is_resumed else ''}")
+    index, code = _own_index(config, run, init) if is_own_index else _index_of(config, like)
+    print_result(f"{run}: {summary}{_going_on(run) if is_resumed else ''}")
     try:
-        if workers is None:
-            trained = train_network(index, run, settings, listeners, init=init, like=like, resume=is_resumed)
-        else:
-            from model.training.ray_workers import train_on_cluster
-
-            trained = train_on_cluster(
-                *workers, index, run, settings, listeners, init=init, like=like, resume=is_resumed
-            )
+        trained = train_network(index, run, settings, listeners, init=init, like=like, resume=is_resumed)
     except (KeyboardInterrupt, RunWriteError):
-        if is_first and run.exists():
+        if run.exists():
             to = f" --copy-to {copies}" if copies is not None else ""
             print_message(f"bc-train: the run is kept; continue with `{_resume(run, index)}{to}`")
         raise
-    except FirstRankError:
-        return FAILED  # the first one prints why
     finally:
         if copy is not None and (problem := copy.finish()):
             code = warn(f"{problem}; `{_resume(run, index)} --copy-to {copies}` copies the rest")
-    code = max([code, *map(warn_skipped, trained.skipped)])
-    return max(code, _print_outcome(trained, settings)) if is_first else code
+    return max([code, *map(warn_skipped, trained.skipped), _print_outcome(trained, settings)])
 
 
 def _folder_of_copies(config: Train) -> Location | None:
@@ -100,9 +85,7 @@ def _folder_of_copies(config: Train) -> Location | None:
     return config.copy_to
 
 
-def _tried_out(
-    config: Train, run: Path, init: Path | None, like: Path | None, workers: tuple[int, str] | None
-) -> str:
+def _tried_out(config: Train, run: Path, init: Path | None, like: Path | None) -> str:
     """Try the network of a training on the machine that it will have; both for the line that is printed first.
 
     Raises RunError where there is no such network or machine, or its first weights are those of another one.
@@ -112,13 +95,11 @@ def _tried_out(
     from model.network.own_code import load_code
     from model.runs.network_of_run import choice_of
     from model.runs.run_folder import load_config, picture_of_run
-    from model.training.distributed import local_rank_of_process
     from model.training.earlier_run import refuse_other_network
 
     settings = config.config
     begun = load_config(like).get("machine") if like is not None else None
-    here = settings if config.ray is None else replace(settings, device="cpu")  # workers choose for themselves
-    machine = choose_machine(here, local_rank_of_process(), begun)
+    machine = choose_machine(settings, begun)
     if config.resume is None:
         network = choose_network(settings)
         picture = chosen_picture(settings, network)
@@ -130,8 +111,6 @@ def _tried_out(
         network, picture = choice_of(load_config(run), run), picture_of_run(run)
     parameters = network.try_out(picture, machine.device)
     where = f"{machine.arithmetic} on the {'GPU' if machine.device.type == 'cuda' else 'processor'}"
-    if workers is not None:
-        where = f"on {counted(workers[0], 'worker')} of a cluster"
     return f"{_named(network.name)}{parameters:,} parameters, {counted(settings.epochs, 'epoch')}, {where}"
 
 
@@ -192,11 +171,10 @@ def _resume(run: Path, index: Location) -> str:
     from model.runs.run_arguments import run_argument
     from model.runs.run_inputs import index_of
 
-    command = "bc-train" if "WORLD_SIZE" not in os.environ else "torchrun ... --no-python bc-train"
     stored = index_of(run)
     is_stored = stored is not None and absolute(stored) == absolute(index)
     given = "" if is_stored else f" --index {shlex.quote(str(index))}"
-    return f"{command} --resume {run_argument(run)}{_network_flag(run)}{given}"
+    return f"bc-train --resume {run_argument(run)}{_network_flag(run)}{given}"
 
 
 def _network_flag(run: Path) -> str:
@@ -239,16 +217,13 @@ def _own_listener(name: str, run: Path, config: TrainConfig) -> Listener:
 def _run_of(config: Train) -> Path:
     from model.runs.run_folder import find_any_run, refuse_existing_run
 
-    if config.resume is not None:
-        return find_any_run(_here(config.resume), config.runs)
+    if (resumed := config.resume) is not None:
+        # one in a store was brought here, under its name
+        name = resumed.rstrip("/").rpartition("/")[2] if is_in_store(resumed) else resumed
+        return find_any_run(name, config.runs)
     run = local_path(config.runs) / (config.name or new_run_name())
     refuse_existing_run(run)
     return run
-
-
-def _here(resumed: str) -> str:
-    """The name of a run that --resume has brought here."""
-    return resumed.rstrip("/").rpartition("/")[2] if is_in_store(resumed) else resumed
 
 
 def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, int]:
@@ -267,36 +242,28 @@ def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, i
     return index, _build_index(logs, index, settings, config.sessions, [session_name(log) for log in logs])
 
 
-def _index_of(config: Train, *, is_first: bool) -> tuple[Location, int]:
-    """The index to train on, built if need be, and the exit code of what had to be printed about it."""
+def _index_of(config: Train, like: Path | None) -> tuple[Location, int]:
+    """The index to train on, built if need be, and the exit code of what had to be printed about it. `like` is the
+    run that is resumed or repeated."""
     from dataset import IndexConfig, find_logs, sessions_not_indexed
     from dataset.index.not_learnt import not_learnt_in
     from dataset.missing_index import missing_index
     from dataset.samples.samples_format import SAMPLES_NAME
 
     is_built = is_there(config.index / SAMPLES_NAME)
-    if config.like is not None or (config.resume is not None and not is_built):
+    if like is not None and (config.resume is None or not is_built):
         from model.runs.reproduce import index_of_run
-        from model.runs.run_folder import find_any_run
 
-        name = config.like if config.like is not None else _here(config.resume or "")
-        assert name is not None  # noqa: S101
         codes = [DONE]
-
-        def on_notice(notice: str) -> None:
-            if is_first:
-                codes.append(warn(notice))
-
-        return index_of_run(find_any_run(name, config.runs), config.index, config.sessions, on_notice), max(codes)
+        index = index_of_run(like, config.index, config.sessions, lambda notice: codes.append(warn(notice)))
+        return index, max(codes)
     if not is_built:
         if not _is_built_unasked(config.index):
             raise missing_index(config.index)
-        if "WORLD_SIZE" in os.environ:
-            raise UserError(f"{config.index}: no index yet; build it with `bc-index` before torchrun")
         print_message(f"{config.index}: no index yet; building it from {config.sessions}")
         logs, settings = find_logs((), config.sessions), IndexConfig.of(config.config.recipe)
         return config.index, _build_index(logs, local_path(config.index), settings, config.sessions)
-    is_current_index = is_first and config.resume is None and isinstance(config.index, Path)
+    is_current_index = config.resume is None and isinstance(config.index, Path)
     if is_current_index:
         for line in not_learnt_in(local_path(config.index)):
             print_message(line)
@@ -329,10 +296,4 @@ def main() -> None:
 
         export()
     use_large_pages()
-    try:
-        run_command("bc-train", Train, train, default=defaults)
-    except SystemExit as ended:
-        if "WORLD_SIZE" not in os.environ:
-            raise
-        # A thread of torchrun's process group that returns while Python ends has aborted the process.
-        end_process(ended.code if isinstance(ended.code, int) else int(ended.code is not None))
+    run_command("bc-train", Train, train, default=defaults)

@@ -58,18 +58,15 @@ class _Begun(msgspec.Struct):
     micro_batch: Annotated[int, msgspec.Meta(ge=1, le=10**9)]
 
 
-def choose_machine(config: TrainConfig, local_rank: int = 0, begun: object = None) -> Machine:
-    """The machine that `config` asks for; `local_rank` is this process's number among those of its computer.
+def choose_machine(config: TrainConfig, begun: object = None) -> Machine:
+    """The machine that `config` asks for.
 
     What `config` leaves open is as the device has it, or for a run that goes on or is repeated as it was `begun`
     with (the machine in its config.json), as far as a device of the same kind has that, too.
     Raises RunError if there is no such device here.
     """
-    device = choose_device(config.device, local_rank)
+    device = choose_device(config.device)
     if device.type == "cuda":
-        if local_rank >= torch.cuda.device_count():
-            raise RunError(f"{torch.cuda.device_count()} GPUs here: give torchrun no greater --nproc-per-node")
-        torch.cuda.set_device(device)
         torch.set_float32_matmul_precision("high")  # TF32 where float32 is asked for
     else:
         keep_freed_memory()
@@ -90,12 +87,12 @@ def choose_machine(config: TrainConfig, local_rank: int = 0, begun: object = Non
     return Machine(device, training_dtype(precision, device), micro_batch)
 
 
-def choose_device(device: Device, number: int = 0) -> torch.device:
+def choose_device(device: Device) -> torch.device:
     """The processor or the GPU, as `--device` asks for. Raises RunError if PyTorch finds no GPU for "cuda"."""
     has_gpu = torch.cuda.is_available()
     if device == "cuda" and not has_gpu:
         raise RunError("--device cuda: PyTorch finds no GPU here; give --device cpu, or install PyTorch for CUDA")
-    return torch.device("cuda", number) if device != "cpu" and has_gpu else torch.device("cpu")
+    return torch.device("cuda:0" if device != "cpu" and has_gpu else "cpu")
 
 
 def processor_way(capabilities: Mapping[str, object], precision: Precision = "auto") -> ProcessorWay:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, ClassVar, Final
+from typing import Annotated, ClassVar
 
 import tyro
 
@@ -15,11 +16,8 @@ from common.errors import UsageError
 from common.location import Url, is_in_store, location
 from common.location_flag import LocationFlag
 from common.recipe import recipe_given
-from common.whole_number import whole_number
 from model.config import TrainConfig
 from model.runs.run_arguments import RUNS
-
-_MAX_WORKERS: Final = 10_000
 
 
 @dataclass(frozen=True)
@@ -30,7 +28,7 @@ class Train:
     `bc-train export RUN` writes a network for other programs (--onnx) or the Hugging Face hub (--hub).
     """
 
-    RARE: ClassVar[str] = "tensorboard listener ray sessions drives copy_to"
+    RARE: ClassVar[str] = "tensorboard listener sessions drives copy_to"
     name: str = ""
     """Name of the run; by default date, time and six random digits."""
     resume: str | None = None
@@ -47,10 +45,6 @@ class Train:
     """Also write the curves for TensorBoard."""
     listener: str | None = None
     """Your code that receives the progress: FILE.py:CLASS or MODULE:CLASS."""
-    ray: Annotated[
-        tuple[str, ...] | None, tyro.conf.arg(metavar="N [ADDRESS]", help_behavior_hint="(default: none)")
-    ] = None
-    """Train on N workers of a Ray cluster with shared folders."""
     index: LocationFlag = Path("index")
     """The index."""
     sessions: LocationFlag = Path("sessions")
@@ -77,27 +71,10 @@ def refuse_contradictions(config: Train) -> None:
         )
     if config.on and config.takeovers:
         raise UsageError("--on, --takeovers: give one of them")
-    if (config.on or config.takeovers) and "WORLD_SIZE" in os.environ:
-        raise UsageError("--on and --takeovers build an index: do that with `bc-index` before torchrun")
     if isinstance(config.runs, Url) and config.copy_to is not None:
         raise UsageError(f"--runs {config.runs}: the run is already copied there: leave out --copy-to")
     if Path(config.name).name != config.name or config.name.startswith("."):
         raise UsageError(f"--name {config.name!r}: a plain name was expected; give the folder with --runs")
-
-
-def workers_of(ray: tuple[str, ...] | None) -> tuple[int, str] | None:
-    """Number and address that --ray gives. Raises UsageError for what are none."""
-    if ray is None:
-        return None
-    from common.ray_cluster import address_of
-
-    number, *address = ray or ("",)
-    workers = whole_number(number)
-    if workers is None or not 0 < workers <= _MAX_WORKERS:
-        raise UsageError(f"--ray {' '.join(ray)}: a number of workers was expected, and perhaps an address")
-    if "WORLD_SIZE" in os.environ:
-        raise UsageError("--ray and torchrun each start the workers: give one of them")
-    return workers, address_of(address)
 
 
 def defaults() -> Train:
@@ -105,6 +82,8 @@ def defaults() -> Train:
 
     Raises UsageError for the recipe of another run than the one to be repeated: no setting would follow from it.
     """
+    if "--ray" in sys.argv or os.environ.get("WORLD_SIZE", "1") != "1":
+        raise UsageError("one training is one process: start it without --ray or torchrun (WORLD_SIZE)")
     given = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     given.add_argument("--resume")
     given.add_argument("--like")

@@ -7,7 +7,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import signal
 import socket
 import subprocess
 import sysconfig
@@ -25,7 +24,6 @@ import jsonschema
 import numpy as np
 import pytest
 import yaml
-from safetensors.numpy import load_file
 
 from bucket import serving_bucket
 from clusters import ray_cluster
@@ -43,15 +41,11 @@ from dataset import build_index
 from drive.config import DriveConfig
 from drive.evaluation.closed_loop import LogFolder, drive_runs
 from drive.evaluation.simulator_process import BuiltInSimulator
-from drive.evaluation.sweep import run_sweep
-from drive.evaluation.sweep_plan import read_sweep
-from driving import Process, command, one_line_of, run, run_code, untrained_run
+from driving import one_line_of, run, run_code, untrained_run
 from logs import not_a_picture, write_log
-from model.runs.checkpoint import read_position
 from ports import free_ports
 from recorder.upkeep.check import check
 from repository import ROOT
-from toy import toy_index
 from waiting import wait_until
 
 
@@ -129,13 +123,10 @@ def test_the_index_has_the_same_bytes_and_omits_a_damaged_log(tmp_path: Path, sm
 
 
 @contextlib.contextmanager
-def tasks_whose_node_dies(
-    cluster: Any, folder: Path, is_time: Callable[[], bool] | None = None
-) -> Iterator[Tasks]:
-    """Calls on one node, which goes when the first one is done and it `is_time`: by default when the last one is
-    done, and nobody knows its result yet. Then another node comes."""
+def tasks_whose_node_dies(folder: Path) -> Iterator[Tasks]:
+    """Calls on a cluster of one node, which goes when the last one is done, and nobody knows its result yet. Then
+    another node comes."""
     began, gone = folder / "began", folder / "gone"
-    dying = cluster.add_node(num_cpus=1, resources={"dying": 1}, include_dashboard=False)
 
     def holding(function: Callable[..., Any]) -> Callable[..., Any]:
         def call(is_held: bool, *arguments: Any) -> Any:
@@ -147,82 +138,46 @@ def tasks_whose_node_dies(
 
         return call
 
-    with cluster_tasks(cluster.address, resources={"dying": 0.01}) as there:
+    with ray_cluster(nodes=0) as cluster:
+        dying = cluster.add_node(num_cpus=1, include_dashboard=False)
+        with cluster_tasks(cluster.address) as there:
 
-        def tasks(
-            function: Callable[..., Any],
-            calls: Sequence[tuple[Any, ...]],
-            lost: Callable[[int, str], Any] | None = None,
-        ) -> Iterator[tuple[int, Any]]:
-            last = len(calls) - 1 if is_time is None else -1
-            marked = [(number == last, *arguments) for number, arguments in enumerate(calls)]
-            for number, result in there(holding(function), marked, lost):
-                if not gone.exists():
-                    wait_until(is_time or began.exists)
-                    gone.write_text("")
-                    cluster.remove_node(dying, allow_graceful=False)
-                    cluster.add_node(num_cpus=1, resources={"dying": 1}, include_dashboard=False)
-                yield number, result
+            def tasks(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
+                marked = [(number == len(calls) - 1, *arguments) for number, arguments in enumerate(calls)]
+                for number, result in there(holding(function), marked):
+                    if not gone.exists():
+                        wait_until(began.exists)
+                        gone.write_text("")
+                        cluster.remove_node(dying, allow_graceful=False)
+                        cluster.add_node(num_cpus=1, include_dashboard=False)
+                    yield number, result
 
-        yield tasks
+            yield tasks
     assert gone.exists()
 
 
 @pytest.mark.long
-def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_index(tmp_path: Path, cluster: Any) -> None:
+def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_index(tmp_path: Path) -> None:
     logs = drives(tmp_path / "sessions")
     build_index(logs, tmp_path / "here")
-    with tasks_whose_node_dies(cluster, tmp_path) as tasks:
+    with tasks_whose_node_dies(tmp_path) as tasks:
         build_index(logs, tmp_path / "there", tasks=tasks)
     assert index_files(tmp_path / "there") == index_files(tmp_path / "here")
 
 
 @pytest.mark.long
-def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_drives(tmp_path: Path, cluster: Any) -> None:
+def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_drives(tmp_path: Path) -> None:
     run = untrained_run(tmp_path / "runs" / "untrained")
     lake = BuiltInSimulator("lake", laps=0.002)
     drives = [(lake, DriveConfig(set_speed_mph=speed)) for speed in (8, 12)]
     here = dict(drive_runs([(run, LogFolder(tmp_path / "here"))], drives, one_by_one))
-    with tasks_whose_node_dies(cluster, tmp_path) as tasks:
+    with tasks_whose_node_dies(tmp_path) as tasks:
         there = dict(drive_runs([(run, LogFolder(tmp_path / "there"))], drives, tasks))
     assert sorted(there) == [0, 1]
     for number, driven in there.items():
         assert driven.report["trajectory_sha256"] == here[number].report["trajectory_sha256"]
         assert not check(driven.log).findings
     assert len(list((tmp_path / "there").iterdir())) == 2
-
-
-@pytest.mark.long
-def test_a_node_that_dies_in_the_middle_costs_nothing_of_a_sweep(tmp_path: Path, cluster: Any) -> None:
-    index = toy_index(tmp_path)
-    settings = 'epochs = 60\nbatch = 10\nnetwork = "small"\nprecision = "float32"\nthreads = 1\n'
-    (tmp_path / "s.toml").write_text(
-        f'seeds = [1, 2]\n[train]\n{settings}[drive]\nsimulator = ["lake"]\nlaps = 0.001\n'
-    )
-    metrics = tmp_path / "there" / "s-seed2" / "metrics.jsonl"
-
-    def is_in_the_middle() -> bool:
-        return metrics.exists() and len(metrics.read_text().splitlines()) > 5
-
-    plan = read_sweep(tmp_path / "s.toml")
-    made = {}
-    for name in ("here", "there"):
-        with contextlib.ExitStack() as stack:
-            tasks: Tasks = one_by_one
-            if name == "there":
-                tasks = stack.enter_context(tasks_whose_node_dies(cluster, tmp_path, is_in_the_middle))
-            found = list(run_sweep(plan, index, tmp_path / name, tmp_path / name / "drives", tasks))
-        assert [swept.failure for swept in found] == ["", ""]
-        made[name] = {
-            swept.training.run: (
-                (tmp_path / name / swept.training.run / "model.safetensors").read_bytes(),
-                [drive["trajectory_sha256"] for drive in swept.summary.drives],
-            )
-            for swept in found
-            if swept.summary is not None
-        }
-    assert made["there"] == made["here"]
-    assert list(made["here"]) == ["s-seed1", "s-seed2"]
 
 
 def test_a_cluster_of_another_version_is_told(tmp_path: Path, small_cluster: Any) -> None:
@@ -302,13 +257,6 @@ def test_a_cluster_with_a_token_that_is_not_here_is_told(tmp_path: Path, monkeyp
     assert done.returncode == 1
 
 
-def test_more_workers_than_this_machine_has_room_for_are_refused_at_once(tmp_path: Path) -> None:
-    toy_index(tmp_path)
-    done = run("bc-train", "--network", "small", "--ray", 2000, "local", cwd=tmp_path)
-    assert "2,000 workers of 1 processor, but this machine has" in done.stderr
-    assert done.returncode == 1
-
-
 def test_the_message_of_a_dead_node_is_one_line_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
     dump = "".join(f"\n    [state-dump] line {number}" for number in range(36))
     print_node_message(
@@ -358,44 +306,6 @@ def test_drives_on_a_cluster_have_the_numbers_of_drives_one_by_one(tmp_path: Pat
     assert len(list((tmp_path / "there").glob("*.mcap"))) == 2
 
 
-@pytest.mark.long
-def test_a_sweep_on_a_cluster_comes_to_the_runs_of_one_machine(tmp_path: Path, cluster: Any) -> None:
-    toy_index(tmp_path)
-    settings = 'epochs = 2\nbatch = 10\nnetwork = "small"\nprecision = "float32"\nthreads = 1\n'
-    (tmp_path / "s.toml").write_text(f"seeds = [1, 2]\n[train]\n{settings}[grid]\nrate = [1e-4, 1e30]\n")
-    here = run("bc-sweep", "s.toml", "--runs", "here", cwd=tmp_path)
-    there = run("bc-sweep", "s.toml", "--runs", "there", "--ray", cluster.address, cwd=tmp_path)
-    assert (here.returncode, there.returncode) == (3, 3), there.stderr
-    assert there.stdout == here.stdout
-    for seed in (1, 2):
-        name = f"s-rate_0.0001-seed{seed}/model.safetensors"
-        assert (tmp_path / "there" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
-
-
-@pytest.mark.long
-def test_a_training_whose_worker_dies_goes_on_to_the_same_weights(tmp_path: Path, cluster: Any) -> None:
-    toy_index(tmp_path)
-    flags = ["--network", "small", "--batch", 10, "--precision", "float32", "--threads", 1, "--seed", 3]
-    workers = ["--ray", 2, cluster.address]
-    whole = run("bc-train", "--name", "whole", *flags, "--epochs", 60, *workers, cwd=tmp_path)
-    assert whole.returncode == 0, whole.stderr
-    first = run("bc-train", "--name", "killed", *flags, "--epochs", 2, *workers, cwd=tmp_path)
-    assert first.returncode == 0, first.stderr
-    metrics = tmp_path / "runs" / "killed" / "metrics.jsonl"
-    with Process(command("bc-train", "--resume", "killed", "--epochs", 60, *workers), cwd=tmp_path) as training:
-        wait_until(lambda: len(metrics.read_text().splitlines()) > 5)
-        assert len(metrics.read_text().splitlines()) < 60
-        cluster.remove_node(cluster.worker_nodes.copy().pop(), allow_graceful=False)
-        cluster.add_node(num_cpus=1, include_dashboard=False)
-        assert training.join() == 0, training.stderr
-    assert any("a worker was lost; going on from the checkpoint" in line for line in training.stderr)
-    runs = [tmp_path / "runs" / name for name in ("whole", "killed")]
-    best = [(folder / "model.safetensors").read_bytes() for folder in runs]
-    last = [load_file(folder / "last" / "checkpoint.safetensors") for folder in runs]
-    assert best[0] == best[1]
-    assert all(np.array_equal(last[0][name], last[1][name]) for name in last[0])
-
-
 def test_the_example_of_a_cluster_is_one_by_rays_own_schema() -> None:
     import ray.autoscaler
 
@@ -405,19 +315,6 @@ def test_the_example_of_a_cluster_is_one_by_rays_own_schema() -> None:
     assert example["head_node_type"] in example["available_node_types"]
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate({**example, "max_worker": 1}, schema)
-
-
-@pytest.mark.long
-def test_a_training_on_a_cluster_that_is_stopped_keeps_what_it_has_learnt(tmp_path: Path, cluster: Any) -> None:
-    toy_index(tmp_path)
-    flags = ["--network", "small", "--batch", 10, "--precision", "float32", "--threads", 1, "--epochs", 1000]
-    line = command("bc-train", "--name", "stopped", *flags, "--ray", 2, cluster.address)
-    with Process(line, cwd=tmp_path) as training:
-        wait_until((tmp_path / "runs" / "stopped" / "metrics.jsonl").exists)
-        training.popen.send_signal(signal.SIGINT)
-        assert training.join() == 130, training.stderr
-    assert "the run is kept; continue with" in " ".join(training.stderr)
-    assert 1 <= read_position(tmp_path / "runs" / "stopped").epoch < 1000
 
 
 @pytest.mark.long

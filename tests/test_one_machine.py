@@ -12,7 +12,6 @@ import pytest
 import make_architecture
 from dataset.cli import main as bc_index
 from drive.evaluation.eval_cli import main as bc_eval
-from drive.sweep_cli import main as bc_sweep
 from logs import write_log
 from model.cli import main as bc_train
 from model.runs_cli import main as bc_runs
@@ -22,8 +21,6 @@ from toy import STEERING, road
 from udacity import call
 
 EXTRAS = ("ray", "obstore", "boto3")
-
-SWEEP = 'seeds = [1]\n[train]\nepochs = 1\nbatch = 10\nnetwork = "small"\nthreads = 1\n'
 
 
 def loaded_with(path: Path) -> set[str]:
@@ -63,17 +60,16 @@ def test_commands_work_where_neither_obstore_nor_ray_is(
         monkeypatch.setitem(sys.modules, name, None)  # Python's own way to say: cannot be imported
     monkeypatch.chdir(tmp_path)
     log = write_log(Path("sessions/toy.mcap"), STEERING, road, cameras=["center"])
-    Path("rates.toml").write_text(SWEEP)
     assert call(bc_log, "info", log) == call(bc_log, "check", log) == call(bc_log, "ls", "sessions") == 0
     assert call(bc_index, "--block-s", "0.5", "--gap-s", "0", "--look", "--check") == 0
     assert call(bc_train, "--name", "a", "--network", "small", "--epochs", 1, "--batch", 10, "--threads", 1) == 0
     assert call(bc_train, "--resume", "a", "--epochs", 2) == 0
-    assert call(bc_eval, "a") == call(bc_runs) == call(bc_sweep, "rates.toml") == 0
+    assert call(bc_eval, "a") == call(bc_runs) == 0
 
 
 def test_no_command_loads_them() -> None:
     speaking = those_that_load()
-    assert speaking >= {"common.object_store", "recorder.upkeep.copy_log", "model.training.ray_workers"}
+    assert speaking >= {"common.object_store", "recorder.upkeep.copy_log"}
     begun = re.findall(
         r'_command\("bc-[\w-]+", "([\w.]+)"\)', (ROOT / "behavioural_cloning_toolkit.py").read_text()
     )

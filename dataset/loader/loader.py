@@ -4,8 +4,8 @@
         for batch in loader.epoch(1):
             batch.pictures, batch.steering
 
-The order is a pure function of (seed, epoch), so a resumed training sees the samples it would have seen, and
-several processes share an epoch without a word between them. Threads decode some batches ahead.
+The order is a pure function of (seed, epoch), so a resumed training sees the samples it would have seen. Threads
+decode some batches ahead.
 
 A picture that does not decode, or lies in a damaged chunk of its log, is left out of its batches, which are then
 smaller, and named in `Loader.skipped`.
@@ -63,8 +63,6 @@ class Loader(Closeable):
         *,
         batch: int,
         seed: int = 0,
-        rank: int = 0,
-        ranks: int = 1,
         budget_bytes: int = DEFAULT_BUDGET_BYTES,
         threads: int = 0,
         seen: PictureSpec = ORIGINAL,
@@ -77,12 +75,8 @@ class Loader(Closeable):
                 f"batch must be at least 1, seed, threads and budget_bytes at least 0:"
                 f" {batch=}, {seed=}, {threads=}, {budget_bytes=}"
             )
-        if not 0 <= rank < ranks:
-            raise ValueError(f"rank must be one of the ranks, 0 to ranks - 1: {rank=}, {ranks=}")
         self.batch = batch
         self.seed = seed
-        self.rank = rank
-        self.ranks = ranks
         self.threads = threads or os.cpu_count() or 1
         self.seen = seen
         self.rows: Rows = rows if isinstance(rows, Rows) else samples.rows(rows, targets)
@@ -95,18 +89,18 @@ class Loader(Closeable):
         """What `epoch` does to every picture; nothing else does."""
         if alter_each_epoch:
             self.alterations = EpochAlterations(alter_each_epoch, seed, samples.settings.side_correction)
-        self._at_once = 1 + max(1, _AHEAD * ranks // batch)  # batches that are worked on
+        self._at_once = 1 + max(1, _AHEAD // batch)  # batches that are worked on
 
     def close(self) -> None:
         self._samples.close()
 
     def __len__(self) -> int:
-        """Samples in an epoch, those of all ranks together."""
+        """Samples in an epoch."""
         return len(self.rows)
 
     @property
     def batches(self) -> int:
-        """Batches in an epoch, for every rank the same number."""
+        """Batches in an epoch."""
         return -(-len(self) // self.batch)
 
     @property
@@ -123,7 +117,7 @@ class Loader(Closeable):
         return np.random.default_rng((self.seed, epoch)).permutation(np.arange(len(self), dtype=np.uint32))
 
     def parts(self, epoch: int, start_batch: int = 0) -> Iterator[NDArray[np.int64]]:
-        """The samples of each batch of an epoch that are this rank's, also those that will not decode."""
+        """The samples of each batch of an epoch, also those that will not decode."""
         if not 0 <= start_batch <= self.batches:
             raise ValueError(f"start_batch must be in 0 to {self.batches}, not {start_batch}")
         return self._parts(self._order(epoch), start_batch)
@@ -140,7 +134,7 @@ class Loader(Closeable):
     def crops(self, samples: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], Image]]:
         """The crops (N, height, width, 3) of some samples in their order, a batch at a time, with the samples
         that they are of. None is kept here; neighbours that show the same picture share its decoding."""
-        size = max(1, -(-min(self.batch, len(self)) // self.ranks))
+        size = max(1, min(self.batch, len(self)))
         parts = np.split(samples, np.arange(size, len(samples), size))
         return self._decoded(parts, Crops(self.rows, self._samples.logs, budget_bytes=0, spec=self.seen))
 
@@ -156,7 +150,7 @@ class Loader(Closeable):
 
     def _parts(self, order: NDArray[np.uint32], start_batch: int) -> Iterator[NDArray[np.int64]]:
         for start in range(start_batch * self.batch, len(order), self.batch):
-            yield np.array_split(order[start : start + self.batch].astype(np.int64), self.ranks)[self.rank]
+            yield order[start : start + self.batch].astype(np.int64)
 
     def labels(self, samples: NDArray[np.int64], epoch: int | None = None) -> NDArray[np.float32]:
         """The labels of samples, those of their altered pictures in an epoch."""
@@ -199,8 +193,6 @@ def load(
     *,
     batch: int = 256,
     seed: int = 0,
-    rank: int = 0,
-    ranks: int = 1,
     budget_bytes: int = DEFAULT_BUDGET_BYTES,
     threads: int = 0,
     driving_view: bool = False,
@@ -208,9 +200,7 @@ def load(
     targets: Sequence[TargetName] = STEERING_ONLY,
     alter_each_epoch: Sequence[EpochAlteration] = (),
 ) -> Loader:
-    """The samples of a split of `index`, in batches of `batch` over all `ranks`. This process is `rank`.
-
-    Batch k is the same for any number of ranks. Each takes its part of it, which may be empty in the last batch.
+    """The samples of a split of `index`, in batches of `batch`.
 
     `budget_bytes` is how much memory decoded crops may take (49 KB each); `threads` decode (0: one for each core);
     `driving_view` leaves only what the car sees itself (`Samples.driving_view`); `seen` is what a network sees,
@@ -226,8 +216,6 @@ def load(
             rows,
             batch=batch,
             seed=seed,
-            rank=rank,
-            ranks=ranks,
             budget_bytes=budget_bytes,
             threads=threads,
             seen=seen,

@@ -11,13 +11,13 @@ import torch
 from numpy.typing import NDArray
 
 from common.memory_allocator import keep_freed_memory
+from common.progress import progress_bar, progress_task
 from dataset import Loader
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image, as_bgr
 from model.errors import RunError
 from model.network.picture_network import PictureNetwork
 from model.network.visual_backprop import visual_backprop
-from model.progress_bar import open_bar, progress_task
 from model.runs.run_folder import load_network, picture_of_run
 
 BATCH: Final = 64  # what stays in a processor's cache
@@ -67,7 +67,7 @@ def predict_crops(
     predicted = [np.zeros((count, *answer_shape(network))) for network in networks]
     is_decoded = np.zeros(count, np.bool_)
     different = list(dict.fromkeys(pictures))
-    with open_bar(is_shown=True) as bar, progress_task(bar, "frames", count * len(different)) as advance:
+    with progress_bar() as bar, progress_task(bar, "frames", count * len(different)) as advance:
         for picture in different:
             seeing = [at for at, spec in enumerate(pictures) if spec == picture]
             for numbers, crops in batches(picture):

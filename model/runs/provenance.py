@@ -39,7 +39,7 @@ class StoredData(msgspec.Struct):
 
 
 def provenance(
-    samples: Samples, config: TrainConfig, network: NetworkChoice, parameters: int, machine: Machine, ranks: int
+    samples: Samples, config: TrainConfig, network: NetworkChoice, parameters: int, machine: Machine
 ) -> dict[str, Any]:
     """The part of a run's config.json that is about its training."""
     return {
@@ -47,7 +47,7 @@ def provenance(
         "targets": list(config.targets),
         "parameters": parameters,
         "training": asdict(config),
-        "machine": machine_settings(machine, ranks),
+        "machine": machine_settings(machine),
         "data": {
             "fingerprint": samples.fingerprint,
             "content_fingerprint": samples.content_fingerprint,
@@ -80,13 +80,12 @@ def versions() -> dict[str, str]:
     }
 
 
-def machine_settings(machine: Machine, ranks: int) -> dict[str, Any]:
+def machine_settings(machine: Machine) -> dict[str, Any]:
     """Settings of the machine that the last bits of the weights depend on, besides `TrainConfig`."""
     return {
         "device": machine.device.type,
         "arithmetic": machine.arithmetic,
         "micro_batch": machine.micro_batch,
-        "ranks": ranks,
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,
     }

@@ -71,14 +71,6 @@ def runs_in_store(runs: Url) -> list[RunInStore]:
     return [run for run in all_runs if CONFIG in run.files]
 
 
-def run_at(url: Url) -> RunInStore | None:
-    """The run of this URL; None if there is none. Raises StoreError."""
-    from common.object_store import list_below  # an extra
-
-    run = _run_of(url, list_below(url))
-    return run if CONFIG in run.files else None
-
-
 def find_in_store(name: str | None, runs: Location) -> RunInStore | None:
     """A run by its URL, or by name where `runs` is in a store; without a name, the one whose weights were written
     last. None for a run of this machine.
@@ -90,8 +82,10 @@ def find_in_store(name: str | None, runs: Location) -> RunInStore | None:
     url = location(name) if is_in_store(name) else runs / name if is_name(name) else None
     if not isinstance(url, Url):
         return None
-    run = run_at(url)
-    if run is None:
+    from common.object_store import list_below  # an extra
+
+    run = _run_of(url, list_below(url))
+    if CONFIG not in run.files:
         names = [each.name for each in runs_in_store(url.parent)] if url.parent.key else []
         suggestion = suggest_runs(url.name, names, url.parent)
         raise RunError(f"{url}: no run there ({CONFIG} is missing); {suggestion}")

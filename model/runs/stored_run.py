@@ -15,7 +15,7 @@ from common.progress import progress_bar
 from common.store_record import read_record
 from model.errors import RunError
 from model.runs.run_files import CONFIG
-from model.runs.runs_in_store import RunInStore, find_in_store, run_at, stored_run_folder
+from model.runs.runs_in_store import find_in_store, stored_run_folder
 from model.runs.training_progress import Epoch, Step
 
 _EVERY_S: Final = 60.0
@@ -29,19 +29,6 @@ def bring_run_to(runs: Path, name: str) -> Path:
     stored = find_in_store(name, runs)
     assert stored is not None  # noqa: S101
     local = runs / stored.name
-    _bring_to(local, stored)
-    return local
-
-
-def copy_of_run(url: Url, local: Path) -> RunCopy:
-    """The copier of the run `here` to a store, for a new run or one to go on with: one that is there is brought.
-    Raises as `bring_run_to` does."""
-    if (stored := run_at(url)) is not None:
-        _bring_to(local, stored)
-    return RunCopy(local, url)
-
-
-def _bring_to(local: Path, stored: RunInStore) -> None:
     if local.exists() and read_record(local).url != str(stored.url):
         raise RunError(
             f"{local}: exists here, but is not a copy of {stored.url}; move it away, or give another --runs"
@@ -49,6 +36,7 @@ def _bring_to(local: Path, stored: RunInStore) -> None:
     with stored_run_folder(stored.url, local) as folder, progress_bar() as progress:
         folder.bring(keeps_ours=True, objects=stored.files.values(), progress=progress)
     remember_places(local, local.parent.parent, [Url(stored.url.scheme, stored.url.bucket)])
+    return local
 
 
 def place_of_copies(to: Location, run: Path, *, is_new: bool) -> Url:

@@ -1,1 +1,1 @@
-"""Training: the loop and its steps, resuming, several processes, and curves for TensorBoard."""
+"""Training: the loop and its steps, resuming, and curves for TensorBoard."""

@@ -16,6 +16,7 @@ from rich.progress import Progress
 from torch import Tensor
 
 from common.errors import counted
+from common.progress import progress_task
 from dataset import Loader, Samples
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import steering_in
@@ -25,7 +26,6 @@ from model.device import Machine
 from model.errors import RunError
 from model.evaluation.predict import predict
 from model.network.choice import NetworkChoice
-from model.progress_bar import progress_task
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position, checkpoint_path, load_checkpoint, save_checkpoint
 from model.runs.run_arguments import run_argument
@@ -34,7 +34,6 @@ from model.runs.training_progress import Epoch, Step
 from model.training.averaged_weights import AveragedWeights
 from model.training.batches import make_batches
 from model.training.busy_processor import BusyProcessorWarning
-from model.training.distributed import Group
 from model.training.listeners import Listeners
 from model.training.natural_frequency import NaturalFrames
 from model.training.run_writer import RunWriter
@@ -59,14 +58,12 @@ class TrainingLoop:
         network: NetworkChoice,
         picture: PictureSpec,
         machine: Machine,
-        group: Group,
         listeners: Listeners,
         bar: Progress,
     ) -> None:
         self.run = writer.run
         self.config = config
         self.machine = machine
-        self.group = group
         self.listeners = listeners
         self.bar = bar
         self.samples = samples
@@ -81,8 +78,6 @@ class TrainingLoop:
             samples.rows_of_split("train", config.targets),
             batch=config.batch,
             seed=config.seed,
-            rank=group.rank,
-            ranks=group.ranks,
             budget_bytes=budget_bytes,
             threads=config.threads,
             seen=picture,
@@ -121,7 +116,7 @@ class TrainingLoop:
             torch.tensor(config.target_weights, device=machine.device) if config.target_weights else None
         )
         self._saved_s = time.monotonic()
-        self._busy_warning = BusyProcessorWarning(is_enabled=machine.device.type == "cpu" and group.is_first)
+        self._busy_warning = BusyProcessorWarning(is_enabled=machine.device.type == "cpu")
 
     def start_from(self, init: Path) -> None:
         """Take the weights of another run of the same network."""
@@ -130,8 +125,7 @@ class TrainingLoop:
     def begin(self) -> None:
         """Save the start of a new training: from there a run that is killed early goes on."""
         self.averaged.begin(self.network)
-        weights = self.network, self.averaged.network
-        self.group.on_first_rank(lambda: save_checkpoint(self.run, *weights, self.optimizer, self.position))
+        save_checkpoint(self.run, self.network, self.averaged.network, self.optimizer, self.position)
 
     def resume(self) -> None:
         """Go to where the run was stopped. Raises RunError if its checkpoint cannot be used."""
@@ -149,14 +143,10 @@ class TrainingLoop:
         of = self.position
         self.answers = AnswerScale(of.answer_scale, of.answer_offset, of.answer_curve)
         self.cut_history()
-        if not self.group.is_first:  # the first one has the sums of all
-            self.position = replace(
-                self.position, squared_error=0.0, samples=0, reported_squared_error=0.0, reported_samples=0
-            )
 
     def cut_history(self) -> None:
         """Remove from the run's files what comes after the loop's position."""
-        self.group.on_first_rank(lambda: self.writer.cut_history(self.position, self._samples_learnt()))
+        self.writer.cut_history(self.position, self._samples_learnt())
 
     @property
     def is_stopped_early(self) -> bool:
@@ -172,19 +162,18 @@ class TrainingLoop:
 
     def train(self, stopped: threading.Event) -> None:
         """Train all epochs that are left. Saves the run and raises KeyboardInterrupt once `stopped`."""
-        network = self.group.distributed(self.network)
         try:
             while not self.is_over:
-                self._train_epoch(network, stopped)
+                self._train_epoch(stopped)
                 self._end_epoch()
-                if self.is_over or self.group.any(self._is_checkpoint_due())[0]:
+                if self.is_over or self._is_checkpoint_due():
                     self._save()
         finally:
             self.writer.save_best()  # also if the epochs after it diverge
 
-    def _train_epoch(self, network: torch.nn.Module, stopped: threading.Event) -> None:
-        start, loader, group = self.position, self.loader, self.group
-        network.train()
+    def _train_epoch(self, stopped: threading.Event) -> None:
+        start, loader = self.position, self.loader
+        self.network.train()
         sums = _EpochSums(start, self.machine.device)
         interval = max(STEP_BATCHES, math.ceil(loader.batches / MAX_EPOCH_STEPS))
         begun_s = reported_s = time.perf_counter()
@@ -193,42 +182,38 @@ class TrainingLoop:
         with progress_task(self.bar, name, total, self._samples_learnt()) as advance:
             of_epoch = self.batches.epoch(start.epoch, start.batch)
             for batch, (pictures, labels) in enumerate(of_epoch, start.batch + 1):
-                sums.add(self._train_batch(network, batch, pictures, labels), len(labels))
+                sums.add(self._train_batch(batch, pictures, labels), len(labels))
                 self.position = replace(start, batch=batch)
-                is_reported = batch % interval == 0 or batch == loader.batches
-                if is_reported:
-                    loss, count = group.sum(*sums.take_unreported())
+                if batch % interval == 0 or batch == loader.batches:
+                    loss, count = sums.take_unreported()
                     now_s = time.perf_counter()  # after what has waited for the GPU
                     if count:
-                        note = self._report(loss, int(count), now_s - reported_s)
+                        note = self._report(loss, count, now_s - reported_s)
                     reported_s = now_s
                     self._busy_warning.check()
-                advance(len(labels) * group.ranks, note)
-                if group.ranks > 1 and not is_reported and batch % STEP_BATCHES:
-                    continue  # asking the other ranks makes a GPU wait
-                is_stopped, is_due = group.any(stopped.is_set(), self._is_checkpoint_due())
-                if is_stopped or is_due:
-                    self._sum_over_ranks(sums, begun_s)
+                advance(len(labels), note)
+                is_stopped = stopped.is_set()
+                if is_stopped or self._is_checkpoint_due():
+                    self._take_sums(sums, begun_s)
                     self._save()
                     self.position = replace(self.position, seconds=start.seconds)
                 if is_stopped:
                     raise KeyboardInterrupt
-        self._sum_over_ranks(sums, begun_s)
+        self._take_sums(sums, begun_s)
 
-    def _train_batch(self, network: torch.nn.Module, batch: int, pictures: Tensor, labels: Tensor) -> Tensor:
-        """The squared error, summed over this rank's part of the batch with this number, from 1."""
-        config, group = self.config, self.group
-        torch.manual_seed(_dropout_seed(config.seed, self.position.epoch, batch, group.rank))
+    def _train_batch(self, batch: int, pictures: Tensor, labels: Tensor) -> Tensor:
+        """The squared error, summed over the batch with this number, from 1."""
+        config = self.config
+        torch.manual_seed(_dropout_seed(config.seed, self.position.epoch, batch))
         with self._busy_warning.timed_step():
             squared_error = training_step(
-                network,
+                self.network,
                 self.optimizer,
                 pictures,
                 labels,
                 dtype=self.machine.dtype,
                 micro_batch=self.machine.micro_batch,
                 batch=min(config.batch, len(self.loader) - (batch - 1) * config.batch),
-                ranks=group.ranks,
                 weights=self.target_weights,
             )
         self.averaged.update(self.network, (self.position.epoch - 1) * self.loader.batches + batch)
@@ -240,26 +225,25 @@ class TrainingLoop:
             raise self._diverged()
         position = self.position
         loss, rate = squared_error / samples, samples / seconds
-        if self.group.is_first:
-            step = Step(position.epoch, position.batch, self.loader.batches, self._samples_learnt(), loss, rate)
-            self.writer.add_step(step)
-            self.listeners.step(step)
+        step = Step(position.epoch, position.batch, self.loader.batches, self._samples_learnt(), loss, rate)
+        self.writer.add_step(step)
+        self.listeners.step(step)
         return f"loss {loss:.4f}  {rate:,.0f} samples/s"
 
     def _end_epoch(self) -> None:
         if not self.position.samples:
             raise RunError(f"{self.samples.path}: none of its training pictures decodes; see `bc-index --look`")
-        best_epoch, best_error = self.group.sum(*(self.group.on_first_rank(self._validate) or (0.0, 0.0)))
+        best_epoch, best_error = self._validate()
         self.position = Position(
             self.position.epoch + 1,
-            best_epoch=int(best_epoch),
+            best_epoch=best_epoch,
             best_error=best_error,
             answer_scale=self.answers.scale,
             answer_offset=self.answers.offset,
             answer_curve=self.answers.curve,
         )
 
-    def _validate(self) -> tuple[float, float]:
+    def _validate(self) -> tuple[int, float]:
         """Measure the network after an epoch, and report it; the best epoch by now, and its error."""
         position = self.position
         with progress_task(self.bar, f"validation {position.epoch}", len(self.validation)) as advance:
@@ -281,19 +265,17 @@ class TrainingLoop:
             return position.epoch, self.validation.error(epoch.measures)
         return position.best_epoch, position.best_error
 
-    def _sum_over_ranks(self, sums: _EpochSums, begun_s: float) -> None:
-        """Bring the sums of all ranks, and the time since `begun_s`, into the position."""
-        totals = self.group.sum(
-            float(sums.squared_error), sums.samples, sums.reported_squared_error, sums.reported_samples
-        )
-        if not all(map(math.isfinite, totals)):
+    def _take_sums(self, sums: _EpochSums, begun_s: float) -> None:
+        """Bring the sums of the epoch, and the time since `begun_s`, into the position."""
+        squared_error = float(sums.squared_error)
+        if not math.isfinite(squared_error):
             raise self._diverged()
         self.position = replace(
             self.position,
-            squared_error=totals[0],
-            samples=int(totals[1]),
-            reported_squared_error=totals[2],
-            reported_samples=int(totals[3]),
+            squared_error=squared_error,
+            samples=sums.samples,
+            reported_squared_error=sums.reported_squared_error,
+            reported_samples=sums.reported_samples,
             seconds=self.position.seconds + time.perf_counter() - begun_s,
         )
 
@@ -301,8 +283,7 @@ class TrainingLoop:
         """Save everything up to this moment. Raises RunError if the weights are not finite."""
         if not self._is_finite():
             raise self._diverged()
-        weights = self.network, self.averaged.network
-        self.group.on_first_rank(lambda: self.writer.save(*weights, self.optimizer, self.position))
+        self.writer.save(self.network, self.averaged.network, self.optimizer, self.position)
         self._saved_s = time.monotonic()
 
     def _is_checkpoint_due(self) -> bool:
@@ -330,7 +311,7 @@ class TrainingLoop:
 
 
 class _EpochSums:
-    """Sums over the samples that this rank has learnt from in an epoch, and the part that is in steps.jsonl."""
+    """Sums over the samples learnt from in an epoch, and the part that is in steps.jsonl."""
 
     def __init__(self, start: Position, device: torch.device) -> None:
         self.squared_error = torch.tensor(start.squared_error, dtype=torch.float64, device=device)
@@ -350,5 +331,6 @@ class _EpochSums:
         return unreported
 
 
-def _dropout_seed(seed: int, epoch: int, batch: int, rank: int) -> int:
-    return int(np.random.SeedSequence((seed, epoch, batch, rank)).generate_state(1, np.uint64)[0])
+def _dropout_seed(seed: int, epoch: int, batch: int) -> int:
+    # the 0 keeps the numbers of earlier versions, for seeds of 2**32 and more
+    return int(np.random.SeedSequence((seed, epoch, batch, 0)).generate_state(1, np.uint64)[0])

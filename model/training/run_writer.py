@@ -18,7 +18,7 @@ from model.runs.worst_pictures import MAX_WORST_BYTES, WORST_FILE, WorstPictures
 
 
 class RunWriter:
-    """Writes the folder of a run; of several ranks, the first one does."""
+    """Writes the folder of a run."""
 
     def __init__(self, run: Path) -> None:
         self.run = run

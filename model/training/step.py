@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.nn.parallel import DistributedDataParallel
 
 from model.adam import Adam
 
@@ -21,7 +18,6 @@ def training_step(
     dtype: torch.dtype,
     micro_batch: int,
     batch: int | None = None,
-    ranks: int = 1,
     weights: Tensor | None = None,
 ) -> Tensor:
     """Train on pictures (N, 3, height, width) uint8 and their labels, steering (N,) or (N, K), on the network's
@@ -29,22 +25,21 @@ def training_step(
 
     With several targets it is the sum over them, each with its weight of `weights` (K,).
 
-    The gradient is summed over parts of `micro_batch` samples. With several `ranks`, these samples are a part of
-    `batch`, and the network is a DistributedDataParallel, which averages the ranks' gradients.
+    The gradient is summed over parts of `micro_batch` samples, and divided by `batch`: by default the number of
+    these samples, in a training also of those that do not decode.
     """
     optimizer.zero_grad()
     squared_error = torch.zeros((), device=labels.device)
-    scale = ranks / (batch or len(labels))
-    parts = list(zip(torch.split(pictures, micro_batch), torch.split(labels, micro_batch), strict=True))
+    scale = 1 / (batch or len(labels))
+    parts = zip(torch.split(pictures, micro_batch), torch.split(labels, micro_batch), strict=True)
     kind = labels.device.type
     # around all parts: the weights are cast once for all of them
     with torch.autocast(kind, dtype=dtype, enabled=dtype != torch.float32):
-        for number, (some_pictures, some_labels) in enumerate(parts, 1):
-            with _gradient_exchange(network, is_last=number == len(parts)):
-                predicted = network(some_pictures)
-                with torch.autocast(kind, enabled=False):
-                    loss = _squared_error(predicted.float(), some_labels, weights)
-                    (loss * scale).backward()  # type: ignore[no-untyped-call]
+        for some_pictures, some_labels in parts:
+            predicted = network(some_pictures)
+            with torch.autocast(kind, enabled=False):
+                loss = _squared_error(predicted.float(), some_labels, weights)
+                (loss * scale).backward()  # type: ignore[no-untyped-call]
             squared_error += loss.detach()
     optimizer.step()
     return squared_error
@@ -57,11 +52,3 @@ def _squared_error(predicted: Tensor, labels: Tensor, weights: Tensor | None) ->
     labels = torch.where(labels.isnan(), predicted.detach(), labels)
     squares = torch.square(predicted - labels)
     return (squares if weights is None else squares * weights).sum()
-
-
-def _gradient_exchange(network: nn.Module, *, is_last: bool) -> contextlib.AbstractContextManager[None]:
-    """Let ranks exchange their gradients once a batch, with its last part."""
-    if isinstance(network, DistributedDataParallel) and not is_last:
-        context: contextlib.AbstractContextManager[None] = network.no_sync()
-        return context
-    return contextlib.nullcontext()

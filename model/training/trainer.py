@@ -6,7 +6,6 @@ bc-train --epochs 10
 from __future__ import annotations
 
 import contextlib
-import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -15,10 +14,12 @@ from typing import Any
 
 import numpy as np
 import torch
+from rich.progress import Progress
 
 from common import Skipped, UserError
 from common.interrupts import stop_signals
 from common.location import Location, location
+from common.progress import progress_bar
 from common.versions import install_line
 from dataset import IndexConfig, Samples
 from dataset.picture_spec import PictureSpec
@@ -28,7 +29,6 @@ from model.device import choose_machine
 from model.errors import RunError
 from model.evaluation.predict import predict
 from model.network.choice import NetworkChoice, choose_network, chosen_picture
-from model.progress_bar import open_bar
 from model.runs.car_of_run import refuse_other_steering
 from model.runs.network_of_run import choice_of
 from model.runs.provenance import init_provenance, provenance
@@ -46,7 +46,6 @@ from model.runs.run_folder import (
 )
 from model.runs.run_inputs import init_of, relative_place, remember_inputs
 from model.runs.training_progress import Epoch, Listener
-from model.training.distributed import group_of_processes, local_rank_of_process
 from model.training.earlier_run import (
     arithmetic_remarks,
     refuse_other_network,
@@ -63,8 +62,8 @@ from model.training.validation import validation_notices
 @dataclass(frozen=True)
 class Trained:
     run: Path
-    epochs: list[Epoch]  # those of this call; only on the first of several ranks
-    skipped: list[Skipped]  # pictures that do not decode, as far as this process met them
+    epochs: list[Epoch]  # those of this call
+    skipped: list[Skipped]  # pictures that do not decode, as far as they were met
     notices: list[str]  # what a person should know before the run is used
     remarks: list[str]  # what could be better
     best_epoch: int  # whose weights drive
@@ -82,7 +81,6 @@ def train(
     resume: bool = False,
     show_progress: bool = True,
     figures: bool = True,
-    stop: threading.Event | None = None,
 ) -> Trained:
     """Train a network on `index` and keep it in the new folder `run`.
 
@@ -93,8 +91,7 @@ def train(
     `listeners` receive its progress; none of them can end it.
     `figures` draws its curves, for which matplotlib is needed.
     Sets PyTorch's number of threads, and on a GPU its precision of float32, for this process.
-    Ctrl-C ends the training after the batch that it is in, keeps what there is, and raises KeyboardInterrupt; so
-    does `stop` where it is set.
+    Ctrl-C ends the training after the batch that it is in, keeps what there is, and raises KeyboardInterrupt.
     A network of one's own is run as code: a new run's because `config` names it, that of a run that is resumed
     only if it was named before (`load_code`).
     Raises DatasetError if the index does not fit its logs, RunError if the run exists, cannot go on or diverges,
@@ -108,7 +105,7 @@ def train(
         refuse_existing_run(run)
     config = config or TrainConfig()
     before = stored if resume or like is None else load_config(Path(like))
-    machine = choose_machine(config, local_rank_of_process(), before.get("machine"))
+    machine = choose_machine(config, before.get("machine"))
     network = choice_of(stored, run) if resume else choose_network(config)
     picture = picture_of_run(run) if resume else chosen_picture(config, network)
     parameters = network.try_out(picture, machine.device)
@@ -116,8 +113,7 @@ def train(
         refuse_other_network(init, network, picture, config.targets)
     with (
         Samples(index) as samples,
-        group_of_processes(machine.device) as group,
-        open_bar(is_shown=show_progress and group.is_first) as bar,
+        progress_bar() if show_progress else Progress(disable=True) as bar,
         contextlib.ExitStack() as stack,
     ):
         samples.refuse_missing(config.targets)
@@ -129,22 +125,22 @@ def train(
         writer = RunWriter(run)
         origin = {
             "index": relative_place(run, index),
-            **provenance(samples, config, network, parameters, machine, group.ranks),
+            **provenance(samples, config, network, parameters, machine),
         }
         if init is not None:
             refuse_other_steering(init, samples.max_steering_deg, str(samples.path))
         if resume:
             refuse_other_samples(run, stored, samples)
-            group.on_first_rank(lambda: stack.enter_context(locked_for_training(run)))
-            [begins] = group.any(has_nothing_saved(run))
+            stack.enter_context(locked_for_training(run))
+            begins = has_nothing_saved(run)
             init = init_of(run, run.parent) if begins else None
         else:
             begins = True
             if init is not None:
                 origin["init"] = init_provenance(init, run)
-            group.on_first_rank(lambda: stack.enter_context(_new_run(writer, origin, network, picture)))
-        group.on_first_rank(lambda: remember_inputs(run, samples, init))
-        loop = TrainingLoop(samples, writer, config, network, picture, machine, group, guarded, bar)
+            stack.enter_context(_new_run(writer, origin, network, picture))
+        remember_inputs(run, samples, init)
+        loop = TrainingLoop(samples, writer, config, network, picture, machine, guarded, bar)
         notices += validation_notices(samples, loop.validation, init)
         remarks = [] if resume else _recipe_remarks(samples, config)
         if begins:
@@ -152,16 +148,16 @@ def train(
                 loop.start_from(init)
             if resume:
                 loop.cut_history()
-                group.on_first_rank(lambda: write_config(run, {**stored, **origin}))
+                write_config(run, {**stored, **origin})
             loop.begin()
         else:
             loop.resume()
             if not loop.is_over:
                 remarks += arithmetic_remarks(run, stored, origin["machine"])
-                group.on_first_rank(lambda: write_config(run, resumed_config(stored, origin)))
+                write_config(run, resumed_config(stored, origin))
         with stop_signals() as stopped:
-            loop.train(stop or stopped)
-        if group.is_first and figures:
+            loop.train(stopped)
+        if figures:
             _draw_figures(loop, notices, remarks)
         return Trained(
             run, loop.history, loop.skipped, notices, remarks, loop.position.best_epoch, loop.is_stopped_early

@@ -163,7 +163,7 @@ def test_a_command_has_its_path_where_the_shell_does_not_find_it(
 ) -> None:
     scripts = tmp_path / "a place" / "bin"
     scripts.mkdir(parents=True)
-    for name in ("bc-play", "bc-sweep"):
+    for name in ("bc-play", "bc-runs"):
         (scripts / name).write_text("#!/bin/sh\n")
         (scripts / name).chmod(0o755)
     monkeypatch.setattr("sysconfig.get_path", lambda name: str(scripts))
@@ -177,8 +177,8 @@ def test_a_command_has_its_path_where_the_shell_does_not_find_it(
     assert capsys.readouterr().out == (
         "look at it with `'a place/bin/bc-play' run.mcap`; `bc-playful` is none, and bc-play is a name\n"
     )
-    print_result("`bc-sweep --help` shows one")
-    assert capsys.readouterr().out == "`'a place/bin/bc-sweep' --help` shows one\n"
+    print_result("`bc-runs --help` shows one")
+    assert capsys.readouterr().out == "`'a place/bin/bc-runs' --help` shows one\n"
     monkeypatch.setenv("PATH", str(scripts))
     assert shell_command("bc-play") == "bc-play"
     assert shell_command("rerun") == "rerun"  # of a toolkit that is not installed

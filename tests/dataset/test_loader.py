@@ -113,31 +113,12 @@ def test_an_epoch_is_every_sample_once_each_as_the_index_says(index: Path, place
         assert (picture == shown(index, expected[at])).all()
 
 
-@pytest.mark.parametrize("ranks", [1, 2, 3, 7])
-def test_the_ranks_share_every_batch_that_one_process_would_see(index: Path, place: Place, ranks: int) -> None:
-    with load(place(index), batch=BATCH, seed=4) as alone:
-        whole = list(alone.epoch(2))
-    parts = []
-    for rank in range(ranks):
-        with load(place(index), batch=BATCH, seed=4, rank=rank, ranks=ranks) as loader:
-            assert loader.batches == len(whole)
-            parts.append(list(loader.epoch(2)))
-    assert {len(batches) for batches in parts} == {len(whole)}
-    for number, batch in enumerate(whole):
-        of_ranks = [batches[number] for batches in parts]
-        assert (np.concatenate([part.pictures for part in of_ranks]) == batch.pictures).all()
-        assert (np.concatenate([part.steering for part in of_ranks]) == batch.steering).all()
-        sizes = [len(part.steering) for part in of_ranks]
-        assert max(sizes) - min(sizes) <= 1
-
-
-@pytest.mark.parametrize(("rank", "ranks"), [(0, 1), (1, 2)])
-def test_an_epoch_goes_on_from_any_batch(index: Path, rank: int, ranks: int) -> None:
-    with load(index, batch=BATCH, rank=rank, ranks=ranks) as loader:
+def test_an_epoch_goes_on_from_any_batch(index: Path) -> None:
+    with load(index, batch=BATCH) as loader:
         whole = [content(batch) for batch in loader.epoch(1)]
     assert len(set(whole)) == len(whole) > 3
     for start in range(len(whole) + 1):
-        with load(index, batch=BATCH, rank=rank, ranks=ranks) as resumed:
+        with load(index, batch=BATCH) as resumed:
             assert [content(batch) for batch in resumed.epoch(1, start_batch=start)] == whole[start:]
 
 
@@ -266,9 +247,6 @@ def test_one_sample_is_one_batch_and_a_split_without_samples_is_none(tmp_path: P
     for driving_view in (False, True):
         with load(tmp_path / "index", "validation", driving_view=driving_view) as none:
             assert (len(none), none.batches, list(none.epoch(1))) == (0, 0, [])
-    with load(tmp_path / "index", rank=1, ranks=2) as other:
-        [nothing] = other.epoch(1)
-        assert (nothing.pictures.shape, nothing.steering.shape) == ((0, 128, 128, 3), (0,))
     dataset = SamplesDataset(tmp_path / "index", "validation")
     assert len(dataset) == 0
     dataset.close()
@@ -293,9 +271,6 @@ def test_words_may_be_stored_as_dictionaries_or_not(own: Path, encoded: bool) ->
     [
         {"batch": 0},
         {"seed": -1},
-        {"rank": 2, "ranks": 2},
-        {"rank": -1},
-        {"ranks": 0},
         {"threads": -1},
         {"budget_bytes": -1},
         {"split": "test"},

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from dataset.cli import main as bc_index
-from drive.sweep_cli import main as bc_sweep
 from model.cli import main as bc_train
 from toy import toy_index
 from udacity import call
@@ -67,9 +66,3 @@ def test_a_run_or_a_folder_of_logs_is_no_place_for_an_index(
 def test_a_file_is_no_folder_of_sessions(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(bc_index, "--sessions", "plain") == 1
     assert "plain is a file: give the folder of the logs" in capsys.readouterr().err
-
-
-def test_a_sweep_names_the_indexes_that_there_are(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    Path("x.toml").write_text("[grid]\nrate = [1e-4]")
-    assert call(bc_sweep, "x.toml", "--index", "nowhere") == 1
-    assert "nowhere: no index; these are: index; build it with" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Runs and drives in a store: what is measured of a run is kept there, and a sweep goes on on any machine."""
+"""Runs and drives in a store: what is measured of a run is kept there."""
 
 from __future__ import annotations
 
@@ -11,27 +11,14 @@ import pytest
 from bucket import Bucket, serving_bucket
 from common.stored_folder import StoredFolder
 from drive.evaluation.eval_cli import main as bc_eval
-from drive.sweep_cli import main as bc_sweep
 from driving import untrained_run
 from logs import write_log
 from model.export_cli import main as bc_export
 from model.runs.kept_results import kept_results
-from toy import STEERING, road, toy_index
+from toy import STEERING, road
 from udacity import call
 
 RUNS, DRIVES = "s3://logs/runs", "s3://logs/drives"
-SWEEP = """
-[train]
-epochs = 1
-batch = 10
-network = "small"
-dropout = 0.0
-precision = "float32"
-threads = 1
-[drive]
-simulator = ["lake"]
-laps = 0.001
-"""
 
 
 @pytest.fixture
@@ -71,42 +58,19 @@ def test_what_is_measured_of_a_run_is_kept_where_the_run_is(
     assert ways == ["frames", "frames", "frames"]
 
 
-def test_a_sweep_of_a_store_does_nothing_again_on_another_machine(
-    bucket: Bucket,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    without_figures: None,
+def test_a_drive_and_its_result_are_kept_in_the_store(
+    bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    toy_index(tmp_path)
-    (tmp_path / "s.toml").write_text(SWEEP)
-    line = tmp_path / "s.toml", "--index", tmp_path / "index", "--runs", RUNS, "--drives", DRIVES, "--json"
+    with StoredFolder(bucket.url("runs/night"), untrained_run(tmp_path / "here/night")) as folder:
+        folder.send()
     capsys.readouterr()
-    assert call(bc_sweep, *line) == 0
-    done = json.loads(capsys.readouterr().out)
-    (drive,) = done["summary"]["results"]
-    assert drive["log"] == f"{DRIVES}/s-seed0-lake-10mph.mcap"
-    log = bucket.folder / "drives/s-seed0-lake-10mph.mcap"
+    flags = "--simulator", "lake", "--laps", 0.001, "--drives", DRIVES, "--json"
+    assert call(bc_eval, "night", "--runs", RUNS, *flags) == 0
+    drive = json.loads(capsys.readouterr().out)
+    assert drive["log"] == f"{DRIVES}/night-lake-10mph.mcap"
+    log = bucket.folder / "drives/night-lake-10mph.mcap"
     assert log.read_bytes() == Path("drives", log.name).read_bytes()
-    assert [kept.result for kept in kept_results(bucket.folder / "runs/s-seed0")[0]] == [drive]
-
-    on_machine("two", tmp_path, monkeypatch)
-    bucket.requests.clear()
-    assert call(bc_sweep, *line) == 0
-    again = json.loads(capsys.readouterr().out)
-    assert again["summary"] == {**done["summary"], "folder": f"{RUNS}/s-seed0"}
-    assert {method for method, _, _ in bucket.requests} == {"GET"}
-    assert not any("safetensors" in path for _, path, _ in bucket.requests)
-    assert not Path("runs").exists()
-
-    # what is not all done goes on from what another machine has left: here, one that was never to be driven
-    (tmp_path / "s.toml").write_text(SWEEP.partition("[drive]")[0].replace("epochs = 1", "epochs = 2"))
-    assert call(bc_sweep, *line) == 0
-    assert json.loads(capsys.readouterr().out)["summary"]["epochs"] == 2
-    for name in ("metrics.jsonl", "model.safetensors", "results.jsonl"):
-        assert (bucket.folder / "runs/s-seed0" / name).read_bytes() == Path("runs/s-seed0", name).read_bytes()
-    lines = Path("runs/s-seed0/metrics.jsonl").read_text().splitlines()
-    assert [json.loads(text)["epoch"] for text in lines] == [1, 2]
+    assert [kept.way for kept in kept_results(bucket.folder / "runs/night")[0]] == ["simulator"]
 
 
 def test_a_run_of_a_store_is_exported_here(bucket: Bucket, tmp_path: Path) -> None:

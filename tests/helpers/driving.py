@@ -39,7 +39,6 @@ COMMANDS = (
     "bc-play",
     "bc-sim",
     "bc-eval",
-    "bc-sweep",
     "bc-demo",
     "bc-doctor",
     "bc-web",

@@ -83,32 +83,28 @@ def test_on_a_cpu_nothing_is_copied(index: Path) -> None:
             assert steering.tolist() == batch.steering.tolist()
 
 
-@pytest.mark.parametrize("ranks", [1, 3])
-def test_crops_on_the_device_give_the_batches_of_the_loader(index: Path, ranks: int) -> None:
+def test_crops_on_the_device_give_the_batches_of_the_loader(index: Path) -> None:
     rows = rows_of(index)
-    for rank in range(ranks):
-        with load(index, batch=BATCH, seed=5, rank=rank, ranks=ranks) as loader:
-            batches = DeviceBatches(loader, CPU)
-            for epoch in (1, 2):
-                parts = loader.parts(epoch)
-                expected = loader.epoch(epoch)
-                for part, batch, (pictures, steering) in zip(parts, expected, batches.epoch(epoch), strict=True):
-                    assert (pictures.dtype, steering.dtype) == (torch.uint8, torch.float32)
-                    assert pictures.shape == (len(part), 3, 128, 128)
-                    assert pictures.is_contiguous(memory_format=torch.channels_last)
-                    assert steering.tolist() == [np.float32(rows[sample]["label"]) for sample in part]
-                    assert (pixels(pictures) == batch.pictures).all()
-
-
-@pytest.mark.parametrize("ranks", [1, 2])
-def test_copied_batches_are_those_of_the_loader(index: Path, ranks: int) -> None:
-    for rank in range(ranks):
-        with load(index, batch=BATCH, rank=rank, ranks=ranks) as loader:
-            batches = PinnedBatches(loader, CPU)
-            for batch, (pictures, steering) in zip(loader.epoch(1), batches.epoch(1), strict=True):
+    with load(index, batch=BATCH, seed=5) as loader:
+        batches = DeviceBatches(loader, CPU)
+        for epoch in (1, 2):
+            parts = loader.parts(epoch)
+            expected = loader.epoch(epoch)
+            for part, batch, (pictures, steering) in zip(parts, expected, batches.epoch(epoch), strict=True):
+                assert (pictures.dtype, steering.dtype) == (torch.uint8, torch.float32)
+                assert pictures.shape == (len(part), 3, 128, 128)
                 assert pictures.is_contiguous(memory_format=torch.channels_last)
+                assert steering.tolist() == [np.float32(rows[sample]["label"]) for sample in part]
                 assert (pixels(pictures) == batch.pictures).all()
-                assert steering.tolist() == batch.steering.tolist()
+
+
+def test_copied_batches_are_those_of_the_loader(index: Path) -> None:
+    with load(index, batch=BATCH) as loader:
+        batches = PinnedBatches(loader, CPU)
+        for batch, (pictures, steering) in zip(loader.epoch(1), batches.epoch(1), strict=True):
+            assert pictures.is_contiguous(memory_format=torch.channels_last)
+            assert (pixels(pictures) == batch.pictures).all()
+            assert steering.tolist() == batch.steering.tolist()
 
 
 @pytest.mark.parametrize("make", MAKERS)

@@ -14,7 +14,7 @@ from model.device import choose_machine, processor_way, training_dtype
 
 CPU = torch.device("cpu")
 HAS_BFLOAT16 = any(torch.cpu.get_capabilities().get(name) for name in ("avx512_bf16", "amx_bf16", "bf16"))
-BEGUN = {"device": "cpu", "arithmetic": "float32", "micro_batch": 7, "ranks": 1, "threads": 2, "torch": "2.13.0"}
+BEGUN = {"device": "cpu", "arithmetic": "float32", "micro_batch": 7, "threads": 2, "torch": "2.13.0"}
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def test_the_run_says_where_it_comes_from(trained: tuple[Path, list[Epoch]], ind
     assert config["preprocessing"]["channels"] == "BGR"
     assert (config["preprocessing"]["crop_top"], config["preprocessing"]["crop_bottom"]) == ("50/160", "20/160")
     assert settings_from(TrainConfig, config["training"]) == SETTINGS
-    machine = {"device": "cpu", "arithmetic": "float32", "micro_batch": 64, "ranks": 1, "threads": 1}
+    machine = {"device": "cpu", "arithmetic": "float32", "micro_batch": 64, "threads": 1}
     assert config["machine"] == {**machine, "torch": torch.__version__}
     assert config["versions"].keys() >= {"python", "torch", "numpy", "opencv"}
     assert config["versions"]["torch"] == torch.__version__

@@ -261,3 +261,12 @@ def test_a_disk_that_is_full_names_the_file_and_the_way_on(
         assert call(main, "--name", "second", *flags, *places) == 1
     assert "second/config.json: cannot be written (File too large); make room" in capsys.readouterr().err
     assert not (tmp_path / "second").exists()
+
+
+@pytest.mark.parametrize("by", ["--ray", "torchrun"])
+def test_several_processes_are_refused(
+    by: str, index: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("WORLD_SIZE", "2" if by == "torchrun" else "1")
+    assert call(main, "--index", index, *(["--ray", 2] if by == "--ray" else [])) == 2
+    assert "one training is one process" in capsys.readouterr().err
