@@ -12,15 +12,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.markup import escape
-from rich.table import Table
-
 from common.command import DONE, DONE_BUT_SKIPPED, run_command, usage_errors, warn
-from common.errors import UsageError, counted, printable
+from common.errors import UsageError, counted
 from common.files import refuse_existing
 from common.interrupts import stop_signals
 from common.location import Url
-from common.output import plain_table, print_message, print_next, print_result, print_table
+from common.output import print_message, print_next, print_result
 from common.preview import has_display, preview
 from common.progress import StatusLine
 from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
@@ -31,8 +28,6 @@ from drive.errors import DriveError
 if TYPE_CHECKING:
     from drive.at_wheel import AtWheel
     from drive.drive_session import DriveSession
-    from drive.evaluation.aggregation import AggregationRound
-    from drive.evaluation.closed_loop import LogFolder
 
 
 def drive(config: Drive) -> int:
@@ -45,8 +40,6 @@ def drive(config: Drive) -> int:
             max_steering_per_s=config.steering_rate,
             takeover=config.takeover == "expert",
         )
-    if config.aggregate is not None:
-        return _aggregate(config, settings)
     if config.log is not None and config.log.suffix != ".mcap":
         raise UsageError(f"--log {config.log}: a log's name ends in .mcap")
     path = config.log or config.drives / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}.mcap"
@@ -174,7 +167,7 @@ def _with_car(config: Drive, settings: DriveConfig, run: Path) -> DriveConfig:
     from recorder.log.session_car import built_in
 
     car = driven_car(run, config.car) if config.simulator is None else built_in()
-    if config.aggregate is None and (line := other_steering(run, car)):  # an aggregation refuses it
+    if line := other_steering(run, car):
         _notify(line)
     return replace(settings, car=car)
 
@@ -265,79 +258,6 @@ def _print_next(sessions: Sequence[DriveSession], config: Drive, run: Path) -> N
         print_next(command, f"it learns from {counted(times, 'takeover')}")
     elif driven := [session for session in sessions if session.log.frames]:
         print_next(f"bc-play {shlex.quote(str(driven[-1].writer.path))}")
-
-
-def _aggregate(config: Drive, settings: DriveConfig) -> int:
-    from drive.evaluation.aggregation import Aggregation, check_rounds
-    from drive.evaluation.closed_loop import LogFolder
-    from drive.evaluation.external_simulator import ExternalSimulator
-    from drive.evaluation.simulator_process import BuiltInSimulator, check_laps
-    from model import TrainConfig, find_run
-    from model.runs.network_of_run import network_settings
-    from model.runs.run_arguments import RUNS
-    from model.runs.run_folder import load_config, load_named
-
-    rounds: list[AggregationRound] = []
-    codes = [DONE]
-
-    assert config.aggregate is not None  # noqa: S101
-    with usage_errors(DriveError, ValueError):
-        check_rounds(config.aggregate)
-        check_laps(config.laps)
-        training = replace(TrainConfig.of("people"), epochs=config.epochs)
-    simulator: BuiltInSimulator | ExternalSimulator = ExternalSimulator(config.laps, config.host, config.port)
-    if config.simulator is not None:
-        simulator = BuiltInSimulator(config.simulator, config.laps, config.real_time)
-    drives = LogFolder.of(config.drives)
-    runs = config.runs if isinstance(config.runs, Path) else RUNS
-    run = find_run(config.run, config.runs)
-    load_named([config.network], [run])
-    settings = _with_car(config, settings, run)
-    training = replace(training, **network_settings(load_config(run), run))
-    aggregation = Aggregation(
-        run,
-        simulator,
-        settings,
-        config.aggregate,
-        training,
-        sessions=config.sessions,
-        drives=drives.here,
-        runs=runs,
-    )
-    try:
-        for done in aggregation.rounds(config.server, _notify, lambda notice: codes.append(warn(notice))):
-            rounds.append(done)
-            codes.append(_copy_round(config, done, drives, runs / done.run if len(rounds) > 1 else None))
-    finally:  # what was driven is shown, whatever stops the rest
-        if rounds:
-            print_table(_rounds_table(rounds))
-            track = f" --simulator {config.simulator}" if config.simulator else ""
-            print_next(f"bc-{'eval' if track else 'drive'} {shlex.quote(rounds[-1].run)}{track}")
-    return max(codes)
-
-
-def _rounds_table(rounds: Sequence[AggregationRound]) -> Table:
-    table = plain_table(None, "run", "laps", "interventions", "autonomy", "log", text={"log"})
-    for driven in rounds:
-        percent = driven.autonomy_percent
-        table.add_row(
-            escape(printable(driven.run)),
-            "unknown" if driven.laps is None else f"{driven.laps:.2f}",
-            f"{driven.interventions:,}",
-            "unknown" if percent is None else f"{percent:.1f} %",
-            escape(printable(str(driven.log))),
-        )
-    return table
-
-
-def _copy_round(config: Drive, done: AggregationRound, drives: LogFolder, trained: Path | None) -> int:
-    """Copy what an aggregation's round has made to where that is kept in a store; the exit code."""
-    from model.runs.stored_run import RunCopy
-
-    problems = [drives.copy(done.log.name, False)[1]]
-    if trained is not None and isinstance(config.runs, Url):
-        problems.append(RunCopy(trained, config.runs / trained.name).finish())
-    return max([DONE, *(warn(problem) for problem in problems if problem)])
 
 
 def main() -> None:

@@ -51,21 +51,8 @@ class BuiltInSimulator:
 
     @property
     def name(self) -> str:
-        """The part of the names of logs and runs that stands for it."""
+        """The part of a log's name that stands for it."""
         return self.track.replace(":", "-")
-
-    @property
-    def flags(self) -> tuple[str, ...]:
-        """The flags of bc-drive that choose it."""
-        return "--simulator", self.track
-
-    @property
-    def description(self) -> str:
-        return self.track
-
-    def drive(self, pilot: Pilot, config: DriveConfig, log: Path, mode: ServerMode) -> DriveSummary:
-        """Drive it, in lock-step unless it keeps real time, and log that; the summary of the log."""
-        return drive_and_log(pilot, self, config, log, mode=mode)[1]
 
 
 def check_laps(laps: float) -> None:

@@ -509,22 +509,19 @@ def test_a_speed_that_makes_no_sense_is_one_line(speed: object, tmp_path: Path) 
 @pytest.mark.parametrize(
     ("flags", "expected"),
     [
-        (("--laps", "2"), "--laps: only with --simulator TRACK or --aggregate N"),
+        (("--laps", "2"), "--laps: only with --simulator TRACK;"),
         (("--real-time",), "--real-time: only with the built-in simulator"),
         (("--start", "5"), "--start: only with the built-in simulator"),
         (("--simulator", "lake", "--start", "-1"), "--start -1"),
         (("--simulator", "lake", "--host", "::1"), "--host: the built-in simulator"),
-        (("--epochs", "3"), "--epochs: only with --aggregate"),
-        (("--sessions", "x"), "--sessions: only with --aggregate N, or --takeover me"),
-        (("--simulator", "lake", "--aggregate", "1", "--viewer", "web", "--force"), "--viewer, --force: not with"),
+        (("--sessions", "x"), "--sessions: only with --takeover me"),
         (("--port", "65536"), "--port 65536: a port is"),
         (("--smooth", "-1"), "--smooth -1: "),
         (("--steering-rate", "nan"), "--steering-rate nan: "),
         (("--log", "run.txt"), "--log run.txt: "),
         (("--simulator", "lake", "--laps", "0"), "--laps 0: "),
-        (("--aggregate", "0"), "--aggregate 0: "),
-        (("--aggregate", "1", "--laps", "nan"), "--laps nan: "),
-        (("--aggregate", "1", "--epochs", "0"), "--epochs 0: "),
+        (("--simulator", "lake", "--laps", "nan"), "--laps nan: "),
+        (("--aggregate", "3"), "--aggregate: was removed; drive with --takeover"),
     ],
 )
 def test_flags_that_would_be_passed_over_or_make_no_sense_are_bad_usage(
