@@ -27,11 +27,11 @@ class Drive:
     """
 
     RARE: ClassVar[str] = (
-        "network drives start real_time page sessions"
-        " smooth steering_rate device precision server host port seed runs"
+        "network drives start real_time page sessions smooth steering_rate device precision host port seed runs"
     )
     REMOVED: ClassVar[Mapping[str, str]] = {
-        "--aggregate": "drive with --takeover --log LOG.mcap, then `bc-train --init RUN --takeovers LOG.mcap`"
+        "--aggregate": "drive with --takeover --log LOG.mcap, then `bc-train --init RUN --takeovers LOG.mcap`",
+        "--server": "eventlet serves; leave it out",
     }
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
     """Name or folder; by default the newest."""
@@ -71,8 +71,6 @@ class Drive:
     """Arithmetic; auto: the fastest."""
     viewer: Annotated[str, tyro.conf.arg(metavar="auto|window|web|ADDRESS|FILE.rrd|off")] = "auto"
     """Show the drive in Rerun; auto: a window if there is a display."""
-    server: Literal["eventlet", "threading"] = "eventlet"
-    """The Socket.IO server."""
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 admits other machines."""
     port: int = 4567
@@ -102,7 +100,7 @@ def refuse_contradictions(config: Drive) -> None:
     if config.log is not None and (flags := flags_given(config, "drives")):
         raise UsageError(f"{flags}: not needed with --log, which names the log: give one of them")
     if config.environment.gym is not None:
-        others = ("simulator", "laps", "start", "real_time", "takeover", "sessions", "server", "host", "port")
+        others = ("simulator", "laps", "start", "real_time", "takeover", "sessions", "host", "port")
         if flags := flags_given(config, *others):
             raise UsageError(
                 f"{flags}: not with --gym: an environment has no port and does not say where its car is"

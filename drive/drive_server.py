@@ -22,7 +22,7 @@ from model import Pilot
 from recorder import LogWriter
 from recorder.log.session_car import built_in
 from recorder.log.session_car import metadata_of as car_metadata
-from recorder.server.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
+from recorder.server.telemetry_server import Answer, Steer, TelemetryServer
 
 NO_TELEMETRY_S: Final = 3.0
 """A client that has connected and sends no telemetry for so long is in its menu, or no simulator."""
@@ -52,7 +52,6 @@ class DriveServer:
         overwrite: bool = False,
         host: str = "127.0.0.1",
         port: int = 4567,
-        mode: ServerMode = "eventlet",
         is_built_in: bool = False,
         track: str | None = None,
         at_wheel: AtWheel | None = None,
@@ -86,9 +85,7 @@ class DriveServer:
             self._stack = stack
             self._open_session(log, overwrite)
             first: Steer | Literal["nothing"] = "nothing" if is_built_in else Steer(0.0, 0.0)
-            self._server = TelemetryServer(
-                self, host=host, port=port, mode=mode, notify=notify, first_command=first
-            )
+            self._server = TelemetryServer(self, host=host, port=port, notify=notify, first_command=first)
             stack.callback(self._server.close)
             self._stack = stack.pop_all()
         self.port = self._server.port

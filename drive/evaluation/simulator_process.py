@@ -17,7 +17,6 @@ from drive.drive_server import DriveServer
 from drive.errors import DriveError
 from drive.log.drive_summary import DriveSummary
 from model import Pilot
-from recorder.server.telemetry_server import ServerMode
 from simulator.driving.drive_limits import MAX_LAPS
 from simulator.roads.track import load_track
 
@@ -68,7 +67,6 @@ def drive_and_log(
     log: Path,
     *,
     overwrite: bool = False,
-    mode: ServerMode = "eventlet",
     shows_progress: bool = True,
 ) -> tuple[dict[str, Any], DriveSummary]:
     """Drive the built-in simulator, and log that: the simulator's own report, and the summary of the log.
@@ -78,7 +76,7 @@ def drive_and_log(
     with (
         stop_signals() as stopped,
         DriveServer(
-            pilot, config, log, overwrite=overwrite, port=0, mode=mode, is_built_in=True, track=simulator.track
+            pilot, config, log, overwrite=overwrite, port=0, is_built_in=True, track=simulator.track
         ) as server,
     ):
         report = drive_built_in(server, simulator, stopped, shows_progress=shows_progress)

@@ -769,18 +769,6 @@ def test_a_drive_without_a_simulator_leaves_no_log(pilot_run: Path, tmp_path: Pa
     assert list(tmp_path.iterdir()) == []
 
 
-def test_threads_serve_as_eventlet_does(drive: Drive, tmp_path: Path) -> None:
-    log = tmp_path / "run.mcap"
-    with DriveProcess(drive.run, log, "--server", "threading") as process:
-        port = process.wait_until_it_listens()
-        assert replay(SimulatorClient(port=port, wait_s=PATIENCE_S), drive.pictures) == drive.commands
-        modern = ModernClient(port)
-        assert [modern.tell(fields(i))[1] for i in range(MODERN)] == drive.modern
-        modern.close()
-        assert process.end() == 0
-    assert images(log, "/camera/center")[:REPLAYED] == drive.pictures
-
-
 def test_a_drive_is_shown_in_a_file_while_it_goes_on(pilot_run: Path, tmp_path: Path) -> None:
     rrd = tmp_path / "run.rrd"
     rrd.write_bytes(b"of an earlier drive")
