@@ -28,6 +28,7 @@ from drive.errors import DriveError
 if TYPE_CHECKING:
     from drive.at_wheel import AtWheel
     from drive.drive_session import DriveSession
+    from recorder import LogWriter
 
 
 def drive(config: Drive) -> int:
@@ -97,12 +98,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
                 show_status=status.show,
             )
             with contextlib.ExitStack() as after, server:  # a file of the viewer's is whole when the log is
-                if (viewer := _viewer_target(config, path)) is not None:
-                    # in a process of its own, which reads the log as it grows: nothing leads from it to the drive
-                    part, force = server.session.writer.part, config.force
-                    after.enter_context(
-                        preview(part, viewer, overwrite=force, idle_priority=True, notify=print_message)
-                    )
+                after.enter_context(_shown(config, server.session.writer))
                 if simulator is None:
                     waiting = f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}"
                     _notify(waiting)
@@ -191,9 +187,7 @@ def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
         metadata = drive_metadata(pilot, settings) | source
         writer = LogWriter(path, metadata, overwrite=config.force, live=True)
         session = after.enter_context(DriveSession(pilot, settings, writer, _notify))
-        if (viewer := _viewer_target(config, path)) is not None:
-            shown = preview(writer.part, viewer, overwrite=config.force, idle_priority=True, notify=print_message)
-            after.enter_context(shown)
+        after.enter_context(_shown(config, writer))
         episodes = []
         for episode in drive_gymnasium(session, car, config.seed, config.environment.episodes, stopped):
             episodes.append(episode)
@@ -208,6 +202,15 @@ def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
 
 def _notify(text: str) -> None:
     print_message(f"bc-drive: {text}")
+
+
+def _shown(config: Drive, writer: LogWriter) -> contextlib.AbstractContextManager[object]:
+    """The viewer of a drive, if there is one: a process of its own, which reads the log as it grows. Nothing leads
+    from it to the drive."""
+    viewer = _viewer_target(config, writer.path)
+    if viewer is None:
+        return contextlib.nullcontext()
+    return preview(writer.part, viewer, overwrite=config.force, idle_priority=True, notify=print_message)
 
 
 def _viewer_target(config: Drive, log: Path) -> str | None:

@@ -15,7 +15,6 @@ from common.interrupts import StopEvent, stop_signals
 from drive.config import DriveConfig
 from drive.drive_server import DriveServer
 from drive.errors import DriveError
-from drive.log.drive_summary import DriveSummary
 from model import Pilot
 from simulator.driving.drive_limits import MAX_LAPS
 from simulator.roads.track import load_track
@@ -68,8 +67,8 @@ def drive_and_log(
     *,
     overwrite: bool = False,
     shows_progress: bool = True,
-) -> tuple[dict[str, Any], DriveSummary]:
-    """Drive the built-in simulator, and log that: the simulator's own report, and the summary of the log.
+) -> dict[str, Any]:
+    """Drive the built-in simulator, in lock-step unless it keeps real time, and log that: its own report.
 
     Raises DriveError if the simulator fails, KeyboardInterrupt if it was stopped; the log is finished then too.
     """
@@ -82,7 +81,7 @@ def drive_and_log(
         report = drive_built_in(server, simulator, stopped, shows_progress=shows_progress)
         if not report:
             raise KeyboardInterrupt
-        return report, server.session.summary
+        return report
 
 
 def drive_built_in(

@@ -16,7 +16,7 @@ from common.errors import UserError
 from common.location import Location, Url
 from common.tasks import Tasks
 from drive.config import DriveConfig
-from drive.evaluation.closed_loop import LogFolder, evaluate
+from drive.evaluation.closed_loop import LogFolder, PlannedDrive, evaluate
 from drive.evaluation.simulator_process import BuiltInSimulator
 from drive.evaluation.sweep_plan import SweepPlan, Training
 from model import load_pilot, train
@@ -59,7 +59,7 @@ def run_sweep(sweep: SweepPlan, index: Location, runs: Location, logs: Location,
 
 def _train_and_drive(
     training: Training,
-    drives: Sequence[tuple[BuiltInSimulator, DriveConfig]],
+    drives: Sequence[PlannedDrive],
     index: Location,
     runs: Location,
     logs: LogFolder,
@@ -85,7 +85,7 @@ def _train_and_drive(
 
 def _train_and_drive_here(
     training: Training,
-    drives: Sequence[tuple[BuiltInSimulator, DriveConfig]],
+    drives: Sequence[PlannedDrive],
     index: Location,
     run: Path,
     logs: LogFolder,
@@ -115,9 +115,7 @@ def _run_here(runs: Location, training: Training) -> Path:
     return (RUNS if isinstance(runs, Url) else runs) / training.run
 
 
-def _done_elsewhere(
-    url: Url, training: Training, drives: Sequence[tuple[BuiltInSimulator, DriveConfig]]
-) -> RunSummary | None:
+def _done_elsewhere(url: Url, training: Training, drives: Sequence[PlannedDrive]) -> RunSummary | None:
     """The summary of a run in a store that has learnt all its epochs and was driven then: nothing else of it has
     to be fetched. None for all others."""
     run = run_at(url)

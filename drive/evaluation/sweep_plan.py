@@ -31,6 +31,7 @@ import msgspec
 from common.errors import UserError, did_you_mean, printable
 from common.stored_settings import read_toml, settings_from
 from drive.config import DriveConfig
+from drive.evaluation.closed_loop import PlannedDrive
 from drive.evaluation.simulator_process import BuiltInSimulator
 from model.config import TrainConfig
 
@@ -51,7 +52,7 @@ class Training:
 class SweepPlan:
     name: str
     trainings: tuple[Training, ...]
-    drives: tuple[tuple[BuiltInSimulator, DriveConfig], ...]
+    drives: tuple[PlannedDrive, ...]
 
 
 class _Drive(msgspec.Struct, forbid_unknown_fields=True):
@@ -89,7 +90,7 @@ def read_sweep(path: Path) -> SweepPlan:
     names = Counter(training.run for training in trainings)
     if twice := next((run for run, count in names.items() if count > 1), None):
         raise UserError(f"{path}: two trainings are the same ({twice}): give each once")
-    drives: list[tuple[BuiltInSimulator, DriveConfig]] = []
+    drives: list[PlannedDrive] = []
     if stored.drive is not None:
         configs = [DriveConfig(set_speed_mph=speed) for speed in stored.drive.speed]
         tracks = [BuiltInSimulator(track, stored.drive.laps) for track in stored.drive.simulator]

@@ -248,7 +248,8 @@ class TelemetryServer:
         return self._connected(engine_sid, environ)
 
     def _on_message(self, engine_sid: str, data: str | bytes) -> None:
-        self._engine.sockets[engine_sid].hand_over(data, self._received)
+        connection: Connection = self._engine.sockets[engine_sid]
+        connection.hand_over(data, self._received)
 
     def _on_connect(self, sid: str, environ: dict[str, Any]) -> None:
         if not self._is_over:
