@@ -91,7 +91,6 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
                 overwrite=config.force,
                 host=config.host,
                 port=config.port if simulator is None else 0,  # any free port: no other simulator connects
-                is_built_in=simulator is not None,
                 track=config.simulator,
                 at_wheel=at_wheel,
                 notify=_notify,

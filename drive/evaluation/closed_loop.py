@@ -156,7 +156,10 @@ def _warm_pilot(run: Path, networks: tuple[str, ...], precision: Precision, devi
 
 def _log_names(run: str, drives: Sequence[PlannedDrive], logs: LogFolder, *, overwrite: bool) -> list[str]:
     """The log of each drive; raised is before the first of them what would be after it."""
-    names = [f"{run}-{simulator.name}-{config.set_speed_mph:g}mph.mcap" for simulator, config in drives]
+    names = [
+        f"{run}-{simulator.track.replace(':', '-')}-{config.set_speed_mph:g}mph.mcap"
+        for simulator, config in drives
+    ]
     for name in names:
         logs.refuse_existing(name, overwrite)
     if len(set(names)) < len(names):

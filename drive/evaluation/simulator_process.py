@@ -47,11 +47,6 @@ class BuiltInSimulator:
         except ValueError as error:
             raise DriveError(f"--simulator {self.track}: {error}") from None
 
-    @property
-    def name(self) -> str:
-        """The part of a log's name that stands for it."""
-        return self.track.replace(":", "-")
-
 
 def check_laps(laps: float) -> None:
     """Raises DriveError for a number of laps that cannot be driven."""
@@ -74,9 +69,7 @@ def drive_and_log(
     """
     with (
         stop_signals() as stopped,
-        DriveServer(
-            pilot, config, log, overwrite=overwrite, port=0, is_built_in=True, track=simulator.track
-        ) as server,
+        DriveServer(pilot, config, log, overwrite=overwrite, port=0, track=simulator.track) as server,
     ):
         report = drive_built_in(server, simulator, stopped, shows_progress=shows_progress)
         if not report:
