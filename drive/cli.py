@@ -28,6 +28,7 @@ from drive.errors import DriveError
 if TYPE_CHECKING:
     from drive.at_wheel import AtWheel
     from drive.drive_session import DriveSession
+    from model import Pilot
     from recorder import LogWriter
 
 
@@ -62,8 +63,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
     from common.low_latency import prepare_process
     from drive.drive_server import DriveServer
     from drive.evaluation.simulator_process import BuiltInSimulator, check_laps, drive_built_in
-    from model import find_run, load_pilot
-    from model.runs.run_folder import load_named
+    from model import find_run
 
     simulator = None
     if config.simulator is not None:
@@ -73,10 +73,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
         is_supervised = config.takeover is not None
         simulator = BuiltInSimulator(config.simulator, config.laps, is_real_time, is_supervised, config.start)
     run = find_run(config.run, config.runs)
-    load_named([config.network], [run])
-    settings = _with_car(config, settings, run)
-    pilot = load_pilot(run, config.precision, config.device)
-    pilot.warm_up()
+    settings, pilot = _loaded(config, settings, run)
     prepare_process()
     with contextlib.ExitStack() as page:  # it outlives the drive: it has what comes next
         with (
@@ -155,33 +152,34 @@ def _at_wheel(
         yield AtWheel(wheel, settings, eye)
 
 
-def _with_car(config: Drive, settings: DriveConfig, run: Path) -> DriveConfig:
-    """The settings of a drive, with the car that is driven, where it is known."""
+def _loaded(config: Drive, settings: DriveConfig, run: Path) -> tuple[DriveConfig, Pilot]:
+    """The settings of a drive, with the car that is driven, where it is known; and the network, ready to drive."""
     from drive.driven_car import driven_car, other_steering
+    from model import load_pilot
+    from model.runs.run_folder import load_named
     from recorder.log.session_car import built_in
 
+    load_named([config.network], [run])
     car = driven_car(run, config.car) if config.simulator is None else built_in()
     if line := other_steering(run, car):
         _notify(line)
-    return replace(settings, car=car)
+    pilot = load_pilot(run, config.precision, config.device)
+    pilot.warm_up()
+    return replace(settings, car=car), pilot
 
 
 def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
     from drive.drive_server import drive_metadata
     from drive.drive_session import DriveSession
     from drive.gymnasium_drive import check_pedals, drive_gymnasium, mean_reward
-    from model import find_run, load_pilot
-    from model.runs.run_folder import load_named
+    from model import find_run
     from recorder import LogWriter
     from recorder.sources.gymnasium_car import GymnasiumCar
 
     run = find_run(config.run, config.runs)
     with GymnasiumCar(config.environment) as car, stop_signals() as stopped, contextlib.ExitStack() as after:
         check_pedals(car)
-        load_named([config.network], [run])
-        settings = _with_car(config, settings, run)
-        pilot = load_pilot(run, config.precision, config.device)
-        pilot.warm_up()
+        settings, pilot = _loaded(config, settings, run)
         source = {"simulator": car.name, "gym.args": json.dumps(car.settings.args), "gym.action": car.actions.text}
         metadata = drive_metadata(pilot, settings) | source
         writer = LogWriter(path, metadata, overwrite=config.force, live=True)
