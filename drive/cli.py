@@ -12,15 +12,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.markup import escape
-from rich.table import Table
-
 from common.command import DONE, DONE_BUT_SKIPPED, run_command, usage_errors, warn
-from common.errors import UsageError, counted, printable
+from common.errors import UsageError, counted
 from common.files import refuse_existing
 from common.interrupts import stop_signals
 from common.location import Url
-from common.output import plain_table, print_message, print_next, print_result, print_table
+from common.output import print_message, print_next, print_result
 from common.preview import has_display, preview
 from common.progress import StatusLine
 from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
@@ -31,8 +28,8 @@ from drive.errors import DriveError
 if TYPE_CHECKING:
     from drive.at_wheel import AtWheel
     from drive.drive_session import DriveSession
-    from drive.evaluation.aggregation import AggregationRound
-    from drive.evaluation.closed_loop import LogFolder
+    from model import Pilot
+    from recorder import LogWriter
 
 
 def drive(config: Drive) -> int:
@@ -45,8 +42,6 @@ def drive(config: Drive) -> int:
             max_steering_per_s=config.steering_rate,
             takeover=config.takeover == "expert",
         )
-    if config.aggregate is not None:
-        return _aggregate(config, settings)
     if config.log is not None and config.log.suffix != ".mcap":
         raise UsageError(f"--log {config.log}: a log's name ends in .mcap")
     path = config.log or config.drives / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}.mcap"
@@ -68,8 +63,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
     from common.low_latency import prepare_process
     from drive.drive_server import DriveServer
     from drive.evaluation.simulator_process import BuiltInSimulator, check_laps, drive_built_in
-    from model import find_run, load_pilot
-    from model.runs.run_folder import load_named
+    from model import find_run
 
     simulator = None
     if config.simulator is not None:
@@ -79,10 +73,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
         is_supervised = config.takeover is not None
         simulator = BuiltInSimulator(config.simulator, config.laps, is_real_time, is_supervised, config.start)
     run = find_run(config.run, config.runs)
-    load_named([config.network], [run])
-    settings = _with_car(config, settings, run)
-    pilot = load_pilot(run, config.precision, config.device)
-    pilot.warm_up()
+    settings, pilot = _loaded(config, settings, run)
     prepare_process()
     with contextlib.ExitStack() as page:  # it outlives the drive: it has what comes next
         with (
@@ -97,20 +88,13 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
                 overwrite=config.force,
                 host=config.host,
                 port=config.port if simulator is None else 0,  # any free port: no other simulator connects
-                mode=config.server,
-                is_built_in=simulator is not None,
                 track=config.simulator,
                 at_wheel=at_wheel,
                 notify=_notify,
                 show_status=status.show,
             )
             with contextlib.ExitStack() as after, server:  # a file of the viewer's is whole when the log is
-                if (viewer := _viewer_target(config, path)) is not None:
-                    # in a process of its own, which reads the log as it grows: nothing leads from it to the drive
-                    part, force = server.session.writer.part, config.force
-                    after.enter_context(
-                        preview(part, viewer, overwrite=force, idle_priority=True, notify=print_message)
-                    )
+                after.enter_context(_shown(config, server.session.writer))
                 if simulator is None:
                     waiting = f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}"
                     _notify(waiting)
@@ -168,40 +152,39 @@ def _at_wheel(
         yield AtWheel(wheel, settings, eye)
 
 
-def _with_car(config: Drive, settings: DriveConfig, run: Path) -> DriveConfig:
-    """The settings of a drive, with the car that is driven, where it is known."""
+def _loaded(config: Drive, settings: DriveConfig, run: Path) -> tuple[DriveConfig, Pilot]:
+    """The settings of a drive, with the car that is driven, where it is known; and the network, ready to drive."""
     from drive.driven_car import driven_car, other_steering
+    from model import load_pilot
+    from model.runs.run_folder import load_named
     from recorder.log.session_car import built_in
 
+    load_named([config.network], [run])
     car = driven_car(run, config.car) if config.simulator is None else built_in()
-    if config.aggregate is None and (line := other_steering(run, car)):  # an aggregation refuses it
+    if line := other_steering(run, car):
         _notify(line)
-    return replace(settings, car=car)
+    pilot = load_pilot(run, config.precision, config.device)
+    pilot.warm_up()
+    return replace(settings, car=car), pilot
 
 
 def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
     from drive.drive_server import drive_metadata
     from drive.drive_session import DriveSession
     from drive.gymnasium_drive import check_pedals, drive_gymnasium, mean_reward
-    from model import find_run, load_pilot
-    from model.runs.run_folder import load_named
+    from model import find_run
     from recorder import LogWriter
     from recorder.sources.gymnasium_car import GymnasiumCar
 
     run = find_run(config.run, config.runs)
     with GymnasiumCar(config.environment) as car, stop_signals() as stopped, contextlib.ExitStack() as after:
         check_pedals(car)
-        load_named([config.network], [run])
-        settings = _with_car(config, settings, run)
-        pilot = load_pilot(run, config.precision, config.device)
-        pilot.warm_up()
+        settings, pilot = _loaded(config, settings, run)
         source = {"simulator": car.name, "gym.args": json.dumps(car.settings.args), "gym.action": car.actions.text}
         metadata = drive_metadata(pilot, settings) | source
         writer = LogWriter(path, metadata, overwrite=config.force, live=True)
         session = after.enter_context(DriveSession(pilot, settings, writer, _notify))
-        if (viewer := _viewer_target(config, path)) is not None:
-            shown = preview(writer.part, viewer, overwrite=config.force, idle_priority=True, notify=print_message)
-            after.enter_context(shown)
+        after.enter_context(_shown(config, writer))
         episodes = []
         for episode in drive_gymnasium(session, car, config.seed, config.environment.episodes, stopped):
             episodes.append(episode)
@@ -216,6 +199,15 @@ def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
 
 def _notify(text: str) -> None:
     print_message(f"bc-drive: {text}")
+
+
+def _shown(config: Drive, writer: LogWriter) -> contextlib.AbstractContextManager[object]:
+    """The viewer of a drive, if there is one: a process of its own, which reads the log as it grows. Nothing leads
+    from it to the drive."""
+    viewer = _viewer_target(config, writer.path)
+    if viewer is None:
+        return contextlib.nullcontext()
+    return preview(writer.part, viewer, overwrite=config.force, idle_priority=True, notify=print_message)
 
 
 def _viewer_target(config: Drive, log: Path) -> str | None:
@@ -265,79 +257,6 @@ def _print_next(sessions: Sequence[DriveSession], config: Drive, run: Path) -> N
         print_next(command, f"it learns from {counted(times, 'takeover')}")
     elif driven := [session for session in sessions if session.log.frames]:
         print_next(f"bc-play {shlex.quote(str(driven[-1].writer.path))}")
-
-
-def _aggregate(config: Drive, settings: DriveConfig) -> int:
-    from drive.evaluation.aggregation import Aggregation, check_rounds
-    from drive.evaluation.closed_loop import LogFolder
-    from drive.evaluation.external_simulator import ExternalSimulator
-    from drive.evaluation.simulator_process import BuiltInSimulator, check_laps
-    from model import TrainConfig, find_run
-    from model.runs.network_of_run import network_settings
-    from model.runs.run_arguments import RUNS
-    from model.runs.run_folder import load_config, load_named
-
-    rounds: list[AggregationRound] = []
-    codes = [DONE]
-
-    assert config.aggregate is not None  # noqa: S101
-    with usage_errors(DriveError, ValueError):
-        check_rounds(config.aggregate)
-        check_laps(config.laps)
-        training = replace(TrainConfig.of("people"), epochs=config.epochs)
-    simulator: BuiltInSimulator | ExternalSimulator = ExternalSimulator(config.laps, config.host, config.port)
-    if config.simulator is not None:
-        simulator = BuiltInSimulator(config.simulator, config.laps, config.real_time)
-    drives = LogFolder.of(config.drives)
-    runs = config.runs if isinstance(config.runs, Path) else RUNS
-    run = find_run(config.run, config.runs)
-    load_named([config.network], [run])
-    settings = _with_car(config, settings, run)
-    training = replace(training, **network_settings(load_config(run), run))
-    aggregation = Aggregation(
-        run,
-        simulator,
-        settings,
-        config.aggregate,
-        training,
-        sessions=config.sessions,
-        drives=drives.here,
-        runs=runs,
-    )
-    try:
-        for done in aggregation.rounds(config.server, _notify, lambda notice: codes.append(warn(notice))):
-            rounds.append(done)
-            codes.append(_copy_round(config, done, drives, runs / done.run if len(rounds) > 1 else None))
-    finally:  # what was driven is shown, whatever stops the rest
-        if rounds:
-            print_table(_rounds_table(rounds))
-            track = f" --simulator {config.simulator}" if config.simulator else ""
-            print_next(f"bc-{'eval' if track else 'drive'} {shlex.quote(rounds[-1].run)}{track}")
-    return max(codes)
-
-
-def _rounds_table(rounds: Sequence[AggregationRound]) -> Table:
-    table = plain_table(None, "run", "laps", "interventions", "autonomy", "log", text={"log"})
-    for driven in rounds:
-        percent = driven.autonomy_percent
-        table.add_row(
-            escape(printable(driven.run)),
-            "unknown" if driven.laps is None else f"{driven.laps:.2f}",
-            f"{driven.interventions:,}",
-            "unknown" if percent is None else f"{percent:.1f} %",
-            escape(printable(str(driven.log))),
-        )
-    return table
-
-
-def _copy_round(config: Drive, done: AggregationRound, drives: LogFolder, trained: Path | None) -> int:
-    """Copy what an aggregation's round has made to where that is kept in a store; the exit code."""
-    from model.runs.stored_run import RunCopy
-
-    problems = [drives.copy(done.log.name, False)[1]]
-    if trained is not None and isinstance(config.runs, Url):
-        problems.append(RunCopy(trained, config.runs / trained.name).finish())
-    return max([DONE, *(warn(problem) for problem in problems if problem)])
 
 
 def main() -> None:

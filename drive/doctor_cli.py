@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import shlex
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
@@ -45,15 +44,11 @@ def doctor(config: Doctor) -> int:
         print_result(json.dumps(asdict(diagnosis)))
     else:
         print_result(*diagnosis.here)
-        _print_part("odd", diagnosis.odd)
-        _print_part("how good", diagnosis.good)
+        print_result(*(f"odd: {line}" for line in diagnosis.odd))
+        print_result(*(f"how good: {line}" for line in diagnosis.good))
         cd = f"cd {shlex.quote(str(config.project))} && " if config.project != Path() else ""
         print_result(*(f"next: `{cd}{advice.command}`: {advice.why}" for advice in diagnosis.advice))
     return max([DONE, *map(warn, diagnosis.problems)])
-
-
-def _print_part(title: str, lines: Sequence[str]) -> None:
-    print_result(*(f"{title}: {line}" for line in lines))
 
 
 def main() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
@@ -27,9 +27,12 @@ class Drive:
     """
 
     RARE: ClassVar[str] = (
-        "network drives start real_time page epochs sessions"
-        " smooth steering_rate device precision server host port seed runs"
+        "network drives start real_time page sessions smooth steering_rate device precision host port seed runs"
     )
+    REMOVED: ClassVar[Mapping[str, str]] = {
+        "--aggregate": "drive with --takeover --log LOG.mcap, then `bc-train --init RUN --takeovers LOG.mcap`",
+        "--server": "eventlet serves; leave it out",
+    }
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
     """Name or folder; by default the newest."""
     network: str | None = None
@@ -41,7 +44,7 @@ class Drive:
     simulator: Annotated[str | None, tyro.conf.arg(metavar="TRACK")] = None
     """Built-in: lake, mountain, random:SEED, or hairpins:SEED."""
     laps: float = 1.0
-    """Laps with --simulator, or in each round of --aggregate."""
+    """Laps with --simulator."""
     start: Annotated[float, tyro.conf.arg(metavar="METRES")] = 0.0
     """Where to start with --simulator."""
     real_time: bool = False
@@ -52,12 +55,8 @@ class Drive:
     """With --takeover me: open the browser."""
     page: bool = True
     """With --takeover me: serve no page, but use that of a running bc-web."""
-    aggregate: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: not)")] = None
-    """Drive, train on the expert's takeovers, drive again: N times."""
-    epochs: int = 5
-    """Epochs of each --aggregate training."""
     sessions: LocationFlag = Path("sessions")
-    """The run's sessions, for --aggregate and --takeover me."""
+    """The run's sessions, for the page of --takeover me."""
     speed: float = 10.0
     """Set speed in mph."""
     slow_in_curves: bool = False
@@ -72,8 +71,6 @@ class Drive:
     """Arithmetic; auto: the fastest."""
     viewer: Annotated[str, tyro.conf.arg(metavar="auto|window|web|ADDRESS|FILE.rrd|off")] = "auto"
     """Show the drive in Rerun; auto: a window if there is a display."""
-    server: Literal["eventlet", "threading"] = "eventlet"
-    """The Socket.IO server."""
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 admits other machines."""
     port: int = 4567
@@ -103,8 +100,8 @@ def refuse_contradictions(config: Drive) -> None:
     if config.log is not None and (flags := flags_given(config, "drives")):
         raise UsageError(f"{flags}: not needed with --log, which names the log: give one of them")
     if config.environment.gym is not None:
-        others = ("simulator", "laps", "start", "real_time", "takeover", "aggregate", "server", "host", "port")
-        if flags := flags_given(config, *others, "epochs", "sessions"):
+        others = ("simulator", "laps", "start", "real_time", "takeover", "sessions", "host", "port")
+        if flags := flags_given(config, *others):
             raise UsageError(
                 f"{flags}: not with --gym: an environment has no port and does not say where its car is"
             )
@@ -115,32 +112,15 @@ def refuse_contradictions(config: Drive) -> None:
         raise UsageError(f"{flags}: only with --gym ID")
     if config.port:  # 0: a free one
         check_port("--port", config.port)
-    if config.takeover != "me" and (flags := flags_given(config, "open", "page")):
+    if config.takeover != "me" and (flags := flags_given(config, "open", "page", "sessions")):
         raise UsageError(f"{flags}: only with --takeover me")
-    if config.takeover == "me" and config.aggregate is not None:
-        raise UsageError(
-            "--aggregate: drives by itself; with --takeover me, drive first, and then `bc-train --init RUN"
-            " --takeovers LOG`"
-        )
     if not 0 <= config.start < math.inf:
         raise UsageError(f"--start {config.start:g}: a number of metres, 0 or more, was expected")
-    if config.aggregate is not None and (flags := flags_given(config, "start")):
-        raise UsageError(f"{flags}: not with --aggregate, whose rounds begin at the start")
     if config.simulator is None and (flags := flags_given(config, "real_time", "start")):
         raise UsageError(f"{flags}: only with the built-in simulator: give --simulator TRACK as well")
-    if config.simulator is None and config.aggregate is None and (flags := flags_given(config, "laps")):
-        raise UsageError(f"{flags}: only with --simulator TRACK or --aggregate N; other drives end with Ctrl-C")
+    if config.simulator is None and (flags := flags_given(config, "laps")):
+        raise UsageError(f"{flags}: only with --simulator TRACK; other drives end with Ctrl-C")
     if config.simulator is not None and (flags := flags_given(config, "car")):
         raise UsageError(f"{flags}: the built-in simulator's car is known; leave it out")
     if config.simulator is not None and (flags := flags_given(config, "host", "port")):
         raise UsageError(f"{flags}: the built-in simulator runs on this machine and a free port; leave it out")
-    if config.aggregate is None and (flags := flags_given(config, "epochs")):
-        raise UsageError(f"{flags}: only with --aggregate N")
-    if config.aggregate is None and config.takeover != "me" and (flags := flags_given(config, "sessions")):
-        raise UsageError(f"{flags}: only with --aggregate N, or --takeover me")
-    others = ("log", *(() if config.viewer == "off" else ("viewer",)), "device", "precision", "force")
-    if config.aggregate is not None and (flags := flags_given(config, *others)):
-        raise UsageError(
-            f"{flags}: not with --aggregate, which names its logs, replaces nothing, shows a table and takes the"
-            " fastest arithmetic; leave it out"
-        )

@@ -22,7 +22,7 @@ from model import Pilot
 from recorder import LogWriter
 from recorder.log.session_car import built_in
 from recorder.log.session_car import metadata_of as car_metadata
-from recorder.server.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
+from recorder.server.telemetry_server import Answer, Steer, TelemetryServer
 
 NO_TELEMETRY_S: Final = 3.0
 """A client that has connected and sends no telemetry for so long is in its menu, or no simulator."""
@@ -52,8 +52,6 @@ class DriveServer:
         overwrite: bool = False,
         host: str = "127.0.0.1",
         port: int = 4567,
-        mode: ServerMode = "eventlet",
-        is_built_in: bool = False,
         track: str | None = None,
         at_wheel: AtWheel | None = None,
         notify: Callable[[str], None] = lambda text: None,
@@ -62,15 +60,14 @@ class DriveServer:
         """Opens the log and starts to listen; port 0 takes a free one.
 
         `notify` gets a line for each thing that happens, `show_status` ten times a second the status of the drive.
-        `is_built_in`: the simulator is the built-in one, on `track`. Its silence is no fault, for it loses no
+        `track`: the simulator is the built-in one, on that track. Its silence is no fault, for it loses no
         telemetry; it does not come back. A person takes over from the network `at_wheel`, in the first
         simulator that connects.
         Raises UserError if `log` exists and may not be overwritten, ListenError if the port is taken.
         """
         self._pilot = pilot
-        self.config = replace(config, car=built_in()) if is_built_in else config
+        self.config = replace(config, car=built_in()) if track is not None else config
         self._log = log
-        self._is_built_in = is_built_in
         self._track = track
         self._at_wheel = at_wheel
         self.notify = notify
@@ -85,10 +82,8 @@ class DriveServer:
         with ExitStack() as stack:
             self._stack = stack
             self._open_session(log, overwrite)
-            first: Steer | Literal["nothing"] = "nothing" if is_built_in else Steer(0.0, 0.0)
-            self._server = TelemetryServer(
-                self, host=host, port=port, mode=mode, notify=notify, first_command=first
-            )
+            first: Steer | Literal["nothing"] = "nothing" if track is not None else Steer(0.0, 0.0)
+            self._server = TelemetryServer(self, host=host, port=port, notify=notify, first_command=first)
             stack.callback(self._server.close)
             self._stack = stack.pop_all()
         self.port = self._server.port
@@ -150,7 +145,7 @@ class DriveServer:
             if session.is_connected and session in self._stopping and not session.is_at_rest:
                 session.rolling_reason = "its simulator has gone"
             session.disconnected(reason)
-            if not self._is_built_in and session.connections <= MAX_CONNECTION_NOTICES:
+            if self._track is None and session.connections <= MAX_CONNECTION_NOTICES:
                 frames = f"{session.writer.path} has {counted(session.log.frames, 'frame')} so far"
                 self.notify(f"disconnected ({reason}): {frames}" + ("" if self._driven else "; waiting"))
 
@@ -201,7 +196,7 @@ class DriveServer:
 
     def _brake(self, session: DriveSession) -> None:
         session.stop()
-        if not self._is_built_in:  # its car ends with its process
+        if self._track is None:  # the built-in simulator's car ends with its process
             self._stopping.add(session)
 
     def _notify_once(self, text: str) -> None:
@@ -220,7 +215,7 @@ class DriveServer:
 
     def _push(self, command_of: Callable[[DriveSession], Steer | None]) -> None:
         """Send the commands that are due to simulators without telemetry; the built-in one needs none."""
-        if self._is_built_in:
+        if self._track is not None:
             return
         for sid, session in list(self._driven.items()):  # a failed push disconnects a client meanwhile
             steer = None if self._server.has_unread(sid) else command_of(session)

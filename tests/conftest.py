@@ -9,7 +9,7 @@ import sys
 import sysconfig
 from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import pytest
 from hypothesis import settings
@@ -138,9 +138,3 @@ def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bucket]:
     monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
     with serving_bucket(tmp_path / "server", monkeypatch) as served:
         yield served
-
-
-@pytest.fixture(params=["eventlet", "threading"])
-def mode(request: pytest.FixtureRequest) -> Any:
-    """Each way in which a telemetry server can serve: a `ServerMode`."""
-    return request.param

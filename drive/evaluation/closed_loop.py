@@ -60,6 +60,9 @@ class LogFolder:
             return log, f"{log}: is not in {self.store} ({error}); `{copies}` copies it"
 
 
+PlannedDrive = tuple[BuiltInSimulator, DriveConfig]
+
+
 @dataclass(frozen=True)
 class DriveResult:
     """The result of one drive, with the simulator's own report (an `AutonomousDrive`)."""
@@ -76,7 +79,7 @@ class DriveResult:
 
 def evaluate(
     pilot: Pilot,
-    drives: Sequence[tuple[BuiltInSimulator, DriveConfig]],
+    drives: Sequence[PlannedDrive],
     logs: Location | LogFolder,
     *,
     overwrite: bool = False,
@@ -93,14 +96,14 @@ def evaluate(
     for (simulator, config), name in zip(drives, names, strict=True):
         laps = f"{simulator.laps:g} lap{'' if simulator.laps == 1 else 's'}"
         notify(f"{pilot.run} on {simulator.track} at {config.set_speed_mph:g} mph, {laps}")
-        report, _ = drive_and_log(pilot, simulator, config, folder.here / name, overwrite=overwrite)
+        report = drive_and_log(pilot, simulator, config, folder.here / name, overwrite=overwrite)
         place, problem = folder.copy(name, overwrite)
         yield DriveResult(simulator, config, place, report, problem)
 
 
 def drive_runs(
     runs: Sequence[tuple[Path, LogFolder]],
-    drives: Sequence[tuple[BuiltInSimulator, DriveConfig]],
+    drives: Sequence[PlannedDrive],
     tasks: Tasks,
     *,
     networks: Sequence[str] = (),
@@ -136,7 +139,7 @@ def _drive_run(
 ) -> DriveResult:
     pilot = _warm_pilot(run, networks, precision, device)
     # whether it may be replaced was asked before: a drive that is made again may find the log of the first one
-    report, _ = drive_and_log(pilot, simulator, config, logs.here / name, overwrite=True, shows_progress=False)
+    report = drive_and_log(pilot, simulator, config, logs.here / name, overwrite=True, shows_progress=False)
     place, problem = logs.copy(name, overwrite)
     return DriveResult(simulator, config, place, report, problem)
 
@@ -151,11 +154,12 @@ def _warm_pilot(run: Path, networks: tuple[str, ...], precision: Precision, devi
     return pilot
 
 
-def _log_names(
-    run: str, drives: Sequence[tuple[BuiltInSimulator, DriveConfig]], logs: LogFolder, *, overwrite: bool
-) -> list[str]:
+def _log_names(run: str, drives: Sequence[PlannedDrive], logs: LogFolder, *, overwrite: bool) -> list[str]:
     """The log of each drive; raised is before the first of them what would be after it."""
-    names = [f"{run}-{simulator.name}-{config.set_speed_mph:g}mph.mcap" for simulator, config in drives]
+    names = [
+        f"{run}-{simulator.track.replace(':', '-')}-{config.set_speed_mph:g}mph.mcap"
+        for simulator, config in drives
+    ]
     for name in names:
         logs.refuse_existing(name, overwrite)
     if len(set(names)) < len(names):

@@ -21,9 +21,7 @@ from common.ray_flag import tasks_of
 from drive.evaluation.eval_flags import Eval, refuse_contradictions
 
 if TYPE_CHECKING:
-    from drive.config import DriveConfig
-    from drive.evaluation.closed_loop import DriveResult, LogFolder
-    from drive.evaluation.simulator_process import BuiltInSimulator
+    from drive.evaluation.closed_loop import DriveResult, LogFolder, PlannedDrive
     from model.evaluation.differences import Verdict
     from model.evaluation.evaluate import Evaluation
 
@@ -233,7 +231,7 @@ def _warn_problem(result: DriveResult) -> int:
     return warn(result.problem) if result.problem else DONE
 
 
-def _drives(config: Eval) -> list[tuple[BuiltInSimulator, DriveConfig]]:
+def _drives(config: Eval) -> list[PlannedDrive]:
     from drive.config import DriveConfig
     from drive.errors import DriveError
     from drive.evaluation.simulator_process import BuiltInSimulator, check_laps
@@ -246,7 +244,7 @@ def _drives(config: Eval) -> list[tuple[BuiltInSimulator, DriveConfig]]:
 
 
 def _driven(
-    config: Eval, runs: Sequence[tuple[Path, LogFolder]], drives: Sequence[tuple[BuiltInSimulator, DriveConfig]]
+    config: Eval, runs: Sequence[tuple[Path, LogFolder]], drives: Sequence[PlannedDrive]
 ) -> Iterator[tuple[int, DriveResult]]:
     """The results of the drives of runs, each with the folder of its logs: number and result, as they come."""
     from drive.driven_car import other_steering
@@ -259,7 +257,7 @@ def _driven(
 
 
 def _driven_here(
-    config: Eval, runs: Sequence[tuple[Path, LogFolder]], drives: Sequence[tuple[BuiltInSimulator, DriveConfig]]
+    config: Eval, runs: Sequence[tuple[Path, LogFolder]], drives: Sequence[PlannedDrive]
 ) -> Iterator[tuple[int, DriveResult]]:
     from drive.evaluation.closed_loop import evaluate as evaluate_run
     from model import load_pilot
@@ -275,7 +273,7 @@ def _driven_here(
 
 
 def _driven_on_cluster(
-    config: Eval, runs: Sequence[tuple[Path, LogFolder]], drives: Sequence[tuple[BuiltInSimulator, DriveConfig]]
+    config: Eval, runs: Sequence[tuple[Path, LogFolder]], drives: Sequence[PlannedDrive]
 ) -> Iterator[tuple[int, DriveResult]]:
     from drive.evaluation.closed_loop import drive_runs
 

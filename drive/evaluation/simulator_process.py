@@ -15,9 +15,7 @@ from common.interrupts import StopEvent, stop_signals
 from drive.config import DriveConfig
 from drive.drive_server import DriveServer
 from drive.errors import DriveError
-from drive.log.drive_summary import DriveSummary
 from model import Pilot
-from recorder.server.telemetry_server import ServerMode
 from simulator.driving.drive_limits import MAX_LAPS
 from simulator.roads.track import load_track
 
@@ -49,24 +47,6 @@ class BuiltInSimulator:
         except ValueError as error:
             raise DriveError(f"--simulator {self.track}: {error}") from None
 
-    @property
-    def name(self) -> str:
-        """The part of the names of logs and runs that stands for it."""
-        return self.track.replace(":", "-")
-
-    @property
-    def flags(self) -> tuple[str, ...]:
-        """The flags of bc-drive that choose it."""
-        return "--simulator", self.track
-
-    @property
-    def description(self) -> str:
-        return self.track
-
-    def drive(self, pilot: Pilot, config: DriveConfig, log: Path, mode: ServerMode) -> DriveSummary:
-        """Drive it, in lock-step unless it keeps real time, and log that; the summary of the log."""
-        return drive_and_log(pilot, self, config, log, mode=mode)[1]
-
 
 def check_laps(laps: float) -> None:
     """Raises DriveError for a number of laps that cannot be driven."""
@@ -81,23 +61,20 @@ def drive_and_log(
     log: Path,
     *,
     overwrite: bool = False,
-    mode: ServerMode = "eventlet",
     shows_progress: bool = True,
-) -> tuple[dict[str, Any], DriveSummary]:
-    """Drive the built-in simulator, and log that: the simulator's own report, and the summary of the log.
+) -> dict[str, Any]:
+    """Drive the built-in simulator, in lock-step unless it keeps real time, and log that: its own report.
 
     Raises DriveError if the simulator fails, KeyboardInterrupt if it was stopped; the log is finished then too.
     """
     with (
         stop_signals() as stopped,
-        DriveServer(
-            pilot, config, log, overwrite=overwrite, port=0, mode=mode, is_built_in=True, track=simulator.track
-        ) as server,
+        DriveServer(pilot, config, log, overwrite=overwrite, port=0, track=simulator.track) as server,
     ):
         report = drive_built_in(server, simulator, stopped, shows_progress=shows_progress)
         if not report:
             raise KeyboardInterrupt
-        return report, server.session.summary
+        return report
 
 
 def drive_built_in(

@@ -63,8 +63,6 @@ class DriveSummary:
         self._with_speed_s = 0.0  # of `elapsed_s`, with telemetry that gives the speed
         self._world: World | None = None
         self._frames_with_laps = 0
-        self.has_expert = False
-        """True once the simulator has sent what an expert needs to take over."""
         self._laps = 0.0  # of the frames that give them
         self.telemetries = 0
         """All that were answered: frames, malformed ones, and those of a human's driving."""
@@ -238,7 +236,6 @@ class DriveSummary:
         self._world = world
         if before is None or (not self._clock.stands and _is_another_drive(before, world)):
             before = world
-        self.has_expert |= world.offset is not None and world.expert is not None
         if world.laps is not None:
             self._frames_with_laps += 1
             if before.laps is not None:

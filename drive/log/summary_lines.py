@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,7 +10,7 @@ from common.errors import counted
 from drive.log.drive_summary import DriveSummary
 
 MAX_KINDS: Final = 5
-"""The kinds of bad telemetry that are named."""
+"""The kinds of what could not be used that are named."""
 _BRIEF_S: Final = 1.0
 """A shorter time that was not driven goes without mention."""
 
@@ -20,12 +20,11 @@ RATE_S: Final = 1.0
 
 def summary_lines(summary: DriveSummary) -> list[str]:
     """The lines that are printed at the end of a drive."""
-    laps = "" if summary.laps is None else f"{summary.laps:.2f} laps, "
     speed_mph = summary.mean_speed_mph
     far = (
         "distance and speed unknown"
         if speed_mph is None
-        else f"{laps}{summary.distance_m:,.0f} m, {speed_mph:.1f} mph on average"
+        else f"{_laps(summary)}{summary.distance_m:,.0f} m, {speed_mph:.1f} mph on average"
     )
     lines = [
         f"{counted(summary.frames, 'frame')} in {summary.elapsed_s:,.1f} s{_clock(summary)}: {far}",
@@ -44,19 +43,24 @@ def summary_lines(summary: DriveSummary) -> list[str]:
             f"the simulator was silent for more than a second: {times} answered no telemetry, {left} got no answer"
         )
     if summary.bad:
-        unusable = counted(summary.malformed, "telemetry", "telemetries")
-        kinds = ", ".join(f"{kind} ({count:,})" for kind, count in summary.bad.most_common(MAX_KINDS))
-        others = len(summary.bad) - MAX_KINDS
-        more = f", and {counted(others, 'other kind')}" if others > 0 else ""
-        lines.append(f"{unusable} could not be used: {kinds}{more}")
+        lines.append(_unusable(summary.bad, "telemetry", "telemetries"))
     if summary.side_problems:
-        unusable = counted(summary.side_problems.total(), "picture of a side camera", "pictures of side cameras")
-        kinds = ", ".join(f"{kind} ({count:,})" for kind, count in summary.side_problems.most_common(MAX_KINDS))
-        lines.append(f"{unusable} could not be used: {kinds}")
+        lines.append(_unusable(summary.side_problems, "picture of a side camera", "pictures of side cameras"))
     if summary.without_number:
         frames = counted(summary.without_number, "frame")
         lines.append(f"the network gave no number for {frames}: the car was braked")
     return lines
+
+
+def _laps(summary: DriveSummary) -> str:
+    return "" if summary.laps is None else f"{summary.laps:.2f} laps, "
+
+
+def _unusable(problems: Counter[str], one: str, many: str) -> str:
+    kinds = ", ".join(f"{kind} ({count:,})" for kind, count in problems.most_common(MAX_KINDS))
+    others = len(problems) - MAX_KINDS
+    more = f", and {counted(others, 'other kind')}" if others > 0 else ""
+    return f"{counted(problems.total(), one, many)} could not be used: {kinds}{more}"
 
 
 def _autonomy(summary: DriveSummary) -> str:
@@ -130,7 +134,7 @@ class LiveStatus:
         rate = replies / passed_s if passed_s > 0 else 0.0
         mean_ms = (last.total_ms - first.total_ms) / replies if replies else summary.last_ms
         silent = f"{max(0.0, now_s - summary.last_s):.1f} s ago"
-        laps = "" if summary.laps is None else f"{summary.laps:.2f} laps, "
+        laps = _laps(summary)
         helped = f"{counted(summary.interventions, 'intervention')}, " if summary.interventions else ""
         if bad and bad == replies:
             return f"{laps}{helped}{rate:.0f} Hz, none of it usable, {silent}"

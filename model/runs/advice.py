@@ -114,7 +114,7 @@ def is_enough(numbers: RunNumbers) -> Advice | None:
 
 
 def has_left_the_road(numbers: RunNumbers) -> Advice | None:
-    """An expert takes over where it errs, and it learns from that (docs/aggregation.md)."""
+    """An expert takes over where it errs, and it learns from that (docs/studies/takeovers.md)."""
     failed = [drive for drive in numbers.drives if _interventions(drive)]
     if not failed or len(numbers.epochs) < FEW_EPOCHS:
         return None
@@ -123,7 +123,7 @@ def has_left_the_road(numbers: RunNumbers) -> Advice | None:
     times = counted(_interventions(worst), "intervention")
     return Advice(
         f"{times} on {printable(track)} at {speed:g} mph; an expert there shows it what to do",
-        f"bc-drive {numbers.run} --simulator {shlex.quote(track)} --speed {speed:g} --aggregate 2",
+        f"bc-drive {numbers.run} --simulator {shlex.quote(track)} --speed {speed:g} --takeover",
     )
 
 

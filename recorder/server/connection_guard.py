@@ -13,8 +13,6 @@ from collections.abc import Callable, Iterable
 from http import HTTPMethod
 from typing import Any, Final
 
-from recorder.server.engineio_connection import STREAM
-
 Notify = Callable[[str], None]
 
 REQUEST_S: Final = 10.0  # the time limit for a whole request, and for the first byte of a new connection
@@ -47,9 +45,6 @@ class OpenConnections:
         self._notify = notify
         self._deadlines_s: dict[Any, float] = {}  # time.monotonic(); infinite before a request and after it
 
-    def __len__(self) -> int:
-        return len(self._deadlines_s)
-
     def add(self, stream: Any) -> None:
         self._deadlines_s[stream] = math.inf
 
@@ -79,45 +74,6 @@ class OpenConnections:
             _shut_down(stream)
 
 
-class GuardedHandler:
-    """A mixin for a `BaseHTTPRequestHandler` (of which eventlet has its own copy) that examines a connection's
-    first bytes before it reads a request."""
-
-    connection: socket.socket
-
-    def __init__(self, *arguments: Any, notify: Notify, open_connections: OpenConnections) -> None:
-        """The connection is in `open_connections` while it is served."""
-        self._notify = notify
-        self._open_connections = open_connections
-        super().__init__(*arguments)  # handles the request
-
-    def handle(self) -> None:
-        self._open_connections.add(self.connection)
-        try:
-            problem = _first_bytes_problem(self.connection)
-            if problem is None:
-                self._open_connections.request_started(self.connection)
-                super().handle()  # type: ignore[misc]
-            elif problem:
-                self._notify(problem)
-        finally:
-            self._open_connections.remove(self.connection)
-
-    def get_environ(self) -> dict[str, Any]:
-        environ: dict[str, Any] = super().get_environ()  # type: ignore[misc]
-        environ[STREAM] = self.connection
-        if environ["REQUEST_METHOD"] == "GET":  # it has no body: the answer may take its time
-            self._open_connections.request_complete(self.connection)
-        return environ
-
-    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        self._notify(NOTICE_NOT_HTTP)
-        super().send_error(code, message, explain)  # type: ignore[misc]
-
-    def log_message(self, format: str, *arguments: Any) -> None:
-        pass  # what is worth a line is a notice
-
-
 def landing_page(notify: Notify) -> Callable[[dict[str, Any], Callable[..., Any]], Iterable[bytes]]:
     """A web application that explains to a browser what the port is for."""
 
@@ -136,7 +92,7 @@ def _shut_down(stream: Any) -> None:
         stream.shutdown(socket.SHUT_RDWR)
 
 
-def _first_bytes_problem(connection: socket.socket) -> str | None:
+def first_bytes_problem(connection: socket.socket) -> str | None:
     """The notice about a connection that is no HTTP request's: None if it is one, empty if the client just
     left."""
     connection.settimeout(REQUEST_S)

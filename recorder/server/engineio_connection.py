@@ -6,21 +6,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
-from contextlib import AbstractContextManager
-from typing import Any, Final, NamedTuple, Protocol
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
 
 from engineio import packet
 from engineio.socket import Socket
 
+from recorder.server.eventlet_host import STREAM, leave_unanswered, let_others_run, make_lock
 from recorder.server.in_flight import InFlight
 from recorder.server.websocket import BROKEN_FRAME, TOO_LARGE, HandshakeError, WebSocket
 
 CONNECT, EVENT = "0", "2"  # Socket.IO packet types, the first character of an Engine.IO message
 BROKEN_PACKET: Final = "broken packet"
-STREAM: Final = "telemetry.stream"  # the key of a request's socket in its WSGI environment
-WEBSOCKET_OVER: Final = "telemetry.has_hung_up"
-"""The key in the environment of a request that became a websocket, which is closed now."""
 
 MAX_UNREAD_PACKETS: Final = 64
 """The most packets that wait for a client to read them; answers to a websocket's telemetry never wait."""
@@ -36,8 +33,6 @@ NOTICES_HUNG_UP: Final = {
     BROKEN_FRAME: "disconnected a client that broke the websocket protocol: it is not a simulator",
 }
 
-Lock = AbstractContextManager[Any]
-
 
 class Received(NamedTuple):
     """A telemetry that has come."""
@@ -47,37 +42,9 @@ class Received(NamedTuple):
     received_s: float
 
 
-class ServerHost(Protocol):
-    """The web server that runs the connections, in green threads or in those of the system."""
-
-    port: int
-
-    def make_lock(self) -> Lock: ...
-
-    def let_others_run(self) -> None:
-        """Let other connections and the tick run; does nothing where the system switches threads by itself."""
-        ...
-
-    def start(self, application: Callable[..., Iterable[bytes]]) -> None: ...
-
-    def wait(self, seconds: float) -> None:
-        """Serve connections for so long."""
-        ...
-
-    def after_websocket(self) -> Iterable[bytes]:
-        """The answer to a request that became a websocket, which is closed now."""
-        ...
-
-    def end(self) -> None:
-        """Wait until the connections that were closed have ended, and cut the others."""
-        ...
-
-    def close(self) -> None: ...
-
-
 class Connection(Socket):  # type: ignore[misc]
-    """Sends an answer in the thread that has read the message, and is pinged by the server's tick. Clients of
-    Socket.IO 2, such as the real simulator, are served as modern ones are.
+    """Sends an answer in the green thread that has read the message, and is pinged by the server's tick. Clients
+    of Socket.IO 2, such as the real simulator, are served as modern ones are.
 
     Every further thread that an answer passes may delay it, and one that sleeps until the next ping would outlive
     the run.
@@ -89,23 +56,20 @@ class Connection(Socket):  # type: ignore[misc]
     first_command_sent: bool  # before any telemetry
     in_flight: InFlight[Received]
     last_ping: Any
-    _lock: Lock
-    _host: ServerHost
     _notify: Callable[[str], None]
     _websocket: WebSocket | None
     _since_s: float  # time.monotonic()
     _next_ping_s: float
 
     @classmethod
-    def adopt(cls, connection: Any, lock: Lock, host: ServerHost, notify: Callable[[str], None]) -> None:
-        """Turn a new connection of python-engineio into one of this class. `lock` is held while one is closed;
-        `notify` gets the reason where a client is disconnected."""
+    def adopt(cls, connection: Any, notify: Callable[[str], None]) -> None:
+        """Turn a new connection of python-engineio into one of this class. `notify` gets the reason where a client
+        is disconnected."""
         connection.__class__ = cls
         connection.has_sent_message, connection.awaits_first_command = False, True
         connection.is_announced = False
         connection.first_command_sent, connection.in_flight = False, InFlight()
-        connection._lock, connection._host, connection._notify = lock, host, notify
-        connection._websocket = None
+        connection._notify, connection._websocket = notify, None
         connection._since_s = connection._next_ping_s = time.monotonic()
 
     @property
@@ -126,9 +90,7 @@ class Connection(Socket):  # type: ignore[misc]
     def has_unread(self) -> bool:
         """True if the client has sent something that is not handled yet."""
         websocket = self._websocket
-        return websocket is not None and (
-            not websocket.is_handed_over or bool(websocket.waiting) or websocket.has_unread
-        )
+        return websocket is not None and (bool(websocket.waiting) or websocket.has_unread)
 
     @property
     def waiting(self) -> list[str | bytes]:
@@ -136,7 +98,7 @@ class Connection(Socket):  # type: ignore[misc]
         return [] if self._websocket is None else self._websocket.waiting
 
     def look(self) -> None:
-        """Read what has come meanwhile. To be called by the thread that reads."""
+        """Read what has come meanwhile. To be called by the green thread that reads."""
         if self._websocket is not None:
             self._websocket.look()
 
@@ -188,8 +150,6 @@ class Connection(Socket):  # type: ignore[misc]
         A client of Socket.IO 2 sends no CONNECT packet, without which python-socketio 5 silently drops all of its
         events: the packet is supplied.
         """
-        if self._websocket is not None:
-            self._websocket.is_handed_over = True
         try:
             if not self.is_announced:
                 self.is_announced = True
@@ -218,8 +178,7 @@ class Connection(Socket):  # type: ignore[misc]
     def close(self, wait: bool = True, abort: bool = False, reason: str | None = None) -> None:
         if self._websocket is not None and self._websocket.broken_by:
             reason = self._websocket.broken_by
-        with self._lock:  # the tick closes too, and closed twice it would be reported twice
-            super().close(wait=False, abort=abort, reason=reason)  # waiting, it would hold the lock
+        super().close(wait=False, abort=abort, reason=reason)
 
     def _upgrade_websocket(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Any:
         names = ("Host", "Upgrade", "Connection", "Sec-WebSocket-Key", "Sec-WebSocket-Version")
@@ -232,8 +191,8 @@ class Connection(Socket):  # type: ignore[misc]
                 stream,
                 headers,
                 max_bytes=self.server.max_http_buffer_size,
-                make_lock=self._host.make_lock,
-                let_others_run=self._host.let_others_run,
+                lock=make_lock(),
+                let_others_run=let_others_run,
             )
         except HandshakeError as error:
             self.close(wait=False, abort=True)
@@ -248,5 +207,5 @@ class Connection(Socket):  # type: ignore[misc]
             websocket.close()
             if websocket.broken_by:
                 self._notify(NOTICES_HUNG_UP[websocket.broken_by])
-            environ[WEBSOCKET_OVER] = True
+            leave_unanswered()
         return []

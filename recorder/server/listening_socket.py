@@ -1,4 +1,4 @@
-"""The listening socket: local unless asked otherwise, exclusive, and without the delayed acknowledgement."""
+"""The listening socket: local unless asked otherwise, and exclusive."""
 
 from __future__ import annotations
 
@@ -7,29 +7,6 @@ import socket
 from typing import Any
 
 from recorder.errors import ListenError
-
-
-class QuickAck:
-    """A mixin for a socket class that acknowledges received data at once.
-
-    The real simulator sends a telemetry in many small writes with Nagle's algorithm on: each waits for the
-    acknowledgement of the one before, which Linux delays. Measured: 44 ms a telemetry with the delay, 0.6 without.
-    """
-
-    def recv(self, *arguments: Any, **options: Any) -> bytes:
-        data: bytes = super().recv(*arguments, **options)  # type: ignore[misc]
-        if hasattr(socket, "TCP_QUICKACK"):  # Linux; the kernel switches it off again by itself
-            self.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)  # type: ignore[attr-defined]
-        return data
-
-
-class QuickAckSocket(QuickAck, socket.socket):
-    """A socket that acknowledges at once; its accepted connections do, too, and send without delay."""
-
-    def accept(self) -> tuple[QuickAckSocket, Any]:
-        connection, address = super().accept()
-        send_at_once(connection)
-        return QuickAckSocket(fileno=connection.detach()), address
 
 
 def send_at_once(connection: socket.socket) -> None:
@@ -46,7 +23,7 @@ def has_unread(stream: socket.socket) -> bool:
         return False
 
 
-def listen(host: str, port: int, kind: type[Any] = QuickAckSocket) -> Any:
+def listen(host: str, port: int, kind: type[Any] = socket.socket) -> Any:
     """A socket of that kind that listens on host:port, port 0 for a free one. Raises ListenError if that is not
     possible.
 

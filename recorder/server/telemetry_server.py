@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -17,7 +16,8 @@ from socketio import packet
 from common.errors import printable
 from recorder.server.allowed_hosts import AllowedHosts
 from recorder.server.connection_guard import END_S, MAX_CONNECTIONS, NOTICE_TOO_MANY, Notify, landing_page
-from recorder.server.engineio_connection import WEBSOCKET_OVER, Connection, Received, ServerHost
+from recorder.server.engineio_connection import Connection, Received
+from recorder.server.eventlet_host import EventletHost
 from recorder.server.in_flight import RunningClock
 from recorder.server.locale_numbers import POINT
 from recorder.server.malformed_packets import CheckedPacket, check_body, is_telemetry, one_line_logger
@@ -46,7 +46,6 @@ NOTICE_REFUSED: Final = (
 MAX_SHOWN_CHARACTERS: Final = 100  # of such a name
 _SID: Final = "telemetry.sid"  # the key of a connection's name in its request's environment
 
-ServerMode = Literal["eventlet", "threading"]
 Result = TypeVar("Result")
 
 
@@ -71,8 +70,8 @@ class Answer:
 
 
 class TelemetryHandler(Protocol):
-    """Answers telemetry; `sid` names a connection. It is never called by two threads at once, and what it raises
-    ends `TelemetryServer.run`."""
+    """Answers telemetry; `sid` names a connection. It is called by the thread that runs the server, and what it
+    raises ends `TelemetryServer.run`."""
 
     def connected(self, sid: str) -> None: ...
 
@@ -111,16 +110,14 @@ class TelemetryServer:
         *,
         host: str = "127.0.0.1",
         port: int = 4567,
-        mode: ServerMode = "eventlet",
         notify: Notify = lambda text: None,
         first_command: Steer | Literal["manual", "nothing"] = "nothing",
     ) -> None:
         """Starts to listen; port 0 takes a free one. Raises ListenError if that is not possible.
 
-        "eventlet" serves all connections in the thread that runs it, "threading" each in one of its own. `notify`
-        gets a line for a person where something else than a simulator connects, each line once; like the handler,
-        it is never called by two threads at once. `first_command` is sent over a websocket on which no telemetry
-        has come for `FIRST_COMMAND_S`: some clients wait for it, as classic servers begin with a command.
+        `notify` gets a line for a person where something else than a simulator connects, each line once.
+        `first_command` is sent over a websocket on which no telemetry has come for `FIRST_COMMAND_S`: some clients
+        wait for it, as classic servers begin with a command.
         """
         self._first_command = first_command
         self._handler = handler
@@ -129,18 +126,15 @@ class TelemetryServer:
         self._is_over = False
         self._failure: Exception | None = None
         self._steered: set[str] = set()  # the clients that were sent commands
-        # by Engine.IO's name of a connection, until sent: its Socket.IO name, when the telemetry came, the answer
-        self._pending_answers: dict[str, tuple[str, float, Answer]] = {}
         self._unsent_answers = 0
         self._clock = RunningClock()
-        self._lock = threading.RLock()
         self._allowed_hosts = AllowedHosts(host)
         self._has_refused = False
-        self._host = _host(mode, host, port, self._notify_once)
+        self._host = EventletHost(host, port, self._notify_once)
         self.port: int = self._host.port
         log = one_line_logger(self._notify_once)
         self._server = socketio.Server(
-            async_mode=mode,
+            async_mode="eventlet",
             async_handlers=False,
             serializer=CheckedPacket,
             cors_allowed_origins=self._allowed_hosts.allows,
@@ -166,20 +160,18 @@ class TelemetryServer:
         """
         self._host.start(self._serve)
         try:
-            while not self._is_done(until):
+            while self._failure is None and not until():
                 self._host.wait(TICK_S)  # a tick, because a signal does not wake eventlet
-                with self._lock:
-                    self._clock.tick()
-                    self._call(self._handler.tick)
-                    self._tick_connections()
+                self._clock.tick()
+                self._call(self._handler.tick)
+                self._tick_connections()
         finally:
             self._is_over = True
             self._wait_for_unsent_answers()
-            with self._lock:
-                for sid in list(self._steered):
-                    self._stop(sid)
-                for connection in list(self._engine.sockets.values()):
-                    connection.close(wait=False)
+            for sid in list(self._steered):
+                self._stop(sid)
+            for connection in list(self._engine.sockets.values()):
+                connection.close(wait=False)
             self._host.end()
         if self._failure is not None:
             raise self._failure
@@ -190,11 +182,10 @@ class TelemetryServer:
 
     def push(self, sid: str, command: Steer) -> None:
         """Send a command that answers no telemetry; to be called by the handler, from `tick`."""
-        with self._lock:
-            if (connection := self._connection(sid)) is not None:
-                connection.in_flight.pushed(self._clock.tick())
-                self._steered.add(sid)
-                self._server.emit(*_event(command), to=sid)
+        if (connection := self._connection(sid)) is not None:
+            connection.in_flight.pushed(self._clock.tick())
+            self._steered.add(sid)
+            self._server.emit(*_event(command), to=sid)
 
     def in_flight(self, sid: str) -> int:
         """The telemetries of a client that are in flight, at least."""
@@ -211,18 +202,11 @@ class TelemetryServer:
         return self._engine.sockets.get(self._server.manager.eio_sid_from_sid(sid, "/")) if is_connected else None
 
     def _wait_for_unsent_answers(self) -> None:
-        """Wait: an answer that a thread still holds would come after the last command, and the car would keep
-        it."""
+        """Wait: an answer that a green thread still holds would come after the last command, and the car would
+        keep it."""
         until_s = time.monotonic() + END_S
-        while time.monotonic() < until_s:
-            with self._lock:  # no telemetry is being handled
-                if not self._unsent_answers:
-                    return
+        while self._unsent_answers and time.monotonic() < until_s:
             self._host.wait(0.01)
-
-    def _is_done(self, until: Callable[[], bool]) -> bool:
-        with self._lock:
-            return self._failure is not None or until()
 
     def _stop(self, sid: str) -> None:
         try:
@@ -241,18 +225,17 @@ class TelemetryServer:
         try:
             check_body(environ)
             answer: Iterable[bytes] = self._application(environ, start_response)
+            return answer
         except Exception:  # what is not even Engine.IO
             if (connection := self._engine.sockets.get(environ.get(_SID))) is not None:
                 connection.hang_up()
             start_response("400 Bad Request", [("Content-Length", "0")])
             return []
-        return self._host.after_websocket() if environ.get(WEBSOCKET_OVER) else answer
 
     def _refuse(self, what: str) -> None:
-        with self._lock:  # once: a page that tries one name after another must not fill the screen
-            if not self._has_refused:
-                self._has_refused = True
-                self._notify_once(NOTICE_REFUSED.format(printable(what[:MAX_SHOWN_CHARACTERS])))
+        if not self._has_refused:  # once: a page that tries one name after another must not fill the screen
+            self._has_refused = True
+            self._notify_once(NOTICE_REFUSED.format(printable(what[:MAX_SHOWN_CHARACTERS])))
 
     def _on_connection(self, engine_sid: str, environ: dict[str, Any]) -> Any:
         transport = parse_qs(str(environ.get("QUERY_STRING", ""))).get("transport", [""])[0]
@@ -260,32 +243,13 @@ class TelemetryServer:
             # a websocket is a connection, which the host counts; a polling client leaves none
             self._notify_once(NOTICE_TOO_MANY)
             return False
-        Connection.adopt(self._engine.sockets[engine_sid], self._lock, self._host, self._notify_once)
+        Connection.adopt(self._engine.sockets[engine_sid], self._notify_once)
         environ[_SID] = engine_sid
-        with self._lock:
-            return self._connected(engine_sid, environ)
+        return self._connected(engine_sid, environ)
 
     def _on_message(self, engine_sid: str, data: str | bytes) -> None:
         connection: Connection = self._engine.sockets[engine_sid]
-        with self._lock:
-            connection.hand_over(data, self._received)
-            pending = self._pending_answers.pop(engine_sid, None)
-            self._unsent_answers += pending is not None
-        if pending is None:
-            return
-        # Without the lock: a client that does not read keeps nobody else waiting.
-        sid, received_s, answer = pending
-        connection.look()  # before the answer leaves: what has come by now was not caused by it
-        waiting = _telemetries(connection)
-        name, fields = _event(answer.command)
-        with contextlib.suppress(OSError, EngineIOError):  # the client has gone
-            if not connection.send_directly(packet.Packet(packet.EVENT, data=[name, fields]).encode()):
-                self._server.emit(name, fields, to=sid)
-        total_ms = (time.perf_counter() - received_s) * 1e3
-        with self._lock:
-            self._unsent_answers -= 1
-            connection.in_flight.note(1 + waiting)
-            self._call(answer.on_sent, total_ms)
+        connection.hand_over(data, self._received)
 
     def _on_connect(self, sid: str, environ: dict[str, Any]) -> None:
         if not self._is_over:
@@ -297,8 +261,7 @@ class TelemetryServer:
             self._call(self._handler.disconnected, sid, reason)
 
     def _on_telemetry(self, sid: str, data: object = None, *_: object) -> None:
-        engine_sid = self._server.manager.eio_sid_from_sid(sid, "/")
-        connection: Connection = self._engine.sockets[engine_sid]
+        connection: Connection = self._engine.sockets[self._server.manager.eio_sid_from_sid(sid, "/")]
         connection.awaits_first_command = False
         if self._is_over:
             return
@@ -310,7 +273,20 @@ class TelemetryServer:
         for left in unanswered:
             self._call(self._handler.unanswered, *left)
         if due is not None and (answer := self._answer(due, connection.taken_s)) is not None:
-            self._pending_answers[engine_sid] = (sid, due.received_s, answer)
+            self._send(answer, due, connection)
+
+    def _send(self, answer: Answer, received: Received, connection: Connection) -> None:
+        self._unsent_answers += 1
+        connection.look()  # before the answer leaves: what has come by now was not caused by it
+        waiting = _telemetries(connection)
+        name, fields = _event(answer.command)
+        with contextlib.suppress(OSError, EngineIOError):  # the client has gone
+            if not connection.send_directly(packet.Packet(packet.EVENT, data=[name, fields]).encode()):
+                self._server.emit(name, fields, to=received.sid)
+        total_ms = (time.perf_counter() - received.received_s) * 1e3
+        self._unsent_answers -= 1
+        connection.in_flight.note(1 + waiting)
+        self._call(answer.on_sent, total_ms)
 
     def _answer(self, received: Received, taken_s: float) -> Answer | None:
         """The handler's answer; None if it has failed."""
@@ -345,10 +321,9 @@ class TelemetryServer:
                     self._notify_once(NOTICE_NO_TELEMETRY)
 
     def _notify_once(self, text: str) -> None:
-        with self._lock:
-            if text not in self._notified:
-                self._notified.add(text)
-                self._call(self._notify, text)
+        if text not in self._notified:
+            self._notified.add(text)
+            self._call(self._notify, text)
 
     def _call(self, function: Callable[..., Result], *arguments: object) -> Result | None:
         """Call the handler. Its errors, which python-socketio would swallow, are kept, and end the run."""
@@ -371,14 +346,3 @@ def _event(command: Steer | None) -> tuple[str, dict[str, str]]:
 def _telemetries(connection: Connection) -> int:
     """Those that were read, and are not handled yet."""
     return sum(map(is_telemetry, connection.waiting))
-
-
-def _host(mode: ServerMode, host: str, port: int, notify: Notify) -> ServerHost:
-    """The web server of a mode; only that one is imported."""
-    if mode == "eventlet":
-        from recorder.server.eventlet_host import EventletHost
-
-        return EventletHost(host, port, notify)
-    from recorder.server.threaded_host import ThreadedHost
-
-    return ThreadedHost(host, port, notify)

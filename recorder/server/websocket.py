@@ -1,8 +1,7 @@
 """A client's websocket with the methods that python-engineio calls: `wait`, `send` and `close`.
 
-python-engineio's own are eventlet's, which unmasks what it receives byte by byte in Python (measured: 2.5 ms a
-telemetry, 0.1 ms here), and simple-websocket's, where every telemetry passes from one thread to another. Here the
-thread that waits also reads, in every mode of the server. The protocol is that of the websockets library: the real
+python-engineio's own is eventlet's, which unmasks what it receives byte by byte in Python (measured: 2.5 ms a
+telemetry, 0.1 ms here). The protocol is that of the websockets library: the real
 simulator cuts a telemetry into 20 frames, which it parses in a third of wsproto's time.
 """
 
@@ -43,7 +42,7 @@ class HandshakeError(ValueError):
 
 
 class WebSocket:
-    """An open websocket. One thread waits for messages; any thread may send."""
+    """An open websocket. One green thread waits for messages; any may send."""
 
     def __init__(
         self,
@@ -51,27 +50,24 @@ class WebSocket:
         headers: list[tuple[str, str]],
         *,
         max_bytes: int,
-        make_lock: Callable[[], contextlib.AbstractContextManager[Any]],
+        lock: contextlib.AbstractContextManager[Any],
         let_others_run: Callable[[], object],
     ) -> None:
         """Accept the upgrade that `headers` ask for.
 
-        A message is at most `max_bytes` long, each of its frames counting `FRAME_BYTES` more. `make_lock` makes a
-        lock of the kind of thread that serves the connection. `let_others_run` is called between messages: a
-        client that sends without a pause would keep all other green threads from running.
+        A message is at most `max_bytes` long, each of its frames counting `FRAME_BYTES` more. `lock` is held while
+        one sends. `let_others_run` is called between messages: a client that sends without a pause would keep all
+        other green threads from running.
         Raises HandshakeError if the headers ask for no websocket, OSError if the client has gone.
         """
         self.received_s = 0.0
         """`time.perf_counter()` at which the last byte of the last message had arrived: at most so long ago."""
         self.taken_s = 0.0  # the same of the moment at which `wait` returned it
-        self.is_handed_over = True
-        """False from `wait` on, until who got the message from it says so, or waits again."""
         self.broken_by = ""
         """The violation that closed the connection (TOO_LARGE, BROKEN_FRAME); empty if there was none."""
         self._stream = stream
         self._max_bytes = max_bytes
-        self._protocol_lock = make_lock()  # never held while the client is waited for: reading must go on
-        self._sending_lock = make_lock()  # taken first: frames are sent in the order in which they are made
+        self._sending_lock = lock  # taken first: frames are sent in the order in which they are made
         self._let_others_run = let_others_run
         self._protocol = Protocol(Side.SERVER, max_size=max_bytes)
         self._parts: list[bytes] = []
@@ -93,7 +89,6 @@ class WebSocket:
 
     def wait(self) -> str | bytes | None:
         """The next message; None when the connection is over."""
-        self.is_handed_over = True
         self._let_others_run()
         self.look()
         while not self._messages:
@@ -101,7 +96,6 @@ class WebSocket:
                 return None
             self._receive()
             self._looked_s = self._arrived_s
-        self.is_handed_over = False
         message, self.received_s = self._messages.popleft()
         self.taken_s = time.perf_counter()
         return message
@@ -127,11 +121,10 @@ class WebSocket:
         """Send a message; returns when the system has taken it. Raises OSError if the client has gone."""
         with self._sending_lock:
             try:
-                with self._protocol_lock:
-                    if isinstance(message, str):
-                        self._protocol.send_text(message.encode())
-                    else:
-                        self._protocol.send_binary(message)
+                if isinstance(message, str):
+                    self._protocol.send_text(message.encode())
+                else:
+                    self._protocol.send_binary(message)
             except InvalidState:
                 raise ConnectionResetError("the websocket is closed") from None
             self._flush()
@@ -177,9 +170,8 @@ class WebSocket:
 
     def _parse(self, data: bytes) -> int:
         """Parse received bytes; the number of frames that they complete."""
-        with self._protocol_lock:
-            self._protocol.receive_data(data)
-            frames = [event for event in self._protocol.events_received() if isinstance(event, Frame)]
+        self._protocol.receive_data(data)
+        frames = [event for event in self._protocol.events_received() if isinstance(event, Frame)]
         if any(frame.opcode not in DATA_OPCODES for frame in frames):
             with contextlib.suppress(OSError), self._sending_lock:
                 self._flush()  # answers to pings, and to a close
@@ -218,16 +210,14 @@ class WebSocket:
     def _close(self, code: CloseCode) -> None:
         self._closed_s = time.perf_counter()
         with contextlib.suppress(OSError), self._sending_lock:
-            with self._protocol_lock:
-                if self._protocol.state is State.OPEN:
-                    self._protocol.send_close(code)
+            if self._protocol.state is State.OPEN:
+                self._protocol.send_close(code)
             self._flush()
             self._stream.shutdown(socket.SHUT_WR)
 
     def _flush(self) -> None:
         """Send the pending bytes; `_sending_lock` is held. Raises OSError if the client has gone."""
-        with self._protocol_lock:
-            data = b"".join(self._protocol.data_to_send())
+        data = b"".join(self._protocol.data_to_send())
         if not data:
             return
         try:

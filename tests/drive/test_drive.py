@@ -509,22 +509,19 @@ def test_a_speed_that_makes_no_sense_is_one_line(speed: object, tmp_path: Path) 
 @pytest.mark.parametrize(
     ("flags", "expected"),
     [
-        (("--laps", "2"), "--laps: only with --simulator TRACK or --aggregate N"),
+        (("--laps", "2"), "--laps: only with --simulator TRACK;"),
         (("--real-time",), "--real-time: only with the built-in simulator"),
         (("--start", "5"), "--start: only with the built-in simulator"),
         (("--simulator", "lake", "--start", "-1"), "--start -1"),
         (("--simulator", "lake", "--host", "::1"), "--host: the built-in simulator"),
-        (("--epochs", "3"), "--epochs: only with --aggregate"),
-        (("--sessions", "x"), "--sessions: only with --aggregate N, or --takeover me"),
-        (("--simulator", "lake", "--aggregate", "1", "--viewer", "web", "--force"), "--viewer, --force: not with"),
+        (("--sessions", "x"), "--sessions: only with --takeover me"),
         (("--port", "65536"), "--port 65536: a port is"),
         (("--smooth", "-1"), "--smooth -1: "),
         (("--steering-rate", "nan"), "--steering-rate nan: "),
         (("--log", "run.txt"), "--log run.txt: "),
         (("--simulator", "lake", "--laps", "0"), "--laps 0: "),
-        (("--aggregate", "0"), "--aggregate 0: "),
-        (("--aggregate", "1", "--laps", "nan"), "--laps nan: "),
-        (("--aggregate", "1", "--epochs", "0"), "--epochs 0: "),
+        (("--simulator", "lake", "--laps", "nan"), "--laps nan: "),
+        (("--aggregate", "3"), "--aggregate: was removed; drive with --takeover"),
     ],
 )
 def test_flags_that_would_be_passed_over_or_make_no_sense_are_bad_usage(
@@ -770,18 +767,6 @@ def test_a_drive_without_a_simulator_leaves_no_log(pilot_run: Path, tmp_path: Pa
         assert process.end() == 1
     assert "no simulator connected" in process.stderr[-1]
     assert list(tmp_path.iterdir()) == []
-
-
-def test_threads_serve_as_eventlet_does(drive: Drive, tmp_path: Path) -> None:
-    log = tmp_path / "run.mcap"
-    with DriveProcess(drive.run, log, "--server", "threading") as process:
-        port = process.wait_until_it_listens()
-        assert replay(SimulatorClient(port=port, wait_s=PATIENCE_S), drive.pictures) == drive.commands
-        modern = ModernClient(port)
-        assert [modern.tell(fields(i))[1] for i in range(MODERN)] == drive.modern
-        modern.close()
-        assert process.end() == 0
-    assert images(log, "/camera/center")[:REPLAYED] == drive.pictures
 
 
 def test_a_drive_is_shown_in_a_file_while_it_goes_on(pilot_run: Path, tmp_path: Path) -> None:

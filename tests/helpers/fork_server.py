@@ -26,7 +26,7 @@ LOADED = (
     *("model.cli", "model.pilot", "model.training.trainer", "dataset.index_command", "drive.cli"),
     *("recorder.record_command", "recorder.upkeep.check", "recorder.upkeep.edit", "recorder.upkeep.recover"),
     *("dataset.cli", "recorder.cli", "recorder.log_cli"),
-    *("recorder.server.eventlet_host", "recorder.server.threaded_host"),
+    "recorder.server.eventlet_host",
     *("drive.evaluation.eval_cli", "drive.evaluation.closed_loop", "simulator.cli", "viz.cli"),
 )
 LOADED_IF_INSTALLED = (

@@ -22,7 +22,7 @@ import websocket
 
 from driving import PATIENCE_S, road_jpeg
 from recorder.server.telemetry import MAX_IMAGE_BYTES, TelemetryError, parse_telemetry
-from recorder.server.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
+from recorder.server.telemetry_server import Answer, Steer, TelemetryServer
 from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
 
 UNUSED = Steer(0.0, -1.0)
@@ -97,10 +97,10 @@ class Book:
 class Serving:
     """A server that runs in a thread until the context is left; what it said, and what its run raised."""
 
-    def __init__(self, mode: ServerMode, book: Any, port: int = 0, **options: Any) -> None:
+    def __init__(self, book: Any, port: int = 0, **options: Any) -> None:
         self.said: list[str] = []
         self.error: BaseException | None = None
-        self.server = TelemetryServer(book, port=port, mode=mode, notify=self.said.append, **options)
+        self.server = TelemetryServer(book, port=port, notify=self.said.append, **options)
         self.port = self.server.port
         self._stop = threading.Event()
         self.thread = threading.Thread(target=self._run)

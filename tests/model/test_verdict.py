@@ -209,7 +209,7 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
         (
             numbers(drives=({"track": "lake", "set_speed_mph": 15.0, "interventions": 3},)),
             "3 interventions on lake at 15 mph",
-            "bc-drive first --simulator lake --speed 15 --aggregate 2",
+            "bc-drive first --simulator lake --speed 15 --takeover",
         ),
         (
             numbers(epochs=[*WEAK[:9], epoch(10, 0.3)]),

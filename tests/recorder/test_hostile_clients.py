@@ -27,10 +27,9 @@ from recorder.server import (
     engineio_connection,
     eventlet_host,
     telemetry_server,
-    threaded_host,
 )
 from recorder.server.allowed_hosts import AllowedHosts
-from recorder.server.telemetry_server import MAX_MESSAGE_BYTES, ServerMode
+from recorder.server.telemetry_server import MAX_MESSAGE_BYTES
 from recorder.server.websocket import FRAME_BYTES, TOO_LARGE
 from serving import (
     UNUSED,
@@ -67,10 +66,8 @@ def sent_until_hung_up(stream: socket.socket, data: bytes, pause_s: float = 0.0,
     ["GET {} HTTP/1.1\r\nX: ", "POST {} HTTP/1.1\r\nContent-Length: 99999\r\n\r\n"],
     ids=["a head without end", "a body that drips"],
 )
-def test_a_request_that_comes_byte_by_byte_is_not_waited_for(
-    begin: str, mode: ServerMode, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with Serving(mode, Book()) as serving:
+def test_a_request_that_comes_byte_by_byte_is_not_waited_for(begin: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Serving(Book()) as serving:
         path = PollingClient(serving.port).path
         monkeypatch.setattr(connection_guard, "REQUEST_S", 0.2)
         with socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S) as slow:
@@ -81,14 +78,12 @@ def test_a_request_that_comes_byte_by_byte_is_not_waited_for(
         assert len(tell(serving.port, range(3))) == 3
 
 
-def test_clients_that_leave_before_their_answer_leave_no_open_file(
-    mode: ServerMode, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_clients_that_leave_before_their_answer_leave_no_open_file(monkeypatch: pytest.MonkeyPatch) -> None:
     """At once, and not when memory is looked through next: that may be hours later."""
     files = Path("/proc/self/fd")
     if not files.exists():
         pytest.skip("open files were not counted: this system does not list them")
-    with Serving(mode, Book()) as serving:
+    with Serving(Book()) as serving:
         assert len(tell(serving.port, range(1))) == 1
         monkeypatch.setattr(connection_guard, "REQUEST_S", 0.05)
         before = len(list(files.iterdir()))
@@ -103,12 +98,9 @@ def test_clients_that_leave_before_their_answer_leave_no_open_file(
             gc.enable()
 
 
-def test_connections_beyond_the_limit_are_refused_and_places_come_free(
-    mode: ServerMode, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for host in (eventlet_host, threaded_host):
-        monkeypatch.setattr(host, "MAX_CONNECTIONS", 4)
-    with Serving(mode, Book()) as serving, ExitStack() as crowd:
+def test_connections_beyond_the_limit_are_refused_and_places_come_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(eventlet_host, "MAX_CONNECTIONS", 4)
+    with Serving(Book()) as serving, ExitStack() as crowd:
         for _ in range(8):
             crowd.enter_context(socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S))
         wait_until(lambda: connection_guard.NOTICE_TOO_MANY in serving.said)
@@ -116,11 +108,9 @@ def test_connections_beyond_the_limit_are_refused_and_places_come_free(
         assert len(tell(serving.port, range(3))) == 3
 
 
-def test_who_begins_to_poll_and_never_comes_back_does_not_fill_the_memory(
-    mode: ServerMode, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_who_begins_to_poll_and_never_comes_back_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(telemetry_server, "MAX_CONNECTIONS", 5)
-    with Serving(mode, Book()) as serving:
+    with Serving(Book()) as serving:
         for _ in range(5):
             PollingClient(serving.port)
         with pytest.raises(urllib.error.HTTPError) as refused:
@@ -133,9 +123,9 @@ def test_who_begins_to_poll_and_never_comes_back_does_not_fill_the_memory(
 # Those who do not read
 
 
-def test_a_client_that_reads_no_answers_delays_nobody(mode: ServerMode) -> None:
+def test_a_client_that_reads_no_answers_delays_nobody() -> None:
     book = Book()
-    with Serving(mode, book) as serving:
+    with Serving(book) as serving:
         deaf = RawClient(serving.port)
         frame = websocket.ABNF.create_frame(b'42["telemetry",1]', websocket.ABNF.OPCODE_TEXT).format()
         deaf.stream.setblocking(False)
@@ -149,10 +139,10 @@ def test_a_client_that_reads_no_answers_delays_nobody(mode: ServerMode) -> None:
         deaf.vanish()
 
 
-def test_what_a_client_does_not_read_is_bounded(mode: ServerMode) -> None:
+def test_what_a_client_does_not_read_is_bounded() -> None:
     """By polling, where nothing is read before it is asked for."""
     book = Book()
-    with Serving(mode, book) as serving:
+    with Serving(book) as serving:
         client = PollingClient(serving.port)
         for _ in range(engineio_connection.MAX_UNREAD_PACKETS + 1):
             client.request('42["telemetry",1]')
@@ -161,10 +151,10 @@ def test_what_a_client_does_not_read_is_bounded(mode: ServerMode) -> None:
         assert engineio_connection.NOTICE_NOT_READING in serving.said
 
 
-def test_heartbeats_that_nobody_reads_are_not_kept(mode: ServerMode, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_heartbeats_that_nobody_reads_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """A client asks for answer after answer, and reads none."""
     monkeypatch.setattr(engineio_connection, "MAX_ECHOED_CHARACTERS", 10_000)  # else it takes 40,000 of them
-    with Serving(mode, Book()) as serving:
+    with Serving(Book()) as serving:
         deaf = RawClient(serving.port)
         ping = websocket.ABNF.create_frame(b"2" + b"x" * 10_000, websocket.ABNF.OPCODE_TEXT).format()
         with contextlib.suppress(ConnectionError):
@@ -179,8 +169,8 @@ def test_heartbeats_that_nobody_reads_are_not_kept(mode: ServerMode, monkeypatch
 
 
 @pytest.mark.parametrize("content", [b"", b"x"])
-def test_frames_that_hold_next_to_nothing_are_not_kept_without_end(content: bytes, mode: ServerMode) -> None:
-    with Serving(mode, Book()) as serving:
+def test_frames_that_hold_next_to_nothing_are_not_kept_without_end(content: bytes) -> None:
+    with Serving(Book()) as serving:
         client = RawClient(serving.port)
         size = bytes([0x80 | len(content)])
         client.stream.sendall(b"\x01" + size + bytes(4) + content)
@@ -193,8 +183,8 @@ def test_frames_that_hold_next_to_nothing_are_not_kept_without_end(content: byte
 
 
 @pytest.mark.parametrize("header", ["Content-Length: -1", "Content-Length: x", "Transfer-Encoding: chunked"])
-def test_a_body_whose_size_is_not_told_is_not_read(header: str, mode: ServerMode) -> None:
-    with Serving(mode, Book()) as serving:
+def test_a_body_whose_size_is_not_told_is_not_read(header: str) -> None:
+    with Serving(Book()) as serving:
         client = PollingClient(serving.port)
         with socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S) as stream:
             stream.sendall(f"POST {client.path} HTTP/1.1\r\nHost: localhost\r\n{header}\r\n\r\n".encode())
@@ -202,9 +192,9 @@ def test_a_body_whose_size_is_not_told_is_not_read(header: str, mode: ServerMode
         assert len(tell(serving.port, range(3))) == 3
 
 
-def test_what_a_client_sends_is_not_sent_back_at_length(mode: ServerMode) -> None:
+def test_what_a_client_sends_is_not_sent_back_at_length() -> None:
     book = Book()
-    with Serving(mode, book) as serving:
+    with Serving(book) as serving:
         client = RawClient(serving.port, "40", "2" + "x" * 100_000)
         while not (message := str(client.websocket.recv())).startswith("3"):
             pass
@@ -214,9 +204,9 @@ def test_what_a_client_sends_is_not_sent_back_at_length(mode: ServerMode) -> Non
         assert engineio_connection.NOTICE_BROKEN in serving.said
 
 
-def test_a_client_has_one_place_however_often_it_connects(mode: ServerMode) -> None:
+def test_a_client_has_one_place_however_often_it_connects() -> None:
     book = Book()
-    with Serving(mode, book) as serving:
+    with Serving(book) as serving:
         client = RawClient(serving.port, *["40"] * 50)
         client.tell(1)
         assert client.command() == steered(UNUSED)
@@ -229,11 +219,11 @@ def test_a_client_has_one_place_however_often_it_connects(mode: ServerMode) -> N
 
 
 @contextlib.contextmanager
-def driving(mode: ServerMode, log: Path, pilot_run: Path) -> Iterator[DriveServer]:
+def driving(log: Path, pilot_run: Path) -> Iterator[DriveServer]:
     """bc-drive's own server, in a thread."""
     stop = threading.Event()
     with (
-        DriveServer(load_pilot(pilot_run, "float32"), DriveConfig(), log, port=0, mode=mode) as server,
+        DriveServer(load_pilot(pilot_run, "float32"), DriveConfig(), log, port=0) as server,
         ThreadPoolExecutor(1) as thread,
     ):
         running = thread.submit(server.run, stop.is_set)
@@ -244,10 +234,10 @@ def driving(mode: ServerMode, log: Path, pilot_run: Path) -> Iterator[DriveServe
             running.result(PATIENCE_S)
 
 
-def test_a_client_that_polls_is_driven_like_any_other(mode: ServerMode, tmp_path: Path) -> None:
+def test_a_client_that_polls_is_driven_like_any_other(tmp_path: Path) -> None:
     run = untrained_run(tmp_path / "run")
     log = tmp_path / "run.mcap"
-    with driving(mode, log, run) as server:
+    with driving(log, run) as server:
         raw = RawClient(server.port)
         raw.tell(fields(3))
         _, expected = raw.command()
@@ -307,15 +297,15 @@ WEBSOCKET = {
 def test_no_page_of_another_site_is_let_in_by_whatever_name_it_comes(
     headers: dict[str, str], is_let_in: bool
 ) -> None:
-    with Serving("eventlet", Book()) as serving:
+    with Serving(Book()) as serving:
         websocket_path = POLL.replace("polling", "websocket")
         assert asked(serving.port, POLL, **headers) == (200 if is_let_in else 403)
         assert asked(serving.port, websocket_path, **WEBSOCKET, **headers) == (101 if is_let_in else 403)
         assert sum("refused a web page" in line for line in serving.said) == (not is_let_in)
 
 
-def test_names_that_are_tried_one_after_the_other_are_one_line(mode: ServerMode) -> None:
-    with Serving(mode, Book()) as serving:
+def test_names_that_are_tried_one_after_the_other_are_one_line() -> None:
+    with Serving(Book()) as serving:
         for number in range(5):
             assert asked(serving.port, POLL, Host=f"evil{number}.example\x1b[2J") == 403
             assert asked(serving.port, f"{POLL}&j={number}", Host="localhost") == 403  # JSONP

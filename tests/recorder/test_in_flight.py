@@ -13,7 +13,7 @@ from driving import PATIENCE_S
 from recorder.server import in_flight as flight
 from recorder.server import telemetry_server
 from recorder.server.in_flight import RunningClock
-from recorder.server.telemetry_server import Answer, ServerMode, Steer, TelemetryServer
+from recorder.server.telemetry_server import Answer, Steer, TelemetryServer
 from serving import Book, RawClient, Serving, fields, steered, steering
 from waiting import wait_until
 
@@ -73,8 +73,8 @@ def answer_to(number: int) -> tuple[str, Any]:
     return steered(Steer(-steering(number), 0.5))
 
 
-def serving(mode: ServerMode, book: Pushing, **options: Any) -> Serving:
-    made = Serving(mode, book, **options)
+def serving(book: Pushing, **options: Any) -> Serving:
+    made = Serving(book, **options)
     book.server = made.server
     return made
 
@@ -88,10 +88,10 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize("in_flight", [1, 2, 3])
-def test_a_pause_leaves_as_many_in_flight_as_before(in_flight: int, mode: ServerMode) -> None:
+def test_a_pause_leaves_as_many_in_flight_as_before(in_flight: int) -> None:
     """The simulator pauses with all answers in hand, and is sent one command more."""
     book = Pushing()
-    with serving(mode, book):
+    with serving(book):
         loop = Loop(book.server.port, in_flight)
         for number in range(in_flight):
             loop.expect_answer_to(number)
@@ -106,10 +106,10 @@ def test_a_pause_leaves_as_many_in_flight_as_before(in_flight: int, mode: Server
     assert book.left == [fields(in_flight)]
 
 
-def test_the_command_that_a_silent_client_needed_costs_it_no_answer(mode: ServerMode) -> None:
+def test_the_command_that_a_silent_client_needed_costs_it_no_answer() -> None:
     """It had lost all telemetries: one is in flight again, which is held for a moment, and answered."""
     book = Pushing()
-    with serving(mode, book):
+    with serving(book):
         loop = Loop(book.server.port, 2)
         for number in range(2):
             loop.expect_answer_to(number)
@@ -123,9 +123,9 @@ def test_the_command_that_a_silent_client_needed_costs_it_no_answer(mode: Server
 
 
 @pytest.mark.usefixtures("patient")
-def test_a_client_that_waits_for_no_answer_misses_one_only(mode: ServerMode) -> None:
+def test_a_client_that_waits_for_no_answer_misses_one_only() -> None:
     book = Pushing()
-    with serving(mode, book):
+    with serving(book):
         loop = Loop(book.server.port, 1)
         loop.expect_answer_to(0)
         for _ in range(3):
@@ -137,9 +137,9 @@ def test_a_client_that_waits_for_no_answer_misses_one_only(mode: ServerMode) -> 
     assert book.left == [fields(number) for number in (1, 2, 3)]  # one for each command
 
 
-def test_a_client_that_connects_again_owes_nothing(mode: ServerMode) -> None:
+def test_a_client_that_connects_again_owes_nothing() -> None:
     book = Pushing()
-    with serving(mode, book):
+    with serving(book):
         loop = Loop(book.server.port, 1)
         loop.expect_answer_to(0)
         book.push()
@@ -155,12 +155,10 @@ def test_a_client_that_connects_again_owes_nothing(mode: ServerMode) -> None:
 
 @pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize("in_flight", [1, 2])
-def test_a_first_command_is_paid_back_and_reported(
-    in_flight: int, mode: ServerMode, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_first_command_is_paid_back_and_reported(in_flight: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(telemetry_server, "FIRST_COMMAND_S", 0.0)
     book = Pushing()
-    with serving(mode, book, first_command=PUSHED):
+    with serving(book, first_command=PUSHED):
         loop = Loop(book.server.port, 0)
         assert loop.client.command() == steered(PUSHED)
         loop.tell(in_flight + 1)  # its own, which were slow, and that of the command
@@ -172,7 +170,7 @@ def test_a_first_command_is_paid_back_and_reported(
 
 
 @pytest.mark.usefixtures("patient")
-def test_the_number_in_flight_is_counted(mode: ServerMode) -> None:
+def test_the_number_in_flight_is_counted() -> None:
     """The handler takes its time for the first telemetry: the second one comes before the first is answered."""
     is_sent = threading.Event()
 
@@ -182,7 +180,7 @@ def test_the_number_in_flight_is_counted(mode: ServerMode) -> None:
             return super().telemetry(sid, data, received_s)
 
     book = Slow()
-    with serving(mode, book):
+    with serving(book):
         loop = Loop(book.server.port, 2)
         is_sent.set()
         for number in range(2):
@@ -198,7 +196,7 @@ def test_the_number_in_flight_is_counted(mode: ServerMode) -> None:
     assert book.in_flight[1:] == [2, 2, 2]
 
 
-def test_the_age_of_a_picture_includes_its_waiting(mode: ServerMode) -> None:
+def test_the_age_of_a_picture_includes_its_waiting() -> None:
     """Three telemetries come while one is handled, which takes long: all have waited for as long."""
     is_handling, goes_on = threading.Event(), threading.Event()
     handled_s: list[float] = []
@@ -213,7 +211,7 @@ def test_the_age_of_a_picture_includes_its_waiting(mode: ServerMode) -> None:
             return super().telemetry(sid, data, received_s)
 
     book = Slow()
-    with Serving(mode, book) as running:
+    with Serving(book) as running:
         client = at_once(RawClient(running.port))
         client.tell(fields(0))
         assert is_handling.wait(PATIENCE_S)
@@ -227,8 +225,7 @@ def test_the_age_of_a_picture_includes_its_waiting(mode: ServerMode) -> None:
     assert min(book.answered_ms) >= handled_s[0] * 1e3
 
 
-def test_what_was_sent_and_is_not_handled_yet_is_no_silence(mode: ServerMode) -> None:
-    """With one thread it is not read yet; with several, it was read and waits for the tick's lock."""
+def test_what_was_sent_and_is_not_handled_yet_is_no_silence() -> None:
     unread: list[bool] = []
     is_ticking, is_sent = threading.Event(), threading.Event()
 
@@ -239,14 +236,10 @@ def test_what_was_sent_and_is_not_handled_yet_is_no_silence(mode: ServerMode) ->
                 unread.append(self.server.has_unread(self.sid))
                 is_ticking.set()
                 assert is_sent.wait(PATIENCE_S)
-                if mode == "threading":
-                    (connection,) = self.server._engine.sockets.values()
-                    assert connection._websocket is not None
-                    wait_until(lambda: not connection._websocket.is_handed_over)
                 unread.append(self.server.has_unread(self.sid))
 
     book = Ticking()
-    with serving(mode, book):
+    with serving(book):
         loop = Loop(book.server.port, 1)
         loop.expect_answer_to(0)
         assert is_ticking.wait(PATIENCE_S)

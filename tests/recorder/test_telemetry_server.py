@@ -26,12 +26,12 @@ from websocket import ABNF
 from driving import PATIENCE_S, environment
 from ports import free_ports
 from recorder.errors import ListenError
-from recorder.server import connection_guard, eventlet_host, telemetry_server, threaded_host
+from recorder.server import connection_guard, eventlet_host, telemetry_server
 from recorder.server.engineio_connection import Connection
 from recorder.server.eventlet_host import QuickAckGreenSocket
-from recorder.server.listening_socket import QuickAckSocket, listen
+from recorder.server.listening_socket import listen
 from recorder.server.telemetry import TelemetryError, parse_telemetry
-from recorder.server.telemetry_server import MAX_MESSAGE_BYTES, Answer, ServerMode, Steer, TelemetryServer
+from recorder.server.telemetry_server import MAX_MESSAGE_BYTES, Answer, Steer, TelemetryServer
 from serving import (
     PICTURES,
     UNUSED,
@@ -50,10 +50,10 @@ from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorM
 from waiting import wait_until
 
 
-def test_old_and_modern_clients_are_served_at_once_on_one_port(mode: ServerMode) -> None:
+def test_old_and_modern_clients_are_served_at_once_on_one_port() -> None:
     book = Book()
     old: list[ServerCommand] = []
-    with Serving(mode, book) as serving:
+    with Serving(book) as serving:
         others = [
             threading.Thread(target=lambda: old.extend(tell(serving.port, range(40)))),
             threading.Thread(target=tell, args=(serving.port, range(40)), kwargs={"decimal_comma": True}),
@@ -83,7 +83,7 @@ def test_old_and_modern_clients_are_served_at_once_on_one_port(mode: ServerMode)
     assert serving.said == []
 
 
-def test_a_telemetry_is_timed_from_its_last_byte_to_the_answers_leaving(mode: ServerMode) -> None:
+def test_a_telemetry_is_timed_from_its_last_byte_to_the_answers_leaving() -> None:
     book = Book()
     has_answer = threading.Event()
 
@@ -94,7 +94,7 @@ def test_a_telemetry_is_timed_from_its_last_byte_to_the_answers_leaving(mode: Se
             super().answered(total_ms)
 
     book = Waiting()
-    with Serving(mode, book) as serving:
+    with Serving(book) as serving:
         client = RawClient(serving.port)
         for number in range(5):
             client.tell(fields(number))
@@ -107,10 +107,9 @@ def test_a_telemetry_is_timed_from_its_last_byte_to_the_answers_leaving(mode: Se
 
 
 @pytest.mark.skipif(not hasattr(socket, "TCP_QUICKACK"), reason="only Linux delays and can be told not to")
-@pytest.mark.parametrize("kind", [QuickAckSocket, QuickAckGreenSocket])
-def test_what_comes_is_acknowledged_at_once_and_answers_do_not_wait(kind: type) -> None:
+def test_what_comes_is_acknowledged_at_once_and_answers_do_not_wait() -> None:
     """In the middle of question and answer, where Linux by itself delays."""
-    listener = listen("127.0.0.1", 0, kind)
+    listener = listen("127.0.0.1", 0, QuickAckGreenSocket)
     client = socket.create_connection(listener.getsockname(), PATIENCE_S)
     server, _ = listener.accept()
     with contextlib.closing(listener), client, contextlib.closing(server):
@@ -123,7 +122,7 @@ def test_what_comes_is_acknowledged_at_once_and_answers_do_not_wait(kind: type) 
             assert client.recv(100) == b"steer"
 
 
-def test_a_simulator_drives_on_with_a_server_that_comes_back(mode: ServerMode) -> None:
+def test_a_simulator_drives_on_with_a_server_that_comes_back() -> None:
     answers: list[ServerCommand] = []
     first, second = Book(), Book()
 
@@ -132,22 +131,22 @@ def test_a_simulator_drives_on_with_a_server_that_comes_back(mode: ServerMode) -
         return None if len(second.answered_ms) >= 5 else SimulatorTelemetry(0.5, 0.0, 9.0, PICTURES[0])
 
     (port,) = free_ports(1)
-    with Serving(mode, first, port):
+    with Serving(first, port):
         client = SimulatorClient(port=port, wait_s=PATIENCE_S)
         simulator = threading.Thread(target=client.run, args=(next_telemetry,))
         simulator.start()
         wait_until(lambda: len(first.answered_ms) >= 5)
-    with Serving(mode, second, port):
+    with Serving(second, port):
         simulator.join(PATIENCE_S)
     assert client.connections == 2
     assert client.bad_steers == 0
     assert second.calls[0] == "connected"
 
 
-def test_a_client_that_never_pauses_keeps_nobody_else_out(mode: ServerMode) -> None:
+def test_a_client_that_never_pauses_keeps_nobody_else_out() -> None:
     book = Book()
     enough = threading.Event()
-    with Serving(mode, book) as serving:
+    with Serving(book) as serving:
         restless = RawClient(serving.port)
 
         def tell_on() -> None:
@@ -173,7 +172,7 @@ def test_a_client_that_never_pauses_keeps_nobody_else_out(mode: ServerMode) -> N
         restless.vanish()
 
 
-def test_the_tick_can_push_a_command_that_nobody_asked_for(mode: ServerMode) -> None:
+def test_the_tick_can_push_a_command_that_nobody_asked_for() -> None:
     class Pushing(Book):
         server: TelemetryServer
         sid = ""
@@ -188,17 +187,17 @@ def test_the_tick_can_push_a_command_that_nobody_asked_for(mode: ServerMode) -> 
                 self.sid = ""
 
     book = Pushing()
-    with Serving(mode, book) as serving:
+    with Serving(book) as serving:
         book.server = serving.server
         client = RawClient(serving.port, "40")
         assert client.command() == ("steer", {"steering_angle": "0,250000", "throttle": "0,500000"})
         client.close()
 
 
-def test_who_was_steered_gets_a_last_command_at_the_end(mode: ServerMode) -> None:
+def test_who_was_steered_gets_a_last_command_at_the_end() -> None:
     book = Book()
     book.last = Steer(0.0, -0.125)
-    with Serving(mode, book) as serving:
+    with Serving(book) as serving:
         driven, manual = RawClient(serving.port), RawClient(serving.port)
         driven.tell(1)
         manual.tell(None)
@@ -213,20 +212,21 @@ def test_who_was_steered_gets_a_last_command_at_the_end(mode: ServerMode) -> Non
 
 
 def test_no_answer_comes_after_the_last_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A thread may be put to sleep between an answer and its sending, and the car keeps what it is sent last."""
+    """Others may run between an answer and its sending, and the car keeps what it is sent last."""
     is_answering, goes_on = threading.Event(), threading.Event()
     send_directly = Connection.send_directly
 
     def send_late(connection: Connection, message: str) -> bool:
         is_answering.set()
-        assert goes_on.wait(PATIENCE_S)
+        while not goes_on.is_set():
+            eventlet_host.let_others_run()
         return send_directly(connection, message)
 
     monkeypatch.setattr(Connection, "send_directly", send_late)
     monkeypatch.setattr(telemetry_server, "END_S", PATIENCE_S)
     book = Book()
     book.last = Steer(0.0, -0.125)
-    with Serving("threading", book) as serving:
+    with Serving(book) as serving:
         client = RawClient(serving.port)
         client.tell(1)
         assert is_answering.wait(PATIENCE_S)
@@ -240,9 +240,9 @@ def test_no_answer_comes_after_the_last_command(monkeypatch: pytest.MonkeyPatch)
     assert book.calls[-2:] == ["answered", "final_command"]
 
 
-def test_nothing_of_it_is_left_when_it_has_ended_whoever_was_connected(mode: ServerMode) -> None:
+def test_nothing_of_it_is_left_when_it_has_ended_whoever_was_connected() -> None:
     before = set(threading.enumerate())
-    with Serving(mode, Book(), *free_ports(1)) as serving:
+    with Serving(Book(), *free_ports(1)) as serving:
         simulator = RawClient(serving.port, '42["telemetry",1]')
         polling = PollingClient(serving.port)
         polled: list[str] = []
@@ -266,14 +266,14 @@ def test_nothing_of_it_is_left_when_it_has_ended_whoever_was_connected(mode: Ser
         pass
 
 
-def test_clients_that_come_and_go_leave_nothing_behind(mode: ServerMode) -> None:
+def test_clients_that_come_and_go_leave_nothing_behind() -> None:
     book = Book()
 
     def connections() -> int:
         gc.collect()
         return sum(type(thing) is Connection for thing in gc.get_objects())
 
-    with Serving(mode, book) as serving:
+    with Serving(book) as serving:
         threads = threading.active_count()
         for number in range(20):
             client = RawClient(serving.port, "40", '42["telemetry",1]', "2")
@@ -289,10 +289,9 @@ def test_clients_that_come_and_go_leave_nothing_behind(mode: ServerMode) -> None
 
 @pytest.mark.parametrize("where", ["connected", "telemetry", "answered", "tick", "disconnected", "final_command"])
 def test_what_the_handler_raises_ends_the_run_and_is_raised_there(
-    where: str, mode: ServerMode, monkeypatch: pytest.MonkeyPatch
+    where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for host in (eventlet_host, threaded_host):
-        monkeypatch.setattr(host, "END_S", 0.01)  # the client that is still there need not end by itself
+    monkeypatch.setattr(eventlet_host, "END_S", 0.01)  # the client that is still there need not end by itself
 
     class DiskError(Exception):
         pass
@@ -302,7 +301,7 @@ def test_what_the_handler_raises_ends_the_run_and_is_raised_there(
 
     book = Book()
     setattr(book, where, fail)
-    serving = Serving(mode, book)
+    serving = Serving(book)
     with contextlib.suppress(DiskError), serving:
         client = RawClient(serving.port, '42["telemetry",1]')
         if where not in ("connected", "telemetry", "tick"):
@@ -316,20 +315,20 @@ def test_what_the_handler_raises_ends_the_run_and_is_raised_there(
     assert isinstance(serving.error, DiskError)
 
 
-def test_a_port_in_use_says_what_to_do(mode: ServerMode) -> None:
+def test_a_port_in_use_says_what_to_do() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(ListenError, match=rf"127\.0\.0\.1:{port} .*bc-drive.*--port"):
-            TelemetryServer(Book(), port=port, mode=mode)
+            TelemetryServer(Book(), port=port)
 
 
 @pytest.mark.parametrize("host", ["no such host", "a" * 100, "\0", "192.0.2.1"])
-def test_a_host_that_is_not_here_is_one_line(host: str, mode: ServerMode) -> None:
+def test_a_host_that_is_not_here_is_one_line(host: str) -> None:
     with pytest.raises(ListenError, match="cannot listen on"):
-        TelemetryServer(Book(), host=host, port=0, mode=mode)
+        TelemetryServer(Book(), host=host, port=0)
 
 
-def test_broken_packets_are_hung_up_on_and_said_once(mode: ServerMode) -> None:
+def test_broken_packets_are_hung_up_on_and_said_once() -> None:
     book = Book()
     broken: list[str | bytes] = [
         "42[]",
@@ -342,7 +341,7 @@ def test_broken_packets_are_hung_up_on_and_said_once(mode: ServerMode) -> None:
         b"\xff" * 100,
         b"",
     ]
-    with Serving(mode, book) as serving:
+    with Serving(book) as serving:
         for hello, packet in itertools.product(([], ["40"]), broken):
             client = RawClient(serving.port, *hello)
             client.websocket.send(packet, ABNF.OPCODE_BINARY if isinstance(packet, bytes) else ABNF.OPCODE_TEXT)
@@ -353,8 +352,8 @@ def test_broken_packets_are_hung_up_on_and_said_once(mode: ServerMode) -> None:
     assert "protocol" in line
 
 
-def test_broken_frames_and_endless_messages_are_hung_up_on(mode: ServerMode) -> None:
-    with Serving(mode, Book()) as serving:
+def test_broken_frames_and_endless_messages_are_hung_up_on() -> None:
+    with Serving(Book()) as serving:
         for _ in range(2):
             client = RawClient(serving.port)
             client.stream.sendall(b"\x81\x05hello")  # not masked
@@ -396,8 +395,8 @@ def greet_by_tls(port: int) -> None:
         pytest.fail("it was answered by TLS")
 
 
-def test_a_browser_is_told_what_the_port_is_for(mode: ServerMode) -> None:
-    with Serving(mode, Book()) as serving:
+def test_a_browser_is_told_what_the_port_is_for() -> None:
+    with Serving(Book()) as serving:
         status, text = get(serving.port, "/")
         assert (status, text.count("\n")) == (200, 1)
         assert "autonomous mode" in text
@@ -419,9 +418,9 @@ KNOCKS: dict[str, tuple[Callable[[int], object], str]] = {
 
 @pytest.mark.parametrize(("knock", "line"), KNOCKS.values(), ids=KNOCKS)
 def test_who_speaks_something_else_costs_one_line_that_says_what_to_do(
-    knock: Callable[[int], object], line: str, mode: ServerMode, capfd: pytest.CaptureFixture[str]
+    knock: Callable[[int], object], line: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    with Serving(mode, Book()) as serving:
+    with Serving(Book()) as serving:
         for _ in range(3):
             knock(serving.port)
         wait_until(lambda: len(serving.said) > 0)
@@ -431,10 +430,10 @@ def test_who_speaks_something_else_costs_one_line_that_says_what_to_do(
     assert capfd.readouterr() == ("", "")  # no traceback either
 
 
-def test_who_says_nothing_at_all_costs_a_line(mode: ServerMode, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_says_nothing_at_all_costs_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection_guard, "REQUEST_S", 0.01)
     monkeypatch.setattr(telemetry_server, "NO_TELEMETRY_S", 0.01)
-    with Serving(mode, Book()) as serving:
+    with Serving(Book()) as serving:
         for _ in range(2):
             with socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S) as stream:
                 assert stream.recv(1) == b""
@@ -507,9 +506,9 @@ class Reasons(Book):
         (json.dumps(fields(0, speed={})), "speed is not a number but an object"),
     ],
 )
-def test_the_reason_is_plain_where_a_telemetry_is_no_object(mode: ServerMode, data: str, reason: str) -> None:
+def test_the_reason_is_plain_where_a_telemetry_is_no_object(data: str, reason: str) -> None:
     book = Reasons()
-    with Serving(mode, book) as serving:
+    with Serving(book) as serving:
         client = RawClient(serving.port)
         client.websocket.send(f'42["telemetry",{data}]')
         assert client.command() == steered(UNUSED)
@@ -517,28 +516,17 @@ def test_the_reason_is_plain_where_a_telemetry_is_no_object(mode: ServerMode, da
     assert book.reasons == [reason]
 
 
-def test_thousands_of_malformed_telemetries_are_each_answered_once(mode: ServerMode) -> None:
-    with Serving(mode, Book()) as serving:
+def test_thousands_of_malformed_telemetries_are_each_answered_once() -> None:
+    with Serving(Book()) as serving:
         ask(serving, 2_000, seed=7)
     assert serving.said == []
 
 
-@pytest.mark.parametrize(
-    ("mode", "check"),
-    [
-        ("threading", "assert 'eventlet' not in sys.modules"),
-        (
-            "eventlet",
-            "from eventlet.patcher import is_monkey_patched as m; assert not m('socket') and not m('thread')",
-        ),
-    ],
-)
-def test_a_mode_leaves_the_rest_of_the_process_alone(mode: str, check: str) -> None:
-    code = f"""
-import sys
+def test_serving_leaves_the_rest_of_the_process_alone() -> None:
+    code = """
 from recorder.server.telemetry_server import TelemetryServer
-TelemetryServer(None, port=0, mode={mode!r}).run(lambda: True)
-{check}
+TelemetryServer(None, port=0).run(lambda: True)
+from eventlet.patcher import is_monkey_patched as m; assert not m('socket') and not m('thread')
 """
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", code], env=environment(), capture_output=True, text=True, check=False
@@ -549,12 +537,12 @@ TelemetryServer(None, port=0, mode={mode!r}).run(lambda: True)
 @pytest.mark.parametrize("first", [Steer(0.0, 0.0), "manual"])
 @pytest.mark.parametrize("hello", [(), ("40",)], ids=["old client", "modern client"])
 def test_a_first_command_goes_to_a_simulator_that_waits_for_one(
-    first: Steer | Literal["manual"], hello: tuple[str, ...], mode: ServerMode, monkeypatch: pytest.MonkeyPatch
+    first: Steer | Literal["manual"], hello: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A classic server sends a steer when a client connects. For the real simulator each is one telemetry more in
     flight for ever."""
     monkeypatch.setattr(telemetry_server, "FIRST_COMMAND_S", PATIENCE_S)
-    with Serving(mode, Book(), first_command=first) as serving:
+    with Serving(Book(), first_command=first) as serving:
         busy = RawClient(serving.port, *hello)
         busy.tell(fields(0))
         assert busy.command() == steered(Steer(-steering(0), 0.5))

@@ -37,7 +37,7 @@ def make_wire(
     stream: socket.socket, headers: dict[str, str], let_others_run: Callable[[], object] = lambda: None
 ) -> WebSocket:
     named = list(headers.items())
-    return WebSocket(stream, named, max_bytes=MAX_BYTES, make_lock=threading.Lock, let_others_run=let_others_run)
+    return WebSocket(stream, named, max_bytes=MAX_BYTES, lock=threading.Lock(), let_others_run=let_others_run)
 
 
 @pytest.fixture

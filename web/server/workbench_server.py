@@ -26,7 +26,7 @@ class WorkbenchServer:
     def __init__(self, app: ASGIApp, host: str, port: int) -> None:
         """Raises UserError where host:port cannot be listened on."""
         try:
-            self._socket: socket.socket = listen(host, port, socket.socket)
+            self._socket: socket.socket = listen(host, port)
         except ListenError as error:
             reason = str(error).partition("; end the bc-drive")[0]
             raise UserError(f"{reason}; give another --port, or end the bc-web that is running there") from None
