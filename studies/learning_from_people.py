@@ -54,7 +54,6 @@ RECIPES: Final[Mapping[str, tuple[IndexConfig, TrainConfig]]] = {
     "people, keep last": (PEOPLE[0], replace(PEOPLE[1], keep="last")),
     "people, not balanced": (replace(PEOPLE[0], balance=False), PEOPLE[1]),
     "people, side 0.1": (replace(PEOPLE[0], side_correction=0.1), PEOPLE[1]),
-    "people, viewpoints 1": (replace(PEOPLE[0], viewpoints=1), PEOPLE[1]),
 }
 
 MEASURED: Final[Mapping[str, Callable[[Measures], float]]] = {

@@ -46,7 +46,6 @@ from dataset.samples.samples_writer import (
     slower_set_speeds_mph,
     usable_frames,
 )
-from recorder.log.session_car import UDACITY, Car
 
 
 @dataclass(frozen=True)
@@ -57,20 +56,16 @@ class _Session:
     frames: Path
     labels: SessionLabels
     slower_mph: list[float]
-    car: Car
     config: IndexConfig
 
-    def random(self, purpose: int) -> np.random.Generator:
+    def random(self) -> np.random.Generator:
         """A generator for this session, which does not depend on the other sessions."""
         number = int.from_bytes(hashlib.sha256(self.name.encode()).digest()[:8], "big")
-        return np.random.default_rng((self.config.seed, purpose, number))
+        return np.random.default_rng((self.config.seed, 2, number))
 
     def usable(self) -> tuple[UsableFrames, SessionCounts]:
         condition = Condition(self.config.where) if self.config.where is not None else None
-        frames = read_frames(self.frames)
-        return usable_frames(
-            frames, self.config, self.labels, self.slower_mph, condition, self.car, self.random(1)
-        )
+        return usable_frames(read_frames(self.frames), self.config, self.labels, self.slower_mph, condition)
 
 
 def write_divided_samples(
@@ -79,15 +74,11 @@ def write_divided_samples(
     config: IndexConfig,
     logs: Mapping[str, Mapping[str, Any]],
     labels: Mapping[str, SessionLabels],
-    cars: Mapping[str, Car] | None = None,
     tasks: Tasks = one_by_one,
 ) -> tuple[Balance, dict[str, SessionCounts]]:
     """As `write_samples`, into files beside `path`, a session each: this process holds 25 numbers of a session."""
     slower_mph = slower_set_speeds_mph(labels)
-    sessions = [
-        _Session(name, file, labels[name], slower_mph[name], (cars or {}).get(name, UDACITY), config)
-        for name, file in frames.items()
-    ]
+    sessions = [_Session(name, file, labels[name], slower_mph[name], config) for name, file in frames.items()]
     counting = tasks(_count, [(session,) for session in sessions])
     counted = dict(track(counting, "counting what can be used", len(sessions)))
     candidates = np.stack([counted[number][0] for number in range(len(sessions))])
@@ -132,7 +123,7 @@ def _count(session: _Session) -> tuple[NDArray[np.int64], int, SessionCounts, st
 def _write(session: _Session, share: Quota, folder: Path, digest: str) -> None:
     """Write the samples of a session; the same ones each time."""
     usable, _ = session.usable()
-    chosen = choose_share(usable.label, usable.is_training, session.config, share, session.random(2))
+    chosen = choose_share(usable.label, usable.is_training, session.config, share, session.random())
     frames = read_frames(session.frames, FROM_FRAMES).take(pa.array(usable.position[chosen.frame]))
     table = samples_table(frames, usable.taken(chosen.frame), chosen, session.config)
     write_table(folder / f"{session.name}.parquet", table, {"format": DIVIDED_FORMAT, "digest": digest})

@@ -61,6 +61,7 @@ def test_whole_numbers_among_floats_are_written_again_as_they_were_stored() -> N
         (IndexConfig, {"validation": [["a"]]}),
         (IndexConfig, {"per_bin": "foo"}),
         (IndexConfig, {"balance": 1}),
+        (IndexConfig, {"viewpoints": 2}),
     ],
 )
 def test_what_is_no_setting_is_refused(kind: type[TrainConfig | IndexConfig], stored: object) -> None:
