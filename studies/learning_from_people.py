@@ -121,7 +121,7 @@ def measures(folder: Path, recipe: str, seed: int, epochs: int, part: Part) -> d
         run = folder / "runs" / f"{name}-{epochs}-{seed}"
         print(run.name, file=sys.stderr, flush=True)
         config = replace(of_training, epochs=epochs, seed=seed)
-        train(index, run, config, resume=run.exists(), figures=False)
+        train(index, run, config, resume=run.exists())
         found = evaluate_sessions(run, unseen) if unseen else evaluate(run, index)
         values = {session: values_of(measured) for session, measured in found.sessions.items()}
         result.parent.mkdir(exist_ok=True)

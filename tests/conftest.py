@@ -93,12 +93,6 @@ def browser() -> Iterator[Browser]:
         yield found
 
 
-@pytest.fixture
-def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Trainings draw no figures, as where matplotlib is not installed: it is half of a small one's time."""
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-
-
 @pytest.fixture(scope="session")
 def bucket_of_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
     """An S3 server whose bucket is the folder of all temporary files; the environment that leads there."""

@@ -79,7 +79,7 @@ def train_on_what_is_damaged(folder: Path, run_name: str) -> None:
     ]
     build_index(logs, folder / "index", SETTINGS)
     config = TrainConfig(network="small", epochs=1, batch=32)
-    train(folder / "index", folder / "runs" / run_name, config, figures=False, show_progress=False)
+    train(folder / "index", folder / "runs" / run_name, config, show_progress=False)
     with logs[1].open("r+b") as hurt:
         summary = make_reader(hurt).get_summary()
         assert summary is not None
@@ -207,7 +207,7 @@ def start_aggregation(aggregated: Aggregated, track: str, *flags: object) -> Pro
 
 
 def test_a_training_that_is_stopped_says_how_to_finish_it(
-    aggregated: Aggregated, without_figures: None, monkeypatch: pytest.MonkeyPatch
+    aggregated: Aggregated, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with start_aggregation(aggregated, "random:5", "--laps", 0.01, "--epochs", 10_000) as process:
         process.wait_for("training runs/first-random-5-1")
@@ -297,7 +297,7 @@ def test_a_simulator_of_another_car_goes_through_all_rounds(tmp_path: Path) -> N
     session = a_session(tmp_path / "sessions" / "torcs.mcap", 0, 60, TORCS)
     build_index([session], tmp_path / "index", SETTINGS)
     config = TrainConfig(network="small", epochs=1, batch=32)
-    train(tmp_path / "index", tmp_path / "runs" / "torcs", config, figures=False, show_progress=False)
+    train(tmp_path / "index", tmp_path / "runs" / "torcs", config, show_progress=False)
     aggregate = ("torcs", "--port", 0, "--aggregate", 2, "--epochs", 1, "--viewer", "off")
     with Process(command("bc-drive", *aggregate), tmp_path) as process:
         for number, run_name in enumerate(("torcs", "torcs-connected-1", "torcs-connected-2")):

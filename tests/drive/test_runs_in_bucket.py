@@ -76,7 +76,6 @@ def test_a_sweep_of_a_store_does_nothing_again_on_another_machine(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-    without_figures: None,
 ) -> None:
     toy_index(tmp_path)
     (tmp_path / "s.toml").write_text(SWEEP)

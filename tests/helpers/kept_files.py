@@ -34,7 +34,7 @@ def main() -> None:
         sys.exit(f"{folder}: exists already: what a version has written stays as it is")
     index = toy_index(folder)
     keep_divided(folder)
-    train(index, folder / "run", SMALL, figures=False)
+    train(index, folder / "run", SMALL)
     shutil.rmtree(folder / "run" / "last")  # four times as large as the weights
     remove_of_this_machine(index)
     write(folder / "expected.json", expected(folder, index))

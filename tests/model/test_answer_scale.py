@@ -40,13 +40,13 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def natural(index: Path) -> Path:
-    train(index, index.parent / "natural", NATURAL, figures=False)
+    train(index, index.parent / "natural", NATURAL)
     return index.parent / "natural"
 
 
 @pytest.fixture(scope="module")
 def as_learnt(index: Path) -> Path:
-    train(index, index.parent / "as-learnt", replace(NATURAL, answers="as-learnt"), figures=False)
+    train(index, index.parent / "as-learnt", replace(NATURAL, answers="as-learnt"))
     return index.parent / "as-learnt"
 
 

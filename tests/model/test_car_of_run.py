@@ -25,7 +25,6 @@ from udacity import call
 
 ROWS = 40
 OWN = Car(max_steering_deg=30.0, wheelbase_m=2.4, bonnet={})
-pytestmark = pytest.mark.usefixtures("without_figures")
 
 SMALL = ("--network", "small", "--epochs", 1, "--batch", 32, "--threads", 1)
 

@@ -78,7 +78,7 @@ rank, *ports, index, runs = sys.argv[1:6]
 os.environ.update(RANK=rank, LOCAL_RANK=rank, MASTER_ADDR="127.0.0.1", WORLD_SIZE="2", LOCAL_WORLD_SIZE="2")
 os.environ.update(GLOO_SOCKET_IFNAME="lo", MASTER_PORT=ports[0])
 config = TrainConfig(network="small", epochs=1, batch=25, dropout=0.0, precision="float32", threads=1)
-train(index, Path(runs, "two-25"), config, figures=False)
+train(index, Path(runs, "two-25"), config)
 os.environ["MASTER_PORT"] = ports[1]
 sys.argv[1:] = ["--name", "two-10", *sys.argv[6:], "--index", index, "--runs", runs]
 runpy.run_module("model.train", run_name="__main__", alter_sys=True)
@@ -104,7 +104,7 @@ def test_two_processes_learn_what_one_does(index: Path, trained_by_two: Path, tm
     """Of 26 samples, a last batch of 6 is shared as well; of a last batch of 1, one of them has nothing."""
     runs = {"one": tmp_path / "one", "two": trained_by_two / f"two-{batch}"}
     config = TrainConfig(network="small", epochs=1, batch=batch, dropout=0.0, precision="float32", threads=1)
-    train(index, runs["one"], config, figures=False)
+    train(index, runs["one"], config)
     (one,), (two,) = epochs_of(runs["one"]), epochs_of(runs["two"])
     assert two["training_loss"] == pytest.approx(one["training_loss"], rel=1e-5)
     assert two["validation"]["rmse_deg"] == pytest.approx(one["validation"]["rmse_deg"], rel=1e-4)
@@ -141,7 +141,7 @@ def test_more_processes_than_samples_in_the_last_batch(index: Path, tmp_path: Pa
     done = torchrun("--name", "three", *FLAGS, "--batch", 25, *places, processes=3)
     assert done.returncode == 0, done.stderr
     config = TrainConfig(network="small", epochs=1, batch=25, dropout=0.0, precision="float32", threads=1)
-    train(index, tmp_path / "one", config, figures=False)
+    train(index, tmp_path / "one", config)
     (expected,), (found,) = epochs_of(tmp_path / "one"), epochs_of(tmp_path / "three")
     assert found["training_loss"] == pytest.approx(expected["training_loss"], rel=1e-5)
 
@@ -154,7 +154,7 @@ def test_processes_that_were_stopped_go_on_together(index: Path, tmp_path: Path)
     assert torchrun("--name", "run", *flags).returncode == 0
     assert torchrun("--resume", "run", "--epochs", 2, *places).returncode == 0
     config = TrainConfig(network="small", epochs=2, batch=10, dropout=0.0, precision="float32", threads=1)
-    train(index, tmp_path / "one", config, figures=False)
+    train(index, tmp_path / "one", config)
     found, expected = ([epoch["training_loss"] for epoch in epochs_of(tmp_path / name)] for name in ("run", "one"))
     assert found == pytest.approx(expected, rel=1e-4)
 
