@@ -78,6 +78,8 @@ def _unknown(tokens: Sequence[str], config: Any) -> str:
     if flag is None:
         return f"{tokens[0]}: one word too many; a name with spaces needs quotes"
     flag = flag.partition("=")[0]
+    if instead := getattr(config, "REMOVED", {}).get(flag):
+        return f"{flag}: was removed; {instead}"
     return f"{flag}: no such flag{_behind('; ', did_you_mean('--' + flag.lstrip('-'), names))}"
 
 

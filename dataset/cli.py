@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -28,6 +29,10 @@ class Index:
     """
 
     RARE: ClassVar[str] = "ray"
+    REMOVED: ClassVar[Mapping[str, str]] = {
+        "--viewpoints": "bc-train alters every picture in every epoch instead",
+        "--figures": "bc-web shows the balance; samples.parquet has the numbers",
+    }
     sessions: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SESSION ...]")] = ()
     """Names of sessions, or paths; by default all."""
     folder: Annotated[LocationFlag, tyro.conf.arg(name="sessions")] = Path("sessions")

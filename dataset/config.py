@@ -31,7 +31,7 @@ class IndexConfig:
     EARLIER: ClassVar[Mapping[str, Any]] = {"recipe": "original", "labels": "as-recorded"}
     """The values by which the original project worked, and earlier versions of this one without these settings."""
 
-    REMOVED: ClassVar[Mapping[str, Any]] = {"viewpoints": 0}
+    EARLIER_ONLY: ClassVar[Mapping[str, Any]] = {"viewpoints": 0}
     """Settings of earlier versions, and their only values by which this one works."""
 
     RARE: ClassVar[str] = (
