@@ -254,7 +254,7 @@ def _trained(index: Path, run: Path, epochs: int, network: str) -> list[float]:
     """Seconds of each epoch, the first one from the opening of the logs on."""
     settings = replace(TrainConfig(), epochs=epochs, network=network, threads=1)
     clock = _Clock()
-    train(index, run, settings, [clock], show_progress=False, figures=False)
+    train(index, run, settings, [clock], show_progress=False)
     return [after - before for before, after in itertools.pairwise(clock.at)]
 
 

@@ -22,10 +22,11 @@ import difflib
 import itertools
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 
 MAX_KEPT_NAMES: Final = 1000
+_MAX_NAMES: Final = 8
 _MAX_WRITTEN_OUT: Final = 1e6
 _MAX_ERROR_CHARACTERS: Final = 200  # characters
 
@@ -39,6 +40,12 @@ def printable(text: str) -> str:
 def counted(number: int, noun: str, plural: str = "") -> str:
     """Format a number and its noun: "1 frame", "2,000 frames". `plural` is needed if it is not made by an s."""
     return f"{number:,} {noun if number == 1 else plural or f'{noun}s'}"
+
+
+def first_of(names: Sequence[str]) -> str:
+    """The first eight names, and how many more there are: "a, b", "a, b, c, d, e, f, g, h and 2 more"."""
+    more = f" and {len(names) - _MAX_NAMES:,} more" if len(names) > _MAX_NAMES else ""
+    return f"{', '.join(names[:_MAX_NAMES])}{more}"
 
 
 def decimal(value: float, places: int, *, signed: bool = False) -> str:
@@ -123,7 +130,7 @@ class Skipped:
     def counts(self) -> Counter[str]:
         return Counter(self._counts)
 
-    def lines(self, max_names: int = 8) -> list[str]:
+    def lines(self, max_names: int = _MAX_NAMES) -> list[str]:
         """One line a reason, its count and the first `max_names` names: "pictures without a row: 1 (7.jpg)".
 
         The count comes behind the reason, which is a plural and would not fit "1 row".

@@ -26,12 +26,16 @@ def settings_from(kind: type[Settings], stored: Any) -> Settings:
     """The settings of a dataclass that `stored`, parsed JSON, holds; those it leaves out have their defaults.
 
     For settings that earlier versions did not have, the dataclass may have a class variable `EARLIER`: by name,
-    the value that they worked by, where that is not today's default.
+    the value that they worked by, where that is not today's default. For those that only earlier versions had, it
+    may have `EARLIER_ONLY`: by name, the value that may be left out.
 
     A whole number stays one where a float is wanted: it is printed and written again as it was stored. Raises
     ValueError for names or values that `kind` does not have.
     """
     names = {field.name for field in fields(kind)}
+    if isinstance(stored, dict):
+        removed = getattr(kind, "EARLIER_ONLY", {}).items()
+        stored = {name: value for name, value in stored.items() if (name, value) not in removed}
     if isinstance(stored, dict) and (unknown := sorted(map(str, stored.keys() - names))):
         meant = did_you_mean(unknown[0], names)
         raise ValueError(f"unknown settings: {', '.join(unknown)}{f'; {meant}' if meant else ''}")

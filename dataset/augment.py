@@ -12,10 +12,8 @@ from typing import Final
 import cv2
 import numpy as np
 
-from dataset.drawn_views import VIEWPOINT, crop_from
 from dataset.errors import DatasetError
 from dataset.preprocessing import Image
-from dataset.viewpoint import Viewpoint
 
 
 def blur(picture: Image, random: np.random.Generator) -> Image:
@@ -49,18 +47,18 @@ ALTERATIONS: Final[dict[str, Callable[[Image, np.random.Generator], Image]]] = {
 }
 
 
-def alter(picture: Image, names: str, seed: int, cameras: Viewpoint | None = None) -> Image:
+def alter(picture: Image, names: str, seed: int) -> Image:
     """Apply the alterations called `names` ("blur+shadow"; "" for none) one after another, drawn from `seed` (not
-    negative). "viewpoint" is for crops, in BGR: the view that the seed names, by the `cameras` (see `crop_from`).
+    negative).
 
     Raises DatasetError for a name or a seed that no index of ours has, and for a name that comes twice.
     """
     wanted = names.split("+") if names else []
-    if seed < 0 or not {VIEWPOINT, *ALTERATIONS}.issuperset(wanted) or len(set(wanted)) < len(wanted):
+    if seed < 0 or not ALTERATIONS.keys() >= set(wanted) or len(set(wanted)) < len(wanted):
         raise DatasetError(
             f"{names!r} with seed {seed} is not an alteration; build the index again with `bc-index`"
         )
     random = np.random.default_rng(seed)
     for name in wanted:
-        picture = crop_from(picture, seed, cameras) if name == VIEWPOINT else ALTERATIONS[name](picture, random)
+        picture = ALTERATIONS[name](picture, random)
     return picture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -23,11 +24,15 @@ class Index:
     Only changed sessions are read again. Without --look, no picture is decoded.
 
     bc-index
-    bc-index lake mountain --where "speed_mph > 5" --figures figures
+    bc-index lake mountain --where "speed_mph > 5"
     bc-index export --lerobot datasets/driving
     """
 
-    RARE: ClassVar[str] = "figures force ray"
+    RARE: ClassVar[str] = "ray"
+    REMOVED: ClassVar[Mapping[str, str]] = {
+        "--viewpoints": "bc-train alters every picture in every epoch instead",
+        "--figures": "bc-web shows the balance; samples.parquet has the numbers",
+    }
     sessions: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SESSION ...]")] = ()
     """Names of sessions, or paths; by default all."""
     folder: Annotated[LocationFlag, tyro.conf.arg(name="sessions")] = Path("sessions")
@@ -38,10 +43,6 @@ class Index:
     """Decode all pictures; flag broken and frozen ones, and those that contradict the steering."""
     check: bool = False
     """Check the split for leaks; exit code 1 if there is one."""
-    figures: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Write figures for a paper."""
-    force: bool = False
-    """Replace existing figures."""
     ray: RayAddress = None
     """Read the logs on a Ray cluster with shared folders."""
     config: tyro.conf.OmitArgPrefixes[IndexConfig] = field(default_factory=IndexConfig)

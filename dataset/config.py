@@ -31,9 +31,11 @@ class IndexConfig:
     EARLIER: ClassVar[Mapping[str, Any]] = {"recipe": "original", "labels": "as-recorded"}
     """The values by which the original project worked, and earlier versions of this one without these settings."""
 
+    EARLIER_ONLY: ClassVar[Mapping[str, Any]] = {"viewpoints": 0}
+    """Settings of earlier versions, and their only values by which this one works."""
+
     RARE: ClassVar[str] = (
-        "per_bin max_uses alter viewpoints label_smooth_s"
-        " label_shift_s speed_ahead_s block_s gap_s validation_share drives"
+        "per_bin max_uses alter label_smooth_s label_shift_s speed_ahead_s block_s gap_s validation_share drives"
     )
     recipe: IndexRecipe = "people"
     """Defaults for learning from people, or the original project's."""
@@ -61,8 +63,6 @@ class IndexConfig:
     """For --targets speed: learn the speed this much later."""
     alter: tuple[Alteration | Literal["none"], ...] = ("blur", "brightness", "shadow")
     """Changes to copies, each with probability one half."""
-    viewpoints: int = 0
-    """Warped views from beside the line, for each centre picture."""
     drives: Drives = "all"
     """Frames of drives: all, or takeovers only."""
     where: Annotated[str | None, arg(metavar="SQL")] = None
@@ -89,14 +89,7 @@ class IndexConfig:
         expected = (
             ("--bins", self.bins, 1 <= self.bins <= 10_000, "1 to 10,000"),
             ("--max-uses", self.max_uses, self.max_uses >= 1, "at least 1"),
-            ("--viewpoints", self.viewpoints, 0 <= self.viewpoints <= 100, "0 to 100"),
             ("--cameras", "", len(self.cameras) > 0, "at least one"),
-            (
-                "--cameras",
-                " ".join(self.cameras),
-                not self.viewpoints or "center" in self.cameras,
-                "center among them: --viewpoints are warped from its pictures",
-            ),
             (
                 "--per-bin",
                 self.per_bin,

@@ -41,10 +41,6 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
     """`folder`: where the index is, until `put` brings it to its place."""
     # before anything is written, or takes long
     check_settings(logs, folder, config.config)
-    if config.figures is not None:
-        from dataset.index_figures import check_figures, write_figures
-
-        check_figures(config.figures, config.force)
     # named by nobody, one damaged log must not keep all the others from being indexed
     is_any = not config.sessions
     others = [] if is_any else sessions_beside(logs, config.folder)
@@ -72,9 +68,6 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
     counts = ", ".join(f"{count:,} {split}" for split, count in sorted(splits.items()))
     frames = sum(session.frames for session in indexed.counts.values())
     print_result(f"{config.index}: {counted(frames, 'frame')}, {counted(len(split), 'sample')} ({counts})")
-    if config.figures is not None:
-        for path in write_figures(folder, config.figures, seed=config.config.seed, overwrite=config.force):
-            print_result(str(path))
     if config.check:
         leaks = find_leaks(folder)
         for leak in leaks:
@@ -89,8 +82,6 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
 
 def _refuse_contradictions(config: Index) -> None:
     """Raise UsageError for flags that would be passed over, and for a condition that is none."""
-    if config.force and config.figures is None:
-        raise UsageError("--force only replaces figures: give --figures FOLDER as well")
     if config.ray not in (None, ("local",)) and isinstance(config.index, Url):
         raise UsageError(
             f"--index {config.index}: nodes of a cluster write into a folder that all of them see; without --ray"

@@ -24,10 +24,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from common.car import MPS_PER_MPH
-from dataset.figure_style import DPI, figure_style
 from drive.demo import Demo, demo
-from model.runs.history import read_history
-from model.runs.run_figures import draw_curves
 from recorder import Log
 from track_pictures import Picture, hairpin_sheet, layout_sheet, track_sheet
 from viewer_pictures import screenshot
@@ -85,8 +82,6 @@ def main(config: Pictures) -> None:
         for name, picture in viewer_pictures(made, Path(folder)).items():
             write(config.folder / f"{name}.png", picture)
         write(config.folder / "video.png", video_picture(made, Path(folder)))
-    with figure_style():
-        draw_curves(read_history(run)[0]).savefig(config.folder / "curves.png", format="png", dpi=DPI)
     docs = Path(__file__).parent
     _python(str(docs / "page_sheets.py"), str(run.parent.parent), "--folder", str(config.folder / "pages"))
     _python(str(docs / "moving_picture.py"))

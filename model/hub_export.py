@@ -11,7 +11,7 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from common.files import new_folder
 from model.errors import RunError, RunWriteError
@@ -36,7 +36,6 @@ from model.runs.run_folder import (
 from model.runs.run_summary import last_results
 
 ONNX_FILE, CARD_FILE = "model.onnx", "README.md"
-_PICTURES: Final = ("curves.png", "steering.png")  # of how it was learnt, if they were drawn
 
 
 @dataclass(frozen=True)
@@ -72,9 +71,6 @@ def export_to_hub(run: Path | str, folder: Path | str, *, licence: str | None = 
         (part / CONFIG).write_text(json.dumps(without_places(config), indent=2) + "\n", encoding="utf-8")
         if own_file:
             (part / NETWORK_FILE).write_bytes(own_file)
-        for name in _PICTURES:
-            if (run / name).is_file() and not (run / name).is_symlink():
-                shutil.copyfile(run / name, part / name)
         onnx_problem = _write_onnx(run, part / ONNX_FILE)
         about = ModelCard(
             name=run_name(run),
@@ -87,7 +83,6 @@ def export_to_hub(run: Path | str, folder: Path | str, *, licence: str | None = 
             licence=licence,
             code=_code_of(config, run, has_file=bool(own_file)),
             onnx_example="" if onnx_problem else example(picture_of_run(run), f'"{ONNX_FILE}"', '"picture.jpg"'),
-            pictures=[name for name in _PICTURES if (part / name).exists()],
         )
         (part / CARD_FILE).write_text(card(about), encoding="utf-8")
         files = tuple(sorted(path.name for path in part.iterdir()))

@@ -31,7 +31,6 @@ class ModelCard:
     licence: str | None
     code: str  # the name to load it by; empty for a network of the toolkit
     onnx_example: str  # Python; empty if there is no ONNX file
-    pictures: Sequence[str]  # of how it was learnt, by file name
 
 
 def card(about: ModelCard) -> str:

@@ -10,12 +10,11 @@ from typing import Annotated
 import tyro
 
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, run_command, warn
-from common.errors import as_user_error, counted
+from common.errors import as_user_error
 from common.location import Location
 from common.output import print_result
-from recorder.errors import RecordingError
 from recorder.log_copy_cli import CopyLogs
-from recorder.log_edit_cli import Merge, Recover, Rewrite, Split, Trim, noted, refuse_fewer, remark_crcs
+from recorder.log_edit_cli import Merge, Recover, Rewrite, Split, Trim, refuse_fewer, remark_crcs
 from recorder.log_export_cli import ExportLogs
 from recorder.log_flag import LogFlag
 from recorder.log_list_cli import ListLogs
@@ -93,49 +92,10 @@ class Check:
         return DONE_BUT_SKIPPED if checked.findings else DONE
 
 
-@dataclass(frozen=True)
-class Cameras:
-    """Measure the side cameras' distance, and the `bc-index --side-correction` that fits (Udacity's: 0.2)."""
-
-    logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
-    """Logs with pictures of all three cameras."""
-
-    def run(self) -> int:
-        return _each(self.logs, self._one)
-
-    def _one(self, path: Location) -> int:
-        from recorder.log.reader import Log
-        from recorder.log.session_car import UDACITY, car_of
-        from recorder.upkeep.side_cameras import (  # OpenCV
-            UDACITY_MPH,
-            UDACITY_SPACING,
-            side_cameras,
-            usual_speed_mph,
-        )
-
-        code = noted(path)
-        with Log(path) as log:
-            cameras = side_cameras(log)
-            speed_mph = usual_speed_mph(log) or UDACITY_MPH
-            try:
-                car, assumed = car_of(log), ""
-            except RecordingError:  # the log does not say it
-                car, assumed = UDACITY, ", if its car is as Udacity's (`bc-record --car` keeps it)"
-        slow = cameras.side_correction(car, UDACITY_MPH)
-        print_result(
-            f"{path}: each side camera is {cameras.spacing:.2f} of its height above the road from the centre one"
-            f" (Udacity's: {UDACITY_SPACING:g}), in {counted(cameras.moments, 'moment')}:"
-            f" `bc-index --side-correction {cameras.side_correction(car, speed_mph):g}` leads back at"
-            f" {speed_mph:.0f} mph, this log's usual speed, {slow:g} at {UDACITY_MPH:g} mph{assumed}"
-        )
-        return code
-
-
 Command = (
     Annotated[ListLogs, tyro.conf.subcommand("ls")]
     | Annotated[ShowInfo, tyro.conf.subcommand("info")]
     | Annotated[Check, tyro.conf.subcommand("check")]
-    | Annotated[Cameras, tyro.conf.subcommand("cameras")]
     | Annotated[Recover, tyro.conf.subcommand("recover")]
     | Annotated[Trim, tyro.conf.subcommand("trim")]
     | Annotated[Merge, tyro.conf.subcommand("merge")]

@@ -109,7 +109,7 @@ def trained_on(folder: Path, network: str, recipe: str, seed: int, learnt: Seque
         build_index(list(learnt), index, IndexConfig(validation_share=0.1))
     run = folder / "runs" / file_of(folder, network, recipe, seed, learnt).stem
     config = replace(RECIPES[recipe], network=network, seed=seed, threads=1)
-    return train(index, run, config, resume=run.exists(), figures=False, show_progress=False)
+    return train(index, run, config, resume=run.exists(), show_progress=False)
 
 
 def drive_roads(folder: Path, network: str, recipe: str, seed: int) -> None:

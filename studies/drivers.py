@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from figure_style import BLUE, DPI, ORANGE, figure_style, new_figure
 from numpy.typing import NDArray
 
 from common.car import MAX_STEERING_DEG
-from dataset.figure_style import BLUE, DPI, ORANGE, figure_style, new_figure
 from recorder import Log
 from recorder.rows.steering_habits import neighbours_mean
 from simulator.driving.course import Course

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from dataset.figure_style import BLUE, ORANGE, figure_style, new_figure
+from figure_style import BLUE, ORANGE, figure_style, new_figure
 
 TRACKS: Final = ("lake", "mountain")
 CAMERAS: Final = 3

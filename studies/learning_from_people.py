@@ -54,7 +54,6 @@ RECIPES: Final[Mapping[str, tuple[IndexConfig, TrainConfig]]] = {
     "people, keep last": (PEOPLE[0], replace(PEOPLE[1], keep="last")),
     "people, not balanced": (replace(PEOPLE[0], balance=False), PEOPLE[1]),
     "people, side 0.1": (replace(PEOPLE[0], side_correction=0.1), PEOPLE[1]),
-    "people, viewpoints 1": (replace(PEOPLE[0], viewpoints=1), PEOPLE[1]),
 }
 
 MEASURED: Final[Mapping[str, Callable[[Measures], float]]] = {
@@ -122,7 +121,7 @@ def measures(folder: Path, recipe: str, seed: int, epochs: int, part: Part) -> d
         run = folder / "runs" / f"{name}-{epochs}-{seed}"
         print(run.name, file=sys.stderr, flush=True)
         config = replace(of_training, epochs=epochs, seed=seed)
-        train(index, run, config, resume=run.exists(), figures=False)
+        train(index, run, config, resume=run.exists())
         found = evaluate_sessions(run, unseen) if unseen else evaluate(run, index)
         values = {session: values_of(measured) for session, measured in found.sessions.items()}
         result.parent.mkdir(exist_ok=True)

@@ -168,9 +168,9 @@ def trained(folder: Path, index: Path, network: str, seed: int, epochs: int) -> 
     run = folder / "runs" / f"{network}-{seed}"
     config = replace(TrainConfig.of("original"), network=network, seed=seed, epochs=epochs)
     if not run.exists():
-        train(index, run, config, figures=False)
+        train(index, run, config)
     elif len(read_history(run)[0].epochs) < epochs:
-        train(index, run, config, resume=True, figures=False)
+        train(index, run, config, resume=True)
     return run
 
 

@@ -68,7 +68,6 @@ RECIPES: Final = {
         (*PEOPLE, "--per-bin", "500", "--max-uses", "1", "--where", "row % 2 = 0"), PEOPLE
     ),
     "people, side 0.1": Recipe((*PEOPLE, *SMALL, "--side-correction", "0.1"), PEOPLE),
-    "people, viewpoints 1": Recipe((*PEOPLE, *SMALL, "--viewpoints", "1"), PEOPLE),
     "people, centre camera": Recipe((*PEOPLE, *SMALL, "--cameras", "center"), PEOPLE),
     "people, a quarter": Recipe((*PEOPLE, *SMALL, "--where", "row < 280"), PEOPLE),
     "people, a tenth": Recipe((*PEOPLE, "--per-bin", "60", "--where", "row < 110"), PEOPLE),

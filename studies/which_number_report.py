@@ -25,11 +25,11 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
+from figure_style import BLUE, ORANGE, figure_style, new_figure
 from numpy.typing import NDArray
 
 from common.car import MAX_STEERING_DEG
 from common.files import atomic_file
-from dataset.figure_style import BLUE, ORANGE, figure_style, new_figure
 from model.metrics import measure
 from model.runs.enough_to_drive import EDGES, Hand, wilson_interval
 

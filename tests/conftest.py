@@ -93,12 +93,6 @@ def browser() -> Iterator[Browser]:
         yield found
 
 
-@pytest.fixture
-def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Trainings draw no figures, as where matplotlib is not installed: it is half of a small one's time."""
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-
-
 @pytest.fixture(scope="module")
 def exported_once() -> Iterator[None]:
     """What is made of an ONNX export is tested, and not the export itself."""

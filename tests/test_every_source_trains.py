@@ -78,7 +78,6 @@ SOURCES: dict[str, Callable[[Path], list[object]]] = {
 }
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_tubs_of_both_versions_a_bag_and_an_environment_are_trained_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -102,7 +101,6 @@ def test_tubs_of_both_versions_a_bag_and_an_environment_are_trained_on(
     assert written >= {"model.safetensors", "config.json", "metrics.jsonl"}
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_what_learnt_from_tubs_goes_to_the_car(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

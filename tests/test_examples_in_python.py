@@ -67,9 +67,7 @@ def test_a_training_of_ones_own(
     assert len(epochs) == 6
 
 
-def test_a_network_of_ones_own(
-    index: Path, tmp_path: Path, without_figures: None, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_network_of_ones_own(index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code = f"{ROOT / 'examples' / 'own_network.py'}:ColumnNet"
     flags = ("--epochs", 1, "--batch", 8, "--network-args", "planes=4", "--index", index, "--runs", tmp_path)
     assert call(bc_train, "--name", "mine", "--network", code, *flags) == 0

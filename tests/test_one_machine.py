@@ -53,9 +53,7 @@ def those_that_load() -> set[str]:
     return found
 
 
-def test_commands_work_where_neither_obstore_nor_ray_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_figures: None
-) -> None:
+def test_commands_work_where_neither_obstore_nor_ray_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in (*EXTRAS, *those_that_load()):
         monkeypatch.setitem(sys.modules, name, None)  # Python's own way to say: cannot be imported
     monkeypatch.chdir(tmp_path)

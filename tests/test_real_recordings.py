@@ -63,7 +63,7 @@ def test_the_whole_chain_on_a_real_recording(network: str, recordings: Path, tmp
     log = import_udacity(recordings / "jungle_linux", tmp_path / "jungle.mcap").path
     build_index([log], tmp_path / "index", IndexConfig(cameras=("center",), flip=False))
     run = tmp_path / "runs" / "real"
-    [epoch] = train(tmp_path / "index", run, TrainConfig(epochs=1, network=network), figures=False).epochs
+    [epoch] = train(tmp_path / "index", run, TrainConfig(epochs=1, network=network)).epochs
     assert epoch.training_loss > 0
 
     pictures = [path.read_bytes() for path in sorted((recordings / "jungle_linux" / "IMG").glob("center_*"))[:300]]

@@ -146,7 +146,6 @@ HEAVY = [
     "rerun",
     "socketio",
     "starlette",
-    "matplotlib",
 ]
 LOADED_BY = """
 import sys, behavioural_cloning_toolkit

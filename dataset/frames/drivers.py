@@ -16,8 +16,7 @@ Driver = Literal["", "pilot", "human", "expert"]
 DRIVERS: Final[tuple[Driver, ...]] = get_args(Driver)
 """In the order of PilotCommand.Driver; empty where it is unknown, as in a session that is no drive."""
 
-EXPERT: Final = DRIVERS.index("expert")
-TAKEOVERS: Final = (EXPERT, DRIVERS.index("human"))
+TAKEOVERS: Final = (DRIVERS.index("expert"), DRIVERS.index("human"))
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ from dataset.index.build_state import (
     write_state,
 )
 from dataset.index.duplicates import shared_standing_rows
-from dataset.index.log_entries import car_to_warp, log_entries
+from dataset.index.log_entries import log_entries
 from dataset.index.session_labels import labels_of_sessions
 from dataset.index.sessions import by_session_name
 from dataset.index.staging import build_lock, finish_interrupted_build, staged, stale_frames_files
@@ -64,7 +64,7 @@ from dataset.samples.samples_format import (
 )
 from dataset.samples.samples_writer import write_samples
 from recorder import LogError
-from recorder.log.session_car import CAR_KEY, Car, metadata_of
+from recorder.log.session_car import CAR_KEY
 from recorder.mcap.mcap_file import WITHOUT_CRCS
 from recorder.rows.label_plan import NOT_MEASURED
 
@@ -197,10 +197,7 @@ class _Build:
             if not held:
                 raise LogError("; ".join(notices))
             _refuse_different_steering(held)
-            cars: dict[str, Car] = {}  # of the sessions that views are taken of
-            if config.viewpoints:
-                cars = {name: car_to_warp(by_name[name], entry) for name, entry in held.items()}
-            logs = {name: _about_log(by_name[name], index, entry, cars.get(name)) for name, entry in held.items()}
+            logs = {name: _about_log(by_name[name], index, entry) for name, entry in held.items()}
             made = _up_to_date(index, held, logs, config, state)
             samples = (index if made else stage) / SAMPLES_NAME
             if made is None:
@@ -208,7 +205,7 @@ class _Build:
                     name: (stage if name in read else index) / FRAMES_FOLDER / f"{name}.parquet" for name in held
                 }
                 try:
-                    made = self._write(frames, samples, held, logs, cars)
+                    made = self._write(frames, samples, held, logs)
                 except (LogError, FramesError):
                     if state.logs:
                         raise _StaleStateError from None
@@ -243,7 +240,6 @@ class _Build:
         samples: Path,
         held: Mapping[str, BuiltLog],
         logs: Mapping[str, Mapping[str, Any]],
-        cars: Mapping[str, Car],
     ) -> _Made:
         """Write the samples of these sessions. Raises LogError or FramesError for a damaged file."""
         extents = {name: extent_of(file) for name, file in frames.items()}
@@ -251,7 +247,7 @@ class _Build:
         labels = labels_of_sessions(frames, held, self.config, self.tasks)
         labels |= {name: replace(labels[name], shared_rows=rows) for name, rows in standing.items()}
         with index_write_errors(self.index / SAMPLES_NAME):
-            return *write_samples(frames, samples, self.config, logs, labels, cars), labels
+            return *write_samples(frames, samples, self.config, logs, labels), labels
 
 
 def _mixed(log: Location, entry: BuiltLog) -> str:
@@ -274,17 +270,15 @@ def _not_measured(logs: Sequence[Location]) -> list[str]:
     ]
 
 
-def _about_log(log: Location, index: Path, entry: BuiltLog, views_car: Car | None) -> dict[str, Any]:
-    """What the samples' metadata has of a log: its place, fingerprint and foreign source, and its car, or that of
-    its views."""
-    car = metadata_of(views_car).get(CAR_KEY, entry.car)
+def _about_log(log: Location, index: Path, entry: BuiltLog) -> dict[str, Any]:
+    """What the samples' metadata has of a log: its place, fingerprint, foreign source and car."""
     return {
         "log": relative_to(log, index),
         "fingerprint": entry.fingerprint,
         **file_if_rewritten(entry.fingerprint, entry.file),
         **({"max_steering_deg": entry.max_steering_deg} if entry.max_steering_deg != MAX_STEERING_DEG else {}),
         **({"source": entry.source} if entry.source else {}),
-        **({CAR_KEY: json.loads(car)} if car else {}),
+        **({CAR_KEY: json.loads(entry.car)} if entry.car else {}),
     }
 
 

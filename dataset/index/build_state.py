@@ -43,8 +43,6 @@ class BuiltLog(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_steering_deg: float | None = MAX_STEERING_DEG  # of its wheels, at steering 1; None: unknown
     source: str = ""  # where others' data come from (`foreign_source`)
     car: str = ""  # as the log stores it, in JSON
-    implied_car: str = ""  # its name, if the log stores none and it is known from the session's source
-    has_several_sizes: bool = False  # of pictures, one camera
     lag: LagFinding | None = None  # of the steering, as it was known
     lag_file: Stat = None  # beside the log
     is_mixed: bool = False  # in a store, with its rows among its pictures: all of it was moved

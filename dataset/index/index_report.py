@@ -8,7 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from common.command import DONE, warn
-from common.errors import counted, printable
+from common.errors import counted, first_of, printable
 from common.location import Location
 from common.output import print_message
 from dataset.index.build import Indexed
@@ -18,7 +18,6 @@ from dataset.samples.samples_format import COUNT_HEADINGS, Balance, SessionLabel
 from recorder.rows.steering_report import STEERING_HEADINGS, steering_cells
 
 BAR_CELLS = 13  # so that a line fits 80 columns
-_MAX_NAMES = 8
 MAX_BINS = 101  # more lines than that nobody reads
 
 
@@ -103,10 +102,8 @@ def _shared_rows(labels: Mapping[str, SessionLabels]) -> list[str]:
     parts = [f"{name} ({counted(len(rows), 'row')} from row {rows[0]})" for name, rows in shared.items() if rows]
     if not parts:
         return []
-    more = f" and {len(parts) - _MAX_NAMES:,} more" if len(parts) > _MAX_NAMES else ""
     return [
-        f"the same pictures of a standing car in several sessions: {', '.join(parts[:_MAX_NAMES])}{more}; none of"
-        " them is held out"
+        f"the same pictures of a standing car in several sessions: {first_of(parts)}; none of them is held out"
     ]
 
 
@@ -120,8 +117,7 @@ def mixed_sizes(sizes_px: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:
         return []
     parts = []
     for (width, height), names in sorted(sessions.items(), reverse=True):
-        more = f" and {len(names) - _MAX_NAMES:,} more" if len(names) > _MAX_NAMES else ""
-        parts.append(f"{width:,} x {height:,} px in {', '.join(map(printable, names[:_MAX_NAMES]))}{more}")
+        parts.append(f"{width:,} x {height:,} px in {first_of(list(map(printable, names)))}")
     return [
         f"pictures of different sizes: {'; '.join(parts)}. Of each the same share is cut off, and the rest is"
         " brought to the size that the network sees: they should show the same part of the world"

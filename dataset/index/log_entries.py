@@ -12,7 +12,7 @@ from common.car import CAMERAS
 from common.location import Location, Url, relative_to
 from common.tasks import Tasks, in_threads, one_by_one
 from dataset.config import IndexConfig
-from dataset.errors import DatasetError, index_write_errors, log_problem
+from dataset.errors import index_write_errors, log_problem
 from dataset.frames.frames_file import FRAMES_FORMAT, file_if_rewritten, frames_metadata, frames_settings
 from dataset.frames.frames_table import frames_table
 from dataset.frames.image_check_cache import read_image_check
@@ -20,18 +20,12 @@ from dataset.index.build_state import FRAMES_FOLDER, BuildState, BuiltLog, Stats
 from dataset.index.sessions import name_problem
 from dataset.parquet_file import read_metadata, write_table
 from recorder import Log, LogError
-from recorder.errors import RecordingError
 from recorder.log.known_lag import kept_lag, lag_path, noted_lag
 from recorder.log.session_car import (
     CAR_KEY,
-    UDACITY,
-    Car,
-    car_in,
-    car_of,
     foreign_source,
     known_max_steering_deg,
     metadata_of,
-    named_car,
     stored_car,
 )
 from recorder.log.tags import read_tags
@@ -124,7 +118,6 @@ def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Pa
         tags = read_tags(path, log.fingerprint)
         table = frames_table(log, index, config, tags)
         metadata = frames_metadata(log, index, config, tags)
-        car = stored_car(log)
         entry = BuiltLog(
             sources,
             log.fingerprint,
@@ -136,9 +129,7 @@ def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Pa
             sizes_px=_sizes_px(log),
             max_steering_deg=known_max_steering_deg(log),
             source=foreign_source(log),
-            car=metadata_of(car).get(CAR_KEY, ""),
-            implied_car=_implied_car(log) if car is None else "",
-            has_several_sizes="picture_sizes" in log.read_metadata(QUALITY_METADATA),
+            car=metadata_of(stored_car(log)).get(CAR_KEY, ""),
             lag=_lag(log, index, name, has_file=lag_file is not None),
             lag_file=lag_file,
             is_mixed=isinstance(path, Url) and log.is_mixed,
@@ -159,35 +150,6 @@ def _lag(log: Log, index: Path, session: str, *, has_file: bool) -> LagFinding |
     if lag is None and (images := read_image_check(index, session, log.fingerprint)) is not None:
         return images.lag
     return lag
-
-
-def car_to_warp(path: Location, entry: BuiltLog) -> Car:
-    """The car of a session; its log is opened again only if the car is unknown. Raises DatasetError for one whose
-    pictures cannot be warped: the places of its cameras are unknown, or how much their crops show to either
-    side."""
-    car = car_in({CAR_KEY: entry.car}, path) if entry.car else None
-    if car is None and entry.implied_car:
-        car = named_car(entry.implied_car)
-    if car is None:
-        with Log(path) as log:
-            try:
-                car = car_of(log)
-            except RecordingError as error:
-                raise DatasetError(f"--viewpoints: {error}") from None
-    if entry.has_several_sizes:
-        raise DatasetError(
-            f"--viewpoints: {path}: a camera's pictures are of several sizes; views are warped only from pictures"
-            " of one (`bc-log trim`, `bc-log split`)"
-        )
-    return car
-
-
-def _implied_car(log: Log) -> str:
-    """The name of the car of a log that stores none; empty if it is unknown."""
-    try:
-        return "udacity" if car_of(log) == UDACITY else "built-in"
-    except RecordingError:
-        return ""
 
 
 def _sizes_px(log: Log) -> list[tuple[int, int]]:

@@ -6,15 +6,13 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import msgspec
 
-from common.errors import counted, printable
+from common.errors import counted, first_of, printable
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME, SessionCounts
-
-_MAX_NAMES: Final = 8
 
 
 def not_learnt_line(counts: Mapping[str, SessionCounts]) -> list[str]:
@@ -32,10 +30,9 @@ def not_learnt_line(counts: Mapping[str, SessionCounts]) -> list[str]:
             parts.append(f"{printable(session)} ({named})")
     if not parts:
         return []
-    more = f" and {len(parts) - _MAX_NAMES:,} more" if len(parts) > _MAX_NAMES else ""
     return [
-        f"neither learnt nor held out: {', '.join(parts[:_MAX_NAMES])}{more};"
-        " `bc-log info` lists their rows, `--labels as-recorded` keeps them"
+        f"neither learnt nor held out: {first_of(parts)}; `bc-log info` lists their rows,"
+        " `--labels as-recorded` keeps them"
     ]
 
 

@@ -17,17 +17,13 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS
 from dataset.augment import alter
-from dataset.drawn_views import VIEWPOINT
 from dataset.errors import UnusablePictureError
 from dataset.frames.distinct_rows import number_distinct
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.preprocessing import Image, crop_of, decode, in_channels
 from dataset.samples.sample_rows import Rows
-from dataset.viewpoint import Viewpoint
 from recorder import Log, LogError
-from recorder.errors import RecordingError, damaged_pictures
-from recorder.log.session_car import OUTLINE_PX, UDACITY, car_of
-from recorder.pictures.picture_size import width_and_height
+from recorder.errors import damaged_pictures
 from recorder.topics import camera_topic
 
 UNDECODED: Final = "pictures that do not decode"
@@ -70,7 +66,6 @@ class Crops:
         self._rows = rows
         self._spec = spec
         self._logs = [logs[session] for session in rows.sessions]
-        self._viewpoints: dict[int, Viewpoint] = {}  # by session
         kept = min(len(rows.session), budget_bytes // spec.size_bytes)
         self._kept = np.empty((kept, *spec.shape), np.uint8)  # no memory is taken before it is written to
         self._is_kept = np.zeros(kept, np.bool_)
@@ -102,8 +97,7 @@ class Crops:
             else:
                 picture[:] = crop
             if names := self._rows.alterations[alteration]:
-                cameras = self._cameras(number) if names.startswith(VIEWPOINT) else None
-                picture[:] = alter(picture, names, seed, cameras)
+                picture[:] = alter(picture, names, seed)
         if altered is not None:
             altered(pictures, samples)
         if self._spec.channels != "BGR":  # last: alterations are of BGR
@@ -132,31 +126,13 @@ class Crops:
         kept: Image = self._kept[number]
         return kept
 
-    def _cameras(self, number: int) -> Viewpoint:
-        """The cameras that took a picture, as its session has them, for crops of it."""
-        session = int(self._rows.session[number])
-        if session not in self._viewpoints:
-            log = self._logs[session]
-            try:
-                car = car_of(log)
-            except RecordingError:  # an index of an earlier version, or of another hand
-                car = UDACITY
-            size = width_and_height(self._read(number)) or OUTLINE_PX  # all of a session's have one size
-            self._viewpoints[session] = Viewpoint(car, *size, of_crops=self._spec)
-        return self._viewpoints[session]
-
-    def _read(self, number: int) -> bytes:
-        rows = self._rows
-        log = self._logs[rows.session[number]]
-        data: bytes = log.read(int(rows.offset[number]), int(rows.length[number]), int(rows.chunk[number]))
-        return data
-
     def _decode(self, number: int) -> Image:
         rows = self._rows
         log = self._logs[rows.session[number]]
         offset = int(rows.offset[number])
         try:
-            return crop_of(decode(self._read(number)), self._spec)
+            data = log.read(offset, int(rows.length[number]), int(rows.chunk[number]))
+            return crop_of(decode(data), self._spec)
         except LogError as error:
             raise UnusablePictureError(damaged_pictures(log.path), str(error)) from None
         except ValueError as error:

@@ -71,7 +71,7 @@ class LogCrops(Closeable):
         self.log_time_ns: NDArray[np.int64] = pictures.log_time_ns
         self.recorded = self._recorded(pictures)
         """Steering, -1..1, as an index has it; NaN where the picture came without, or it cannot be."""
-        rows = Rows(
+        self._rows = Rows(
             picture=np.arange(count, dtype=np.int32),
             flip=np.zeros(count, np.bool_),
             alteration=np.zeros(count, np.uint8),
@@ -84,7 +84,6 @@ class LogCrops(Closeable):
             alterations=("",),
             sessions=(self.session,),
         )
-        self._rows = rows
 
     def __len__(self) -> int:
         return len(self.row)

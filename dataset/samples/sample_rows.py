@@ -12,7 +12,6 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from dataset.augment import ALTERATIONS
-from dataset.drawn_views import VIEWPOINT
 from dataset.frames.distinct_rows import number_distinct
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 
@@ -43,7 +42,7 @@ def rows_of(table: pa.Table, sources: Mapping[str, object], targets: Sequence[Ta
     alteration, alterations = words_as_numbers(table["alteration"])
     if unknown := set(sessions) - sources.keys():
         raise ValueError(f"its session {min(unknown)!r} has no log")
-    allowed = {"", VIEWPOINT, *ALTERATIONS}
+    allowed = {"", *ALTERATIONS}
     if len(alterations) > 255 or any(not allowed.issuperset(names.split("+")) for names in alterations):
         raise ValueError("an unknown alteration")
     offset, length, chunk = (numbers(table[name], np.int64) for name in ("offset", "length", "chunk"))

@@ -29,13 +29,13 @@ SAMPLES_SCHEMA: Final = pa.schema(
         pa.field("length", pa.int64()),
         pa.field("chunk", pa.int64()),
         pa.field("flip", pa.bool_()),
-        pa.field("alteration", pa.string()),  # "", or names joined by "+", "viewpoint" first
-        pa.field("seed", pa.int64()),  # of the alteration; the lowest 32 bits name the viewpoint
+        pa.field("alteration", pa.string()),  # "", or names joined by "+"
+        pa.field("seed", pa.int64()),  # of the alteration
         pa.field("label", pa.float64()),  # steering to be learnt, of this camera and this side: -1..1
         pa.field("recorded", pa.float64()),  # the same as it was driven
         pa.field("bin", pa.int64()),
         pa.field("split", pa.string()),
-        pa.field("copy", pa.bool_()),  # added: to fill up its bin, or as a view from beside the line
+        pa.field("copy", pa.bool_()),  # added to fill up its bin
         pa.field(
             "later_speed_mph", pa.float64()
         ),  # that was driven --speed-ahead seconds later; null: nobody knows

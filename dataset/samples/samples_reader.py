@@ -96,12 +96,15 @@ class Samples(Closeable):
                 for session, source in self.metadata["logs"].items()
             }
             version = self.metadata["format"]
+            has_views = bool((self.metadata.get("settings") or {}).get("viewpoints"))
         except (FileNotFoundError, NotADirectoryError):
             raise missing_index(index) from None
         except _UNREADABLE as error:
             raise self._damaged(error) from None
         if version not in READABLE_FORMATS:
             raise DatasetError(f"{self.path}: has format {version}, not {SAMPLES_FORMAT}; run `bc-index` again")
+        if has_views:
+            raise DatasetError(f"{self.path}: has views of an earlier version; run `bc-index` again")
         refuse_other_places({session: log.path for session, log in self.sources.items()}, index)
         self.logs = open_logs(index, self.sources)
 

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from common import atomic_file
 from common.car import CAMERAS
 from dataset.config import CORRECTION_SIGNS, IndexConfig
-from dataset.drawn_views import VIEWPOINT, draw_views, has_way_back, label_back, mirrored_view
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import codes, read_frames
 from dataset.parquet_file import METADATA_KEY
@@ -31,7 +30,6 @@ from dataset.samples.labels import planned_speed_mph, recorded_throttle
 from dataset.samples.sample_choice import ChosenSamples, choose_samples
 from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_SCHEMA, Balance, SessionCounts, SessionLabels
 from dataset.steering_bins import bin_of
-from recorder.log.session_car import UDACITY, Car
 from recorder.log.tags import EXCLUDE
 
 FROM_FRAMES: Final = ("session", "row", "camera", "log_time_ns", "offset", "length", "chunk", "split")
@@ -44,7 +42,6 @@ class _UsableFrames:
     position: NDArray[np.int32]  # in its frames file
     label: NDArray[np.float64]  # the camera's, unmirrored
     recorded: NDArray[np.float64]  # the same as it was driven
-    view: NDArray[np.int64]  # from beside the line, by its number; -1: the picture as it is
     is_training: NDArray[np.bool_]
     later_speed_mph: NDArray[np.float64]
     throttle: NDArray[np.float64]  # less the brake
@@ -60,23 +57,19 @@ def write_samples(
     config: IndexConfig,
     logs: Mapping[str, Mapping[str, Any]],
     labels: Mapping[str, SessionLabels],
-    cars: Mapping[str, Car] | None = None,
 ) -> tuple[Balance, dict[str, SessionCounts]]:
     """Write the samples of some sessions' frames files: mirrored, labelled, and the training split balanced.
 
     Validation holds every picture and its mirror image once, unaltered. `logs` (session to log and fingerprint)
-    and `labels` are kept in the file's metadata; `cars` are those of the sessions that views are taken of. Raises
-    DatasetError if no frame can be used.
+    and `labels` are kept in the file's metadata. Raises DatasetError if no frame can be used.
     """
     condition = Condition(config.where) if config.where is not None else None
     sessions: list[_UsableFrames] = []
     counts: dict[str, SessionCounts] = {}
     slower_mph = _slower_set_speeds_mph(labels)
-    random = np.random.default_rng((config.seed, 1))  # of the views alone: without them nothing else changes
     for name, file in frames.items():
-        car = (cars or {}).get(name, UDACITY)
         session, counts[name] = _usable_frames(
-            read_frames(file), config, labels[name], slower_mph[name], condition, car, random
+            read_frames(file), config, labels[name], slower_mph[name], condition
         )
         sessions.append(session)
     sizes = np.array([len(session.position) for session in sessions], np.int64)
@@ -171,52 +164,22 @@ def _usable_frames(
     labels: SessionLabels,
     slower_mph: Sequence[float],
     condition: Condition | None,
-    car: Car,
-    random: np.random.Generator,
 ) -> tuple[_UsableFrames, SessionCounts]:
-    """The frames of a session that can be used, with their labels. `condition` is that of `config.where`; `random`
-    draws views."""
+    """The frames of a session that can be used, with their labels. `condition` is that of `config.where`."""
     choice = choose_frames(frames, config, labels, condition)
     at = np.flatnonzero(choice.is_chosen)
     camera = codes(frames["camera"], CAMERAS)
     label = _of_camera(choice.steering[at], camera[at], config)
     recorded = _of_camera(frames["steering"].to_numpy()[at], camera[at], config)
-    view = np.full(len(at), -1)
-    session = _UsableFrames(
+    usable = _UsableFrames(
         at.astype(np.int32),
         label,
         recorded,
-        view,
         choice.is_training[at],
         planned_speed_mph(frames, labels.plan, config.speed_ahead_s, slower_mph)[at],
         recorded_throttle(frames)[at],
     )
-    if config.viewpoints:
-        speed_mph = frames["speed_mph"].to_numpy()[at]
-        has_views = session.is_training & (camera[at] == CAMERAS.index("center")) & has_way_back(speed_mph)
-        session = _with_views(session, speed_mph, has_views, config.viewpoints, car, random)
-    return session, choice.counts
-
-
-def _with_views(
-    session: _UsableFrames,
-    speed_mph: NDArray[np.float64],
-    has_views: NDArray[np.bool_],
-    views: int,
-    car: Car,
-    random: np.random.Generator,
-) -> _UsableFrames:
-    """A session's frames, and behind each that `has_views` its views from beside the line."""
-    times = np.where(has_views, 1 + views, 1)
-    frame = np.repeat(np.arange(len(times)), times)
-    is_view = np.ones(len(frame), np.bool_)
-    is_view[np.cumsum(times) - times] = False
-    with_views = session.taken(frame)
-    with_views.view[is_view] = draw_views(int(is_view.sum()), random)
-    with_views.label[is_view] = label_back(
-        with_views.label[is_view], speed_mph[frame[is_view]], with_views.view[is_view], car
-    )
-    return with_views
+    return usable, choice.counts
 
 
 def _of_camera(
@@ -231,24 +194,22 @@ def _samples_table(
     frames: pa.Table, session: _UsableFrames, chosen: ChosenSamples, config: IndexConfig
 ) -> pa.Table:
     """The samples of one session: `frames` and `session` are of each sample."""
-    names = (VIEWPOINT, *config.alterations)  # first of all: what is blurred or darkened is the view
     combinations = [
-        "+".join(name for i, name in enumerate(names) if bits >> i & 1) for bits in range(1 << len(names))
+        "+".join(name for i, name in enumerate(config.alterations) if bits >> i & 1)
+        for bits in range(1 << len(config.alterations))
     ]
-    is_view = session.view >= 0
-    view = np.where(chosen.flip, mirrored_view(session.view), session.view)
     label, recorded = (
         np.where(chosen.flip, -steering, steering) + 0.0 for steering in (session.label, session.recorded)
     )
     columns = {
         **{name: frames[name] for name in FROM_FRAMES},
         "flip": chosen.flip,
-        "alteration": pa.DictionaryArray.from_arrays(chosen.alteration << 1 | is_view, combinations),
-        "seed": np.where(is_view, (chosen.seed >> 1) << 32 | view, chosen.seed),
+        "alteration": pa.DictionaryArray.from_arrays(chosen.alteration, combinations),
+        "seed": chosen.seed,
         "label": label,
         "recorded": recorded,
         "bin": bin_of(label, config.bins),
-        "copy": chosen.is_copy | is_view,
+        "copy": chosen.is_copy,
         "later_speed_mph": pa.array(session.later_speed_mph, from_pandas=True),  # NaN to null
         "throttle": pa.array(session.throttle, from_pandas=True),
     }

@@ -176,14 +176,13 @@ def has_one_side(numbers: RunNumbers) -> Advice | None:
 
 
 def has_one_camera(numbers: RunNumbers) -> Advice | None:
-    """Pictures from beside the line show how to come back to it; views that are warped there show it, too."""
+    """Pictures from beside the line show how to come back to it."""
     frames = sum(count.frames for count in numbers.data.counts.values())
     rows = sum(labels.habits.rows for labels in numbers.data.labels.values())
-    if not rows or frames > 1.5 * rows:
-        if set(numbers.data.settings.cameras) != {"center"}:
-            return None
-        return Advice("the side cameras are left out", _index(numbers, "--cameras center left right"))
-    return Advice("no pictures of side cameras to learn from", _index(numbers, "--viewpoints 2"))
+    has_others = not rows or frames > 1.5 * rows
+    if not has_others or set(numbers.data.settings.cameras) != {"center"}:
+        return None
+    return Advice("the side cameras are left out", _index(numbers, "--cameras center left right"))
 
 
 def nothing_stands_out(numbers: RunNumbers) -> Advice:

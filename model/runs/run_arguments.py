@@ -9,14 +9,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Final
 
-from common.errors import did_you_mean
+from common.errors import did_you_mean, first_of
 from common.location import Location, Url
 from common.store_record import cached_from
 
 RUNS: Final = Path("runs")
 """The default folder of runs."""
-
-_MAX_NAMES: Final = 8
 
 
 def new_run_name() -> str:
@@ -38,5 +36,4 @@ def suggest_runs(name: str, names: Sequence[str], runs: Location) -> str:
         return f"none is in {runs}: `bc-train{flag}` makes one"
     if meant := did_you_mean(name, names):
         return meant
-    more = f" and {len(names) - _MAX_NAMES:,} more" if len(names) > _MAX_NAMES else ""
-    return f"in {runs} are {', '.join(names[:_MAX_NAMES])}{more}"
+    return f"in {runs} are {first_of(names)}"

@@ -26,9 +26,6 @@ TRAINING_LOCK: Final = "last/.lock"
 """A file that is locked while a process trains the run."""
 RESULTS_FILE: Final = "results.jsonl"
 """The results of its evaluations, a line each: see kept_results.py."""
-CURVES: Final = "curves.png"
-STEERING: Final = "steering.png"
-"""The pictures that bc-train draws (run_figures.py)."""
 
 
 @contextlib.contextmanager

@@ -11,7 +11,6 @@ from typing import Final
 import numpy as np
 import torch
 from msgspec.structs import replace
-from numpy.typing import NDArray
 from rich.progress import Progress
 from torch import Tensor
 
@@ -70,8 +69,6 @@ class TrainingLoop:
         self.writer = writer
         self.history: list[Epoch] = []
         self.position = Position()
-        self.best_predictions: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
-        """Predicted and recorded steering of the frames held out, after the best epoch of this call."""
         budget_bytes = config.picture_memory_mb << 20
         loader = self.loader = Loader(
             samples,
@@ -259,7 +256,6 @@ class TrainingLoop:
         self.history.append(epoch)
         if epoch.is_best:
             self.writer.keep_best(position.epoch, self.averaged.network, self.answers)
-            self.best_predictions = steering_in(predicted), steering_in(recorded)
         self.listeners.epoch(epoch)
         if epoch.is_best:
             return position.epoch, self.validation.error(epoch.measures)

@@ -13,7 +13,6 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from dataset import Loader, Samples
-from dataset.drawn_views import LAST_VIEW, VIEWPOINT
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import steering_in
 from dataset.samples.samples_format import Balance
@@ -28,7 +27,7 @@ TOWARDS_BALANCE: Final = 0.25
 """The point between the frequency of the road (0), which has few hard bends, and that of equal bins (1).
 At 0 answers have the least error, but hairpins are driven wide, or not: see docs/studies/natural-answers.md."""
 
-_COLUMNS: Final = ("split", "camera", "alteration", "seed", "bin", "copy")
+_COLUMNS: Final = ("split", "camera", "bin", "copy")
 
 
 class NaturalFrames:
@@ -58,24 +57,19 @@ class NaturalFrames:
 def _at_natural_frequency(samples: Samples) -> pa.Table:
     """At most `MAX_FRAMES` originals of the centre camera (of all, where there are none of it).
 
-    Balancing has left each bin a random part of its frames and their views from beside the line, `after` of
-    `before`. Each original that was left stands for others of its bin.
+    Balancing has left each bin a random part of its frames. Each original that was left stands for others of its
+    bin.
     """
     before = Balance.from_dict(samples.metadata["balance"]).before
-    after = np.zeros(len(before), np.int64)
     of_parts: list[tuple[NDArray[np.int16], NDArray[np.bool_]]] = []  # of originals, bin and whether it is central
     for part in samples.parts_of_split("train", _COLUMNS):  # of many samples, all at once would not fit
         is_original = ~np.asarray(part["copy"])
-        is_view = np.asarray(pc.starts_with(part["alteration"].cast(pa.string()), VIEWPOINT))
-        is_first = is_original | (is_view & (part["seed"].to_numpy() <= LAST_VIEW))  # it repeats no other sample
         bin_of = part["bin"].to_numpy()
-        after += np.bincount(bin_of[is_first], minlength=len(before))
         is_center = np.asarray(pc.equal(part["camera"].cast(pa.string()), "center"))
         of_parts.append((bin_of[is_original].astype(np.int16), is_center[is_original]))
     bins, is_center = (np.concatenate(column) for column in zip(*of_parts, strict=True))
     of_bin = np.bincount(bins, minlength=len(before))
-    on_road = before * of_bin / np.maximum(after, 1)
-    stands_for = (on_road ** (1 - TOWARDS_BALANCE) / np.maximum(of_bin, 1))[bins]
+    stands_for = (before ** (1 - TOWARDS_BALANCE) / np.maximum(of_bin, 1))[bins]
     stands_for = np.where(is_center, stands_for, 0.0) if is_center.any() else stands_for
     count = min(MAX_FRAMES, int(np.count_nonzero(stands_for)))
     quantiles = (np.arange(count) + 0.5) / count * stands_for.sum()

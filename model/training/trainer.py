@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -16,29 +15,25 @@ import numpy as np
 import torch
 from rich.progress import Progress
 
-from common import Skipped, UserError
+from common import Skipped
 from common.interrupts import stop_signals
 from common.location import Location, location
 from common.progress import progress_bar
-from common.versions import install_line
 from dataset import IndexConfig, Samples
 from dataset.picture_spec import PictureSpec
-from dataset.prediction_targets import TARGETS, TargetName, steering_in
+from dataset.prediction_targets import TARGETS, TargetName
 from model.config import TrainConfig
 from model.device import choose_machine
 from model.errors import RunError
-from model.evaluation.predict import predict
 from model.network.choice import NetworkChoice, choose_network, chosen_picture
 from model.runs.car_of_run import refuse_other_steering
 from model.runs.network_of_run import choice_of
 from model.runs.provenance import init_provenance, provenance
 from model.runs.run_files import locked_for_training
 from model.runs.run_folder import (
-    WEIGHTS,
     create_run,
     has_nothing_saved,
     load_config,
-    load_network,
     picture_of_run,
     refuse_existing_run,
     removed_unless_saved,
@@ -80,7 +75,6 @@ def train(
     like: Path | str | None = None,
     resume: bool = False,
     show_progress: bool = True,
-    figures: bool = True,
 ) -> Trained:
     """Train a network on `index` and keep it in the new folder `run`.
 
@@ -89,7 +83,6 @@ def train(
     the weights are then those of a run that never was, on the same processor with as many threads. One that was
     killed before anything of it was saved begins again from its seed.
     `listeners` receive its progress; none of them can end it.
-    `figures` draws its curves, for which matplotlib is needed.
     Sets PyTorch's number of threads, and on a GPU its precision of float32, for this process.
     Ctrl-C ends the training after the batch that it is in, keeps what there is, and raises KeyboardInterrupt.
     A network of one's own is run as code: a new run's because `config` names it, that of a run that is resumed
@@ -157,8 +150,6 @@ def train(
                 write_config(run, resumed_config(stored, origin))
         with stop_signals() as stopped:
             loop.train(stopped)
-        if figures:
-            _draw_figures(loop, notices, remarks)
         return Trained(
             run, loop.history, loop.skipped, notices, remarks, loop.position.best_epoch, loop.is_stopped_early
         )
@@ -205,20 +196,3 @@ def _recipe_remarks(samples: Samples, config: TrainConfig) -> list[str]:
         f"{samples.path}: built by the recipe {built}, trained by {config.recipe}; for one of both give bc-train"
         f" --recipe {built}, or build it again: `bc-index --recipe {wanted}`"
     ]
-
-
-def _draw_figures(loop: TrainingLoop, notices: list[str], remarks: list[str]) -> None:
-    """Draw the run's figures; the notice of why not, if that fails."""
-    run = loop.run
-    if not (run / WEIGHTS).exists():
-        return
-    if find_spec("matplotlib") is None:
-        remarks.append(f"{run}: no pictures of how it went; `{install_line('figures')}` brings them")
-        return
-    try:
-        from model.runs.run_figures import write_run_figures
-
-        predictions = loop.best_predictions or predict(load_network(run), loop.validation.loader)
-        write_run_figures(run, *map(steering_in, predictions))
-    except (UserError, OSError) as error:
-        notices.append(str(error))

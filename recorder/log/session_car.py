@@ -29,7 +29,7 @@ Outline = tuple[tuple[float, float], ...]
 _OF_UNKNOWN_CARS: Final = ("donkeycar", "csv", "mcap", "ros2 bag", "lerobot", "gymnasium")
 """Sources whose sessions do not say how far the wheels turn, unless they have a car."""
 
-OUTLINE_PX: Final = (320, 160)  # columns and rows of the pictures that outlines are of
+_OUTLINE_PX: Final = (320, 160)  # columns and rows of the pictures that outlines are of
 
 CAR_KEY: Final = "car"  # of a car in a log's metadata: JSON
 
@@ -125,7 +125,7 @@ def built_in() -> Car:
     from simulator.driving import vehicle
     from simulator.rendering import bonnet, camera  # loads the renderer
 
-    columns, rows = OUTLINE_PX
+    columns, rows = _OUTLINE_PX
     outlines: dict[Camera, Outline] = {}
     for name in camera.MOUNT_LEFT_M:
         is_bonnet = bonnet.draw_bonnet(name, columns, rows)[..., 3] > 0

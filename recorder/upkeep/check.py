@@ -93,7 +93,7 @@ def check(path: Location, *, look: bool = True) -> Checked:
             lag, is_lag_kept = find_lag(log)
         if look and has_rows and isinstance(path, Path):
             from recorder.seen.shown_stretches import with_pictures  # OpenCV
-            from recorder.upkeep.side_cameras import are_swapped
+            from recorder.upkeep.swapped_cameras import are_swapped
 
             odd = with_pictures(log, States.of(log.vehicle()), odd)
             if are_swapped(log):

@@ -245,12 +245,12 @@ def test_what_is_said_and_logged_beside_a_bar_is_a_line_above_it(tmp_path: Path)
 
 
 def test_trainings_log_lines_are_messages_in_commands_that_load_a_run(
-    tmp_path: Path, without_figures: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A run of an earlier version, whose name nobody would give."""
     index = toy_index(tmp_path)
     run = tmp_path / "runs" / "a\x1b[2Jb\nc"
-    train(index, run, replace(SMALL, epochs=1, batch=8), figures=False, show_progress=False)
+    train(index, run, replace(SMALL, epochs=1, batch=8), show_progress=False)
     weights = run / "model.safetensors"
     with safe_open(weights, framework="np") as file:
         stored = {name: value for name, value in file.metadata().items() if name != "sha256"}

@@ -29,7 +29,6 @@ def trained(folder: Path, *flags: object) -> dict[str, Any]:
     return config
 
 
-@pytest.mark.usefixtures("without_figures")
 @pytest.mark.parametrize("recipe", ["altered", "people", "original"])
 def test_the_recipe_is_that_of_the_training_and_of_its_index(tmp_path: Path, recipe: Any) -> None:
     toy_index(tmp_path)
@@ -56,7 +55,6 @@ def test_settings_of_earlier_versions_are_those_of_the_original_project() -> Non
         assert settings_from(kind, json.loads(json.dumps(stored))) == kind.of("original")
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_a_run_is_repeated_by_its_own_recipe_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     toy_index(tmp_path)
     trained(tmp_path, "--recipe", "original")
@@ -73,7 +71,6 @@ def test_an_unknown_recipe_is_named(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "people" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_an_index_of_another_recipe_is_remarked_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     toy_index(tmp_path)
     flags = ["--sessions", tmp_path, "--index", tmp_path / "new" / "index"]

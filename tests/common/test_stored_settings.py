@@ -61,6 +61,7 @@ def test_whole_numbers_among_floats_are_written_again_as_they_were_stored() -> N
         (IndexConfig, {"validation": [["a"]]}),
         (IndexConfig, {"per_bin": "foo"}),
         (IndexConfig, {"balance": 1}),
+        (IndexConfig, {"viewpoints": 2}),
     ],
 )
 def test_what_is_no_setting_is_refused(kind: type[TrainConfig | IndexConfig], stored: object) -> None:
@@ -69,12 +70,11 @@ def test_what_is_no_setting_is_refused(kind: type[TrainConfig | IndexConfig], st
         settings_from(kind, stored)
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_a_fine_tuned_run_is_repeated_from_its_initial_weights(tmp_path: Path) -> None:
     index = toy_index(tmp_path)
     one = replace(SMALL, epochs=1, batch=8)
-    train(index, tmp_path / "base", one, figures=False)
-    train(index, tmp_path / "tuned", one, init=tmp_path / "base", figures=False)
+    train(index, tmp_path / "base", one)
+    train(index, tmp_path / "tuned", one, init=tmp_path / "base")
     places = ["--index", index, "--sessions", tmp_path, "--runs", tmp_path]
     assert call(main, "--name", "again", "--like", "tuned", *places) == 0
     tuned, again = load_pilot(tmp_path / "tuned"), load_pilot(tmp_path / "again")

@@ -101,6 +101,20 @@ def test_samples_of_another_format_are_refused(tmp_path: Path) -> None:
         Samples(tmp_path / "index")
 
 
+def test_an_index_with_views_of_an_earlier_version_is_refused(tmp_path: Path) -> None:
+    log, index = log_of(tmp_path / "a.mcap"), tmp_path / "index"
+    build_index([log], index)
+    settings = json.loads(pq.read_schema(index / "samples.parquet").metadata[KEY])["settings"]
+    rewrite(index / "samples.parquet", settings={**settings, "viewpoints": 0})
+    with Samples(index) as samples:
+        assert samples.settings == IndexConfig()
+    rewrite(index / "samples.parquet", settings={**settings, "viewpoints": 2})
+    with pytest.raises(DatasetError, match=r"samples\.parquet: has views.*run `bc-index` again"):
+        Samples(index)
+    build_index([log], index)
+    Samples(index).close()
+
+
 def test_the_order_in_which_sessions_are_given_is_no_matter(tmp_path: Path) -> None:
     logs = [log_of(tmp_path / f"{name}.mcap", STEERING[i:]) for i, name in enumerate("abc")]
     build_index(logs, tmp_path / "one")

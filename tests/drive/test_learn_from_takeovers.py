@@ -36,7 +36,7 @@ def a_run(session: Path) -> None:
     """A network that has learnt next to nothing from the session."""
     build_index([session], Path("index"), SETTINGS)
     config = TrainConfig(network="small", epochs=1, batch=32)
-    train(Path("index"), Path("runs/first"), config, figures=False, show_progress=False)
+    train(Path("index"), Path("runs/first"), config, show_progress=False)
 
 
 def commands() -> list[PilotCommand]:

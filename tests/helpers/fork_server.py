@@ -30,7 +30,7 @@ LOADED = (
     *("drive.evaluation.eval_cli", "drive.evaluation.closed_loop", "simulator.cli", "viz.cli"),
 )
 LOADED_IF_INSTALLED = (
-    *("pandas", "matplotlib.figure", "matplotlib.backends.backend_agg"),  # by pyarrow; for figures
+    "pandas",  # by pyarrow
     *("rerun", "viz.playback.rerun_recording"),
     *("web.cli", "web.app", "web.server.workbench_server"),
 )

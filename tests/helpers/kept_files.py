@@ -31,7 +31,7 @@ def main() -> None:
     if folder.exists():
         sys.exit(f"{folder}: exists already: what a version has written stays as it is")
     index = toy_index(folder)
-    train(index, folder / "run", SMALL, figures=False)
+    train(index, folder / "run", SMALL)
     shutil.rmtree(folder / "run" / "last")  # four times as large as the weights
     for name in ("state.json", ".lock"):  # of this machine
         (index / name).unlink()

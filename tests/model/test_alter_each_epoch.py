@@ -31,7 +31,7 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def whole(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = tmp_path_factory.mktemp("runs") / "whole"
-    train(index, run, CONFIG, figures=False)
+    train(index, run, CONFIG)
     return run
 
 
@@ -64,8 +64,8 @@ def test_a_training_stopped_in_an_epoch_goes_on_to_the_same_weights(
     monkeypatch.setattr("model.training.loop.STEP_BATCHES", 3)
     run = tmp_path / "run"
     with pytest.raises(KeyboardInterrupt):
-        train(index, run, CONFIG, [StopAt(2, 3)], figures=False)
-    train(index, run, resume=True, figures=False)
+        train(index, run, CONFIG, [StopAt(2, 3)])
+    train(index, run, resume=True)
     assert weights(run) == weights(whole)
 
 
@@ -73,7 +73,7 @@ def test_it_changes_what_is_learnt_and_each_choice_is_another(index: Path, whole
     learnt = {weights(whole)}
     for names in (("none",), ("move",), ("noise", "box")):
         run = tmp_path / names[0]
-        train(index, run, replace(CONFIG, alter_each_epoch=names), figures=False)
+        train(index, run, replace(CONFIG, alter_each_epoch=names))
         learnt.add(weights(run))
     assert len(learnt) == 4
 
@@ -93,7 +93,6 @@ def test_a_run_of_before_had_none_as_have_the_other_recipes(index: Path) -> None
         assert loader.alterations is None
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_the_command_keeps_it_and_like_and_resume_repeat_it(
     index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -121,9 +120,9 @@ def test_a_contradiction_names_the_flag(names: tuple[Any, ...]) -> None:
 
 def test_a_run_of_an_unknown_alteration_is_refused(index: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    train(index, run, replace(CONFIG, epochs=1), figures=False)
+    train(index, run, replace(CONFIG, epochs=1))
     config = json.loads((run / "config.json").read_text())
     config["training"]["alter_each_epoch"] = ["rain"]
     (run / "config.json").write_text(json.dumps(config))
     with pytest.raises(RunError, match="training settings cannot be used"):
-        train(index, run, resume=True, figures=False)
+        train(index, run, resume=True)

@@ -37,13 +37,13 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def natural(index: Path) -> Path:
-    train(index, index.parent / "natural", NATURAL, figures=False)
+    train(index, index.parent / "natural", NATURAL)
     return index.parent / "natural"
 
 
 @pytest.fixture(scope="module")
 def as_learnt(index: Path) -> Path:
-    train(index, index.parent / "as-learnt", replace(NATURAL, answers="as-learnt"), figures=False)
+    train(index, index.parent / "as-learnt", replace(NATURAL, answers="as-learnt"))
     return index.parent / "as-learnt"
 
 
@@ -178,22 +178,6 @@ def test_only_training_frames_tell_it_in_the_frequency_of_the_road(tmp_path: Pat
         balanced = np.abs(samples.of_split("train")["label"].to_numpy())
         assert np.bincount((balanced > 0.3).astype(int)).tolist() == [10, 10]
         frames = NaturalFrames(samples, batch=4, threads=1, picture=ORIGINAL)
-        labels = np.concatenate([batch.steering for batch in frames.loader.in_order()])
-    assert (np.abs(labels) > 0.3).mean() == pytest.approx(NEARLY_A_QUARTER, abs=0.03)
-
-
-def test_views_from_beside_the_line_do_not_count_as_road(tmp_path: Path) -> None:
-    """Their labels lead back to it, so that there are many of hard steering."""
-    steering = [0.1, -0.1, 0.1, -0.1, 0.1, -0.1, 1.0, -1.0] * 40
-    pictures = [road("center", row) for row in range(len(STEERING))]
-    log = write_log(
-        *(tmp_path / "toy.mcap", steering, lambda camera, row: pictures[row % len(pictures)]),
-        cameras=["center"],
-        source="udacity",
-    )
-    config = IndexConfig(validation_share=0, viewpoints=3, per_bin=80)
-    with Samples(build_index([log], tmp_path / "index", config).path) as samples:
-        frames = NaturalFrames(samples, batch=64, threads=1, picture=ORIGINAL)
         labels = np.concatenate([batch.steering for batch in frames.loader.in_order()])
     assert (np.abs(labels) > 0.3).mean() == pytest.approx(NEARLY_A_QUARTER, abs=0.03)
 

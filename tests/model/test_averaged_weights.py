@@ -48,7 +48,7 @@ def test_it_is_kept_and_what_is_learnt_is_not_changed_by_it(tmp_path: Path) -> N
     index = toy_index(tmp_path)
     runs = [tmp_path / name for name in ("latest", "mean")]
     for run, steps in zip(runs, (1, 10), strict=True):
-        train(index, run, replace(SMALL, epochs=1, average_steps=steps), figures=False)
+        train(index, run, replace(SMALL, epochs=1, average_steps=steps))
     latest, mean = (load_file(run / "last" / "checkpoint.safetensors") for run in runs)
     assert all((mean[name] == tensor).all() for name, tensor in latest.items())
     kept = load_file(runs[1] / "model.safetensors")

@@ -51,7 +51,7 @@ def test_a_training_says_it_once(
     before = torch.get_num_threads()
     try:
         config = replace(SMALL, epochs=2, batch=26, threads=threads)
-        train(index, tmp_path / "run", config, figures=False, show_progress=False)
+        train(index, tmp_path / "run", config, show_progress=False)
     finally:
         torch.set_num_threads(before)
     assert [record.getMessage().startswith("the processor is busy") for record in caplog.records] == [True] * times

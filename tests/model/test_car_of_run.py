@@ -25,7 +25,6 @@ from udacity import call
 
 ROWS = 40
 OWN = Car(max_steering_deg=30.0, wheelbase_m=2.4, bonnet={})
-pytestmark = pytest.mark.usefixtures("without_figures")
 
 SMALL = ("--network", "small", "--epochs", 1, "--batch", 32, "--threads", 1)
 
@@ -94,7 +93,7 @@ def test_an_index_is_made_anew_where_a_session_tells_another_car(
     labels = []
     for wheelbase_m in (2.4, 2.0, 2.4):
         record("own", Car(wheelbase_m=wheelbase_m, bonnet={}), 0).touch()
-        assert call(bc_index, "--block-s", 1, "--gap-s", 0, "--viewpoints", 1) == 0
+        assert call(bc_index, "--block-s", 1, "--gap-s", 0) == 0
         labels.append((tmp_path / "index" / "samples.parquet").read_bytes())
         Path("sessions/own.mcap").unlink()
     assert labels[0] == labels[2] != labels[1]

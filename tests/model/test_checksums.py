@@ -33,7 +33,7 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def trained(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = tmp_path_factory.mktemp("runs") / "first"
-    train(index, run, ONE, figures=False)
+    train(index, run, ONE)
     return run
 
 
@@ -99,7 +99,7 @@ def test_one_flipped_bit_is_found_wherever_weights_are_loaded(index: Path, run: 
         lambda: export_onnx(run, tmp_path / "first.onnx"),
         lambda: predict_log(log, [run]),
         lambda: predict_log(log, [run], on_attention=lambda *told: None),
-        lambda: train(index, tmp_path / "second", ONE, init=run, figures=False),
+        lambda: train(index, tmp_path / "second", ONE, init=run),
     ):
         refused(action, weights(run))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["first"]
@@ -109,7 +109,7 @@ def test_one_flipped_bit_is_found_wherever_weights_are_loaded(index: Path, run: 
 def test_one_flipped_bit_in_a_checkpoint_is_not_trained_on(index: Path, run: Path) -> None:
     flip(checkpoint(run), checkpoint(run).stat().st_size - 500_000, 6)
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
-    refused(lambda: train(index, run, replace(ONE, epochs=2), resume=True, figures=False), checkpoint(run))
+    refused(lambda: train(index, run, replace(ONE, epochs=2), resume=True), checkpoint(run))
     refused(lambda: load_pilot(run / "last"), checkpoint(run))
     assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
 
@@ -139,7 +139,7 @@ def test_any_flipped_bit_is_found(run: Path, caplog: pytest.LogCaptureFixture) -
 def test_the_position_of_a_checkpoint_is_protected_too(index: Path, run: Path) -> None:
     place = checkpoint(run).read_bytes().index(rb"\"epoch\": 2") + len(rb"\"epoch\": ")
     flip(checkpoint(run), place)  # 2 becomes 3
-    refused(lambda: train(index, run, replace(ONE, epochs=9), resume=True, figures=False), checkpoint(run))
+    refused(lambda: train(index, run, replace(ONE, epochs=9), resume=True), checkpoint(run))
 
 
 def test_runs_of_earlier_versions_are_read_and_that_is_said_once(
@@ -150,7 +150,7 @@ def test_runs_of_earlier_versions_are_read_and_that_is_said_once(
         of_an_earlier_version(path)
     assert load_pilot(run).predict(np.full((48, 96, 3), 99, np.uint8)) == expected
     load_pilot(run / "last")
-    train(index, run, replace(ONE, epochs=2), resume=True, figures=False)
+    train(index, run, replace(ONE, epochs=2), resume=True)
     [record] = caplog.records
     assert record.levelno == logging.WARNING
     assert record.getMessage().startswith(f"{run}: of an earlier version, without checksums")

@@ -67,7 +67,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         log = write_log(folder / f"{name}.mcap", LEARNT, posts(LEARNT, shift_px), cameras=["center"])
         settings = IndexConfig(flip=False, max_uses=1, block_s=0.5, gap_s=0)
         index = build_index([log], folder / f"index-{name}", settings).path
-        train(index, folder / "runs" / name, config, init=init, figures=False, show_progress=False)
+        train(index, folder / "runs" / name, config, init=init, show_progress=False)
     return folder
 
 

@@ -59,7 +59,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     index = build_index(logs, folder / "index", SPLIT).path
     config = replace(SMALL, epochs=2, batch=8)
-    train(index, folder / "runs" / "toy", config, figures=False, show_progress=False)
+    train(index, folder / "runs" / "toy", config, show_progress=False)
     write_log(folder / "sessions" / "new.mcap", STEERING[::-1], road, step_ns=STEP_NS + 1)
     return folder
 

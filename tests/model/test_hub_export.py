@@ -51,7 +51,7 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def trained(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    run = train(index, tmp_path_factory.mktemp("runs") / "first", SMALL, figures=False).run
+    run = train(index, tmp_path_factory.mktemp("runs") / "first", SMALL).run
     for track, interventions in (("lake", 0), ("mountain", 3)):
         result = {**DRIVE, "track": track, "set_speed_mph": 10.0, "interventions": interventions}
         keep_result(run, "simulator", {**result, "log": "secret/drives/a.mcap"})
@@ -197,7 +197,7 @@ def test_code_of_ones_own_goes_along_as_a_file(index: Path, tmp_path: Path) -> N
     source = tmp_path / "net.py"
     source.write_text(NETWORK.replace("{pool}", "MaxPool2d(4)"))
     settings = replace(SMALL, epochs=1, batch=40, network=f"{source}:Net", network_args=("planes=3",))
-    run = train(index, tmp_path / "runs" / "mine", settings, figures=False).run
+    run = train(index, tmp_path / "runs" / "mine", settings).run
     folder = export_to_hub(run, tmp_path / "hub").folder
     assert (folder / "network.py").read_bytes() == source.read_bytes()
     assert 'load_code("network.py:Net")  # this runs somebody\'s code: read it first' in snippets(folder)[0]
@@ -223,7 +223,7 @@ def test_a_network_that_onnx_cannot_hold_goes_without(
     code = NETWORK.replace("{pool}", "AvgPool2d(4)")
     source.write_text(code.replace("self.see(pictures)", "self.see(pictures).i0()"))
     settings = replace(SMALL, epochs=1, batch=40, network=f"{source}:Net")
-    run = train(index, tmp_path / "runs" / "mine", settings, figures=False).run
+    run = train(index, tmp_path / "runs" / "mine", settings).run
     assert call(main, "export", run, "--network", f"{source}:Net", "--hub", tmp_path / "hub") == 3
     said = "hub: without an ONNX file: its network cannot be written as ONNX: a part is missing there"
     assert said in capsys.readouterr().err

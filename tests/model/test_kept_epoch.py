@@ -34,7 +34,7 @@ def test_the_epoch_that_is_kept_has_the_least_of_what_was_asked_for(
     }
     error = errors[keep]
     config = replace(SMALL, epochs=6, rate=2e-3, seed=seed, keep=keep)  # so fast that it gets worse again
-    trained = train(index, tmp_path / "run", config, figures=False)
+    trained = train(index, tmp_path / "run", config)
     least: Epoch = min(trained.epochs, key=error)
     assert trained.best_epoch == least.epoch
     assert [epoch.is_best for epoch in trained.epochs] == [

@@ -53,7 +53,7 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def flags(index: Path, tmp_path: Path, without_figures: None) -> tuple[object, ...]:
+def flags(index: Path, tmp_path: Path) -> tuple[object, ...]:
     """Those of a short training, and a file with listeners, whose class is to follow."""
     (tmp_path / "mine.py").write_text(LISTENER)
     settings = ("--network", "small", "--epochs", 2, "--batch", 4, "--recipe", "original", "--threads", 1)

@@ -58,8 +58,8 @@ def run(request: pytest.FixtureRequest, index: Path) -> Path:
     """Trained for an epoch, and then for another."""
     run: Path = index.parent / "runs" / request.param
     whole = settings(request.param)
-    train(index, run, replace(whole, epochs=1), figures=False)
-    train(index, run, whole, resume=True, figures=False)
+    train(index, run, replace(whole, epochs=1))
+    train(index, run, whole, resume=True)
     return run
 
 
@@ -82,7 +82,7 @@ def test_the_networks_of_the_toolkit(name: str, parameters: int, picture: Pictur
 
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_weights(run: Path, index: Path) -> None:
-    at_once = train(index, run.parent / f"{run.name}-at-once", settings(run.name), figures=False).run
+    at_once = train(index, run.parent / f"{run.name}-at-once", settings(run.name)).run
     for file in ("model.safetensors", "last/checkpoint.safetensors"):
         ours, theirs = load_file(run / file), load_file(at_once / file)
         assert ours.keys() == theirs.keys()
@@ -167,7 +167,7 @@ def test_it_is_exported(run: Path, tmp_path: Path) -> None:
 
 def test_networks_of_different_pictures_are_measured_on_the_same_frames(index: Path, tmp_path: Path) -> None:
     original = untrained_run(tmp_path / "original", network="original")
-    small = train(index, tmp_path / "small", replace(settings("small"), epochs=1), figures=False).run
+    small = train(index, tmp_path / "small", replace(settings("small"), epochs=1)).run
     together = evaluate_runs([original, small], index)
     for run, found in zip((original, small), together, strict=True):
         assert found.measures.network == evaluate(run, index).measures.network
@@ -195,7 +195,7 @@ def test_a_run_starts_only_from_weights_of_the_same_network_and_pictures(index: 
 
 
 def test_a_run_goes_on_only_with_its_own_network(index: Path, tmp_path: Path) -> None:
-    small = train(index, tmp_path / "small", replace(settings("small"), epochs=1), figures=False).run
+    small = train(index, tmp_path / "small", replace(settings("small"), epochs=1)).run
     with pytest.raises(RunError, match=r"begun with --network small and can continue only so"):
         train(index, small, replace(settings("small"), network="pilotnet"), resume=True)
     with pytest.raises(RunError, match=r"begun with --crop-rows None"):

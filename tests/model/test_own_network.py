@@ -76,7 +76,7 @@ def trained(index: Path, folder: Path, source: str = PLAIN, **changed: Any) -> t
     """The code's file, and a run of it."""
     path = written(folder, source)
     settings = replace(ONE, network=f"{path}:Net", **changed)
-    return path, train(index, folder / "runs" / "mine", settings, figures=False).run
+    return path, train(index, folder / "runs" / "mine", settings).run
 
 
 def by_a_stranger(run: Path) -> None:
@@ -102,7 +102,7 @@ def test_it_trains_and_the_run_keeps_its_file_and_its_arguments(index: Path, tmp
     }
     more = replace(ONE, epochs=2, network=f"{run / 'network.py'}:Net", answers="natural", average_steps=3)
     more = replace(more, network_args=("planes=6",))
-    again = train(index, run, more, resume=True, figures=False)
+    again = train(index, run, more, resume=True)
     assert len(again.epochs) == 1
     pilot = load_pilot(run, "float32")
     crop = pilot.crop(decode(road_jpeg(4)))
@@ -166,7 +166,7 @@ def test_a_file_that_has_changed_since_is_told(index: Path, tmp_path: Path) -> N
 
 def test_a_network_of_an_installed_package_is_named_by_its_module(index: Path, tmp_path: Path) -> None:
     name = "model.network.small:SmallNetwork"
-    run = train(index, tmp_path / "run", replace(ONE, network=name), figures=False).run
+    run = train(index, tmp_path / "run", replace(ONE, network=name)).run
     assert json.loads((run / "config.json").read_text())["network"] == {"name": name, "arguments": {}}
     assert load_pilot(run).picture == choose_network(replace(ONE, network="small")).picture
 
@@ -184,7 +184,7 @@ def test_what_its_layers_cannot_do_is_said(index: Path, tmp_path: Path) -> None:
     """No ReLU, and a way that depends on what it sees; it drives all the same, and answers naturally."""
     path = written(tmp_path, ODD)
     settings = replace(ONE, network=f"{path}:Net", answers="natural")
-    done = train(index, tmp_path / "runs" / "mine", settings, figures=False)
+    done = train(index, tmp_path / "runs" / "mine", settings)
     assert load_answer_scale(done.run).scale != 1.0
     picture = decode(road_jpeg(1))
     pilots = [load_pilot(done.run, "float32"), load_pilot(done.run, "bfloat16")]

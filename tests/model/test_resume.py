@@ -57,7 +57,7 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def whole(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run that was never stopped."""
     run = tmp_path_factory.mktemp("whole") / "whole"
-    train(index, run, CONFIG, figures=False)
+    train(index, run, CONFIG)
     return run
 
 
@@ -114,7 +114,7 @@ def train_until_killed(
         patch.setattr("model.training.loop.save_checkpoint", kill)
     killed = [At(*at, kill)] if at is not None else []
     choose_network(CONFIG)  # loads its code, which a run that is gone on with does not
-    train(index, run, CONFIG, killed, init=init, resume=Path(run).exists(), figures=False)
+    train(index, run, CONFIG, killed, init=init, resume=Path(run).exists())
 
 
 TRAINING = f"""
@@ -149,14 +149,14 @@ def test_a_training_killed_again_and_again_ends_as_if_it_never_was(
     train_killed(index, run, at=(1, 5), checkpoint_s=0)  # in the middle of an epoch
     assert [step[:3] for step in steps(run)] == [(1, 3, 18), (1, 5, 26)]
     train_killed(index, run, at=(2, 3))  # what came after that is lost
-    train(index, run, resume=True, figures=False)
+    train(index, run, resume=True)
     assert_same(run, whole)
 
 
 def test_ctrl_c_costs_nothing_and_says_how_to_go_on(index: Path, whole: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     with pytest.raises(KeyboardInterrupt):
-        train(index, run, CONFIG, [At(1, 3, lambda: signal.raise_signal(signal.SIGINT))], figures=False)
+        train(index, run, CONFIG, [At(1, 3, lambda: signal.raise_signal(signal.SIGINT))])
     with safe_open(run / "last" / "checkpoint.safetensors", framework="np") as file:
         position = json.loads(file.metadata()["position"])
     assert (position["epoch"], position["batch"], position["samples"]) == (1, 3, 18)
@@ -164,12 +164,11 @@ def test_ctrl_c_costs_nothing_and_says_how_to_go_on(index: Path, whole: Path, tm
         find_run("run", tmp_path)
     stop = At(2, 3, lambda: signal.raise_signal(signal.SIGTERM))
     with pytest.raises(KeyboardInterrupt):
-        train(index, run, None, [stop], resume=True, figures=False)
-    train(index, run, resume=True, figures=False)
+        train(index, run, None, [stop], resume=True)
+    train(index, run, resume=True)
     assert_same(run, whole)
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_the_command_is_stopped_by_ctrl_c_and_goes_on(index: Path, tmp_path: Path) -> None:
     """By the very command that is printed: the run knows where its index is."""
     runs = tmp_path / "all of my runs"
@@ -188,11 +187,11 @@ def test_the_command_is_stopped_by_ctrl_c_and_goes_on(index: Path, tmp_path: Pat
 
 def test_more_epochs_make_a_run_longer(index: Path, whole: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    train(index, run, replace(CONFIG, epochs=1), figures=False)
-    train(index, run, CONFIG, resume=True, figures=False)
+    train(index, run, replace(CONFIG, epochs=1))
+    train(index, run, CONFIG, resume=True)
     assert_same(run, whole)
     assert json.loads((run / "config.json").read_text())["training"]["epochs"] == 2
-    assert train(index, run, resume=True, figures=False).epochs == []  # it has them
+    assert train(index, run, resume=True).epochs == []  # it has them
 
 
 @pytest.fixture
@@ -203,13 +202,12 @@ def stopped(whole: Path, tmp_path: Path) -> Path:
 
 def test_a_killed_fine_tuning_resumes_from_its_initial_weights(index: Path, whole: Path, tmp_path: Path) -> None:
     config = replace(CONFIG, epochs=1)
-    train(index, tmp_path / "straight", config, init=whole, figures=False)
+    train(index, tmp_path / "straight", config, init=whole)
     train_killed(index, tmp_path / "killed", init=whole, at=(1, 3))
-    train(index, tmp_path / "killed", config, resume=True, figures=False)
+    train(index, tmp_path / "killed", config, resume=True)
     assert_same(tmp_path / "killed", tmp_path / "straight")
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_a_training_killed_before_its_first_checkpoint_begins_again(
     index: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -225,10 +223,10 @@ def test_a_run_from_last_weights_begins_again_from_these(index: Path, whole: Pat
     """Wherever that run is kept."""
     base = Path(shutil.copytree(whole, tmp_path / "elsewhere" / "base"))
     config = replace(CONFIG, epochs=1)
-    train(index, tmp_path / "straight", config, init=base / "last", figures=False)
+    train(index, tmp_path / "straight", config, init=base / "last")
     train_killed(index, tmp_path / "killed", init=base / "last")
     assert not list((tmp_path / "killed").rglob("*.safetensors"))
-    train(index, tmp_path / "killed", config, resume=True, figures=False)
+    train(index, tmp_path / "killed", config, resume=True)
     assert_same(tmp_path / "killed", tmp_path / "straight")
 
 
@@ -249,7 +247,7 @@ def test_fewer_epochs_than_were_learnt_are_refused_and_change_nothing(index: Pat
     before = (stopped / "config.json").read_bytes()
     with pytest.raises(RunError, match="has learnt from 2 epochs, not 1"):
         train(index, stopped, replace(CONFIG, epochs=1), resume=True)
-    train(index, stopped, replace(CONFIG, patience=9), resume=True, figures=False)  # nothing to do
+    train(index, stopped, replace(CONFIG, patience=9), resume=True)  # nothing to do
     assert (stopped / "config.json").read_bytes() == before
 
 
@@ -263,7 +261,7 @@ def begun_with(run: Path, micro_batch: int) -> None:
 
 def test_a_run_goes_on_with_as_many_pictures_at_once_as_it_was_begun_with(index: Path, stopped: Path) -> None:
     begun_with(stopped, 4)
-    train(index, stopped, replace(CONFIG, epochs=3), resume=True, figures=False)
+    train(index, stopped, replace(CONFIG, epochs=3), resume=True)
     config = json.loads((stopped / "config.json").read_text())
     assert config["resumed"][-1]["machine"] == config["machine"]
 
@@ -283,7 +281,7 @@ def test_a_run_goes_on_when_its_log_was_rewritten(index: Path, stopped: Path, tm
     rewritten = rewrite(local_path(log.path), tmp_path / log.path.name).path
     with Samples(build_index([rewritten], tmp_path / "index", settings).path) as samples:
         assert samples.fingerprint != fingerprint  # the pictures have other places
-    train(tmp_path / "index", stopped, replace(CONFIG, epochs=4), resume=True, figures=False)
+    train(tmp_path / "index", stopped, replace(CONFIG, epochs=4), resume=True)
     assert len(metrics(stopped)) == 4
 
 
@@ -293,24 +291,24 @@ def test_two_processes_do_not_train_one_run(index: Path, stopped: Path) -> None:
 
     def second() -> None:
         with pytest.raises(RunError) as caught:
-            train(index, stopped, resume=True, figures=False)
+            train(index, stopped, resume=True)
         told.append(str(caught.value))
 
-    train(index, stopped, replace(CONFIG, epochs=3), [At(3, 3, second)], resume=True, figures=False)
+    train(index, stopped, replace(CONFIG, epochs=3), [At(3, 3, second)], resume=True)
     assert "is being trained by another process" in told[0]
     assert (stopped / "metrics.jsonl").read_bytes().startswith(before)
 
 
 def test_a_disk_full_while_saving_leaves_the_checkpoint_before(index: Path, whole: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    train(index, run, replace(CONFIG, epochs=1), figures=False)
+    train(index, run, replace(CONFIG, epochs=1))
     before = (run / "last" / "checkpoint.safetensors").read_bytes()
     says = r"checkpoint\.safetensors: cannot be written \(File too large\); make room"
     with files_of_at_most(800_000), pytest.raises(RunError, match=says):  # weights fit, Adam's moments do not
-        train(index, run, CONFIG, resume=True, figures=False)
+        train(index, run, CONFIG, resume=True)
     assert (run / "last" / "checkpoint.safetensors").read_bytes() == before
     assert not list(run.rglob("*.part"))
-    train(index, run, CONFIG, resume=True, figures=False)
+    train(index, run, CONFIG, resume=True)
     assert_same(run, whole)
 
 
@@ -366,7 +364,6 @@ def test_a_checkpoint_that_cannot_be_used_is_named(
     assert "checkpoint.safetensors" in str(caught.value)
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_settings_are_those_of_the_named_run_unless_flags_say_otherwise(
     index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -395,7 +392,6 @@ def test_settings_are_those_of_the_named_run_unless_flags_say_otherwise(
         assert f"{unfit[0]} make" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_a_run_goes_on_when_its_index_is_gone_or_elsewhere(
     index: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -427,7 +423,6 @@ def test_a_name_that_is_taken_by_no_run_says_so(
     assert "first: exists already, and is not a run; give another --name, or remove it" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_like_builds_the_runs_own_index_again(index: Path, tmp_path: Path) -> None:
     places = ["--sessions", index.parent, "--runs", tmp_path / "runs"]
     flags = ["--network", "small", "--epochs", 1, "--batch", 8, "--threads", 1, "--precision", "float32"]

@@ -18,8 +18,6 @@ from model.training.trainer import train
 from toy import SMALL, toy_index
 from udacity import call
 
-pytestmark = pytest.mark.usefixtures("without_figures")
-
 RUNS = "s3://logs/runs"
 RUN = f"{RUNS}/mine"
 FLAGS = (

@@ -29,7 +29,7 @@ from toy import SMALL, road, toy_index
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = tmp_path_factory.mktemp("runs") / "toy"
     one = replace(SMALL, epochs=1, batch=8)
-    train(toy_index(tmp_path_factory.mktemp("toy")), run, one, figures=False)
+    train(toy_index(tmp_path_factory.mktemp("toy")), run, one)
     return run
 
 
@@ -129,8 +129,8 @@ def test_a_pilot_is_deterministic_and_names_its_weights(
 def test_places_may_be_given_as_text(trained: Path, tmp_path: Path) -> None:
     index = toy_index(tmp_path)
     one = replace(SMALL, epochs=1, batch=8)
-    run = str(train(str(index), str(tmp_path / "run"), one, init=str(trained), figures=False).run)
-    train(str(index), run, replace(one, epochs=2), resume=True, figures=False)
+    run = str(train(str(index), str(tmp_path / "run"), one, init=str(trained)).run)
+    train(str(index), run, replace(one, epochs=2), resume=True)
     assert evaluate(run, str(index)).measures.frames == evaluate(Path(run), index).measures.frames
     log = str(tmp_path / "toy.mcap")
     assert evaluate_sessions(run, [log]).measures.frames == len(predict_log(log, [run]).row) == 40

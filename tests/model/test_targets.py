@@ -85,9 +85,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """`index` of a drive; a run of all targets on it, `run`, and as it was after two epochs, `stopped`."""
     folder = tmp_path_factory.mktemp("targets")
     build_index([write_drive(folder / "drive.mcap")], folder / "index", SETTINGS)
-    train(folder / "index", folder / "run", replace(QUICK, epochs=2), figures=False)
+    train(folder / "index", folder / "run", replace(QUICK, epochs=2))
     shutil.copytree(folder / "run", folder / "stopped")
-    train(folder / "index", folder / "run", QUICK, resume=True, figures=False)
+    train(folder / "index", folder / "run", QUICK, resume=True)
     return folder
 
 
@@ -189,8 +189,8 @@ def test_speed_is_learnt_and_stands_beside_the_mean(folder: Path) -> None:
 
 def test_a_run_of_targets_that_was_stopped_goes_on_to_the_same_weights(folder: Path) -> None:
     longer = replace(QUICK, epochs=3)
-    train(folder / "index", folder / "stopped", longer, resume=True, figures=False)
-    train(folder / "index", folder / "at-once", longer, figures=False)
+    train(folder / "index", folder / "stopped", longer, resume=True)
+    train(folder / "index", folder / "at-once", longer)
     ours, theirs = (load_file(folder / name / "model.safetensors") for name in ("stopped", "at-once"))
     assert ours["head.5.weight"].shape == (3, 16)
     assert all((ours[name] == theirs[name]).all() for name in ours)
@@ -202,7 +202,7 @@ def test_steering_alone_is_learnt_as_if_there_were_no_other_targets(folder: Path
     weights: list[bytes] = []
     for index in (folder / "index", before(folder / "index", tmp_path)):
         run = tmp_path / f"run-{len(weights)}"
-        train(index, run, alone, figures=False)
+        train(index, run, alone)
         assert "targets" not in json.loads((run / "metrics.jsonl").read_text())
         weights.append((run / "model.safetensors").read_bytes())
     assert weights[0] == weights[1]
@@ -284,10 +284,10 @@ def test_the_speed_of_another_time_is_not_measured_and_that_is_said(folder: Path
     assert "answers the speed of 1 s later, and the labels are of 0.5 s later" in notice
 
     half = replace(QUICK, targets=("steering", "speed"), epochs=1)
-    train(tmp_path / "index", tmp_path / "half", half, figures=False)
+    train(tmp_path / "index", tmp_path / "half", half)
     alone = replace(QUICK, targets=("steering",), epochs=1)
     build_index([folder / "drive.mcap"], tmp_path / "late", replace(SETTINGS, speed_ahead_s=2.0))
-    train(tmp_path / "late", tmp_path / "alone", alone, figures=False)
+    train(tmp_path / "late", tmp_path / "alone", alone)
     by_itself = evaluate_sessions(tmp_path / "half", [folder / "drive.mcap"])
     runs = [tmp_path / "alone", tmp_path / "half", folder / "run"]
     _, second, third = evaluate_runs_on_sessions(runs, [folder / "drive.mcap"])
@@ -306,7 +306,7 @@ def test_a_training_like_its_own_has_its_targets_and_their_weights(folder: Path,
     settings = replace(TrainConfig(epochs=1), **network_settings(config, folder / "run"))
     assert (settings.targets, settings.target_weights) == (ALL, (1.0, 0.5, 0.25))
     settings = replace(settings, batch=8)
-    assert train(folder / "index", tmp_path / "next", settings, init=folder / "run", figures=False).epochs
+    assert train(folder / "index", tmp_path / "next", settings, init=folder / "run").epochs
     config["training"]["target_weights"] = [-1.0]
     with pytest.raises(RunError, match="training settings cannot be used"):
         network_settings(config, folder / "run")
@@ -340,7 +340,7 @@ def test_labels_that_are_none_are_damage_that_is_named(folder: Path, tmp_path: P
         index = changed(folder / "index", tmp_path, column, values)
         allow_places(folder)  # of its logs
         with pytest.raises(DatasetError, match="damaged"):
-            train(index, tmp_path / "run", QUICK, figures=False)
+            train(index, tmp_path / "run", QUICK)
         with pytest.raises(DatasetError, match="damaged"):
             evaluate_runs([folder / "run"], index)
 
@@ -354,9 +354,7 @@ def test_pedals_that_are_never_touched_were_not_told(tmp_path: Path) -> None:
             writer.vehicle(time_ns, row, VehicleState(steering=steering(row), speed_mph=math.nan))
     build_index([tmp_path / "bag.mcap"], tmp_path / "index", SETTINGS)
     with pytest.raises(RunError, match="no session has a throttle"):
-        train(
-            tmp_path / "index", tmp_path / "run", replace(QUICK, targets=("steering", "throttle")), figures=False
-        )
+        train(tmp_path / "index", tmp_path / "run", replace(QUICK, targets=("steering", "throttle")))
 
 
 def test_settings_of_other_targets_than_its_networks_are_refused(folder: Path, tmp_path: Path) -> None:
@@ -367,7 +365,7 @@ def test_settings_of_other_targets_than_its_networks_are_refused(folder: Path, t
     with pytest.raises(
         RunError, match="answers steering speed throttle, its training settings are of steering speed"
     ):
-        train(folder / "index", run, None, resume=True, figures=False)
+        train(folder / "index", run, None, resume=True)
 
 
 def test_a_session_without_speed_is_learnt_for_its_steering_and_named(folder: Path, tmp_path: Path) -> None:
@@ -375,11 +373,11 @@ def test_a_session_without_speed_is_learnt_for_its_steering_and_named(folder: Pa
     told = write_drive(tmp_path / "told.mcap", start_ns=START_NS + 3600 * 10**9)
     build_index([silent, told], tmp_path / "index", SETTINGS)
     one = replace(QUICK, targets=("steering", "speed"), epochs=1)
-    trained = train(tmp_path / "index", tmp_path / "run", one, figures=False)
+    trained = train(tmp_path / "index", tmp_path / "run", one)
     assert any("no speed in silent: steering only are learnt there" in each for each in trained.notices)
     build_index([silent], tmp_path / "index", SETTINGS)
     with pytest.raises(RunError, match="no session has a speed"):
-        train(tmp_path / "index", tmp_path / "none", one, figures=False)
+        train(tmp_path / "index", tmp_path / "none", one)
     assert not (tmp_path / "none").exists()
 
 
@@ -387,7 +385,7 @@ def test_an_index_of_the_version_before_has_no_labels_of_others(folder: Path, tm
     with pytest.raises(
         DatasetError, match=r"format 4, which has no labels of speed, throttle; run `bc-index` again"
     ):
-        train(before(folder / "index", tmp_path), tmp_path / "run", QUICK, figures=False)
+        train(before(folder / "index", tmp_path), tmp_path / "run", QUICK)
 
 
 def test_a_run_of_steering_alone_gives_no_weights_to_one_of_speed(folder: Path, tmp_path: Path) -> None:
@@ -397,7 +395,6 @@ def test_a_run_of_steering_alone_gives_no_weights_to_one_of_speed(folder: Path, 
             tmp_path / "run",
             replace(QUICK, targets=("steering", "speed")),
             init=folder / "run",
-            figures=False,
         )
 
 

@@ -40,7 +40,7 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def trained(index: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Epoch]]:
     run = tmp_path_factory.mktemp("runs") / "toy"
-    return run, train(index, run, SETTINGS, figures=False).epochs
+    return run, train(index, run, SETTINGS).epochs
 
 
 def contents(run: Path) -> dict[Path, bytes]:
@@ -118,7 +118,7 @@ def test_an_epoch_of_many_batches_has_no_more_steps_than_readers_take(
     """Of a billion samples an epoch, two would be more than `steps.jsonl` may hold."""
     monkeypatch.setattr("model.training.loop.STEP_BATCHES", 1)
     monkeypatch.setattr("model.training.loop.MAX_EPOCH_STEPS", 2)
-    train(index, tmp_path / "run", replace(SETTINGS, epochs=2, batch=6), figures=False)
+    train(index, tmp_path / "run", replace(SETTINGS, epochs=2, batch=6))
     steps = [json.loads(line) for line in (tmp_path / "run" / "steps.jsonl").read_text().splitlines()]
     assert [(step["epoch"], step["batch"]) for step in steps] == [(1, 3), (1, 5), (2, 3), (2, 5)]
     assert steps[0]["batches"] == 5
@@ -131,7 +131,7 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(
 
     def weights(name: str, seed: int) -> bytes:
         config = replace(SETTINGS, network=network, dropout=0.5, epochs=1, batch=8, seed=seed)
-        train(index, tmp_path / name, config, figures=False)
+        train(index, tmp_path / name, config)
         return (tmp_path / name / "model.safetensors").read_bytes()
 
     first = weights("a", 1)
@@ -149,7 +149,7 @@ def test_other_data_has_another_fingerprint(
     log = write_log(tmp_path / "toy.mcap", STEERING[:4], road, cameras=["center"])
     other = build_index([log], tmp_path / "index", IndexConfig(flip=False, max_uses=1, validation_share=0.0)).path
     config = TrainConfig(network="small", epochs=1, batch=4, precision="float32", threads=1)
-    [epoch] = train(other, tmp_path / "run", config, figures=False).epochs
+    [epoch] = train(other, tmp_path / "run", config).epochs
     assert math.isnan(epoch.measures.network.mae_deg)  # nothing was held out
     assert fingerprint(tmp_path / "run") != fingerprint(trained[0])
 
@@ -181,7 +181,6 @@ def test_bc_train_builds_the_index_and_prints_each_epoch(
     assert "no index yet" in told.err
     assert "no frame is held out, so the network's error is unknown" in told.err
     assert find_run(None, tmp_path / "runs") == tmp_path / "runs" / "first"
-    assert {"curves.png", "steering.png"} <= {path.name for path in (tmp_path / "runs" / "first").iterdir()}
     assert call(main, *line, *flags) == 1
     assert "first: exists already" in capsys.readouterr().err
 
@@ -208,7 +207,6 @@ def test_driving_sees_the_same_pixels_as_training(trained: tuple[Path, list[Epoc
         assert (pilot.crop(decode(jpeg)) == picture).all()
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_an_index_of_bc_train_leaves_out_unreadable_logs_and_names_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -230,7 +228,6 @@ def test_an_index_of_bc_train_leaves_out_unreadable_logs_and_names_them(
     assert json.loads(Path("runs/first/config.json").read_text())["data"]["logs"].keys() == {"good"}
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_an_index_that_is_built_again_for_like_tells_of_unfinished_logs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -20,8 +20,6 @@ from model.training.trainer import train
 from recorder.log.kept_logs import bring_here
 from toy import SMALL, STEERING, road
 
-pytestmark = pytest.mark.usefixtures("without_figures")
-
 CONFIG = IndexConfig(flip=False, max_uses=1, block_s=0.5, gap_s=0)
 
 

@@ -37,7 +37,7 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def trained(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = tmp_path_factory.mktemp("runs") / "good"
-    train(index, run, ONE, figures=False)
+    train(index, run, ONE)
     return run
 
 
@@ -45,7 +45,7 @@ def test_an_infinite_loss_ends_the_training_and_names_the_way_out(index: Path, t
     with pytest.raises(
         RunError, match=r"no longer finite in epoch 1; train anew with a --rate smaller than 1e\+30"
     ):
-        train(index, tmp_path / "run", replace(SMALL, rate=1e30), figures=False)
+        train(index, tmp_path / "run", replace(SMALL, rate=1e30))
     assert not (tmp_path / "run").exists()  # nothing was learnt: the name is free
 
 
@@ -61,7 +61,7 @@ def test_what_was_good_before_is_kept(index: Path, trained: Path, tmp_path: Path
     save_file(tensors, checkpoint, stored)
     before = {path: path.read_bytes() for path in run.rglob("*.safetensors")}
     with pytest.raises(RunError, match=r"is kept: `bc-train --init \S*/run` with a --rate smaller than 0\.0002"):
-        train(index, run, replace(ONE, epochs=2), resume=True, figures=False)
+        train(index, run, replace(ONE, epochs=2), resume=True)
     assert {path: path.read_bytes() for path in run.rglob("*.safetensors")} == before
 
 
@@ -76,7 +76,7 @@ def test_nothing_for_training_is_one_line_and_leaves_no_run(tmp_path: Path) -> N
 def test_nothing_held_out_trains_all_the_same_and_keeps_the_last_epoch(tmp_path: Path) -> None:
     log = write_log(tmp_path / "toy.mcap", STEERING, road, cameras=["center"])
     all_of_it = build_index([log], tmp_path / "index", IndexConfig(validation_share=0)).path
-    trained = train(all_of_it, tmp_path / "run", replace(ONE, epochs=2, patience=1), figures=False)
+    trained = train(all_of_it, tmp_path / "run", replace(ONE, epochs=2, patience=1))
     assert [(epoch.is_best, math.isnan(epoch.validation_loss)) for epoch in trained.epochs] == [(True, True)] * 2
     line = json.loads((tmp_path / "run" / "metrics.jsonl").read_text().splitlines()[1])
     assert (line["validation_loss"], line["validation"]["rmse_deg"], line["bins"]) == (None, None, [])
@@ -87,7 +87,6 @@ def broken_at(*rows: int) -> Callable[[Camera, int], bytes]:
     return lambda camera, row: b"\xff\xd8\xff" + bytes(500) + b"\xff\xd9" if row in rows else road(camera, row)
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_pictures_that_do_not_decode_are_left_out_named_and_counted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -104,22 +103,22 @@ def test_no_picture_at_all_that_decodes_is_one_line(tmp_path: Path) -> None:
     log = write_log(tmp_path / "toy.mcap", STEERING, broken_at(*range(40)), cameras=["center"])
     index = build_index([log], tmp_path / "index", IndexConfig(flip=False, block_s=0.5, gap_s=0)).path
     with pytest.raises(RunError, match="none of its training pictures decodes; see `bc-index --look`"):
-        train(index, tmp_path / "run", ONE, figures=False)
+        train(index, tmp_path / "run", ONE)
 
 
 def test_a_training_stops_early_when_nothing_gets_better(index: Path, tmp_path: Path) -> None:
     """A rate at which nothing moves: the first epoch stays the best one."""
-    trained = train(index, tmp_path / "run", replace(ONE, epochs=9, rate=1e-30, patience=2), figures=False)
+    trained = train(index, tmp_path / "run", replace(ONE, epochs=9, rate=1e-30, patience=2))
     assert [epoch.is_best for epoch in trained.epochs] == [True, False, False]
     assert trained.is_stopped_early
-    again = train(index, tmp_path / "run", resume=True, figures=False)
+    again = train(index, tmp_path / "run", resume=True)
     assert (again.epochs, again.is_stopped_early) == ([], True)
 
 
 def test_a_run_starts_from_the_weights_of_another(index: Path, trained: Path, tmp_path: Path) -> None:
     frozen = replace(ONE, rate=1e-30)
     run = tmp_path / "run"
-    train(index, run, frozen, init=trained, figures=False)
+    train(index, run, frozen, init=trained)
     assert load_pilot(run).weights_sha256
     ours, theirs = (load_file(each / "model.safetensors") for each in (run, trained))
     assert all(np.abs(ours[name] - theirs[name]).max() < 1e-20 for name in theirs)
@@ -132,10 +131,10 @@ def test_a_run_starts_from_the_weights_of_another(index: Path, trained: Path, tm
 def test_that_the_run_it_starts_from_knows_what_is_held_out_is_said(
     index: Path, trained: Path, tmp_path: Path
 ) -> None:
-    assert train(index, tmp_path / "same", ONE, init=trained, figures=False).notices == []
+    assert train(index, tmp_path / "same", ONE, init=trained).notices == []
     log = index.parent / "toy.mcap"
     other = build_index([log], tmp_path / "index", IndexConfig(flip=False, block_s=0.5, gap_s=0, seed=9)).path
-    [notice] = train(other, tmp_path / "other", ONE, init=trained, figures=False).notices
+    [notice] = train(other, tmp_path / "other", ONE, init=trained).notices
     assert "good has learnt from" in notice
 
 
@@ -243,7 +242,6 @@ def test_bad_usage_names_the_flag(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_a_disk_that_is_full_names_the_file_and_the_way_on(
     index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -64,7 +64,6 @@ def test_the_mean_has_its_balanced_error_too() -> None:
     assert found.mean_balanced_rmse_deg == pytest.approx(25 * math.sqrt((mean**2 + (0.5 - mean) ** 2) / 2))
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_the_command_ends_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     index = toy_index(tmp_path)
     places = ["--index", index, "--sessions", tmp_path, "--runs", tmp_path / "runs"]

@@ -24,7 +24,6 @@ from udacity import call
 
 ROWS = 40
 SMALL = ("--network", "small", "--epochs", 1, "--batch", 32, "--threads", 1)
-pytestmark = pytest.mark.usefixtures("without_figures")
 
 
 def record(name: str, source: str, car: Car | None = None) -> Path:

@@ -27,7 +27,7 @@ SEEN = built_in("small", {}).picture
 @pytest.fixture(scope="module")
 def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("worst")
-    train(toy_index(folder), folder / "run", CONFIG, figures=False, show_progress=False)
+    train(toy_index(folder), folder / "run", CONFIG, show_progress=False)
     return folder
 
 
@@ -74,7 +74,7 @@ def test_a_picture_that_does_not_decode_moves_no_other_picture(
 
     (tmp_path / "toy.mcap").unlink()
     monkeypatch.setattr("toy.road", picture)
-    train(toy_index(tmp_path), tmp_path / "run", CONFIG, figures=False, show_progress=False)
+    train(toy_index(tmp_path), tmp_path / "run", CONFIG, show_progress=False)
     found = read_history(tmp_path / "run")[0].worst
     assert [len(worst.frames) > 0 for worst in found] == [True] * CONFIG.epochs
     for worst in found:
@@ -88,7 +88,7 @@ def test_a_run_that_goes_on_has_each_epoch_once(tmp_path: Path) -> None:
     index = toy_index(tmp_path)
     for epochs in (1, 2):
         config = replace(SMALL, epochs=epochs, batch=16)
-        train(index, tmp_path / "run", config, resume=epochs > 1, figures=False, show_progress=False)
+        train(index, tmp_path / "run", config, resume=epochs > 1, show_progress=False)
     assert [line["epoch"] for line in lines(tmp_path / "run")] == [1, 2]
 
 
@@ -96,7 +96,7 @@ def test_of_a_very_long_training_the_last_epochs_are_kept(tmp_path: Path, monkey
     """`read_history` takes no file of any size."""
     monkeypatch.setattr("model.training.run_writer.MAX_WORST_BYTES", 10_000)
     config = replace(SMALL, epochs=6, batch=16)
-    train(toy_index(tmp_path), tmp_path / "run", config, figures=False, show_progress=False)
+    train(toy_index(tmp_path), tmp_path / "run", config, show_progress=False)
     history, skipped = read_history(tmp_path / "run")
     assert len(skipped) == 0
     assert [epoch.epoch for epoch in history.epochs] == list(range(1, 7))

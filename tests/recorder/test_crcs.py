@@ -172,7 +172,6 @@ def test_a_picture_is_not_read_out_of_such_a_chunk(tmp_path: Path) -> None:
         log.read(frame["offset"], frame["length"], frame["chunk"])
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_the_commands_say_so(
     forged: Path,
     damaged: str,
@@ -370,7 +369,6 @@ def test_who_indexes_such_a_log_says_so_as_long_as_it_is_in_the_index(
         assert capsys.readouterr().err.count(f"{path}: {WITHOUT}\n") == 1
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_a_training_and_an_evaluation_that_index_such_a_log_say_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -25,7 +25,7 @@ def test_each_point_leads_to_its_picture(browser: Browser, tmp_path: Path) -> No
     log = write_log(tmp_path / "sessions" / "toy.mcap", STEERING, road, cameras=["center"])
     config = IndexConfig(flip=False, max_uses=1, block_s=0.5, gap_s=0)
     index = build_index([log], tmp_path / "index", config).path
-    run = train(index, tmp_path / "runs" / "first", SMALL, figures=False).run
+    run = train(index, tmp_path / "runs" / "first", SMALL).run
     predicted = predict_log(log, [run]).predicted["first"]
     frames = pq.read_table(tmp_path / "index" / "frames" / "toy.parquet", columns=["row", "split"]).to_pylist()
     held_out = {frame["row"] for frame in frames if frame["split"] == "validation"}

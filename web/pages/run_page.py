@@ -9,7 +9,7 @@ from typing import Any, Final
 from urllib.parse import urlencode
 
 from starlette.requests import Request
-from starlette.responses import FileResponse, HTMLResponse, Response
+from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route
 
 from common import UserError
@@ -18,7 +18,6 @@ from common.errors import printable
 from common.steering_unit import DEGREES, SteeringUnit, assumed_deg, steering_unit
 from common.whole_number import whole_number
 from model.network.names import BUILT_IN
-from model.runs.run_files import STEERING
 from web.errors import WebError
 from web.folders.project_folders import PLACES, ProjectFolders, key_of
 from web.pages.changes import runs_version
@@ -56,14 +55,6 @@ def run_routes(bench: Workbench) -> list[Route]:
             raise WebError(f"{path}: no such frame after epoch {epoch}", 404)
         return Response(pictures.jpegs[number], media_type="image/jpeg")
 
-    def steering(request: Request) -> Response:
-        """The picture that bc-train draws of predicted against recorded steering."""
-        path = bench.folders.run(request.path_params["run"])
-        bench.folders.bring_run(path, (STEERING,))
-        if not (path / STEERING).is_file():
-            raise WebError(f"{path}: no {STEERING}; bc-train draws it where matplotlib is installed", 404)
-        return FileResponse(path / STEERING, media_type="image/png")
-
     def _context(request: Request) -> dict[str, Any]:
         key = request.path_params["run"]
         path = bench.folders.run(key)
@@ -82,7 +73,6 @@ def run_routes(bench: Workbench) -> list[Route]:
             "is_of_index": _is_of_index(path, bench.folders.index_here),
             "results": _results(pages, card),
             "drives": _drives(bench, path.name),
-            "has_scatter": (path / STEERING).is_file(),
             "scattered": _scattered(bench, pages, card),
             **_worst(bench, pages, path, card, request.query_params.get("epoch", "")),
         }
@@ -91,7 +81,6 @@ def run_routes(bench: Workbench) -> list[Route]:
         Route("/runs/{run}", page),
         Route("/runs/{run}/top", top),
         Route("/runs/{run}/body", body),
-        Route("/runs/{run}/steering.png", steering),
         Route("/runs/{run}/worst/{epoch}/{number}.jpg", worst_picture),
     ]
 

@@ -1,7 +1,4 @@
-"""The style of figures for a paper: those of an index and those of a run look alike.
-
-Matplotlib is an extra, and is imported only where a figure is drawn.
-"""
+"""The style of the studies' figures. Matplotlib is imported only where a figure is drawn."""
 
 from __future__ import annotations
 
@@ -9,16 +6,12 @@ import contextlib
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final
 
-from common import UserError
-from common.versions import install_line
-
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DPI: Final = 200
-WIDTH_INCHES: Final = 7.0  # the text width of a page with two columns
 # Okabe and Ito (2008): told apart by colour-blind people, and in grey
-BLUE, ORANGE, GREEN, YELLOW, GREY = "#0072B2", "#E69F00", "#009E73", "#F0E442", "#595959"
+BLUE, ORANGE = "#0072B2", "#E69F00"
 
 _STYLE: Final[Any] = {
     "font.size": 9,
@@ -30,17 +23,7 @@ _STYLE: Final[Any] = {
     "ytick.labelsize": 8,
     "legend.fontsize": 8,
     "legend.frameon": False,
-    "hatch.linewidth": 0.6,
-    "pdf.fonttype": 42,  # publishers refuse Type 3 fonts
 }
-
-
-def require_matplotlib(error: type[UserError]) -> None:
-    """Raise `error`, which names the command that installs it, if matplotlib is missing."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        raise error(f"figures need matplotlib: install it with `{install_line('figures')}`") from None
 
 
 @contextlib.contextmanager
@@ -58,4 +41,4 @@ def new_figure(height_inches: float) -> Figure:
     """An empty figure as wide as a page's text."""
     from matplotlib.figure import Figure
 
-    return Figure((WIDTH_INCHES, round(height_inches, 2)), layout="constrained")
+    return Figure((7.0, round(height_inches, 2)), layout="constrained")
