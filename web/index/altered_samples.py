@@ -1,25 +1,28 @@
-"""Samples of an index as training sees them, altered, beside the same crops as they were driven."""
+"""Samples of an index as a default training sees them in its first epoch, beside the crops as they were driven."""
 
 from __future__ import annotations
 
 import base64
 import dataclasses
+from collections.abc import Callable
 from typing import Any, Final
 
 import cv2
 import msgspec
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from common.errors import printable
 from common.location import Location, absolute
 from common.steering_unit import assumed_deg, steering_unit
 from dataset import Samples
+from dataset.epoch_alterations import EpochAlterations
 from dataset.loader.crops import Crops
 from dataset.picture_spec import ORIGINAL
 from dataset.preprocessing import Image
 from dataset.samples.samples_reader import LOADED
+from model.config import TrainConfig
 from web.folders.cache_folder import CacheFolder
 
 SHOWN: Final = 12
@@ -43,36 +46,41 @@ class AlteredSample(msgspec.Struct, frozen=True):
 
 
 class AlteredSamples(msgspec.Struct, frozen=True):
-    """Some of an index's samples, evenly spread among those that are altered."""
+    """Some of an index's training samples, evenly spread."""
 
-    altered: int  # of the training samples
     total: int
     shown: list[AlteredSample]
 
 
 def altered_samples(index: Location, version: str, others: int, cache: CacheFolder) -> AlteredSamples:
-    """`SHOWN` of those of an index of this version; each number `others` shows others. Raises UserError where the
-    index or its logs cannot be read."""
-    key = f"altered 3 {absolute(index)} {version} {others}"
+    """`SHOWN` training samples of an index of this version; each number `others` shows others. Raises UserError
+    where the index or its logs cannot be read."""
+    key = f"altered 4 {absolute(index)} {version} {others}"
     return cache.struct(key, AlteredSamples, lambda: _read(index, others))
 
 
 def _read(index: Location, others: int) -> AlteredSamples:
     with Samples(index) as samples:
         table = samples.of_split("train", _COLUMNS)
-        altered = table.filter(pc.or_(pc.not_equal(table["alteration"], ""), table["flip"]))
         # the golden ratio: each round of numbers lies between those of the rounds before
         places = (np.arange(SHOWN) / SHOWN + others * 0.6180339887 / SHOWN) % 1
-        chosen = np.unique((places * len(altered)).astype(np.int64)) if len(altered) else np.arange(0)
-        return AlteredSamples(len(altered), len(table), _shown(samples, altered.take(pa.array(chosen))))
+        chosen = np.unique((places * len(table)).astype(np.int64)) if len(table) else np.arange(0)
+        return AlteredSamples(len(table), _shown(samples, table.take(pa.array(chosen)), chosen))
 
 
-def _shown(samples: Samples, chosen: pa.Table) -> list[AlteredSample]:
+def _shown(samples: Samples, chosen: pa.Table, numbers: NDArray[np.int64]) -> list[AlteredSample]:
+    """`numbers` are those of the `chosen` samples in an epoch."""
     rows = samples.rows(chosen)
     plain = dataclasses.replace(
         rows, flip=np.zeros(len(rows), np.bool_), alterations=tuple("" for _ in rows.alterations)
     )
-    as_driven, as_learnt = (_jpegs(Crops(each, samples.logs, 0), len(rows)) for each in (plain, rows))
+    recipe = TrainConfig()
+    epoch = EpochAlterations(recipe.epoch_alterations, recipe.seed, samples.settings.side_correction)
+    labels = epoch.labels(rows.label, 1, numbers)
+    as_driven = _jpegs(Crops(plain, samples.logs, 0), len(rows))
+    as_learnt = _jpegs(
+        Crops(rows, samples.logs, 0), len(rows), lambda pictures, at: epoch.alter(1, pictures, numbers[at])
+    )
     unit = steering_unit(samples.max_steering_deg)
     full = unit.of(assumed_deg(samples.max_steering_deg))
     return [
@@ -83,16 +91,20 @@ def _shown(samples: Samples, chosen: pa.Table) -> list[AlteredSample]:
             ", ".join(["mirrored"] * sample["flip"] + [name for name in sample["alteration"].split("+") if name]),
             # of the unmirrored picture beside it
             f"{sample['recorded'] * (-1 if sample['flip'] else 1) * full:.1f}{unit.sign}",
-            f"{sample['label'] * full:.1f}{unit.sign}",
-            pictures,
+            f"{label * full:.1f}{unit.sign}",
+            (before, after),
         )
-        for sample, pictures in zip(chosen.to_pylist(), zip(as_driven, as_learnt, strict=True), strict=True)
+        for sample, label, before, after in zip(
+            chosen.to_pylist(), labels.tolist(), as_driven, as_learnt, strict=True
+        )
     ]
 
 
-def _jpegs(crops: Crops, count: int) -> list[str]:
+def _jpegs(
+    crops: Crops, count: int, altered: Callable[[Image, NDArray[np.int64]], object] | None = None
+) -> list[str]:
     pictures: Image = np.empty((count, *ORIGINAL.shape), np.uint8)
-    failed = crops.fill(pictures, np.arange(count))
+    failed = crops.fill(pictures, np.arange(count), altered)
     return [_jpeg(picture) if number not in failed else "" for number, picture in enumerate(pictures)]
 
 
