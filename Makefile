@@ -9,9 +9,9 @@ SOURCES := $(ROOMS) tests benchmarks studies docs examples
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
 # compiled once, and not by each of the hundreds of processes that tests start, whatever the environment says
-test test-long coverage: export PYTHONDONTWRITEBYTECODE :=
+test test-browser test-long coverage: export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install install-dev demo test test-long coverage bench check docs site pictures proto foxglove-reader azurite lerobot-reader donkeycar clean
+.PHONY: install install-dev demo test test-browser test-long coverage bench check docs site pictures proto foxglove-reader azurite lerobot-reader donkeycar clean
 
 # what people need; tests, checks and docs install what they need besides
 install: $(VENV)/installed
@@ -35,7 +35,11 @@ demo: install
 	$(BIN)/bc-demo
 
 test: $(VENV)/installed-dev
-	$(PYTEST)
+	$(PYTEST) -m "not long and not browser"
+
+# pages driven in Chromium, which must be installed
+test-browser: $(VENV)/installed-dev
+	$(PYTEST) -m "browser and not long"
 
 # what takes long by nature (every byte, every moment), and twenty times the examples of what holds for whatever is given
 test-long: $(VENV)/installed-dev

@@ -47,8 +47,12 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.hookimpl(tryfirst=True)  # before those of other marks are left out
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files of few and long tests first: at the end no process waits for another one's minute."""
+    for item in items:
+        if "browser" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.browser)
     place = {folder: number for number, folder in enumerate(_FOLDERS)}
     items.sort(key=lambda item: place.get(item.path.parent.name, 0))
 
