@@ -232,6 +232,13 @@ def test_validation_is_as_near_to_its_share_as_whole_blocks_allow(
     assert abs(sum(lengths[i] for i in taken) - share * len(block)) <= max(lengths)
 
 
+def test_another_seed_holds_other_blocks_out() -> None:
+    block = np.repeat(np.arange(50), 20)
+    held_out = {tuple(validation_blocks(block, 0.2, seed, "session").tolist()) for seed in range(5)}
+    assert len(held_out) == 5
+    assert {len(blocks) for blocks in held_out} == {10}
+
+
 def test_another_session_moves_no_ones_split(tmp_path: Path) -> None:
     alone = rows_of(index_of(tmp_path, a=STEERING).path / "frames" / "a.parquet")
     together = rows_of(index_of(tmp_path, a=STEERING, b=STEERING[::-1]).path / "frames" / "a.parquet")

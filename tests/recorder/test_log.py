@@ -254,6 +254,16 @@ def test_an_existing_log_is_refused_at_once_and_stays(tmp_path: Path) -> None:
     assert len(read_messages(path)["/vehicle"]) == 2
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_a_link_to_nowhere_is_something_that_exists(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.symlink_to(tmp_path / "gone.mcap")
+    with pytest.raises(UserError, match=r"a\.mcap exists already"):
+        write_log(path, [0.1])
+    assert path.is_symlink()
+    assert not path.exists()
+
+
 def test_of_two_writers_on_one_name_one_wins_and_the_other_says_so(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     writers = [LogWriter(path, {}), LogWriter(path, {})]

@@ -83,6 +83,16 @@ def test_no_command_takes_more_than_the_grip(commands: list[tuple[float, float, 
             assert abs(car.wheel_angle_rad) <= MAX_WHEEL_RAD + 1e-9
 
 
+def test_braking_takes_grip_from_the_bend() -> None:
+    """The friction circle: of the grip, braking by b leaves sqrt(grip² - b²)."""
+    fast = CarState(0.0, 0.0, 0.0, 13.0, wheel_angle_rad=MAX_WHEEL_RAD, yaw_rate_radps=GRIP * GRAVITY_MPS2 / 13.0)
+    braking = step(fast, -1.0, -1.0)
+    left_mps2 = math.sqrt((GRIP * GRAVITY_MPS2) ** 2 - BRAKE_MPS2**2)
+    assert braking.yaw_rate_radps == pytest.approx(left_mps2 / braking.speed_mps)
+    rolling = step(fast, -1.0, 0.0)
+    assert rolling.yaw_rate_radps > 1.01 * braking.yaw_rate_radps
+
+
 def test_right_steering_turns_right_and_left_turns_left() -> None:
     right, left = (hold(moving(5.0), steering, 0.2, 1.0) for steering in (0.5, -0.5))
     assert right.heading_rad < 0
