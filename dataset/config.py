@@ -44,7 +44,7 @@ class IndexConfig:
     balance: Annotated[bool, arg(help_behavior_hint="(default: balanced)")] = True
     """Use every sample once; do not balance the bins."""
     per_bin: Annotated[Literal["mean", "median"] | int, arg(metavar="mean|median|N")] = "mean"
-    """Samples in a bin: mean or median of the non-empty ones, or N."""
+    """Samples in a bin: mean or median of the non-empty bins, or N."""
     max_uses: int = 10
     """How often a bin may use each picture or mirror image."""
     flip: Annotated[bool, arg(help_behavior_hint="(default: added)")] = True

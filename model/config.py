@@ -55,7 +55,7 @@ class TrainConfig:
     targets: tuple[TargetName, ...] = STEERING_ONLY
     """What the network learns: steering, also speed or throttle."""
     target_weights: tuple[float, ...] = ()
-    """Weight of each target's squared error (speed in 30 mph); by default 1."""
+    """Weight of each target's squared error (speed in units of 30 mph); by default 1."""
     picture_px: tuple[int, int] | None = None
     """Width and height of the network's picture."""
     crop_rows: tuple[int, int] | None = None

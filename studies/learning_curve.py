@@ -56,8 +56,9 @@ def measured(folder: Path, rows: dict[str, int], pictures: int, epochs: int, see
             sys.exit(f"{pictures} pictures are more than {UNSEEN:.0%} of a lap of {track}")
         trim(folder, track, str(pictures), 0, taken - 1)
     if not (folder / "runs" / name / "model.safetensors").exists():
-        bc(folder, "index", *(f"{track}-{pictures}" for track in TRACKS), "--index", f"index-{pictures}")
-        bc(folder, "train", "--index", f"index-{pictures}", "--name", name, "--epochs", epochs, "--seed", seed)
+        index, recipe = ("--index", f"index-{pictures}"), ("--recipe", "original")
+        bc(folder, "index", *(f"{track}-{pictures}" for track in TRACKS), *index, *recipe)
+        bc(folder, "train", *index, *recipe, "--name", name, "--epochs", epochs, "--seed", seed)
     [offline] = told(bc(folder, "eval", name, "--session", *(f"{track}-unseen" for track in TRACKS), "--json"))
     found = {
         "pictures": CAMERAS * taken * len(TRACKS),

@@ -30,7 +30,7 @@ from model.evaluation.evaluate import evaluate, evaluate_sessions
 from model.metrics import Measures
 
 ORIGINAL: Final = IndexConfig.of("original"), TrainConfig.of("original")
-PEOPLE: Final = IndexConfig(), TrainConfig()
+PEOPLE: Final = IndexConfig(), TrainConfig.of("people")
 HALF_BALANCED: Final = replace(PEOPLE[0], per_bin=1000, max_uses=1)
 
 RECIPES: Final[Mapping[str, tuple[IndexConfig, TrainConfig]]] = {

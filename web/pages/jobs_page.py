@@ -103,12 +103,6 @@ def job_routes(bench: Workbench) -> list[Route]:
         bench.jobs.stop(key)
         return RedirectResponse(f"/jobs/{key}", status_code=303)
 
-    def again(request: Request) -> Response:
-        """Start the command of a job that has ended once more."""
-        about = bench.jobs.get(request.path_params["job"]).about
-        job = bench.jobs.start(about.words, about.made, about.form, about.values)
-        return RedirectResponse(f"/jobs/{job.key}", status_code=303)
-
     def _context(request: Request) -> dict[str, Any]:
         job = bench.jobs.get(request.path_params["job"])
         return {"job": job, "output": job.output()}
@@ -122,5 +116,4 @@ def job_routes(bench: Workbench) -> list[Route]:
         Route("/jobs/{job}", one),
         Route("/jobs/{job}/body", body),
         Route("/jobs/{job}/stop", stop, methods=["POST"]),
-        Route("/jobs/{job}/again", again, methods=["POST"]),
     ]
