@@ -12,8 +12,9 @@ from common.progress import track
 from common.untrusted import read_bounded
 from recorder.errors import RecordingError
 from recorder.log.session_car import Car
+from recorder.mcap.message_index import LAST_TIME_NS
 from recorder.pictures.whole_picture import is_whole_jpeg
-from recorder.sources.donkeycar_tub import TIME_END_NS, Tub, TubRecord, finite, open_tub
+from recorder.sources.donkeycar_tub import Tub, TubRecord, finite, open_tub
 from recorder.sources.frame_rate import describe_clock
 from recorder.sources.imported_rows import (
     FROM_1970,
@@ -116,6 +117,6 @@ def _time_ns(tub: Tub, record: TubRecord, step_ms: float | None) -> int:
     if ms is None:
         raise _UnusableRecordError("records without a time")
     ms *= 1 if step_ms is None else step_ms
-    if not 0 <= ms < TIME_END_NS or zero_ns + round(ms * 1_000_000) >= TIME_END_NS:
+    if not 0 <= ms <= LAST_TIME_NS or (time_ns := zero_ns + round(ms * 1_000_000)) > LAST_TIME_NS:
         raise _UnusableRecordError("records with a time that no log can hold")
-    return zero_ns + round(ms * 1_000_000)
+    return time_ns

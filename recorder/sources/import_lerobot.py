@@ -22,6 +22,7 @@ from recorder.errors import LogError, RecordingError
 from recorder.lerobot.dataset_format import LOG_CAR, LOG_NOT_RECORDED, LOG_NOT_RECORDED_S, LOG_TIME
 from recorder.log.meant_gaps import MAX_S, MeantGap, earlier_seconds
 from recorder.log.session_car import CAR_KEY, Car, car_in
+from recorder.mcap.message_index import LAST_TIME_NS
 from recorder.pictures.decoding import is_whole_picture
 from recorder.sources.imported_rows import (
     FROM_1970,
@@ -41,7 +42,6 @@ from recorder.sources.settings import Topics
 from recorder.sources.udacity_recording import MAX_PICTURE_BYTES
 
 APART_NS: Final = 10_000_000_000  # between episodes whose dates are unknown: each is a drive of its own
-_TIME_END_NS: Final = 2**63
 
 
 def import_lerobot(
@@ -149,7 +149,7 @@ def _frames(
             counts[episode] = counts.get(episode, 0) + 1
             name = f"episode {episode}, frame {counts[episode] - 1}"
             time_ns = log_time_ns if chosen.has_log_time else clock.time_ns(episode, time_s)
-            if time_ns is None or not 0 <= time_ns < _TIME_END_NS:
+            if time_ns is None or not 0 <= time_ns <= LAST_TIME_NS:
                 skipped.add("frames with a time that no log can hold", name)
                 continue
             for camera, video in videos.items():

@@ -24,6 +24,7 @@ from recorder.errors import RecordingError
 from recorder.log.reader import Log
 from recorder.log.session_car import Car
 from recorder.mcap.mcap_file import WITHOUT_CRCS
+from recorder.mcap.message_index import LAST_TIME_NS
 from recorder.pictures.decoding import is_whole_picture
 from recorder.sources.imported_rows import (
     NOT_WHOLE,
@@ -50,7 +51,6 @@ from recorder.topics import PROFILE
 
 MAX_STEERING_AGE_S: Final = 1.0
 
-_TIME_END_NS: Final = 2**63
 # magic, then the header's opcode, length, and the length of its profile
 _OWN_HEADER: Final = re.compile(rb"\x89MCAP0\r\n\x01.{8}\x02\0\0\0" + PROFILE.encode(), re.DOTALL)
 
@@ -245,7 +245,7 @@ def _decoded(files: list[_File], topic: str, bar: str, skipped: Skipped) -> Iter
         decoders: dict[int, Decoder] = {}
         for schema, channel, message in file.messages(topic, bar):
             time_ns = message.log_time
-            if not isinstance(time_ns, int) or not 0 <= time_ns < _TIME_END_NS:
+            if not isinstance(time_ns, int) or not 0 <= time_ns <= LAST_TIME_NS:
                 skipped.add("messages of a time that no log can hold", f"{brief(topic)} at {brief(repr(time_ns))}")
                 continue
             name = f"{brief(topic)} at {time_ns / 1e9:.3f} s"
