@@ -27,23 +27,20 @@ class FileTail:
         """Lines of the present file that were read so far."""
         self.is_behind = False
         """True if there is more than the last call has read: it reads a megabyte, so that nothing waits long."""
-        self.was_replaced = False
-        """True if the file was ever replaced, or made shorter, after it was first read."""
         self._most_line_bytes = max_line_bytes
         self._status: tuple[int, ...] = ()  # of the file, when it was last read
         self._offset = 0
         self._end = b""  # of what was read: still there, unless the file was replaced
         self._splitter = LineSplitter(max_line_bytes)
 
-    def new_lines(self, end: int | None = None) -> list[tuple[int, bytes]]:
+    def new_lines(self) -> list[tuple[int, bytes]]:
         """The lines that were completed since the last call, with their numbers in the file, from 1.
 
-        Nothing beyond the file's first `end` bytes is read. A file that is not there has no lines. Raises OSError
-        for one that cannot be read now.
+        A file that is not there has no lines. Raises OSError for one that cannot be read now.
         """
         self.is_behind = False
         try:
-            data = self._read_on(end)
+            data = self._read_on()
         except FileNotFoundError:
             return []
         return self._numbered(self._splitter.feed(data))
@@ -58,7 +55,7 @@ class FileTail:
         self.line_count += len(lines)
         return list(enumerate(lines, first))
 
-    def _read_on(self, end: int | None) -> bytes:
+    def _read_on(self) -> bytes:
         """The bytes that were appended; b"" if the file is as it was."""
         stat = self.path.stat()
         status = (stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns)
@@ -72,8 +69,7 @@ class FileTail:
             if not is_same or stream.read(len(self._end)) != self._end:
                 self._start_again()
                 stream.seek(0)
-            wanted = _MAX_AT_ONCE if end is None else min(_MAX_AT_ONCE, max(end - self._offset, 0))
-            data = stream.read(wanted)
+            data = stream.read(_MAX_AT_ONCE)
         self.is_behind = len(data) == _MAX_AT_ONCE
         self._offset += len(data)
         self._status = status if self._offset >= stat.st_size else (*status[:2], -1, -1)
@@ -81,7 +77,6 @@ class FileTail:
         return data
 
     def _start_again(self) -> None:
-        self.was_replaced = bool(self._status)
         self._offset = self.line_count = 0
         self._end = b""
         self._splitter = LineSplitter(self._most_line_bytes)

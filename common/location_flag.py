@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -9,13 +10,15 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from common.location import Location, Url, location
 
-LocationFlag: TypeAlias = Annotated[
-    Location,
-    PrimitiveConstructorSpec(
+
+def location_spec(metavar: str, place_of: Callable[[str], Location]) -> PrimitiveConstructorSpec[Location]:
+    return PrimitiveConstructorSpec(
         nargs=1,
-        metavar="PATH|URL",
-        instance_from_str=lambda given: location(given[0]),
+        metavar=metavar,
+        instance_from_str=lambda given: place_of(given[0]),
         is_instance=lambda value: isinstance(value, Path | Url),
         str_from_instance=lambda value: [str(value)],
-    ),
-]
+    )
+
+
+LocationFlag: TypeAlias = Annotated[Location, location_spec("PATH|URL", location)]

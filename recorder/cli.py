@@ -41,7 +41,7 @@ class Record:
     port: int = 4567
     """Port for --listen."""
     car: Annotated[str | None, tyro.conf.arg(metavar="udacity|built-in|FILE.toml")] = None
-    """The car: steering angle, cameras, unit of speed; by default Udacity's."""
+    """The car: steering angle, wheelbase, unit of speed; by default Udacity's."""
     topics: tyro.conf.OmitArgPrefixes[Topics] = field(default_factory=Topics)
     columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHAT=COLUMN [WHAT=COLUMN ...]")] = ()
     """Columns of a csv: image=frame steering=angle, and more."""

@@ -35,10 +35,7 @@ class ShowInfo:
     """Print one JSON object a log."""
 
     def run(self) -> int:
-        steps: list[NextStep] = []
-        code = _each(self.logs, lambda path: self._one(path, steps))
-        print_first(steps)
-        return code
+        return _each(self.logs, self._one)
 
     def _one(self, path: Location, steps: list[NextStep]) -> int:
         from recorder.upkeep.log_info import describe  # NumPy
@@ -66,10 +63,7 @@ class Check:
     """Print one JSON object a log, with every finding."""
 
     def run(self) -> int:
-        steps: list[NextStep] = []
-        code = _each(self.logs, lambda path: self._one(path, steps))
-        print_first(steps)
-        return code
+        return _each(self.logs, self._one)
 
     def _one(self, path: Location, steps: list[NextStep]) -> int:
         from recorder.upkeep.check import check
@@ -107,15 +101,17 @@ Command = (
 )
 
 
-def _each(logs: tuple[Location, ...], action: Callable[[Location], int]) -> int:
-    """Do it for every log, also behind one that cannot be read; the worst of the exit codes."""
+def _each(logs: tuple[Location, ...], action: Callable[[Location, list[NextStep]], int]) -> int:
+    """Do it for every log, also behind one that cannot be read, and print the step that comes first of those that
+    it adds; the worst of the exit codes."""
     refuse_fewer(logs)
-    codes = []
+    codes, steps = [], list[NextStep]()
     for path in logs:
         try:
-            codes.append(action(path))
+            codes.append(action(path, steps))
         except Exception as error:
             codes.append(print_error("bc-log", as_user_error(path, error)))
+    print_first(steps)
     return FAILED if FAILED in codes else max(codes)
 
 

@@ -6,10 +6,9 @@ import os
 from pathlib import Path
 from typing import Annotated, Final, TypeAlias
 
-from tyro.constructors import PrimitiveConstructorSpec
-
 from common.errors import UserError
 from common.location import Location, Url, local_path, location
+from common.location_flag import location_spec
 
 SESSIONS: Final = Path("sessions")
 FOLDERS: Final = (SESSIONS, Path("drives"))  # where logs are looked for by name
@@ -30,25 +29,6 @@ def named_log(place: Location) -> Location:
     return logs[0] if logs else place
 
 
-LogFlag: TypeAlias = Annotated[
-    Location,
-    PrimitiveConstructorSpec(
-        nargs=1,
-        metavar="LOG",
-        instance_from_str=lambda given: named_log(location(given[0])),
-        is_instance=lambda value: isinstance(value, Path | Url),
-        str_from_instance=lambda value: [str(value)],
-    ),
-]
-
-LocalLogFlag: TypeAlias = Annotated[
-    Path,
-    PrimitiveConstructorSpec(
-        nargs=1,
-        metavar="LOG",
-        instance_from_str=lambda given: local_path(named_log(location(given[0]))),
-        is_instance=lambda value: isinstance(value, Path),
-        str_from_instance=lambda value: [str(value)],
-    ),
-]
+LogFlag: TypeAlias = Annotated[Location, location_spec("LOG", lambda text: named_log(location(text)))]
+LocalLogFlag: TypeAlias = Annotated[Path, location_spec("LOG", lambda text: local_path(named_log(location(text))))]
 """A log on this machine."""

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from rich.markup import escape
 from rich.table import Table
@@ -30,7 +29,6 @@ MAX_PLACES: Final = 6  # so many are named of a kind; --json names all
 MAX_LINES: Final = 200
 """So many topics, settings and tags are shown of a log: a terminal takes a millisecond for each."""
 _LONG_VALUE: Final = 400  # characters
-_LONG_LIST: Final = 4
 _EXCLUDES: Final = "excludes all that is surely odd"
 
 
@@ -147,20 +145,7 @@ def _odd_lines(odd: Sequence[OddStretch], tags: Sequence[Tag], log: Location) ->
 
 
 def _in_short(value: str) -> str:
-    """A value of a session as it is; of JSON, such as a car's, long lists by how much they hold."""
-    if len(value) <= _LONG_VALUE:
-        return value
-    try:
-        stored = json.loads(value)
-        return f"{json.dumps(_without_long_lists(stored))} (--json has all)" if isinstance(stored, dict) else value
-    except (ValueError, RecursionError):
-        return value
-
-
-def _without_long_lists(stored: Any) -> Any:
-    if isinstance(stored, dict):
-        return {name: _without_long_lists(value) for name, value in stored.items()}
-    return f"{len(stored):,} entries" if isinstance(stored, list) and len(stored) > _LONG_LIST else stored
+    return value if len(value) <= _LONG_VALUE else f"{value[:_LONG_VALUE]} ... (--json has all)"
 
 
 def plain(text: str) -> str:

@@ -22,7 +22,6 @@ from recorder.rows.odd_stretches import odd_advice, odd_lines
 from recorder.sources.built_in_simulator import check_drive, record_simulated
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.gymnasium_flags import GYM_FLAGS
-from recorder.sources.import_mcap import check_scale
 from recorder.sources.imported_rows import Imported
 from recorder.sources.recording_kinds import import_recording, refuse_to_watch
 from recorder.sources.settings import ListenSettings, SimulatedDrive, Topics
@@ -157,6 +156,9 @@ def _refuse_contradictions(config: Record) -> None:
         raise UsageError("--idle and --viewer go with --watch or --listen")
     if config.topics != Topics() and (config.source is None or config.watch):
         raise UsageError("--image, --steering and --steering-scale go with --from")
+    scale = config.topics.steering_scale
+    if not math.isfinite(scale) or scale == 0:
+        raise UsageError(f"--steering-scale {scale:g}: a number other than 0 was expected")
     if config.columns and (config.source is None or config.watch):
         raise UsageError("--columns goes with --from FOLDER, which has pictures and a csv")
     if config.idle is not None and not 0 <= config.idle < math.inf:
@@ -181,7 +183,6 @@ def _refuse_contradictions(config: Record) -> None:
     with usage_errors(RecordingError):
         if config.source is not None:
             check_rate(config.rate)
-            check_scale(config.topics.steering_scale)
         else:
             check_drive(_drive_of(config))
 

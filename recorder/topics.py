@@ -1,6 +1,6 @@
-"""The registry of what a log holds: its topics, their messages, and how these are indexed and drawn.
+"""The registry of what a log holds: its topics, their messages, and how these are drawn.
 
-A new topic is one more entry in `TOPICS`: what writes, checks, edits, indexes and plays logs reads it from there.
+A new topic is one more entry in `TOPICS`: what writes, checks, edits and plays logs reads it from there.
 A new camera is one more name in `common.car.Camera`.
 """
 
@@ -79,14 +79,6 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Column:
-    """A number in the messages of a topic that is a column of the index's frames: NaN where a row has none."""
-
-    name: str
-    field: str  # of the message, as in `Line`
-
-
-@dataclass(frozen=True)
 class Topic:
     """One topic of a log.
 
@@ -99,7 +91,6 @@ class Topic:
     has_row: bool = True  # the sequence number of a message is the number of its row
     is_in_order: bool = False  # by row; others may come late
     camera: Camera | None = None
-    columns: tuple[Column, ...] = ()
     lines: tuple[Line, ...] = ()
 
     @property
@@ -141,7 +132,6 @@ TOPICS: Final[Mapping[str, Topic]] = {
             VEHICLE,
             VEHICLE_STATE,
             is_in_order=True,
-            columns=tuple(Column(name, name) for name in ("steering", "throttle", "brake", "speed_mph")),
             lines=(
                 Line("steering", STEERING, "recorded", "recorded", "blue"),
                 Line("speed_mph", SPEED, "driven", "driven", "blue"),
@@ -174,7 +164,7 @@ TOPICS: Final[Mapping[str, Topic]] = {
 }
 """Every topic that is written, by name; besides them, a log of predictions has one for each run."""
 
-VEHICLE_COLUMNS: Final = tuple(column.name for column in TOPICS[VEHICLE].columns)
+VEHICLE_COLUMNS: Final = ("steering", "throttle", "brake", "speed_mph")
 PLOTS: Final = tuple(dict.fromkeys(line.plot for topic in TOPICS.values() for line in topic.lines))
 CAMERA_TOPICS: Final = frozenset(name for name, topic in TOPICS.items() if topic.camera is not None)
 PICTURE_TOPICS: Final = frozenset(name for name, topic in TOPICS.items() if topic.is_picture)

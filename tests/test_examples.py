@@ -16,7 +16,8 @@ from driving import DriveProcess, Process, command, untrained_run
 from model import load_pilot
 from own_simulator import MAX_DEG, Car
 from recorder import Log
-from recorder.log.session_car import car_of, named_car
+from recorder.log.session_car import Car as Settings
+from recorder.log.session_car import max_steering_deg_of, named_car, stored_car
 from recorder.server import in_flight
 from recorder.topics import POSE
 from repository import ROOT
@@ -55,8 +56,8 @@ def test_ones_own_simulator_is_recorded(tmp_path: Path) -> None:
         assert process.end() == 0
     with Log(path) as log:
         steering = log.vehicle()["steering"].to_pylist()
-        assert car_of(log).max_steering_deg == MAX_DEG
-        assert car_of(log).bonnet == {}
+        assert stored_car(log) == named_car(str(SETTINGS))
+        assert max_steering_deg_of(log) == MAX_DEG
         assert log.counts["/camera/center"] == log.counts["/vehicle"] == log.counts[POSE] == TELEMETRIES
     assert abs(steering[-1] - car.telemetry().steering) < 0.1  # 1 is its full lock, not Udacity's
     world = car.telemetry().world
@@ -70,7 +71,7 @@ def test_ones_own_simulator_is_driven(tmp_path: Path) -> None:
         drive_car(process.wait_until_it_listens())
         assert process.end() == 0
     with Log(tmp_path / "run.mcap") as log:
-        assert car_of(log).wheelbase_m == 2.6
+        assert stored_car(log) == Settings(max_steering_deg=MAX_DEG, wheelbase_m=2.6)
         driven = log.vehicle()["steering"].to_pylist()
         sent = [command.steering for _, command in log.commands()]
         np.testing.assert_allclose(driven[1:], sent[:-1], atol=1e-4)  # each answer takes hold at once

@@ -21,7 +21,6 @@ from common.location import Location, Url, absolute, location, relative_to
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, PlaceNotAllowedError
 from dataset.frames.image_check_cache import read_image_check
-from dataset.frames.pairing import TOPIC_COLUMNS
 from recorder import Log
 from recorder.log.tags import Tag
 from recorder.topics import VEHICLE_COLUMNS
@@ -39,7 +38,7 @@ FRAMES_SCHEMA: Final = pa.schema(
         pa.field("length", pa.int64()),  # of the JPEG, in bytes
         pa.field("chunk", pa.int64()),  # where in the log the compressed chunk begins that holds it; -1: in none
         # steering: where an expert drove, what he commanded
-        *(pa.field(name, pa.float64()) for name in (*VEHICLE_COLUMNS, *TOPIC_COLUMNS)),
+        *(pa.field(name, pa.float64()) for name in VEHICLE_COLUMNS),
         pa.field("driver", pa.string()),  # "pilot", "expert", "human"; "" if it is unknown
         pa.field("device", pa.string()),  # "keyboard", "mouse", "gamepad", "touch"; "" if nobody steered by hand
         pa.field("drive", pa.int64()),
@@ -129,7 +128,6 @@ def frames_settings(config: IndexConfig, session: str) -> dict[str, Any]:
         "validation": session in config.validation if config.validation else config.validation_share,
         "seed": config.seed,
         "drives": config.drives,
-        **({"columns": list(TOPIC_COLUMNS)} if TOPIC_COLUMNS else {}),
     }
 
 

@@ -18,7 +18,7 @@ from dataset.frames.drivers import DRIVERS, TAKEOVERS, is_taken, read_commands
 from dataset.frames.frame_flags import ImageFindings, Paired, frame_flags
 from dataset.frames.frames_file import FRAMES_SCHEMA, SPLITS, session_name
 from dataset.frames.image_check_cache import read_image_check
-from dataset.frames.pairing import TOPIC_COLUMNS, moments, paired_rows, topic_columns
+from dataset.frames.pairing import moments, paired_rows
 from dataset.frames.split import block_numbers, near_validation, validation_blocks
 from dataset.steering_bins import bin_of
 from recorder import Log, Pictures
@@ -38,8 +38,7 @@ def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
     session = session_name(log.path)
     findings = read_image_check(index, session, log.fingerprint)
-    others = topic_columns(log, states)
-    return frames_of(states, pictures, session, config, tags, findings, driver, others, device_numbers(log))
+    return frames_of(states, pictures, session, config, tags, findings, driver, device_numbers(log))
 
 
 def driven_states(log: Log) -> tuple[States, NDArray[np.int8]]:
@@ -66,12 +65,10 @@ def frames_of(
     tags: Sequence[Tag] = (),
     findings: ImageFindings | None = None,
     driver: NDArray[np.int8] | None = None,
-    others: Mapping[str, NDArray[np.float64]] | None = None,
     device: NDArray[np.int8] | None = None,
 ) -> pa.Table:
     """The frames of a session from its vehicle states, the places of its pictures, the driver at each state (as
-    `driven_states` gives it; None: unknown), its `topic_columns` (None: NaN), and its `device_numbers` (None:
-    unknown)."""
+    `driven_states` gives it; None: unknown), and its `device_numbers` (None: unknown)."""
     nobody = np.zeros(len(states.row), np.int8)
     driver = nobody if driver is None else driver
     device = nobody if device is None else device
@@ -109,10 +106,6 @@ def frames_of(
         "length": length,
         "chunk": chunk,
         **{name: getattr(states, name)[state] for name in VEHICLE_COLUMNS},
-        **{
-            name: others[name][state] if others is not None else np.full(len(order), np.nan)
-            for name in TOPIC_COLUMNS
-        },
         "driver": pa.DictionaryArray.from_arrays(driver[state], list(DRIVERS)),
         "device": pa.DictionaryArray.from_arrays(device[state], list(DEVICES)),
         "drive": drive[state],

@@ -26,11 +26,10 @@ def known_max_steering_deg_of_run(run: Path) -> float | None:
     return None if is_unknown else max_steering_deg_of_run(run)
 
 
-def car_settings_of_run(run: Path) -> object:
-    """The settings of the run's car, where the logs of all its sessions have the same, else None: unchecked JSON.
-    Raises RunError as `load_config` does."""
-    cars = [log.get("car") for log in _logs(run).values()]
-    return cars[0] if cars and all(each == cars[0] for each in cars) else None
+def cars_of_run(run: Path) -> list[Any]:
+    """The settings of the car of each of the run's sessions, None for one without: unchecked JSON. Raises RunError
+    as `load_config` does."""
+    return [log.get("car") for log in _logs(run).values()]
 
 
 def refuse_other_steering(run: Path, max_steering_deg: float | None, source: str) -> None:

@@ -20,7 +20,7 @@ from model.runs.kept_results import KeptResult
 from model.runs.run_arguments import RUNS, run_argument
 from model.runs.training_progress import Epoch
 
-BUILT_IN_CAR: Final = {"wheelbase_m": 2.6, "height_m": 1.4}
+BUILT_IN_CAR: Final = {"max_steering_deg": 25.0, "wheelbase_m": 2.6}
 """By these the built-in simulator's car is recognised, whose roads can be driven as often as one likes."""
 
 

@@ -18,7 +18,7 @@ from common.car import CAMERAS, Camera
 from common.files import new_folder
 from common.location import Location
 from common.progress import progress_bar
-from recorder.errors import LogError, RecordingError
+from recorder.errors import LogError
 from recorder.lerobot import dataset_format as form
 from recorder.lerobot.dataset_card import CARD_PATH, CardSession, card
 from recorder.lerobot.dataset_files import DatasetFiles, PictureSpool, write_json, write_tasks
@@ -35,7 +35,7 @@ from recorder.lerobot.log_episodes import ChosenRows, LogEpisodes, RowPictures, 
 from recorder.lerobot.video_files import require_av, video_info
 from recorder.log.meant_gaps import NotRecorded
 from recorder.log.reader import Log
-from recorder.log.session_car import CAR_KEY, car_of, metadata_of
+from recorder.log.session_car import CAR_KEY, Car, known_max_steering_deg, metadata_of, stored_car
 from recorder.pictures.decoding import decode_picture
 from recorder.pictures.picture_size import PNG_START
 from recorder.rows.row_quality import States
@@ -292,10 +292,10 @@ def _arrow(values: NDArray[Any]) -> pa.Array:
 
 def _car(log: Log) -> str:
     """The car of a log, as logs keep it; empty if it is unknown."""
-    try:
-        return metadata_of(car_of(log))[CAR_KEY]
-    except (LogError, RecordingError):
-        return ""
+    car = stored_car(log)
+    if car is None and (degrees := known_max_steering_deg(log)) is not None:
+        car = Car(max_steering_deg=degrees)
+    return metadata_of(car).get(CAR_KEY, "")
 
 
 def _left_out(log: Log) -> dict[int, tuple[float, str]]:

@@ -277,13 +277,7 @@ class Log(Closeable):
     def vehicle(self) -> pa.Table:
         """The vehicle states, one a row: row, log_time_ns, steering (-1 left .. 1 right), throttle and brake
         (0 .. 1), speed_mph (NaN where the source has none)."""
-        return self.table(topics.VEHICLE)
-
-    def table(self, topic_name: str) -> pa.Table:
-        """The messages on a topic of the registry, one a row: row, log_time_ns, and the columns it has there."""
-        columns = topics.TOPICS[topic_name].columns
-        table = self.numbers(topic_name, [column.field for column in columns])
-        return table.rename_columns([*table.column_names[:2], *(column.name for column in columns)])
+        return self.numbers(topics.VEHICLE, topics.VEHICLE_COLUMNS)
 
     def numbers(self, topic_name: str, fields: Sequence[str]) -> pa.Table:
         """Fields of the messages on a topic of the registry, one message a row: row, log_time_ns, and each field

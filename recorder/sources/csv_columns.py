@@ -18,6 +18,7 @@ from common.untrusted import open_regular
 from common.whole_number import whole_number
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError, readable
+from recorder.sources.imported_rows import vehicle_state
 
 MAX_LINE_CHARACTERS: Final = 100_000
 _POSITIONS: Final = frozenset(map(str, range(1, 1000)))
@@ -134,13 +135,11 @@ class CsvColumns:
         pictures = {camera: values[camera] for camera in CAMERAS if values.get(camera)}
         if not pictures:
             return "rows that name no picture"
-        pedals = (numbers.get(key, 0.0) for key in ("throttle", "brake"))
-        throttle, brake = (value if math.isfinite(value) else 0.0 for value in pedals)
-        state = VehicleState(
-            steering=numbers["steering"] * scale,
-            throttle=max(throttle, 0.0),
-            brake=max(brake, -throttle, 0.0),  # pedals that are one number
-            speed_mph=numbers.get("speed_mph", math.nan),
+        state = vehicle_state(
+            numbers["steering"] * scale,
+            numbers.get("throttle", 0.0),
+            numbers.get("brake", 0.0),
+            numbers.get("speed_mph", math.nan),
         )
         return CsvRow(line, index, pictures, state, time_ns)
 

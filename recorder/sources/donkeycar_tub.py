@@ -24,9 +24,9 @@ from typing import Final
 from common import Skipped
 from common.untrusted import read_bounded
 from recorder.errors import RecordingError, readable
+from recorder.mcap.message_index import LAST_TIME_NS
 
 MANIFEST, META, EXCLUDED, IMAGES = "manifest.json", "meta.json", "exclude.json", "images"
-TIME_END_NS: Final = 2**63
 
 _CATALOG = re.compile(r"catalog_([0-9]+)\.catalog")
 _RECORD = re.compile(r"record_([0-9]+)\.json")
@@ -153,7 +153,7 @@ def finite(value: object) -> int | float | None:
 def _start_ns(values: object, field: str) -> int | None:
     """The time that stands in seconds under `field`, if it is one that a log can hold."""
     start_s = finite(values.get(field)) if isinstance(values, dict) else None
-    if start_s is None or not 0 <= start_s < TIME_END_NS // 10**9:
+    if start_s is None or not 0 <= start_s < LAST_TIME_NS // 10**9:
         return None
     return round(start_s * 1e6) * 1000  # a float of today's date is no finer
 

@@ -10,16 +10,23 @@ from typing import Final
 
 from common import Skipped
 from common.car import Camera
-from common.files import refuse_existing
 from common.progress import track
 from common.untrusted import read_bounded
 from recorder.errors import RecordingError
-from recorder.log.session_car import Car, metadata_of
+from recorder.log.session_car import Car
 from recorder.pictures.decoding import is_whole_picture
 from recorder.sources.csv_columns import CsvColumns
-from recorder.sources.frame_rate import check_rate, describe_clock
-from recorder.sources.import_mcap import check_scale
-from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, Imported, ImportedRow, SkippedEvents, write_log
+from recorder.sources.frame_rate import describe_clock
+from recorder.sources.imported_rows import (
+    FROM_1970,
+    NOT_WHOLE,
+    STEERING_OUT_OF_RANGE,
+    Imported,
+    ImportedRow,
+    SkippedEvents,
+    recording_metadata,
+    write_log,
+)
 from recorder.sources.udacity_recording import MAX_CSV_BYTES, MAX_PICTURE_BYTES
 
 MISSING: Final = "pictures that a row names and no file has, or several have"
@@ -45,9 +52,6 @@ def import_csv(
     needed: rows are then so many a second, those that are left out too, from 1970 on. `car` is what was recorded.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
-    refuse_existing(log, overwrite)
-    check_rate(rate_hz)
-    check_scale(steering_scale)
     chosen = CsvColumns.of(columns)
     if chosen.has_times and rate_hz is not None:
         raise RecordingError("--rate: a column has the times; leave it out")
@@ -57,16 +61,13 @@ def import_csv(
     folder = PictureFolder(csv.parent)
     events = SkippedEvents()
     rows = _rows(csv, chosen, folder, rate_hz, steering_scale, events.skipped)
-    metadata = {
-        "source": "csv",
-        "recording": Path(os.path.realpath(csv.parent)).name,
+    metadata = recording_metadata("csv", csv.parent, car) | {
         "columns": " ".join(f"{key}={name}" for key, name in chosen.names.items()),
         "steering_scale": repr(steering_scale),
         "clock": "recorded" if rate_hz is None else describe_clock(rate_hz),
-        **({} if rate_hz is None else {"start": "1970, because the recording does not have it"}),
+        **({} if rate_hz is None else FROM_1970),
     }
-    without_rows = f"{csv}: no row of it can be used"
-    return write_log(log, metadata | metadata_of(car), rows, events, without_rows, overwrite=overwrite)
+    return write_log(log, metadata, rows, events, f"{csv}: no row of it can be used", overwrite=overwrite)
 
 
 def has_csv(source: Path) -> bool:
@@ -115,7 +116,7 @@ def _rows(
             elif path in named:  # twice the same, it could be on both sides of a split
                 skipped.add("pictures that an earlier row names, too", f"line {row.line}: {name[:200]}")
             elif (picture := _read(path)) is None:
-                skipped.add("pictures that are no whole JPEG or PNG", f"line {row.line}: {name[:200]}")
+                skipped.add(NOT_WHOLE, f"line {row.line}: {name[:200]}")
             else:
                 pictures[camera] = picture
             if path is not None:
@@ -125,7 +126,7 @@ def _rows(
         if abs(row.state.steering) > 1:
             skipped.add(STEERING_OUT_OF_RANGE, f"line {row.line}: {row.state.steering:g}")
         if time_ns is not None:
-            yield ImportedRow(time_ns, row.state, pictures)
+            yield ImportedRow(time_ns, row.state, pictures.items())
     for within, path in folder.paths.items():
         if path not in named:
             skipped.add("pictures without a row", within)

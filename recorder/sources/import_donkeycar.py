@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,13 +10,21 @@ from typing import Final
 from common import Skipped
 from common.progress import track
 from common.untrusted import read_bounded
-from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
-from recorder.log.session_car import Car, metadata_of
+from recorder.log.session_car import Car
+from recorder.mcap.message_index import LAST_TIME_NS
 from recorder.pictures.whole_picture import is_whole_jpeg
-from recorder.sources.donkeycar_tub import TIME_END_NS, Tub, TubRecord, finite, open_tub
-from recorder.sources.frame_rate import check_rate, describe_clock
-from recorder.sources.imported_rows import Imported, ImportedRow, SkippedEvents, write_log
+from recorder.sources.donkeycar_tub import Tub, TubRecord, finite, open_tub
+from recorder.sources.frame_rate import describe_clock
+from recorder.sources.imported_rows import (
+    FROM_1970,
+    Imported,
+    ImportedRow,
+    SkippedEvents,
+    recording_metadata,
+    vehicle_state,
+    write_log,
+)
 from recorder.sources.udacity_recording import MAX_PICTURE_BYTES
 
 DEFAULT_RATE_HZ: Final = 20  # of DonkeyCar's loop, unless it is configured otherwise
@@ -39,7 +45,6 @@ def import_tub(
     `rate_hz` is for a tub whose records have no times: 20 without it. `car` is the one that was recorded.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
-    check_rate(rate_hz)
     events = SkippedEvents()
     skipped = events.skipped
     tub = open_tub(folder, skipped)
@@ -48,18 +53,16 @@ def import_tub(
         raise RecordingError(f"{folder}: --rate: the tub's records have their times; leave it out")
     step_ms = None if is_timed else 1000 / (rate_hz or DEFAULT_RATE_HZ)
     frames = _frames(tub, step_ms, f"importing {folder.name}", skipped)
-    metadata = {
-        "source": "donkeycar",
-        "recording": Path(os.path.realpath(folder)).name,
+    metadata = recording_metadata("donkeycar", folder, car) | {
         "tub_version": tub.version,
         "clock": "recorded" if is_timed else f"{DEFAULT_RATE_HZ} Hz, because no record has a time",
     }
     if rate_hz is not None:
         metadata["clock"] = describe_clock(rate_hz)
     if tub.start_ns is None and (tub.is_time_from_start or not is_timed):
-        metadata["start"] = "1970, because the tub does not have it"
+        metadata |= FROM_1970
     without_rows = f"{folder}: no usable record in this DonkeyCar tub"
-    return write_log(log, metadata | metadata_of(car), frames, events, without_rows, overwrite=overwrite)
+    return write_log(log, metadata, frames, events, without_rows, overwrite=overwrite)
 
 
 def _frames(tub: Tub, step_ms: float | None, what: str, skipped: Skipped) -> Iterator[ImportedRow]:
@@ -95,13 +98,7 @@ def _frame(tub: Tub, record: TubRecord, step_ms: float | None, named: set[str]) 
         raise _UnusableRecordError("records with a picture that cannot be read") from None
     if not is_whole_jpeg(jpeg):
         raise _UnusableRecordError("records with a picture that is not a whole JPEG file")
-    state = VehicleState(
-        steering=angle,
-        throttle=throttle if throttle > 0 else 0.0,
-        brake=-throttle if throttle < 0 else 0.0,
-        speed_mph=math.nan,
-    )
-    return ImportedRow(time_ns, state, {"center": jpeg})
+    return ImportedRow(time_ns, vehicle_state(angle, throttle), [("center", jpeg)])
 
 
 def _value(record: TubRecord, field: str) -> float:
@@ -120,6 +117,6 @@ def _time_ns(tub: Tub, record: TubRecord, step_ms: float | None) -> int:
     if ms is None:
         raise _UnusableRecordError("records without a time")
     ms *= 1 if step_ms is None else step_ms
-    if not 0 <= ms < TIME_END_NS or zero_ns + round(ms * 1_000_000) >= TIME_END_NS:
+    if not 0 <= ms <= LAST_TIME_NS or (time_ns := zero_ns + round(ms * 1_000_000)) > LAST_TIME_NS:
         raise _UnusableRecordError("records with a time that no log can hold")
-    return zero_ns + round(ms * 1_000_000)
+    return time_ns

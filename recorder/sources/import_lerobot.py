@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -17,17 +16,25 @@ import pyarrow as pa
 from common import Skipped
 from common.car import Camera
 from common.errors import printable
-from common.files import refuse_existing
 from common.progress import track
 from common.stretches import consecutive
-from recorder.bc_pb2 import VehicleState
 from recorder.errors import LogError, RecordingError
 from recorder.lerobot.dataset_format import LOG_CAR, LOG_NOT_RECORDED, LOG_NOT_RECORDED_S, LOG_TIME
 from recorder.log.meant_gaps import MAX_S, MeantGap, earlier_seconds
-from recorder.log.session_car import CAR_KEY, Car, car_in, metadata_of
+from recorder.log.session_car import CAR_KEY, Car, car_in
+from recorder.mcap.message_index import LAST_TIME_NS
 from recorder.pictures.decoding import is_whole_picture
-from recorder.sources.import_mcap import check_scale
-from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, Imported, ImportedRow, SkippedEvents, write_log
+from recorder.sources.imported_rows import (
+    FROM_1970,
+    NOT_WHOLE,
+    STEERING_OUT_OF_RANGE,
+    Imported,
+    ImportedRow,
+    SkippedEvents,
+    recording_metadata,
+    vehicle_state,
+    write_log,
+)
 from recorder.sources.lerobot_dataset import BATCH_ROWS, LeRobotFolder, open_dataset
 from recorder.sources.lerobot_features import LeRobotFeatures, choose_features
 from recorder.sources.lerobot_videos import CameraVideos
@@ -35,7 +42,6 @@ from recorder.sources.settings import Topics
 from recorder.sources.udacity_recording import MAX_PICTURE_BYTES
 
 APART_NS: Final = 10_000_000_000  # between episodes whose dates are unknown: each is a drive of its own
-_TIME_END_NS: Final = 2**63
 
 
 def import_lerobot(
@@ -50,8 +56,6 @@ def import_lerobot(
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     topics = topics or Topics()
-    refuse_existing(log, overwrite)
-    check_scale(topics.steering_scale)
     dataset = open_dataset(folder)
     chosen = choose_features(dataset, topics)
     events = SkippedEvents()
@@ -63,7 +67,7 @@ def import_lerobot(
         }
         frames = _frames(dataset, chosen, videos, events.skipped)
         log_car = _stored_car(dataset) if car is None and chosen.is_own else car
-        metadata = _metadata(dataset, chosen, topics.steering_scale) | metadata_of(log_car)
+        metadata = _metadata(dataset, chosen, topics.steering_scale, log_car)
         without_rows = f"{folder}: no frame of it can be used"
         imported = write_log(log, metadata, frames, events, without_rows, overwrite=overwrite)
     notices = []
@@ -74,18 +78,18 @@ def import_lerobot(
     return replace(imported, notices=[*notices, *imported.notices])
 
 
-def _metadata(dataset: LeRobotFolder, chosen: LeRobotFeatures, steering_scale: float) -> dict[str, str]:
+def _metadata(
+    dataset: LeRobotFolder, chosen: LeRobotFeatures, steering_scale: float, car: Car | None
+) -> dict[str, str]:
     clock = "recorded" if chosen.has_log_time else f"the dataset's timestamps, {dataset.fps:g} Hz"
-    return {
-        "source": "lerobot",
-        "recording": Path(os.path.realpath(dataset.root)).name,
+    return recording_metadata("lerobot", dataset.root, car) | {
         "lerobot_version": dataset.version,
         "robot": dataset.robot,
         "image_topic": chosen.cameras.get("center", ""),
         "steering_topic": chosen.steering.label,
         "steering_scale": repr(steering_scale),
         "clock": clock,
-        **({} if chosen.has_log_time else {"start": "1970, because the dataset does not have it"}),
+        **({} if chosen.has_log_time else FROM_1970),
     }
 
 
@@ -145,7 +149,7 @@ def _frames(
             counts[episode] = counts.get(episode, 0) + 1
             name = f"episode {episode}, frame {counts[episode] - 1}"
             time_ns = log_time_ns if chosen.has_log_time else clock.time_ns(episode, time_s)
-            if time_ns is None or not 0 <= time_ns < _TIME_END_NS:
+            if time_ns is None or not 0 <= time_ns <= LAST_TIME_NS:
                 skipped.add("frames with a time that no log can hold", name)
                 continue
             for camera, video in videos.items():
@@ -153,17 +157,18 @@ def _frames(
                     pictures[camera] = jpeg
             sound = {camera: picture for camera, picture in pictures.items() if _is_sound(picture)}
             if len(sound) < len(pictures):
-                skipped.add("pictures that are no whole JPEG or PNG", name)
+                skipped.add(NOT_WHOLE, name)
             if not sound:
                 skipped.add("frames without a picture", name)
                 continue
-            if (state := _state(values)) is None:
+            if not math.isfinite(values[0]):
                 skipped.add("frames with a steering that is no finite number", name)
                 continue
-            if abs(state.steering) > 1:
-                skipped.add(STEERING_OUT_OF_RANGE, f"{name}: {state.steering:g}")
+            if abs(values[0]) > 1:
+                skipped.add(STEERING_OUT_OF_RANGE, f"{name}: {values[0]:g}")
             gap = own_gaps.get(episode) if chosen.has_log_time else another_episode
-            yield ImportedRow(time_ns, state, sound, gap if last_episode not in (None, episode) else None)
+            before = gap if last_episode not in (None, episode) else None
+            yield ImportedRow(time_ns, vehicle_state(*values), sound.items(), before)
             last_episode = episode
     _skip_missing(dataset, counts, skipped)
 
@@ -216,16 +221,6 @@ class _Clock:
         time_ns = self._start_ns + round(time_s * 1e6) * 1000
         self._last_ns = max(self._last_ns, time_ns)
         return time_ns
-
-
-def _state(values: list[float]) -> VehicleState | None:
-    steering, throttle, brake, speed_mph = values
-    if not math.isfinite(steering):
-        return None
-    throttle, brake = (value if math.isfinite(value) else 0.0 for value in (throttle, brake))
-    if throttle < 0:  # pedals that are one number
-        throttle, brake = 0.0, max(brake, -throttle)
-    return VehicleState(steering=steering, throttle=throttle, brake=brake, speed_mph=speed_mph)
 
 
 def _is_sound(picture: object) -> bool:

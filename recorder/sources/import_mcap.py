@@ -5,8 +5,6 @@ The user names the topic of the pictures, and the topic and the field of the ste
 
 from __future__ import annotations
 
-import math
-import os
 import re
 from array import array
 from collections.abc import Iterator
@@ -19,16 +17,25 @@ from mcap.records import Channel, Message, Schema
 from numpy.typing import NDArray
 
 from common import Skipped
-from common.files import PART_SUFFIX, refuse_existing
+from common.files import PART_SUFFIX
 from common.progress import track
 from common.untrusted import open_regular, real_path
-from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.reader import Log
-from recorder.log.session_car import Car, metadata_of
+from recorder.log.session_car import Car
 from recorder.mcap.mcap_file import WITHOUT_CRCS
+from recorder.mcap.message_index import LAST_TIME_NS
 from recorder.pictures.decoding import is_whole_picture
-from recorder.sources.imported_rows import STEERING_OUT_OF_RANGE, Imported, ImportedRow, SkippedEvents, write_log
+from recorder.sources.imported_rows import (
+    NOT_WHOLE,
+    STEERING_OUT_OF_RANGE,
+    Imported,
+    ImportedRow,
+    SkippedEvents,
+    recording_metadata,
+    vehicle_state,
+    write_log,
+)
 from recorder.sources.mcap_messages import (
     Decoder,
     FieldError,
@@ -44,7 +51,6 @@ from recorder.topics import PROFILE
 
 MAX_STEERING_AGE_S: Final = 1.0
 
-_TIME_END_NS: Final = 2**63
 # magic, then the header's opcode, length, and the length of its profile
 _OWN_HEADER: Final = re.compile(rb"\x89MCAP0\r\n\x01.{8}\x02\0\0\0" + PROFILE.encode(), re.DOTALL)
 
@@ -93,12 +99,6 @@ def is_own_log(source: Path) -> bool:
         return False
 
 
-def check_scale(steering_scale: float) -> None:
-    """Raise RecordingError for a scale that leaves no steering."""
-    if not math.isfinite(steering_scale) or steering_scale == 0:
-        raise RecordingError(f"--steering-scale {steering_scale:g}: a number other than 0 was expected")
-
-
 def import_mcap(
     source: Path, log: Path, topics: Topics, *, car: Car | None = None, overwrite: bool = False
 ) -> Imported:
@@ -120,8 +120,6 @@ def import_mcap(
             f"{source}: which topics? Give --image TOPIC and --steering TOPIC.FIELD;"
             f" `bc-log info {source}` lists them"
         )
-    refuse_existing(log, overwrite)  # before minutes of reading
-    check_scale(topics.steering_scale)
     events = SkippedEvents()
     skipped = events.skipped
     files = _files(source, skipped)
@@ -130,9 +128,7 @@ def import_mcap(
     _check_image_topic(source, image, types)
     steering = _read_steering(source, files, steering_topic, field, topics.steering_scale, skipped)
     rows = _rows(files, image, steering, f"importing {source.name}", skipped)
-    metadata = {
-        "source": "ros2 bag" if source.is_dir() else "mcap",
-        "recording": Path(os.path.realpath(source)).name,
+    metadata = recording_metadata("ros2 bag" if source.is_dir() else "mcap", source, car) | {
         "image_topic": image,
         "steering_topic": wanted,
         "steering_scale": repr(topics.steering_scale),
@@ -140,9 +136,7 @@ def import_mcap(
     has_crcs = all(file.has_crcs() for file in files if isinstance(file, _McapFile))
     warnings = [] if has_crcs else [f"{metadata['recording']}: {WITHOUT_CRCS}"]
     without_rows = f"{source}: no picture on {image} can be used"
-    return write_log(
-        log, metadata | metadata_of(car), rows, events, without_rows, warnings=warnings, overwrite=overwrite
-    )
+    return write_log(log, metadata, rows, events, without_rows, warnings=warnings, overwrite=overwrite)
 
 
 def _what_to_do_instead(source: Path, log: Path) -> str:
@@ -237,13 +231,12 @@ def _rows(
             skipped.add("messages without a picture", name)
             continue
         if not is_whole_picture(picture):
-            skipped.add("pictures that are no whole JPEG or PNG", name)
+            skipped.add(NOT_WHOLE, name)
             continue
         value = float(steering.value[at])
         if abs(value) > 1:
             skipped.add(STEERING_OUT_OF_RANGE, f"{name}: {value:g}")
-        state = VehicleState(steering=value, throttle=0.0, brake=0.0, speed_mph=math.nan)
-        yield ImportedRow(time_ns, state, {"center": picture})
+        yield ImportedRow(time_ns, vehicle_state(value), [("center", picture)])
 
 
 def _decoded(files: list[_File], topic: str, bar: str, skipped: Skipped) -> Iterator[tuple[int, str, object]]:
@@ -252,7 +245,7 @@ def _decoded(files: list[_File], topic: str, bar: str, skipped: Skipped) -> Iter
         decoders: dict[int, Decoder] = {}
         for schema, channel, message in file.messages(topic, bar):
             time_ns = message.log_time
-            if not isinstance(time_ns, int) or not 0 <= time_ns < _TIME_END_NS:
+            if not isinstance(time_ns, int) or not 0 <= time_ns <= LAST_TIME_NS:
                 skipped.add("messages of a time that no log can hold", f"{brief(topic)} at {brief(repr(time_ns))}")
                 continue
             name = f"{brief(topic)} at {time_ns / 1e9:.3f} s"

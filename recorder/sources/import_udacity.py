@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-import itertools
 import os
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from common import Skipped
+from common.car import Camera
 from common.progress import track
 from common.untrusted import read_bounded
 from recorder.bc_pb2 import VehicleState
-from recorder.log.session_car import UDACITY, Car, metadata_of
-from recorder.log.writer import LogWriter
+from recorder.log.session_car import UDACITY, Car
 from recorder.pictures.whole_picture import is_whole_jpeg
 from recorder.sources.frame_rate import describe_clock
-from recorder.sources.imported_rows import Imported, SkippedEvents
+from recorder.sources.imported_rows import (
+    FROM_1970,
+    Imported,
+    ImportedRow,
+    SkippedEvents,
+    recording_metadata,
+    write_log,
+)
 from recorder.sources.udacity_csv import Row
 from recorder.sources.udacity_recording import MAX_PICTURE_BYTES, UdacityRecording
 from simulator.protocol.udacity_writer import CSV_CAMERAS
@@ -34,31 +41,21 @@ def import_udacity(
     """
     events = SkippedEvents()
     recording = UdacityRecording(folder, events.skipped, rate_hz)
-    metadata = udacity_metadata(folder, rate_hz, car)
-    row_count = pictures = 0
-    rows = recording.rows()
-    first = next(rows)  # without any, nothing is begun
-    with LogWriter(log, metadata, overwrite=overwrite) as writer:
-        all_rows = itertools.chain([first], rows)
-        for row, paths in track(all_rows, f"importing {folder.name}", recording.line_count()):
-            events.at(writer, row.time_ns)
-            for camera, path in zip(CSV_CAMERAS, paths, strict=True):
-                jpeg = _jpeg(path, events.skipped) if path is not None else None
-                if jpeg is not None:
-                    writer.picture(camera, row.time_ns, row_count, jpeg)
-                    pictures += 1
-            writer.vehicle(row.time_ns, row_count, vehicle_state(row, car))
-            row_count += 1
-    return Imported(log, row_count, pictures, events.skipped, writer.notices)
+
+    def jpegs(paths: Sequence[str | None]) -> Iterator[tuple[Camera, bytes]]:
+        for camera, path in zip(CSV_CAMERAS, paths, strict=True):
+            if path is not None and (jpeg := _jpeg(path, events.skipped)) is not None:
+                yield camera, jpeg
+
+    rows = (ImportedRow(row.time_ns, state_of(row, car), jpegs(paths)) for row, paths in recording.rows())
+    tracked = track(rows, f"importing {folder.name}", recording.line_count())
+    return write_log(log, udacity_metadata(folder, rate_hz, car), tracked, events, overwrite=overwrite)
 
 
 def udacity_metadata(folder: Path, rate_hz: float | None, car: Car | None) -> dict[str, str]:
     """The metadata of a Udacity recording's log."""
-    metadata = {"source": "udacity", "recording": Path(os.path.realpath(folder)).name} | metadata_of(car)
-    if rate_hz is not None:
-        metadata["clock"] = describe_clock(rate_hz)
-        metadata["start"] = "1970, because the recording does not have it"
-    return metadata
+    metadata = recording_metadata("udacity", folder, car)
+    return metadata if rate_hz is None else metadata | {"clock": describe_clock(rate_hz), **FROM_1970}
 
 
 def _jpeg(path: str, skipped: Skipped) -> bytes | None:
@@ -74,6 +71,6 @@ def _jpeg(path: str, skipped: Skipped) -> bytes | None:
     return jpeg
 
 
-def vehicle_state(row: Row, car: Car | None) -> VehicleState:
+def state_of(row: Row, car: Car | None) -> VehicleState:
     speed_mph = row.speed_mph * (car or UDACITY).mph
     return VehicleState(steering=row.steering, throttle=row.throttle, brake=row.brake, speed_mph=speed_mph)

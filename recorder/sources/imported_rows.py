@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+import math
+import os
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -14,12 +16,16 @@ from common.errors import MAX_KEPT_NAMES
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.meant_gaps import MeantGap
+from recorder.log.session_car import Car, metadata_of
 from recorder.log.writer import LogWriter
 
 STEERING_OUT_OF_RANGE: Final = (
     "rows with steering beyond -1..1 (kept, but an index leaves them out; is --steering-scale right?)"
 )
 """The remark on such rows, which are not left out."""
+NOT_WHOLE: Final = "pictures that are no whole JPEG or PNG"
+FROM_1970: Final = {"start": "1970, because the recording does not have it"}
+"""In the metadata of a log whose rows have no date."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +68,22 @@ class SkippedEvents:
 class ImportedRow:
     time_ns: int
     state: VehicleState
-    pictures: Mapping[Camera, bytes]  # JPEG or PNG, byte for byte
+    pictures: Iterable[tuple[Camera, bytes]]  # JPEG or PNG, byte for byte
     gap: MeantGap | None = None  # before it
+
+
+def recording_metadata(source: str, recording: Path, car: Car | None) -> dict[str, str]:
+    """What the logs of all kinds of recordings say of where they are from."""
+    return {"source": source, "recording": Path(os.path.realpath(recording)).name} | metadata_of(car)
+
+
+def vehicle_state(
+    steering: float, throttle: float = 0.0, brake: float = 0.0, speed_mph: float = math.nan
+) -> VehicleState:
+    """A state of the car. Pedals may be one number: a throttle below 0 brakes. Those that are not finite are 0."""
+    throttle, brake = (value if math.isfinite(value) else 0.0 for value in (throttle, brake))
+    brake = max(0.0, brake, -throttle)
+    return VehicleState(steering=steering, throttle=max(0.0, throttle), brake=brake, speed_mph=speed_mph)
 
 
 def write_log(
@@ -71,7 +91,7 @@ def write_log(
     metadata: dict[str, str],
     rows: Iterator[ImportedRow],
     events: SkippedEvents,
-    without_rows: str,
+    without_rows: str = "",
     *,
     warnings: Sequence[str] = (),
     overwrite: bool,
@@ -89,9 +109,9 @@ def write_log(
             writer.event(first.time_ns, text, "WARNING", "recorder")
         for row in itertools.chain([first], rows):
             events.at(writer, row.time_ns)
-            for camera, picture in row.pictures.items():
+            for camera, picture in row.pictures:
                 writer.picture(camera, row.time_ns, count, picture)
+                pictures += 1
             writer.vehicle(row.time_ns, count, row.state, row.gap)
             count += 1
-            pictures += len(row.pictures)
     return Imported(log, count, pictures, events.skipped, [*warnings, *writer.notices])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from common.files import refuse_existing
 from recorder.errors import RecordingError
 from recorder.log.session_car import Car
 from recorder.sources.find_recording import is_udacity, kind_of, recordings_near
@@ -33,6 +34,7 @@ def import_recording(
     Raises RecordingError if it is none of them or nothing in it can be used, and UserError if `log` exists and
     `overwrite` is off.
     """
+    refuse_existing(log, overwrite)  # before minutes of reading
     topics = topics or Topics()
     if columns:
         if topics.image is not None or topics.steering is not None:

@@ -27,7 +27,7 @@ from recorder.log.writer import LogWriter
 from recorder.pictures.whole_picture import is_whole_jpeg
 from recorder.sources.find_recording import is_udacity, recordings_near
 from recorder.sources.frame_rate import check_rate
-from recorder.sources.import_udacity import NOT_WHOLE, UNREADABLE_PICTURES, udacity_metadata, vehicle_state
+from recorder.sources.import_udacity import NOT_WHOLE, UNREADABLE_PICTURES, state_of, udacity_metadata
 from recorder.sources.imported_rows import Imported, SkippedEvents
 from recorder.sources.udacity_csv import MAX_LINE_BYTES, RowReader
 from recorder.sources.udacity_recording import CSV_NAME, MAX_PICTURE_BYTES, PictureFiles, check_csv
@@ -204,7 +204,7 @@ class _GrowingRecording:
                 continue
             self._last_ns = row.time_ns
             self._events.at(self._writer, row.time_ns)
-            self._writer.vehicle(row.time_ns, self.rows, vehicle_state(row, self._car))
+            self._writer.vehicle(row.time_ns, self.rows, state_of(row, self._car))
             for camera, name in zip(CSV_CAMERAS, row.names, strict=True):
                 if not name:
                     continue

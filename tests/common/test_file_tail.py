@@ -61,21 +61,6 @@ def test_a_long_file_that_was_replaced_is_read_again(tmp_path: Path) -> None:
         (2, b"line 1"),
         (1001, b"the last"),
     )
-    assert tail.was_replaced
-
-
-def test_nothing_is_read_beyond_the_end_that_is_given(tmp_path: Path) -> None:
-    csv = tmp_path / "driving_log.csv"
-    csv.write_bytes(b"one\ntwo\nthree\n")
-    tail = FileTail(csv, 1000)
-    assert tail.new_lines(10) == [(1, b"one"), (2, b"two")]
-    assert not tail.is_behind
-    assert tail.new_lines(10) == tail.new_lines(3) == []
-    assert tail.new_lines(13) == []
-    assert tail.new_lines(14) == [(3, b"three")]
-    csv.write_bytes(b"one\nten\n")
-    assert tail.new_lines(5) == [(1, b"one")]
-    assert tail.new_lines() == [(2, b"ten")]
 
 
 @pytest.mark.parametrize("text", [b"b\nd\n", b"a\nd\n", b"a\nb\nx\nd\n", b"d\n", b"new\nb\nc\nd\n"])

@@ -24,7 +24,7 @@ from recorder.log.session_car import Car, metadata_of
 from udacity import call
 
 ROWS = 40
-OWN = Car(max_steering_deg=30.0, wheelbase_m=2.4, bonnet={})
+OWN = Car(max_steering_deg=30.0, wheelbase_m=2.4)
 
 SMALL = ("--network", "small", "--epochs", 1, "--batch", 32, "--threads", 1)
 
@@ -92,7 +92,7 @@ def test_an_index_is_made_anew_where_a_session_tells_another_car(
     monkeypatch.chdir(tmp_path)
     labels = []
     for wheelbase_m in (2.4, 2.0, 2.4):
-        record("own", Car(wheelbase_m=wheelbase_m, bonnet={}), 0).touch()
+        record("own", Car(wheelbase_m=wheelbase_m), 0).touch()
         assert call(bc_index, "--block-s", 1, "--gap-s", 0) == 0
         labels.append((tmp_path / "index" / "samples.parquet").read_bytes())
         Path("sessions/own.mcap").unlink()

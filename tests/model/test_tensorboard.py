@@ -137,10 +137,9 @@ def test_nothing_is_written_through_a_link(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_is_an_error_and_what_was_written_stays(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "first", 1)
-    steps = read_history(run)[0].steps
+    run, steps = tmp_path / "first", read_history(write_run(tmp_path / "whole", 1))[0].steps
     board = TensorBoard(run)
-    board.step(steps[0])
+    train(run, [1], board, stop_after_step=1)
     (file,) = (run / "tensorboard").iterdir()
     with files_of_at_most(file.stat().st_size + 20):
         with pytest.raises(RunError, match="cannot be written"):

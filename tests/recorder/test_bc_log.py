@@ -25,7 +25,6 @@ from places import Place
 from plain_mcap import contents
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.session_car import built_in, metadata_of
 from recorder.log_cli import main
 from recorder.upkeep.check import check, is_whole
 from recorder.upkeep.check_contents import Finding
@@ -579,24 +578,24 @@ def test_too_little_memory_is_told_in_a_line(tmp_path: Path, megabytes: int) -> 
     assert done.returncode in (0, 1)
 
 
-def test_the_car_of_a_log_is_a_few_lines_and_whole_in_json(
+def test_a_long_setting_of_a_log_is_a_few_lines_and_whole_in_json(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     path = tmp_path / "a.mcap"
-    with LogWriter(path, {"source": "simulator", **metadata_of(built_in())}) as writer:
+    car = json.dumps({"max_steering_deg": 25.0, "bonnet": {"center": [[row, 160] for row in range(200)]}})
+    with LogWriter(path, {"source": "simulator", "car": car}) as writer:
         writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
     assert call(main, "info", path) == 0
     lines = capsys.readouterr().out.splitlines()
     first = next(number for number, line in enumerate(lines) if line.startswith("  car: "))
     last = next(number for number, line in enumerate(lines) if line.startswith("  source: "))
     told = "".join(lines[first:last])
-    assert last - first <= 6
+    assert last - first <= 7
     assert '"max_steering_deg": 25.0' in told
     assert "--json" in told
     assert call(main, "info", path, "--json") == 0
-    whole = json.loads(capsys.readouterr().out)["session"]["car"]
-    assert json.loads(whole)["bonnet"]["center"] == [list(corner) for corner in built_in().bonnet["center"]]
+    assert json.loads(capsys.readouterr().out)["session"]["car"] == car
 
 
 def test_what_is_no_log_is_told_with_the_next_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -137,7 +137,7 @@ READS_ALL: dict[str, Reader] = {
 READS_ROWS: dict[str, Reader] = {
     "frames": lambda path, _: asked(path, Log.frames),
     "vehicle": lambda path, _: asked(path, Log.vehicle),
-    "table": lambda path, _: asked(path, lambda log: log.table("/vehicle")),
+    "numbers": lambda path, _: asked(path, lambda log: log.numbers("/vehicle", ["steering"])),
     "vehicle_states": lambda path, _: asked(path, lambda log: list(log.vehicle_states())),
     "commands": lambda path, _: asked(path, lambda log: list(log.commands())),
     "predictions": lambda path, _: asked(path, lambda log: list(log.predictions("lake"))),

@@ -169,7 +169,6 @@ def test_a_name_that_two_folders_have_is_none_and_links_are_not_followed(tmp_pat
             r"no column 'angel'; the first line names p, s, angle. did you mean angle\?",
         ),
         (["image=p", "steering=4"], 10.0, "no column '4'"),
-        (["image=p", "steering=s"], 0.5, "--rate 0.5"),
     ],
 )
 def test_what_does_not_say_it_is_one_line(

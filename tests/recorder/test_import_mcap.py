@@ -28,6 +28,7 @@ from mcap_protobuf.schema import register_schema
 from rosbags.rosbag2 import StoragePlugin
 
 from common import UserError
+from driving import one_line_in
 from logs import read_messages
 from other_logs import (
     CAMERA,
@@ -52,9 +53,12 @@ from other_logs import (
     write_mcap,
 )
 from recorder import Imported, Log, LogError, RecordingError
+from recorder.cli import main as bc_record
 from recorder.sources.find_recording import kind_of
 from recorder.sources.import_mcap import import_mcap
+from recorder.sources.recording_kinds import import_recording
 from recorder.sources.settings import Topics
+from udacity import call
 
 
 def png(level: int) -> bytes:
@@ -204,10 +208,11 @@ def test_values_out_of_range_are_kept_and_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("scale", [0.0, math.nan, math.inf])
-def test_a_scale_that_is_none_is_refused(tmp_path: Path, scale: float) -> None:
+def test_a_scale_that_is_none_is_refused(tmp_path: Path, scale: float, capsys: pytest.CaptureFixture[str]) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    with pytest.raises(RecordingError, match="--steering-scale"):
-        imported(source, Topics(CAMERA, TOPICS.steering, scale))
+    flags = ["--image", CAMERA, "--steering", TOPICS.steering, "--steering-scale", scale]
+    assert call(bc_record, "mine", "--from", source, *flags, "--sessions", tmp_path) == 2
+    assert "--steering-scale" in one_line_in(capsys)
 
 
 def test_png_pictures_stay_png(tmp_path: Path) -> None:
@@ -344,7 +349,7 @@ def test_an_existing_log_is_kept(tmp_path: Path) -> None:
     log.write_bytes(b"somebody's work")
     for existing_or_not in (source, tmp_path / "nowhere.mcap"):  # told before anything is read
         with pytest.raises(UserError, match="--force"):
-            import_mcap(existing_or_not, log, TOPICS)
+            import_recording(existing_or_not, log, TOPICS)
     assert log.read_bytes() == b"somebody's work"
     import_mcap(source, log, TOPICS, overwrite=True)
     assert rows_of(log) == ROWS

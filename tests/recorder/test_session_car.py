@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -11,8 +12,8 @@ from driving import one_line_in
 from logs import write_log
 from recorder import Log, LogWriter
 from recorder.cli import main as bc_record
-from recorder.errors import LogError, RecordingError
-from recorder.log.session_car import CAR_KEY, UDACITY, Car, built_in, car_of, max_steering_deg_of
+from recorder.errors import LogError
+from recorder.log.session_car import CAR_KEY, Car, built_in, max_steering_deg_of, named_car, stored_car
 from recorder.log_cli import main as bc_log
 from recorder.server.telemetry import TelemetryError, parse_telemetry
 from recorder.sources.built_in_simulator import record_simulated
@@ -24,9 +25,6 @@ OWN = """\
 max_steering_deg = 30
 wheelbase_m = 2.4
 speed_unit = "m/s"
-height_m = 1.1
-left_m = { left = 0.5, right = -0.5 }
-bonnet = { center = [[0, 150], [320, 150]] }
 """
 
 
@@ -49,23 +47,29 @@ def recording() -> Path:
 def test_a_car_that_is_told_is_kept_and_read_back() -> None:
     assert call(bc_record, "own", "--from", recording(), "--car", "own.toml") == 0
     with Log("sessions/own.mcap") as log:
-        car = car_of(log)
-        stored = json.loads(log.metadata[CAR_KEY])
+        assert stored_car(log) == Car(max_steering_deg=30, wheelbase_m=2.4, speed_unit="m/s")
         assert log.vehicle()["steering"].to_pylist() == [0.5]
         assert log.vehicle()["speed_mph"].to_pylist() == [pytest.approx(5 * 3600 / 1609.344)]
         assert max_steering_deg_of(log) == 30
-    assert (car.max_steering_deg, car.wheelbase_m, car.height_m) == (30, 2.4, 1.1)
-    assert car.left_m == {"center": 0, "left": 0.5, "right": -0.5}
-    assert car.bonnet == {"center": ((0, 150), (320, 150))}
-    # what the file leaves out is as Udacity's, and stands in the log all the same
-    assert stored["horizon"] == car.horizon == UDACITY.horizon == 0.375
+
+
+def test_what_earlier_versions_knew_of_cameras_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+    earlier = "lag_s = 0.1\nhorizon = 0.4\nleft_m = { left = 0.5 }\nbonnet = { center = [[0, 150], [320, 150]] }\n"
+    Path("own.toml").write_text(OWN + earlier)
+    assert call(bc_record, "own", "--from", recording(), "--car", "own.toml") == 0
+    assert capsys.readouterr().err == "next: `bc-index`\n"
+    with Log("sessions/own.mcap") as log:
+        assert json.loads(log.metadata[CAR_KEY]) == tomllib.loads(OWN)
+    with LogWriter(Path("earlier.mcap"), {"source": "udacity", CAR_KEY: json.dumps(tomllib.loads(OWN + earlier))}):
+        pass
+    with Log("earlier.mcap") as log:
+        assert stored_car(log) == named_car("own.toml")
 
 
 def test_a_log_that_tells_none_is_of_udacitys() -> None:
     assert call(bc_record, "plain", "--from", recording()) == 0
     with Log("sessions/plain.mcap") as log:
         assert CAR_KEY not in log.metadata
-        assert car_of(log) == UDACITY
         assert max_steering_deg_of(log) == 25
         assert log.vehicle()["speed_mph"].to_pylist() == [5.0]
 
@@ -73,11 +77,7 @@ def test_a_log_that_tells_none_is_of_udacitys() -> None:
 def test_the_built_in_simulators_sessions_tell_its_own(tmp_path: Path) -> None:
     record_simulated(SimulatedDrive(laps=0.001), tmp_path / "lake.mcap")
     with Log(tmp_path / "lake.mcap") as log:
-        stored = json.loads(log.metadata[CAR_KEY])
-        assert car_of(log) == built_in()
-    assert stored["wheelbase_m"] == 2.6
-    # its cameras: 1.4 m up, 0.9 m beside the middle, with a horizon at row 60 of 160
-    assert (stored["height_m"], stored["left_m"]["left"], stored["horizon"]) == (1.4, 0.9, pytest.approx(0.375))
+        assert stored_car(log) == built_in() == Car(max_steering_deg=25, wheelbase_m=2.6, speed_unit="mph")
 
 
 def test_live_telemetry_is_in_the_degrees_and_the_unit_of_its_car() -> None:
@@ -98,15 +98,11 @@ def test_live_telemetry_is_in_the_degrees_and_the_unit_of_its_car() -> None:
         ('wheelbase_m = "long"', "$.wheelbase_m"),
         ("wheelbase_m = 0", "wheelbase_m 0: expected 0.01 to 100"),
         ("max_steering_deg = 90", "max_steering_deg 90"),
-        ("height_m = nan", "height_m nan"),
-        ("left_m = { roof = 1 }", "roof"),
-        ("left_m = { left = inf }", "left_m of left inf"),
+        ("wheelbase_m = nan", "wheelbase_m nan"),
         ('speed_unit = "knots"', "knots"),
-        ("bonnet = { center = [[9, 150], [2, 150]] }", "bonnet of center"),
-        ("bonnet = { center = [[1], [2]] }", "$.bonnet"),
-        ("horizon 0.4", "line 1"),
+        ("wheelbase_m 2.4", "line 1"),
         ("\udcff", "own.toml"),
-        (f"bonnet = {'[' * 10_000}", "own.toml"),
+        (f"wheelbase_m = {'[' * 10_000}", "own.toml"),
     ],
 )
 def test_a_file_with_other_settings_is_refused_in_one_line(
@@ -132,7 +128,7 @@ def test_a_log_with_settings_of_no_car_is_told_not_believed(car: str) -> None:
     with LogWriter(Path("bad.mcap"), {"source": "udacity", CAR_KEY: car}):
         pass
     with Log("bad.mcap") as log, pytest.raises(LogError, match=r"bad\.mcap: its car's settings cannot be used"):
-        car_of(log)
+        stored_car(log)
 
 
 def test_sessions_of_other_steering_are_not_merged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -152,8 +148,7 @@ def test_a_merged_log_has_the_car_of_its_sessions_if_they_have_one(tmp_path: Pat
     assert call(bc_log, "merge", "a.mcap", "b.mcap", "--to", "ab.mcap") == 0
     assert call(bc_log, "merge", "b.mcap", "c.mcap", "--to", "bc.mcap") == 0
     with Log("ab.mcap") as log:
-        assert car_of(log).wheelbase_m == 2.4
+        assert stored_car(log) == Car(max_steering_deg=30, wheelbase_m=2.4)
     with Log("bc.mcap") as log:
         assert max_steering_deg_of(log) == 30
-        with pytest.raises(RecordingError, match="it does not describe its cameras"):
-            car_of(log)
+        assert stored_car(log) is None

@@ -91,14 +91,14 @@ class RunCards:
     def history(self, path: Path) -> History:
         """The course of a training by now; of one that has not begun, none. Raises RunError where it cannot be
         read."""
-        from model.runs.history import HistoryReader
+        from model.runs.history import read_history
 
         version = self._folders.version_of_run(path, _HISTORY)
         with self._lock:
             known = self._histories.get(path)
         if known is None or known[0] != version:
             self._folders.bring_run(path, _HISTORY)
-            found, _ = HistoryReader(path).read()
+            found, _ = read_history(path)
             with self._lock:
                 self._histories.pop(path, None)
                 self._histories[path] = known = version, found
