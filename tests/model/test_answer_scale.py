@@ -68,6 +68,12 @@ def test_nothing_to_fit_by_leaves_what_was_learnt(learnt: NDArray[np.float64]) -
     assert AnswerScale.fit(learnt, np.linspace(-1, 1, len(learnt))) == AnswerScale()
 
 
+@pytest.mark.parametrize(("beside", "offset"), [(0.15, 0.15), (-0.15, -0.15), (0.5, 0.2), (-0.5, -0.2)])
+def test_an_offset_is_taken_off_up_to_a_fifth_of_full_lock(beside: float, offset: float) -> None:
+    learnt = np.linspace(-1, 1, 101)
+    assert AnswerScale.fit(learnt, learnt + beside).offset == pytest.approx(offset)
+
+
 @pytest.mark.parametrize(
     ("scale", "curve", "found"),
     [
