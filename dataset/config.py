@@ -60,7 +60,7 @@ class IndexConfig:
     label_shift_s: Annotated[float | None, arg(name="label-shift", metavar="SECONDS")] = None
     """Take the steering this much later; 0: off."""
     speed_ahead_s: Annotated[float, arg(name="speed-ahead", metavar="SECONDS")] = 0.5
-    """For --targets speed: learn the speed this much later."""
+    """For `bc-train --targets speed`: learn the speed this much later."""
     alter: tuple[Alteration | Literal["none"], ...] = ("blur", "brightness", "shadow")
     """Changes to copies, each with probability one half."""
     drives: Drives = "all"

@@ -40,7 +40,7 @@ class Drive:
     log: LocationFlag | None = None
     """The drive's log; by default DATE.mcap in --drives."""
     drives: LocationFlag = Path("drives")
-    """Folder of the drives' logs; finished logs are copied to a URL."""
+    """Folder of the drives' logs; if it is a URL, finished logs are copied there."""
     simulator: Annotated[str | None, tyro.conf.arg(metavar="TRACK")] = None
     """Built-in: lake, mountain, random:SEED, or hairpins:SEED."""
     laps: float = 1.0

@@ -65,7 +65,7 @@ class Eval:
     ] = None
     """Arithmetic; auto: the fastest."""
     drives: Annotated[LocationFlag | None, _default("PATH|URL", "drives")] = None
-    """Folder of the drives' logs; finished logs are copied to a URL."""
+    """Folder of the drives' logs; if it is a URL, finished logs are copied there."""
     force: bool = False
     """Replace existing logs."""
     ray: RayAddress = None
