@@ -225,14 +225,18 @@ def test_an_altered_picture_in_validation_is_a_leak(tmp_path: Path) -> None:
 
 def test_training_within_the_gap_is_a_leak(tmp_path: Path) -> None:
     path = log_of(tmp_path / "a.mcap")
-    index = build_index([path], tmp_path / "index", IndexConfig(block_s=3, flip=False)).path
-    gap = next(row for row in pq.read_table(index / "frames" / "a.parquet").to_pylist() if row["split"] == "gap")
+    index = build_index([path], tmp_path / "index", IndexConfig(block_s=3, flip=False, validation_share=0.3)).path
+    frames = pq.read_table(index / "frames" / "a.parquet").to_pylist()
     samples = pq.read_table(index / "samples.parquet")
     rows = samples.to_pylist()
-    extra = {**rows[0], "row": gap["row"], "split": "train"}
-    pq.write_table(pa.Table.from_pylist([*rows, extra], samples.schema), index / "samples.parquet")
-    [leak] = find_leaks(index)
-    assert "s from validation, less than the gap of 1 s" in leak
+    gap = sorted({row["row"] for row in frames if row["split"] == "gap"})
+    assert sum(np.diff(gap) > 1) > 1  # around more than one stretch that is held out
+    for row in gap:
+        extra = {**rows[0], "row": row, "split": "train"}
+        pq.write_table(pa.Table.from_pylist([*rows, extra], samples.schema), index / "samples.parquet")
+        [leak] = find_leaks(index)
+        assert f"training row {row} is " in leak
+        assert "s from validation, less than the gap of 1 s" in leak
 
 
 def test_an_excluded_row_in_use_is_a_leak(tmp_path: Path) -> None:
