@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, Response
+from starlette.responses import Response
 from starlette.routing import Route
 
 from common.whole_number import whole_number
@@ -16,7 +16,7 @@ from web.folders.project_folders import key_of
 from web.index.altered_samples import AlteredSamples, altered_samples
 from web.pages.request_values import number_in
 from web.pages.workbench import Workbench
-from web.server.templates import render
+from web.server.templates import page
 
 
 def altered_routes(bench: Workbench) -> list[Route]:
@@ -29,7 +29,7 @@ def altered_routes(bench: Workbench) -> list[Route]:
         trial, others = _chosen(request)
         found = samples_of(trial, others)
         shown = [(number, sample, key_of(Path(sample.session))) for number, sample in enumerate(found.shown)]
-        return HTMLResponse(render("altered_rows.html", found=found, shown=shown, trial=trial, others=others))
+        return page("altered_rows.html", found=found, shown=shown, trial=trial, others=others)
 
     def picture(request: Request) -> Response:
         """The picture as it was driven (0), or as it is trained on (1)."""

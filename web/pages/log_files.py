@@ -6,7 +6,7 @@ from typing import Final, get_args
 
 import msgspec
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from common.car import CAMERAS, Camera
@@ -28,7 +28,7 @@ from web.pages.workbench import Workbench
 from web.runs.run_networks import NETWORK_FILES
 from web.runs.run_origins import origin_of
 from web.server.static_files import KEPT
-from web.server.templates import render
+from web.server.templates import page
 
 _JPEG_START: Final = b"\xff\xd8\xff"
 
@@ -86,7 +86,7 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
             driver = opened.log.metadata.get("run", "")
         key = key_of(bench.folders.runs / driver) if driver else ""
         drove = printable(driver), f"/runs/{key}" if key in runs else ""
-        return HTMLResponse(render("log_links.html", learnt=learnt, drove=drove))
+        return page("log_links.html", learnt=learnt, drove=drove)
 
     def course(request: Request) -> Response:
         """The events, and the edges of the road, or null."""
