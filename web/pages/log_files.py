@@ -25,6 +25,7 @@ from web.logs.open_logs import OpenLog
 from web.logs.steering_sketch import steering_sketch
 from web.pages.request_values import number_in
 from web.pages.workbench import Workbench
+from web.runs.attention import attention_overlay
 from web.runs.run_networks import NETWORK_FILES
 from web.runs.run_origins import origin_of
 from web.server.static_files import KEPT
@@ -72,7 +73,7 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
         with bench.logs.open(path) as opened:
             encoded = _picture(request, opened, "center")
         bench.folders.bring_run(run, NETWORK_FILES)
-        data = bench.attention.overlay(run, bench.folders.run_place(run), path, encoded)
+        data = attention_overlay(run, bench.folders.run_place(run), path, encoded)
         return Response(data, media_type="image/png")
 
     def links(request: Request) -> Response:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import math
-import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -29,7 +29,7 @@ _SUMMED_UP: Final = CONFIG, METRICS_FILE, RESULTS_FILE, WEIGHTS
 _GROWING: Final = STEPS_FILE, WORST_FILE
 _HISTORY: Final = METRICS_FILE, *_GROWING
 _TRAININGS: Final = 8  # that say how fast one is
-_HISTORIES: Final = 16  # kept in memory, of the runs shown last
+_HISTORIES: Final = 16  # kept in memory: those shown last
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,7 @@ class RunCards:
         self._folders = folders
         self._pool = ThreadPoolExecutor(1, "reading runs")
         self._summaries = Background[Path, "RunSummary"](self._pool, _summary)
-        self._lock = threading.Lock()
-        self._histories: dict[Path, tuple[str, History]] = {}
+        self._history = lru_cache(_HISTORIES)(self._read_history)
 
     def close(self) -> None:
         self._pool.shutdown(cancel_futures=True)
@@ -91,20 +90,14 @@ class RunCards:
     def history(self, path: Path) -> History:
         """The course of a training by now; of one that has not begun, none. Raises RunError where it cannot be
         read."""
+        return self._history(path, self._folders.version_of_run(path, _HISTORY))
+
+    def _read_history(self, path: Path, version: str) -> History:
         from model.runs.history import HistoryReader
 
-        version = self._folders.version_of_run(path, _HISTORY)
-        with self._lock:
-            known = self._histories.get(path)
-        if known is None or known[0] != version:
-            self._folders.bring_run(path, _HISTORY)
-            found, _ = HistoryReader(path).read()
-            with self._lock:
-                self._histories.pop(path, None)
-                self._histories[path] = known = version, found
-                while len(self._histories) > _HISTORIES:
-                    self._histories.pop(next(iter(self._histories)))
-        return known[1]
+        self._folders.bring_run(path, _HISTORY)
+        found, _ = HistoryReader(path).read()
+        return found
 
 
 def earlier_trainings(runs: RunCards, patience_s: float) -> list[EarlierTraining]:
