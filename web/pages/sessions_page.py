@@ -78,7 +78,6 @@ class Listed:
     rows: dict[str, int]  # by key: rows that the condition holds for
     searched: int | None  # logs that the condition was evaluated on; None where there is none
     where_problem: str
-    is_bulk: bool  # whether its query finds stretches of rows
 
 
 def session_list_routes(bench: Workbench) -> list[Route]:
@@ -130,8 +129,7 @@ def list_sessions(bench: Workbench, query: SessionQuery, patience_s: float | Non
             chosen = [card for card in chosen if card.key in rows]
     chosen.sort(key=lambda card: (card.info is None, SORTS[query.sort](card) if card.info else 0, card.name))
     reading = sum(card.info is None and not card.problem for card in cards)
-    is_bulk = bool(chosen) and bool(kind_of(query) or query.where)
-    return Listed(chosen, len(cards), reading, rows, searched, problem, is_bulk)
+    return Listed(chosen, len(cards), reading, rows, searched, problem)
 
 
 def _has_kind(card: SessionCard, kind: str) -> bool:
