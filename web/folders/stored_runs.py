@@ -13,7 +13,7 @@ from common import UserError
 from common.location import Url
 from common.users_cache import cached_copy
 from web.folders.file_versions import version_of_stats
-from web.folders.refreshed import Refreshed
+from web.folders.stored_folders import Refreshed
 
 if TYPE_CHECKING:
     from model.runs.runs_in_store import RunInStore
