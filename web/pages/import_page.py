@@ -103,13 +103,7 @@ def import_routes(bench: Workbench) -> list[Route]:
         log = next((each for each in recordings_in(path) if str(each) == values.get("source")), None)
         if log is None or not is_own_log(log):
             raise WebError(f"{path}: no such log in it; reload its page", 404)
-        session = _take(log, values.get("name", ""))
-        if not recordings_in(path):
-            remove_upload(path)
-        return RedirectResponse(session, status_code=303)
-
-    def _take(log: Path, name: str) -> str:
-        sessions = bench.folders.sessions
+        name, sessions = values.get("name", ""), bench.folders.sessions
         if isinstance(sessions, Url):
             raise WebError(f"`bc-log copy {printable(str(log))} {sessions}` copies it there", 422)
         if not name or plain_name(name) != name:
@@ -120,7 +114,9 @@ def import_routes(bench: Workbench) -> list[Route]:
             publish(log, to, overwrite=False)
             if tags_path(log).is_file():
                 publish(tags_path(log), tags_path(to), overwrite=False)
-        return f"/sessions/{key_of(to)}"
+        if not recordings_in(path):
+            remove_upload(path)
+        return RedirectResponse(f"/sessions/{key_of(to)}", status_code=303)
 
     def remove(request: Request) -> Response:
         remove_upload(_upload(request))

@@ -1,4 +1,5 @@
-"""The index: bins, each session's share, the split along time, leaks, and what other settings would change."""
+"""The index: bins, each session's share, the split along time, leaks, what other settings would change, and
+samples as they are trained on."""
 
 from __future__ import annotations
 
@@ -14,11 +15,14 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import counted, printable
+from common.whole_number import whole_number
 from dataset.index.leaks import find_leaks
 from dataset.index.sessions import logs_not_indexed
 from dataset.samples.samples_format import COUNT_HEADINGS, SAMPLES_NAME
 from web.errors import WebError
+from web.folders.file_versions import version_of
 from web.folders.project_folders import key_of, shown_name
+from web.index.altered_samples import AlteredSamples, altered_samples
 from web.index.index_view import (
     IndexView,
     bins_sketch,
@@ -29,7 +33,7 @@ from web.index.index_view import (
 )
 from web.jobs.job_forms import INDEX_FIELDS, form_of
 from web.logs.session_cards import IndexState
-from web.pages.request_values import Values, on_form
+from web.pages.request_values import Values, number_in, on_form
 from web.pages.workbench import Workbench
 from web.runs.run_origins import index_checksum, origin_of
 from web.runs.run_settings import differing
@@ -107,6 +111,25 @@ def index_routes(bench: Workbench) -> list[Route]:
         """The rows of a session that validation has, as [first, last] of their stretches."""
         return JSONResponse(held_out_rows(*session_of(request)))
 
+    def samples_of(trial: str, others: int) -> AlteredSamples:
+        index = bench.trials.get(trial) if trial else bench.folders.index
+        here = index if isinstance(index, Path) else bench.folders.index_here
+        return altered_samples(index, version_of(here / SAMPLES_NAME), others, bench.cache)
+
+    def altered(request: Request) -> Response:
+        trial, others = _chosen(request)
+        found = samples_of(trial, others)
+        shown = [(number, sample, key_of(Path(sample.session))) for number, sample in enumerate(found.shown)]
+        return page("altered_rows.html", found=found, shown=shown, trial=trial, others=others)
+
+    def altered_picture(request: Request) -> Response:
+        """The picture as it was driven (0), or as it is trained on (1)."""
+        number, which = number_in(request, "number"), number_in(request, "which")
+        shown = samples_of(*_chosen(request)).shown
+        if number >= len(shown) or which > 1 or not shown[number].pictures[which]:
+            raise WebError(f"no such picture of sample {number}", 404)
+        return Response(shown[number].pictures[which], media_type="image/jpeg")
+
     def leaks(request: Request) -> Response:
         found = find_leaks(folder_of(request))
         head = "no leak between training and validation" if not found else counted(len(found), "leak")
@@ -123,6 +146,8 @@ def index_routes(bench: Workbench) -> list[Route]:
 
     return [
         Route("/index", whole),
+        Route("/index.altered", altered),
+        Route("/index.altered/{number}/{which}.jpg", altered_picture),
         Route("/index.bins", bins),
         Route("/index.leaks", leaks),
         Route("/index.try", on_form(try_settings), methods=["POST"]),
@@ -130,6 +155,11 @@ def index_routes(bench: Workbench) -> list[Route]:
         Route("/index/{session}/split", split),
         Route("/index/{session}/held-out", held_out),
     ]
+
+
+def _chosen(request: Request) -> tuple[str, int]:
+    """The index that was tried, "" for the project's own, and the number of the choice of samples."""
+    return request.query_params.get("trial", ""), whole_number(request.query_params.get("others", "")) or 0
 
 
 def _view(folder: Path) -> tuple[IndexView | None, str]:
