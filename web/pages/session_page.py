@@ -12,9 +12,7 @@ from starlette.routing import Route
 
 from common.car import CAMERAS
 from common.errors import printable
-from common.files import PART_SUFFIX
 from common.location import Location
-from common.locks import is_being_written
 from common.stretches import stretches
 from recorder import Log, LogError
 from recorder.log.known_lag import lag_path
@@ -22,7 +20,7 @@ from recorder.log.session_car import known_max_steering_deg
 from recorder.log.tags import EXCLUDE, tags_path
 from recorder.rows.row_condition import rows_where
 from recorder.topics import camera_topic
-from web.folders.project_folders import Place, shown_name
+from web.folders.project_folders import Place, is_recording, shown_name
 from web.logs.drive_course import is_driven
 from web.logs.open_logs import OpenLog
 from web.logs.session_stretches import flag_stretches, not_learnt_stretches, shown_stretches
@@ -62,7 +60,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         bench.folders.refresh(place)
         bench.logs.drop_changed()
         path = path_of(request)
-        is_growing = path.name.endswith(PART_SUFFIX) and is_being_written(path)
+        is_growing = is_recording(path)
         files = {"log": path, "tags": tags_path(path), "lag": lag_path(path)}
         versions = {name: bench.folders.version_of(file) for name, file in files.items()}
         return JSONResponse(versions | {"growing": is_growing, "problem": bench.folders.problem(place)})
