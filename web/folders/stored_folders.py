@@ -135,25 +135,16 @@ class StoreListings:
         return found
 
 
-class StoredCopy:
+class StoredCopy(Refreshed[Listing]):
     """A copy of a folder of small files, for pages that read it; it is brought again when its listing has changed.
 
     It is not the one in which `bc-index` works: that shall not find it in use.
     """
 
     def __init__(self, url: Url) -> None:
+        super().__init__(str(url), self._brought)
         self.here = cached_copy(url, "shown")
         self._url = url
-        self._listed = Refreshed[Listing](str(url), self._brought)
-
-    def refresh(self) -> None:
-        """Fetch what has changed, if the last refresh is some seconds ago."""
-        self._listed.refresh()
-
-    @property
-    def problem(self) -> str:
-        """The reason why the copy is outdated; empty if it is not."""
-        return self._listed.problem
 
     def _brought(self, before: Listing | None) -> Listing:
         listed = _list(self._url)
