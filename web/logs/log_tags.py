@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
 from common.location import Location
 from recorder.log.tags import Tag, tags_by_content, tags_path
 from web.folders.cache_folder import CacheFolder
+from web.folders.file_versions import Newest
 from web.folders.project_folders import ProjectFolders
 
 _KEPT: Final = 10_000  # logs
@@ -30,16 +30,18 @@ class LogTags:
     def __init__(self, folders: ProjectFolders, cache: CacheFolder) -> None:
         self._folders = folders
         self._cache = cache
-        self._tags = lru_cache(_KEPT)(self._read)
+        self._tags = Newest[Location, TagsBeside](_KEPT)
 
     def of(self, path: Location, fingerprint: str) -> TagsBeside:
         """The tags beside a log, for this content of it. Raises LogError for a broken file, StoreError."""
-        return self._tags(path, self._folders.version_of(tags_path(path)), fingerprint)
+        version = self._folders.version_of(tags_path(path))
 
-    def _read(self, path: Location, version: str, fingerprint: str) -> TagsBeside:
-        by_content = self._by_content(path, version)
-        tags = sorted(by_content.pop(fingerprint, ()))
-        return TagsBeside(version, tags, sum(map(len, by_content.values())))
+        def read() -> TagsBeside:
+            by_content = self._by_content(path, version)
+            tags = sorted(by_content.pop(fingerprint, ()))
+            return TagsBeside(version, tags, sum(map(len, by_content.values())))
+
+        return self._tags.get(path, f"{version} {fingerprint}", read)
 
     def _by_content(self, path: Location, version: str) -> dict[str, set[Tag]]:
         if isinstance(path, Path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from common.location import Location
 from model.runs.run_files import CONFIG, WEIGHTS
 from web.errors import WebError
-from web.folders.file_versions import version_of
+from web.folders.file_versions import Newest, version_of
 from web.runs.run_networks import check_network
 
 if TYPE_CHECKING:  # these load PyTorch, which only requests need
@@ -27,6 +26,7 @@ _UNSEEN: Final = 0.45  # how dark what it does not see becomes
 _WIDEST_PX: Final = 640
 _KEPT: Final = 2  # networks in memory
 _ONE_AT_A_TIME: Final = threading.Lock()
+_networks: Final[Newest[Path, tuple[PictureNetwork, PictureSpec]]] = Newest(_KEPT)
 
 
 def attention_overlay(run: Path, place: Location, log: Location, encoded: bytes) -> bytes:
@@ -42,6 +42,7 @@ def attention_overlay(run: Path, place: Location, log: Location, encoded: bytes)
     from model.errors import RunError
     from model.evaluation.predict import as_input
     from model.network.visual_backprop import visual_backprop
+    from model.runs.run_folder import load_network, picture_of_run
 
     try:
         picture = decode(encoded)
@@ -51,19 +52,13 @@ def attention_overlay(run: Path, place: Location, log: Location, encoded: bytes)
         # one picture is too little for two: they wait for each other, where the machine is busy 20 times as long
         torch.set_num_threads(1)
         check_network(run, log, place)
-        network, spec = _network(run, version_of(run / WEIGHTS, run / CONFIG))
+        version = version_of(run / WEIGHTS, run / CONFIG)
+        network, spec = _networks.get(run, version, lambda: (load_network(run), picture_of_run(run)))
         try:
             _, maps = visual_backprop(network, as_input(preprocess(picture, spec)[None]))
         except RunError as error:
             raise RunError(f"{run}: {error}") from None
     return _drawn(maps[0].numpy(), picture.shape[0], picture.shape[1], spec)
-
-
-@lru_cache(_KEPT)
-def _network(run: Path, version: str) -> tuple[PictureNetwork, PictureSpec]:
-    from model.runs.run_folder import load_network, picture_of_run
-
-    return load_network(run), picture_of_run(run)
 
 
 def _drawn(attention: NDArray[np.float32], height: int, width: int, spec: PictureSpec) -> bytes:

@@ -7,7 +7,6 @@ import hashlib
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -18,6 +17,7 @@ from model.runs.run_files import CONFIG, RESULTS_FILE, WEIGHTS, is_being_trained
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE
 from model.runs.worst_pictures import WORST_FILE
 from web.folders.background import Background
+from web.folders.file_versions import Newest
 from web.folders.project_folders import ProjectFolders, key_of
 from web.runs.training_cost import EarlierTraining
 
@@ -63,7 +63,7 @@ class RunCards:
         self._folders = folders
         self._pool = ThreadPoolExecutor(1, "reading runs")
         self._summaries = Background[Path, "RunSummary"](self._pool, _summary)
-        self._history = lru_cache(_HISTORIES)(self._read_history)
+        self._histories: Newest[Path, History] = Newest(_HISTORIES)
 
     def close(self) -> None:
         self._pool.shutdown(cancel_futures=True)
@@ -90,14 +90,13 @@ class RunCards:
     def history(self, path: Path) -> History:
         """The course of a training by now; of one that has not begun, none. Raises RunError where it cannot be
         read."""
-        return self._history(path, self._folders.version_of_run(path, _HISTORY))
-
-    def _read_history(self, path: Path, version: str) -> History:
         from model.runs.history import HistoryReader
 
-        self._folders.bring_run(path, _HISTORY)
-        found, _ = HistoryReader(path).read()
-        return found
+        def read() -> History:
+            self._folders.bring_run(path, _HISTORY)
+            return HistoryReader(path).read()[0]
+
+        return self._histories.get(path, self._folders.version_of_run(path, _HISTORY), read)
 
 
 def earlier_trainings(runs: RunCards, patience_s: float) -> list[EarlierTraining]:
