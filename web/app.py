@@ -13,7 +13,6 @@ from starlette.routing import BaseRoute, Mount
 from starlette.types import ASGIApp
 
 from web.folders.project_folders import PLACES, ProjectFolders
-from web.pages.altered_page import altered_routes
 from web.pages.bulk_page import bulk_routes
 from web.pages.changes import change_routes
 from web.pages.compare_page import compare_routes
@@ -71,7 +70,6 @@ def _routes(bench: Workbench) -> list[BaseRoute]:
         *rerun_routes(bench),
         *drive_routes(bench),
         *index_routes(bench),
-        *altered_routes(bench),
         *map_routes(bench),
         *job_routes(bench),
         *import_routes(bench),

@@ -27,7 +27,7 @@ from recorder.log.tags import read_tags
 from runs import a_run
 from udacity import call
 from waiting import wait_until
-from web.folders import background, refreshed
+from web.folders import background, stored_folders
 from workbench import Served, served
 
 TURNING = [0.05 * (row % 9 - 4) for row in range(120)]
@@ -62,7 +62,7 @@ def serve(bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> It
     """Begin a workbench over the bucket, on a machine that has seen nothing of it; the one before ends. A store is
     asked for a listing once, unless a test says otherwise."""
     monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(refreshed, "EVERY_S", math.inf)
+    monkeypatch.setattr(stored_folders, "EVERY_S", math.inf)
     bucket.pass_all()
     running = []
 
@@ -209,7 +209,7 @@ def test_of_runs_that_is_brought_which_is_shown(bucket: Bucket, serve: Callable[
 def test_what_changes_there_is_seen(
     bucket: Bucket, serve: Callable[[], Served], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(refreshed, "EVERY_S", 0.0)
+    monkeypatch.setattr(stored_folders, "EVERY_S", 0.0)
     bench = serve()
     read(bench, "/sessions.rows")
     before = bench.get("/sessions/first/version").json
@@ -235,7 +235,7 @@ def test_what_changes_there_is_seen(
 def test_a_store_that_does_not_answer_is_a_line_on_the_page(
     bucket: Bucket, serve: Callable[[], Served], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(refreshed, "EVERY_S", 0.0)
+    monkeypatch.setattr(stored_folders, "EVERY_S", 0.0)
     monkeypatch.setattr(background, "AGAIN_S", 0.5)
     hold = threading.Event()
     bucket.answer = lambda passing: not hold.wait() or passing.fail(403, "AccessDenied")

@@ -4,15 +4,40 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable
+import threading
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Final
+from typing import Final, Generic, TypeVar
 
 from common.location import Location
 from dataset.index.build_state import Stat
 
 _GROWING_STEP: Final = 22  # bits: an unfinished log is read in full, so every 4 MB, not after each of its seconds
 _PART: Final = ".part"
+
+Place = TypeVar("Place", bound=Location)
+Value = TypeVar("Value")
+
+
+class Newest(Generic[Place, Value]):
+    """Values of files, each of the newest version alone; of the files used last."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._lock = threading.Lock()
+        self._values: dict[Place, tuple[str, Value]] = {}
+
+    def get(self, place: Place, version: str, make: Callable[[], Value]) -> Value:
+        """The value that is kept, or what `make` returns now."""
+        with self._lock:
+            known = self._values.get(place)
+        value = known[1] if known is not None and known[0] == version else make()
+        with self._lock:
+            self._values.pop(place, None)
+            self._values[place] = version, value
+            while len(self._values) > self._most:
+                self._values.pop(next(iter(self._values)))
+        return value
 
 
 def version_of(*paths: Path) -> str:

@@ -19,6 +19,7 @@ from typing import Final, Literal, get_args
 from common.errors import StoreError, printable
 from common.files import PART_SUFFIX
 from common.location import Location, Url
+from common.locks import is_being_written
 from dataset.index.build_state import Stat, stat_of
 from model.runs.run_files import CONFIG
 from recorder.log.logs_in_folder import logs_in
@@ -66,6 +67,15 @@ class ProjectFolders:
         parent = self.sessions.parent
         usual = (parent / name for name in ("sessions", "index", "runs", "drives"))
         return parent if (self.sessions, self.index, self.runs, self.drives) == tuple(usual) else None
+
+    def flags(self, *names: str, to_store: str = "") -> list[str]:
+        """The flags that tell a command these folders, where they are not the usual ones. `to_store`: the flag for
+        one in a store, if that is another."""
+        return [
+            f"{to_store if to_store and isinstance(folder, Url) else f'--{name}'}={folder}"
+            for name in names
+            if (folder := getattr(self, name)) != getattr(ProjectFolders, name)
+        ]
 
     @property
     def recordings(self) -> Path:
@@ -218,6 +228,11 @@ class ProjectFolders:
 def shown_name(log: Location) -> str:
     """The name of a log for people."""
     return printable(log.name.removesuffix(_LOG))
+
+
+def is_recording(log: Location) -> bool:
+    """Whether a log is being written now."""
+    return log.name.endswith(PART_SUFFIX) and is_being_written(log)
 
 
 def as_word(log: Location) -> str:

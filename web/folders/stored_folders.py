@@ -1,22 +1,77 @@
-"""Folders in stores, as far as pages need them: their listings, and copies of the small ones."""
+"""Folders in stores, as far as pages need them: their listings, and copies of the small ones. Both are refreshed
+on threads, at most once every few seconds, however many pages need them."""
 
 from __future__ import annotations
 
 import contextlib
 import threading
 import time
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Final, Generic, TypeVar
 
-from common.errors import StoreError
+from common import UserError
+from common.errors import StoreError, printable
+from common.interrupts import leave_signals_to_main_thread
 from common.location import Url
 from common.users_cache import cached_copy
-from web.folders.refreshed import Refreshed
+from web.errors import report_bug
 
 if TYPE_CHECKING:
     from common.object_store import StoredObject
 
 Listing = Mapping[Url, "StoredObject"]
+Value = TypeVar("Value")
+
+EVERY_S: Final = 3.0
+"""The least time between two refreshes."""
+_BREAK: Final = 10  # times as long as it has taken: stores charge for each thousand names listed
+_PATIENCE_S: Final = 1.5
+
+
+class Refreshed(Generic[Value]):
+    """The last value. Reading it does not wait; only the first calls of `refresh` wait a little for it."""
+
+    def __init__(self, name: str, make: Callable[[Value | None], Value]) -> None:
+        """`name` is that of the value in messages. `make` is called with the value before."""
+        self._make = make
+        self._lock = threading.Lock()
+        self._thread: threading.Thread | None = None
+        self._next_s = self._first_s = 0.0
+        self._has_result = threading.Event()
+        self.value: Value | None = None
+        """None until the first refresh has ended."""
+        self.problem = f"{name}: the store has not answered yet"
+        """Why there is no newer value; empty if there is."""
+
+    def refresh(self) -> None:
+        """Begin a refresh, if the last one is long enough ago."""
+        now_s = time.monotonic()
+        with self._lock:
+            self._first_s = self._first_s or now_s
+            if self._thread is None and now_s >= self._next_s:
+                # not one of a pool: the process ends without it
+                self._thread = threading.Thread(target=self._run, name="asking a store", daemon=True)
+                self._thread.start()
+        self._has_result.wait(max(0.0, self._first_s + _PATIENCE_S - now_s))
+
+    def _run(self) -> None:
+        leave_signals_to_main_thread()
+        began_s = time.monotonic()
+        value, problem = self.value, ""
+        try:
+            value = self._make(value)
+        except UserError as error:
+            problem = printable(str(error))
+        except OSError as error:
+            problem = printable(f"{error.filename}: {error.strerror}")
+        except Exception as error:
+            problem = report_bug(error)
+        now_s = time.monotonic()
+        with self._lock:
+            self.value, self.problem = value, problem
+            self._next_s = now_s + max(EVERY_S, 0 if problem else _BREAK * (now_s - began_s))
+            self._thread = None
+        self._has_result.set()
 
 
 class StoreListings:
@@ -80,25 +135,16 @@ class StoreListings:
         return found
 
 
-class StoredCopy:
+class StoredCopy(Refreshed[Listing]):
     """A copy of a folder of small files, for pages that read it; it is brought again when its listing has changed.
 
     It is not the one in which `bc-index` works: that shall not find it in use.
     """
 
     def __init__(self, url: Url) -> None:
+        super().__init__(str(url), self._brought)
         self.here = cached_copy(url, "shown")
         self._url = url
-        self._listed = Refreshed[Listing](str(url), self._brought)
-
-    def refresh(self) -> None:
-        """Fetch what has changed, if the last refresh is some seconds ago."""
-        self._listed.refresh()
-
-    @property
-    def problem(self) -> str:
-        """The reason why the copy is outdated; empty if it is not."""
-        return self._listed.problem
 
     def _brought(self, before: Listing | None) -> Listing:
         listed = _list(self._url)

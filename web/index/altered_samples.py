@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import dataclasses
 from collections.abc import Callable
 from typing import Any, Final
@@ -30,8 +29,8 @@ _COLUMNS: Final = (*LOADED, "row", "camera", "recorded")
 
 
 class AlteredSample(msgspec.Struct, frozen=True):
-    """`pictures`: the crop as it was driven, and what training makes of it, as JPEGs in base64; "" for one that
-    does not decode."""
+    """`pictures`: the crop as it was driven, and what training makes of it, as JPEGs; empty for one that does not
+    decode."""
 
     session: str
     row: int
@@ -39,10 +38,7 @@ class AlteredSample(msgspec.Struct, frozen=True):
     done: str  # "mirrored, blur, shadow"
     recorded: str  # with its unit: "3.2°"
     label: str
-    pictures: tuple[str, str]
-
-    def jpeg(self, number: int) -> bytes:
-        return base64.b64decode(self.pictures[number])
+    pictures: tuple[bytes, bytes]
 
 
 class AlteredSamples(msgspec.Struct, frozen=True):
@@ -102,12 +98,12 @@ def _shown(samples: Samples, chosen: pa.Table, numbers: NDArray[np.int64]) -> li
 
 def _jpegs(
     crops: Crops, count: int, altered: Callable[[Image, NDArray[np.int64]], object] | None = None
-) -> list[str]:
+) -> list[bytes]:
     pictures: Image = np.empty((count, *ORIGINAL.shape), np.uint8)
     failed = crops.fill(pictures, np.arange(count), altered)
-    return [_jpeg(picture) if number not in failed else "" for number, picture in enumerate(pictures)]
+    return [_jpeg(picture) if number not in failed else b"" for number, picture in enumerate(pictures)]
 
 
-def _jpeg(picture: Any) -> str:
+def _jpeg(picture: Any) -> bytes:
     ok, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 95])
-    return base64.b64encode(encoded.tobytes()).decode() if ok else ""
+    return encoded.tobytes() if ok else b""

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, get_args
 
-from common.location import Location, Url
 from common.recipe import IndexRecipe, Recipe
 from dataset.config import IndexConfig
 from model.config import TrainConfig
@@ -88,12 +87,8 @@ class JobForm:
         if self.fills(folders):
             words.append(f"--folder={folders.parent}")
         named = any(field.known == "sessions" and values.get(field.name, "").strip() for field in self.fields)
-        for name in (*self.folders, *(self.of_named if named else ())):
-            folder: Location = getattr(folders, name)
-            if folder != getattr(ProjectFolders(), name):
-                is_there = self.to_store and isinstance(folder, Url)
-                words.append(f"{self.to_store if is_there else f'--{name}'}={folder}")
-        return words
+        names = (*self.folders, *(self.of_named if named else ()))
+        return words + folders.flags(*names, to_store=self.to_store)
 
     def named(self, values: Mapping[str, str]) -> dict[str, str]:
         """The values of its fields, with the name that its run gets."""

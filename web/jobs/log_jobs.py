@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Final
 
 from common.errors import printable
-from common.files import PART_SUFFIX, final_name
+from common.files import final_name
 from common.location import Location
-from common.locks import is_being_written
 from common.whole_number import whole_number
 from recorder.upkeep.recover import recovered_name
 from web.errors import WebError
-from web.folders.project_folders import ProjectFolders
+from web.folders.project_folders import ProjectFolders, is_recording
 
 _SUFFIX: Final = ".mcap"
 _MAX_CHARACTERS: Final = 200  # of a new log's name
@@ -118,7 +117,7 @@ def command_line(
 
     Raises WebError for what cannot be one, and where a log of the new name is there already.
     """
-    if log.name.endswith(PART_SUFFIX) and is_being_written(log):
+    if is_recording(log):
         raise WebError("this log is being recorded: new logs can be made from it when that has ended", 409)
     if job not in jobs_for(log):
         raise WebError(f"{log}: is needed on this machine; `bc-log copy {log} FOLDER` brings it here", 422)

@@ -97,17 +97,14 @@ def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
         words = ["bc-record", name, "--driver=me"]
         words += [f"--track={_track(asked)}", f"--rate={asked['rate']}"] if built_in else ["--listen"]
         words += _start(asked) if built_in else []
-        words.append(speed)
-        if folders.sessions != Path("sessions"):
-            is_stored = isinstance(folders.sessions, Url)
-            words.append(f"{'--copy-to' if is_stored else '--sessions'}={folders.sessions}")
+        words += [speed, *folders.flags("sessions", to_store="--copy-to")]
         return NewDrive([*words, "--no-page"], "sessions", name)
     run = folders.run_folders().get(asked["run"])
     if run is None:
         raise WebError("run: choose an existing run; if there is none, train one first", 422)
     words = ["bc-drive", run.name, "--takeover=me", speed]
     words += [f"--simulator={_track(asked)}", *_start(asked)] if built_in else []
-    words += [f"--runs={folders.runs}"] if folders.runs != Path("runs") else []
+    words += folders.flags("runs")
     return NewDrive([*words, f"--log={folders.drives / f'{name}.mcap'}", "--no-page"], "drives", name)
 
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
-from common import UserError
-from common.errors import StoreError
 from common.location import Location
 from recorder.log.tags import Tag, tags_by_content, tags_path
 from web.folders.cache_folder import CacheFolder
+from web.folders.file_versions import Newest
 from web.folders.project_folders import ProjectFolders
+
+_KEPT: Final = 10_000  # logs
 
 
 @dataclass(frozen=True)
@@ -29,29 +30,18 @@ class LogTags:
     def __init__(self, folders: ProjectFolders, cache: CacheFolder) -> None:
         self._folders = folders
         self._cache = cache
-        self._lock = threading.Lock()
-        self._known: dict[Location, tuple[tuple[str, str], TagsBeside | UserError]] = {}
+        self._tags = Newest[Location, TagsBeside](_KEPT)
 
     def of(self, path: Location, fingerprint: str) -> TagsBeside:
         """The tags beside a log, for this content of it. Raises LogError for a broken file, StoreError."""
-        key = self._folders.version_of(tags_path(path)), fingerprint
-        with self._lock:
-            known = self._known.get(path)
-        if known is None or known[0] != key:
-            found: TagsBeside | UserError
-            try:
-                by_content = self._by_content(path, key[0])
-                tags = sorted(by_content.pop(fingerprint, ()))
-                found = TagsBeside(key[0], tags, sum(map(len, by_content.values())))
-            except StoreError:
-                raise  # the next one may get an answer
-            except UserError as error:
-                found = error
-            with self._lock:
-                self._known[path] = known = key, found
-        if isinstance(known[1], UserError):
-            raise known[1]
-        return known[1]
+        version = self._folders.version_of(tags_path(path))
+
+        def read() -> TagsBeside:
+            by_content = self._by_content(path, version)
+            tags = sorted(by_content.pop(fingerprint, ()))
+            return TagsBeside(version, tags, sum(map(len, by_content.values())))
+
+        return self._tags.get(path, f"{version} {fingerprint}", read)
 
     def _by_content(self, path: Location, version: str) -> dict[str, set[Tag]]:
         if isinstance(path, Path):

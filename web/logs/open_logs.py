@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from functools import cached_property
 from typing import Final
 
-import numpy as np
-
 from common.location import Location, Url
 from recorder import Log, LogError
 from recorder.log.kept_logs import read_kept
@@ -49,11 +47,6 @@ class OpenLog:
     @cached_property
     def first_time_ns(self) -> int:
         return int(self.states.time_ns[0]) if len(self.states.time_ns) else 0
-
-    def position(self, row: int) -> int | None:
-        """The position of a row among all rows, by its number."""
-        found = np.flatnonzero(self.states.row == row)
-        return int(found[0]) if len(found) else None
 
 
 class OpenLogs:

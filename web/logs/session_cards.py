@@ -16,9 +16,7 @@ import pyarrow.compute as pc
 
 from common import UserError
 from common.errors import StoreError, printable
-from common.files import PART_SUFFIX
 from common.location import Location, absolute
-from common.locks import is_being_written
 from common.untrusted import real_path
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import read_frames, session_name
@@ -32,7 +30,7 @@ from recorder.upkeep.log_info import LogInfo, describe
 from web.folders.background import Background
 from web.folders.cache_folder import CacheFolder
 from web.folders.file_versions import version_of
-from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of, shown_name
+from web.folders.project_folders import PLACES, Place, ProjectFolders, is_recording, key_of, shown_name
 from web.logs.log_tags import LogTags, TagsBeside
 
 TagRows = tuple[str, int, int]
@@ -166,12 +164,12 @@ class SessionCards:
         self, path: Location, version: str, glance: Glance | UserError | None, index: InIndex
     ) -> SessionCard:
         problem, tags_problem, tags = "", "", list[Tag]()
-        is_recording = path.name.endswith(PART_SUFFIX) and is_being_written(path)
+        is_growing = is_recording(path)
         if isinstance(glance, StoreError):
             tags_problem, glance = printable(str(glance)), None  # it is not known to be damaged
         elif isinstance(glance, UserError):
             # of what is being recorded, nothing may have reached the disk yet
-            problem = "" if is_recording and _is_empty(path) else printable(str(glance))
+            problem = "" if is_growing and _is_empty(path) else printable(str(glance))
             glance = None
         if glance is not None:
             try:
@@ -190,7 +188,7 @@ class SessionCards:
             tags=dict(rows_by_name(tags)),
             tags_problem=tags_problem,
             index=index,
-            is_recording=is_recording,
+            is_recording=is_growing,
         )
 
     def _glance(self, path: Location, version: str) -> Glance:

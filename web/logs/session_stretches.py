@@ -16,6 +16,7 @@ from dataset.frames.frames_file import session_name
 from dataset.frames.frames_table import frames_of
 from recorder import Log
 from recorder.log.meant_gaps import meant_rows
+from recorder.log.tagged_rows import TaggedRows
 from recorder.log.tags import EXCLUDE, FINE, Tag
 from recorder.rows.odd_stretches import odd_stretches
 from recorder.rows.row_quality import NOT_LEARNT, States, row_flags
@@ -110,17 +111,8 @@ def stretches_of_rows(opened: OpenLog, rows: set[int]) -> list[Rows]:
 
 def left(found: list[Rows], tags: list[Tag]) -> list[Rows]:
     """Those with a row that is neither excluded nor fine."""
-    done = [(tag.first_row, tag.last_row) for tag in tags if tag.name in (EXCLUDE, FINE)]  # in order
-    return [rows for rows in found if not _is_covered(rows, done)]
-
-
-def _is_covered(rows: Rows, done: list[Rows]) -> bool:
-    reached = rows[0]
-    for first, last in done:
-        if first > reached:
-            break
-        reached = max(reached, last + 1)
-    return reached > rows[1]
+    done = TaggedRows(tag._replace(name=FINE) for tag in tags if tag.name in (EXCLUDE, FINE))
+    return [rows for rows in found if not done.hold(*rows)]
 
 
 def _rows(states: States, first: int, last: int) -> Rows:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import msgspec
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
@@ -18,7 +17,7 @@ from web.errors import WebError
 from web.logs.session_cards import SessionCard
 from web.logs.session_stretches import left, stretches_of_kind, stretches_of_rows
 from web.pages.sessions_page import SessionQuery, kind_of, list_sessions
-from web.pages.tagging import Action, Stretches, TagChange, change_tags, json_of
+from web.pages.tagging import Action, Stretches, TagChange, change_tags, on_change
 from web.pages.workbench import Workbench
 
 
@@ -55,11 +54,24 @@ def bulk_routes(bench: Workbench) -> list[Route]:
                 problems.append(f"{card.name}: {printable(str(error))}")
         return JSONResponse({"logs": [log for log in logs if log["rows"]], "problems": problems})
 
-    async def change(request: Request) -> Response:
-        asked = await json_of(request, BulkChange)
-        return JSONResponse(await run_in_threadpool(_change, bench, asked))
+    def change(request: Request, asked: BulkChange) -> dict[str, object]:
+        """Change each log on its own: where one cannot be, the others are, and the reason is in `problems`."""
+        changed, commands, problems = [], [], []
+        for of_log in asked.rows:
+            try:
+                path = bench.folders.log("sessions", of_log.key)
+                one = TagChange(asked.action, asked.name, of_log.rows, of_log.log)
+                done: dict[str, Any] = change_tags(bench, "sessions", path, one)
+            except UserError as error:
+                problems.append(f"{printable(of_log.key)}: {printable(str(error))}")
+                continue
+            if done["changed"]:
+                changed.append({"key": of_log.key, "log": of_log.log, "rows": done["changed"]})
+                commands += done["commands"]
+        return {"changed": changed, "commands": commands, "notice": "; ".join(problems)}
 
-    return [Route("/sessions.found", found), Route("/sessions.tags", change, methods=["POST"])]
+    changes = on_change(BulkChange, change)
+    return [Route("/sessions.found", found), Route("/sessions.tags", changes, methods=["POST"])]
 
 
 def _found(bench: Workbench, card: SessionCard, query: SessionQuery) -> dict[str, Any]:
@@ -80,20 +92,3 @@ def _found(bench: Workbench, card: SessionCard, query: SessionQuery) -> dict[str
             "camera": cameras[0] if cameras else "",
             "rows": left(rows, bench.cards.tags(card.path, log.fingerprint).tags),
         }
-
-
-def _change(bench: Workbench, asked: BulkChange) -> dict[str, object]:
-    """Change each log on its own: where one cannot be, the others are, and the reason is in `problems`."""
-    changed, commands, problems = [], [], []
-    for of_log in asked.rows:
-        try:
-            path = bench.folders.log("sessions", of_log.key)
-            change = TagChange(asked.action, asked.name, of_log.rows, of_log.log)
-            done: dict[str, Any] = change_tags(bench, "sessions", path, change)
-        except UserError as error:
-            problems.append(f"{printable(of_log.key)}: {printable(str(error))}")
-            continue
-        if done["changed"]:
-            changed.append({"key": of_log.key, "log": of_log.log, "rows": done["changed"]})
-            commands += done["commands"]
-    return {"changed": changed, "commands": commands, "notice": "; ".join(problems)}

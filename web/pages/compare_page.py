@@ -7,42 +7,33 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
 from common.errors import printable
 from dataset.frames.frames_file import session_name
 from web.errors import WebError
-from web.pages.request_values import form_values
+from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
 from web.runs.run_comparisons import compare_command, comparison_of, is_outdated, newest_job
-from web.server.templates import render
+from web.server.templates import page, page_of
 
 
 def compare_routes(bench: Workbench) -> list[Route]:
-    def page(request: Request) -> Response:
-        live = bench.jobs.version()
-        return HTMLResponse(render("compare.html", live=live, **_context(request)))
+    def whole(request: Request) -> Response:
+        return page("compare.html", live=bench.jobs.version(), **_context(request))
 
-    def body(request: Request) -> Response:
-        return HTMLResponse(render("compare_body.html", **_context(request)))
-
-    async def start(request: Request) -> Response:
-        values = await form_values(request)
+    def start(request: Request, values: Values) -> Response:
+        """Begin a comparison that is not under way, and not known."""
         asked = {name: values.get(name, "") for name in ("a", "b", "session")}
         address = f"/runs.compare?{urlencode(asked)}"
-        await run_in_threadpool(_start, asked, address)
-        return RedirectResponse(address, status_code=303)
-
-    def _start(asked: dict[str, str], address: str) -> None:
-        """Begin a comparison that is not under way, and not known."""
         command, runs = _command(**asked), _runs(asked["a"], asked["b"])
         job = newest_job(bench.jobs.all(), command)
         is_known = job is not None and comparison_of(job) is not None and not is_outdated(job, runs)
         if not (is_known or (job is not None and job.is_running)):
             bench.jobs.start(command, address)
+        return RedirectResponse(address, status_code=303)
 
     def _command(a: str, b: str, session: str) -> list[str]:
         logs = bench.folders.logs("sessions")
@@ -73,7 +64,7 @@ def compare_routes(bench: Workbench) -> list[Route]:
         }
 
     return [
-        Route("/runs.compare", page),
-        Route("/runs.compare", start, methods=["POST"]),
-        Route("/runs.compare.body", body),
+        Route("/runs.compare", whole),
+        Route("/runs.compare", on_form(start), methods=["POST"]),
+        Route("/runs.compare.body", page_of("compare_body.html", _context)),
     ]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, Response
+from starlette.responses import Response
 from starlette.routing import Route
 
 from common import UserError
@@ -18,19 +18,15 @@ from web.logs.drive_view import DriveView
 from web.pages.changes import drives_version
 from web.pages.workbench import Workbench
 from web.runs.run_colours import COLOURS, run_colours
-from web.server.templates import render
+from web.server.templates import page, page_of
 
 _PATIENCE_S: Final = 0.5
 MAX_CHOSEN: Final = COLOURS
 
 
 def drive_routes(bench: Workbench) -> list[Route]:
-    def page(request: Request) -> Response:
-        live = drives_version(bench)
-        return HTMLResponse(render("drives.html", live=live, **_context(request)))
-
-    def rows(request: Request) -> Response:
-        return HTMLResponse(render("drive_rows.html", **_context(request)))
+    def whole(request: Request) -> Response:
+        return page("drives.html", live=drives_version(bench), **_context(request))
 
     def _context(request: Request) -> dict[str, Any]:
         query = request.query_params
@@ -77,7 +73,7 @@ def drive_routes(bench: Workbench) -> list[Route]:
             "folder": printable(str(bench.folders.drives)),
         }
 
-    return [Route("/drives", page), Route("/drives.rows", rows)]
+    return [Route("/drives", whole), Route("/drives.rows", page_of("drive_rows.html", _context))]
 
 
 def _colours(drives: Sequence[dict[str, Any]]) -> list[int]:

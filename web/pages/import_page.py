@@ -7,7 +7,7 @@ from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
+from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from common.errors import printable
@@ -24,10 +24,10 @@ from web.errors import WebError
 from web.folders.project_folders import key_of
 from web.folders.uploads import MAX_FILES, MAX_UPLOAD_BYTES, Upload, plain_name, remove_upload, uploads_in
 from web.jobs.job_forms import form_of
-from web.pages.request_values import form_values
+from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
 from web.server.request_guard import UPLOAD
-from web.server.templates import render
+from web.server.templates import page
 
 _MAX_SHOWN = 50  # recordings of a folder
 _MAX_FOLDERS = 500
@@ -37,9 +37,9 @@ _FILES = (".mcap", ".csv")  # that may be recordings
 def import_routes(bench: Workbench) -> list[Route]:
     folder = bench.folders.recordings
 
-    def page(request: Request) -> Response:
+    def whole(request: Request) -> Response:
         limits = {"bytes": MAX_UPLOAD_BYTES, "files": MAX_FILES}
-        return HTMLResponse(render("import.html", limits=limits, uploads=list(uploads_in(folder))))
+        return page("import.html", limits=limits, uploads=list(uploads_in(folder)))
 
     async def upload(request: Request) -> Response:
         """Receive an upload; `manifest` in the address: the length of what it begins with."""
@@ -63,7 +63,7 @@ def import_routes(bench: Workbench) -> list[Route]:
 
     def one(request: Request) -> Response:
         path = _upload(request)
-        return HTMLResponse(render("import_found.html", title=path.name, **_found(path, recordings_in(path))))
+        return page("import_found.html", title=path.name, **_found(path, recordings_in(path)))
 
     def browse(request: Request) -> Response:
         """A folder or file of this machine: the recordings in it, and its folders."""
@@ -80,7 +80,7 @@ def import_routes(bench: Workbench) -> list[Route]:
         inner = [each for each in folders_in(place) if not each.name.startswith(".")] if is_folder else []
         found, inner = ([each for each in some if str(each).isprintable()] for some in (found, inner))
         context = {"inner": inner[:_MAX_FOLDERS], "above": place.parent, "title": printable(str(place))}
-        return HTMLResponse(render("import_found.html", **context, **_found(place, found)))
+        return page("import_found.html", **context, **_found(place, found))
 
     def _found(place: Path, found: list[Path]) -> dict[str, Any]:
         taken = {log.name.removesuffix(".mcap") for log in bench.folders.logs("sessions").values()}
@@ -97,20 +97,13 @@ def import_routes(bench: Workbench) -> list[Route]:
             "more": len(found) - len(shown),
         }
 
-    async def take(request: Request) -> Response:
+    def take(request: Request, values: Values) -> Response:
         """Make a log of this toolkit a session: it gets its place there, as it is."""
-        values = await form_values(request)
         path = _upload(request)
         log = next((each for each in recordings_in(path) if str(each) == values.get("source")), None)
         if log is None or not is_own_log(log):
             raise WebError(f"{path}: no such log in it; reload its page", 404)
-        page_of = await run_in_threadpool(_take, log, values.get("name", ""))
-        if not recordings_in(path):
-            await run_in_threadpool(remove_upload, path)
-        return RedirectResponse(page_of, status_code=303)
-
-    def _take(log: Path, name: str) -> str:
-        sessions = bench.folders.sessions
+        name, sessions = values.get("name", ""), bench.folders.sessions
         if isinstance(sessions, Url):
             raise WebError(f"`bc-log copy {printable(str(log))} {sessions}` copies it there", 422)
         if not name or plain_name(name) != name:
@@ -121,7 +114,9 @@ def import_routes(bench: Workbench) -> list[Route]:
             publish(log, to, overwrite=False)
             if tags_path(log).is_file():
                 publish(tags_path(log), tags_path(to), overwrite=False)
-        return f"/sessions/{key_of(to)}"
+        if not recordings_in(path):
+            remove_upload(path)
+        return RedirectResponse(f"/sessions/{key_of(to)}", status_code=303)
 
     def remove(request: Request) -> Response:
         remove_upload(_upload(request))
@@ -135,11 +130,11 @@ def import_routes(bench: Workbench) -> list[Route]:
         return path
 
     return [
-        Route("/import", page),
+        Route("/import", whole),
         Route("/import.at", browse),
         Route(UPLOAD, upload, methods=["POST"]),
         Route("/import/{name}", one),
-        Route("/import/{name}/take", take, methods=["POST"]),
+        Route("/import/{name}/take", on_form(take), methods=["POST"]),
         Route("/import/{name}/remove", remove, methods=["POST"]),
     ]
 

@@ -1,4 +1,5 @@
-"""The index: bins, each session's share, the split along time, leaks, and what other settings would change."""
+"""The index: bins, each session's share, the split along time, leaks, what other settings would change, and
+samples as they are trained on."""
 
 from __future__ import annotations
 
@@ -8,20 +9,20 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlencode
 
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from common import UserError
 from common.errors import counted, printable
-from dataset.index.build_state import STATE_NAME
+from common.whole_number import whole_number
 from dataset.index.leaks import find_leaks
 from dataset.index.sessions import logs_not_indexed
 from dataset.samples.samples_format import COUNT_HEADINGS, SAMPLES_NAME
 from web.errors import WebError
 from web.folders.file_versions import version_of
 from web.folders.project_folders import key_of, shown_name
+from web.index.altered_samples import AlteredSamples, altered_samples
 from web.index.index_view import (
     IndexView,
     bins_sketch,
@@ -32,11 +33,11 @@ from web.index.index_view import (
 )
 from web.jobs.job_forms import INDEX_FIELDS, form_of
 from web.logs.session_cards import IndexState
-from web.pages.request_values import form_values
+from web.pages.request_values import Values, number_in, on_form
 from web.pages.workbench import Workbench
 from web.runs.run_origins import index_checksum, origin_of
 from web.runs.run_settings import differing
-from web.server.templates import render
+from web.server.templates import page
 
 _INDEX_FORM = "index"
 _PATIENCE_S: Final = 0.3
@@ -48,25 +49,30 @@ def index_routes(bench: Workbench) -> list[Route]:
         trial = request.query_params.get("trial", "")
         return bench.trials.get(trial) if trial else bench.folders.index_here
 
-    def page(request: Request) -> Response:
+    def whole(request: Request) -> Response:
         values = dict(request.query_params)
         trial = values.pop("trial", "")
-        context: dict[str, Any] = {"trial": trial, "values": values, "fields": INDEX_FIELDS, "version": ""}
         store_problem = bench.folders.refresh_index()
         here = bench.folders.index_here
-        context["version_of_index"] = version_of(here / STATE_NAME)
-        context["known"] = sorted(map(shown_name, bench.folders.logs("sessions").values()))
-        context["now"], problem = _view(here)
-        context["folder"] = printable(str(bench.folders.index))
-        context["is_missing"] = not (here / SAMPLES_NAME).exists() and not store_problem
-        context["problem"] = store_problem or problem.replace(printable(str(here)), context["folder"])
-        context["stale"] = _stale()
-        context["then"], context["trial_problem"] = _view(bench.trials.get(trial)) if trial else (None, "")
-        context["headings"] = COUNT_HEADINGS
-        context["settings"] = _changed(context["now"], context["then"])
-        context["sessions"] = _sessions(context["now"], context["then"])
-        context["runs"] = _runs() if context["now"] else []
-        return HTMLResponse(render("index.html", **context))
+        now, problem = _view(here)
+        then, trial_problem = _view(bench.trials.get(trial)) if trial else (None, "")
+        return page(
+            "index.html",
+            trial=trial,
+            values=values,
+            fields=INDEX_FIELDS,
+            known=sorted(map(shown_name, bench.folders.logs("sessions").values())),
+            now=now,
+            then=then,
+            is_missing=not (here / SAMPLES_NAME).exists() and not store_problem,
+            problem=store_problem or problem.replace(printable(str(here)), printable(str(bench.folders.index))),
+            trial_problem=trial_problem,
+            stale=_stale(),
+            headings=COUNT_HEADINGS,
+            settings=differing([now.settings, then.settings]) if now and then else [],
+            sessions=_sessions(now, then),
+            runs=_runs() if now else [],
+        )
 
     def _stale() -> list[str]:
         """The sessions that are newer than the index, and those whose log or tags have changed since."""
@@ -87,50 +93,73 @@ def index_routes(bench: Workbench) -> list[Route]:
     def bins(request: Request) -> Response:
         return _picture(bins_sketch(view_index(folder_of(request))))
 
+    def session_of(request: Request) -> tuple[Path, str]:
+        """The index, and the session in it: nothing else is looked for in its folder."""
+        folder, key = folder_of(request), request.path_params["session"]
+        for session in view_index(folder).counts:
+            if key_of(Path(session)) == key and "/" not in session and "\\" not in session:
+                return folder, session
+        raise WebError(f"{folder}: no session {key!r} in it", 404)
+
     def session_bins(request: Request) -> Response:
-        folder = folder_of(request)
-        return _picture(session_bins_sketch(folder, _session(folder, request.path_params["session"])))
+        return _picture(session_bins_sketch(*session_of(request)))
 
     def split(request: Request) -> Response:
-        folder = folder_of(request)
-        return _picture(split_sketch(folder, _session(folder, request.path_params["session"])))
+        return _picture(split_sketch(*session_of(request)))
 
     def held_out(request: Request) -> Response:
         """The rows of a session that validation has, as [first, last] of their stretches."""
-        folder = folder_of(request)
-        return JSONResponse(held_out_rows(folder, _session(folder, request.path_params["session"])))
+        return JSONResponse(held_out_rows(*session_of(request)))
+
+    def samples_of(trial: str, others: int) -> AlteredSamples:
+        index = bench.trials.get(trial) if trial else bench.folders.index
+        here = index if isinstance(index, Path) else bench.folders.index_here
+        return altered_samples(index, version_of(here / SAMPLES_NAME), others, bench.cache)
+
+    def altered(request: Request) -> Response:
+        trial, others = _chosen(request)
+        found = samples_of(trial, others)
+        shown = [(number, sample, key_of(Path(sample.session))) for number, sample in enumerate(found.shown)]
+        return page("altered_rows.html", found=found, shown=shown, trial=trial, others=others)
+
+    def altered_picture(request: Request) -> Response:
+        """The picture as it was driven (0), or as it is trained on (1)."""
+        number, which = number_in(request, "number"), number_in(request, "which")
+        shown = samples_of(*_chosen(request)).shown
+        if number >= len(shown) or which > 1 or not shown[number].pictures[which]:
+            raise WebError(f"no such picture of sample {number}", 404)
+        return Response(shown[number].pictures[which], media_type="image/jpeg")
 
     def leaks(request: Request) -> Response:
         found = find_leaks(folder_of(request))
         head = "no leak between training and validation" if not found else counted(len(found), "leak")
-        return PlainTextResponse(printable_lines([head, *found]))
+        return PlainTextResponse("\n".join(map(printable, [head, *found])))
 
-    async def try_settings(request: Request) -> Response:
-        values = await form_values(request)
-        job = await run_in_threadpool(_start_trial, values)
-        return RedirectResponse(f"/jobs/{job}", status_code=303)
-
-    def _start_trial(values: dict[str, str]) -> str:
+    def try_settings(request: Request, values: Values) -> Response:
         form = form_of(_INDEX_FORM)
         form.words(values, bench.folders)  # before a folder is made
         key, folder = bench.trials.new(bench.folders.index_here)
         words = form.words(values, dataclasses.replace(bench.folders, index=folder))
         kept = {name: value for name, value in values.items() if value and name != "form"}
-        return bench.jobs.start(words, f"/index?{urlencode({'trial': key, **kept})}").key
+        job = bench.jobs.start(words, f"/index?{urlencode({'trial': key, **kept})}")
+        return RedirectResponse(f"/jobs/{job.key}", status_code=303)
 
     return [
-        Route("/index", page),
+        Route("/index", whole),
+        Route("/index.altered", altered),
+        Route("/index.altered/{number}/{which}.jpg", altered_picture),
         Route("/index.bins", bins),
         Route("/index.leaks", leaks),
-        Route("/index.try", try_settings, methods=["POST"]),
+        Route("/index.try", on_form(try_settings), methods=["POST"]),
         Route("/index/{session}/bins", session_bins),
         Route("/index/{session}/split", split),
         Route("/index/{session}/held-out", held_out),
     ]
 
 
-def printable_lines(lines: list[str]) -> str:
-    return "\n".join(map(printable, lines))
+def _chosen(request: Request) -> tuple[str, int]:
+    """The index that was tried, "" for the project's own, and the number of the choice of samples."""
+    return request.query_params.get("trial", ""), whole_number(request.query_params.get("others", "")) or 0
 
 
 def _view(folder: Path) -> tuple[IndexView | None, str]:
@@ -138,18 +167,6 @@ def _view(folder: Path) -> tuple[IndexView | None, str]:
         return view_index(folder), ""
     except UserError as error:
         return None, printable(str(error))
-
-
-def _session(folder: Path, key: str) -> str:
-    """The session of that key, among those of the index: nothing else is looked for in its folder."""
-    for session in view_index(folder).counts:
-        if key_of(Path(session)) == key and "/" not in session and "\\" not in session:
-            return session
-    raise WebError(f"{folder}: no session {key!r} in it", 404)
-
-
-def _changed(now: IndexView | None, then: IndexView | None) -> list[tuple[str, list[str]]]:
-    return differing([now.settings, then.settings]) if now and then else []
 
 
 def _sessions(now: IndexView | None, then: IndexView | None) -> list[dict[str, Any]]:

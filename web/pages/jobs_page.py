@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 from typing import Any
 
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
@@ -19,17 +18,17 @@ from web.folders.project_folders import shown_name
 from web.index.index_view import view_index
 from web.jobs.job_forms import FORMS, form_of
 from web.jobs.jobs import Job
-from web.pages.request_values import form_values
+from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
 from web.runs.run_cards import earlier_trainings
 from web.runs.training_cost import training_cost
-from web.server.templates import render
+from web.server.templates import page, render
 
 _PATIENCE_S = 5.0
 
 
 def job_routes(bench: Workbench) -> list[Route]:
-    def page(request: Request) -> Response:
+    def whole(request: Request) -> Response:
         live = bench.jobs.version()
         known = {
             "sessions": sorted(map(shown_name, bench.folders.logs("sessions").values())),
@@ -37,20 +36,11 @@ def job_routes(bench: Workbench) -> list[Route]:
         }
         values = dict(request.query_params)
         opened = values.pop("start", "")
-        return HTMLResponse(
-            render(
-                "jobs.html",
-                live=live,
-                forms=FORMS,
-                known=known,
-                opened=opened,
-                values=values,
-                jobs=bench.jobs.all(),
-            )
-        )
+        shown = {"known": known, "opened": opened, "values": values, "jobs": bench.jobs.all()}
+        return page("jobs.html", live=live, forms=FORMS, **shown)
 
     def rows(request: Request) -> Response:
-        return HTMLResponse(render("job_rows.html", jobs=bench.jobs.all()))
+        return page("job_rows.html", jobs=bench.jobs.all())
 
     def command(request: Request) -> Response:
         """The command that a form would run, or why it cannot."""
@@ -78,17 +68,15 @@ def job_routes(bench: Workbench) -> list[Route]:
         work = f"{counted(epochs, 'epoch')} of {counted(samples, 'sample')}"
         return PlainTextResponse(printable(f"{work}: {found.words(network)}"))
 
-    async def start(request: Request) -> Response:
-        values = await form_values(request)
-        form = form_of(values.get("form", ""))
-        values = form.named(values)
+    def start(request: Request, given: Values) -> Response:
+        form = form_of(given.get("form", ""))
+        values = form.named(given)
         words, made = form.words(values, bench.folders), form.page_of(values, bench.folders)
-        job = await run_in_threadpool(bench.jobs.start, words, made, form.name, values)
+        job = bench.jobs.start(words, made, form.name, values)
         return RedirectResponse(f"/jobs/{job.key}", status_code=303)
 
     def one(request: Request) -> Response:
-        live = bench.jobs.version()
-        return HTMLResponse(render("job.html", live=live, **_context(request)))
+        return page("job.html", live=bench.jobs.version(), **_context(request))
 
     def body(request: Request) -> Response:
         context = _context(request)
@@ -108,8 +96,8 @@ def job_routes(bench: Workbench) -> list[Route]:
         return {"job": job, "output": job.output()}
 
     return [
-        Route("/jobs", page),
-        Route("/jobs", start, methods=["POST"]),
+        Route("/jobs", whole),
+        Route("/jobs", on_form(start), methods=["POST"]),
         Route("/jobs.rows", rows),
         Route("/jobs.command", command),
         Route("/jobs.cost", cost),

@@ -6,7 +6,7 @@ from typing import Final, get_args
 
 import msgspec
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from common.car import CAMERAS, Camera
@@ -25,10 +25,11 @@ from web.logs.open_logs import OpenLog
 from web.logs.steering_sketch import steering_sketch
 from web.pages.request_values import number_in
 from web.pages.workbench import Workbench
+from web.runs.attention import attention_overlay
 from web.runs.run_networks import NETWORK_FILES
 from web.runs.run_origins import origin_of
 from web.server.static_files import KEPT
-from web.server.templates import render
+from web.server.templates import page
 
 _JPEG_START: Final = b"\xff\xd8\xff"
 
@@ -72,7 +73,7 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
         with bench.logs.open(path) as opened:
             encoded = _picture(request, opened, "center")
         bench.folders.bring_run(run, NETWORK_FILES)
-        data = bench.attention.overlay(run, bench.folders.run_place(run), path, encoded)
+        data = attention_overlay(run, bench.folders.run_place(run), path, encoded)
         return Response(data, media_type="image/png")
 
     def links(request: Request) -> Response:
@@ -86,7 +87,7 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
             driver = opened.log.metadata.get("run", "")
         key = key_of(bench.folders.runs / driver) if driver else ""
         drove = printable(driver), f"/runs/{key}" if key in runs else ""
-        return HTMLResponse(render("log_links.html", learnt=learnt, drove=drove))
+        return page("log_links.html", learnt=learnt, drove=drove)
 
     def course(request: Request) -> Response:
         """The events, and the edges of the road, or null."""

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
@@ -17,7 +15,7 @@ from common.errors import printable
 from common.location import Location
 from web.folders.project_folders import Place, key_of, shown_name
 from web.jobs.log_jobs import NewLogForm, command_line, jobs_for, log_job
-from web.pages.request_values import form_pairs
+from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
 
 
@@ -26,25 +24,23 @@ def log_job_routes(bench: Workbench, place: Place) -> list[Route]:
         """The command that a form would run, or its problem."""
         log = bench.folders.log(place, request.path_params["log"])
         job = log_job(request.path_params["job"])
+        form = _form_of(request.query_params)
         try:
-            words, _ = command_line(
-                job, log, _form_of(request.query_params.multi_items()), bench.folders.logs(place), bench.folders
-            )
+            words, _ = command_line(job, log, form, bench.folders.logs(place), bench.folders)
         except UserError as error:
             return PlainTextResponse(printable(str(error)))
         return PlainTextResponse(printable(shlex.join(words)))
 
-    async def start(request: Request) -> Response:
+    def start(request: Request, values: Values) -> Response:
         log = bench.folders.log(place, request.path_params["log"])
         job = log_job(request.path_params["job"])
-        form = _form_of(await form_pairs(request))
-        words, made = command_line(job, log, form, bench.folders.logs(place), bench.folders)
+        words, made = command_line(job, log, _form_of(values), bench.folders.logs(place), bench.folders)
         address = f"/{place}/{key_of(made)}" if made is not None else ""
-        started = await run_in_threadpool(bench.jobs.start, words, address)
+        started = bench.jobs.start(words, address)
         return RedirectResponse(f"/jobs/{started.key}", status_code=303)
 
     at = f"/{place}/{{log}}/make/{{job}}"
-    return [Route(f"{at}/command", command), Route(at, start, methods=["POST"])]
+    return [Route(f"{at}/command", command), Route(at, on_form(start), methods=["POST"])]
 
 
 def shown_log_jobs(log: Location) -> list[dict[str, Any]]:
@@ -58,12 +54,6 @@ def shown_log_jobs(log: Location) -> list[dict[str, Any]]:
     ]
 
 
-def _form_of(pairs: Iterable[tuple[str, str]]) -> NewLogForm:
-    given = list(pairs)
-    values = dict(given)
-    return NewLogForm(
-        values.get("new", "").strip(),
-        values.get("first", "").strip(),
-        values.get("last", "").strip(),
-        tuple(value for name, value in given if name == "other"),
-    )
+def _form_of(values: Values) -> NewLogForm:
+    new, first, last = (values.get(name, "").strip() for name in ("new", "first", "last"))
+    return NewLogForm(new, first, last, tuple(values.getlist("other")))

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from starlette.datastructures import QueryParams
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from common import UserError
@@ -25,14 +25,14 @@ from web.folders.project_folders import PLACES, key_of, shown_name
 from web.pages.workbench import Workbench
 from web.processes.picture_maps import MappedLog
 from web.runs.run_networks import NETWORK_FILES, can_be_run, check_network
-from web.server.templates import render
+from web.server.templates import page
 
 _KEY: Final = re.compile(r"[0-9a-f]{64}")
 _PIXELS: Final = "pixels"
 
 
 def map_routes(bench: Workbench) -> list[Route]:
-    def page(request: Request) -> Response:
+    def whole(request: Request) -> Response:
         of = request.query_params.getlist("of")
         logs = [_place_and_key(each) for each in of]
         paths = [bench.folders.log(place, key) for place, key in logs]
@@ -42,16 +42,9 @@ def map_routes(bench: Workbench) -> list[Route]:
         run = request.query_params.get("run", "")
         if run not in (_PIXELS, *folders):
             run = next((key for key in reversed(folders) if can_be_run(folders[key])), _PIXELS)
-        return HTMLResponse(
-            render(
-                "map.html",
-                of=[(name, f"/{place}/{key}") for name, (place, key) in zip(names, logs, strict=True)],
-                at=f"/{logs[0][0]}" if logs else "/index",
-                runs=runs,
-                run=run,
-                pixels=_PIXELS,
-            )
-        )
+        shown = [(name, f"/{place}/{key}") for name, (place, key) in zip(names, logs, strict=True)]
+        at = f"/{logs[0][0]}" if logs else "/index"
+        return page("map.html", of=shown, at=at, runs=runs, run=run, pixels=_PIXELS)
 
     def state(request: Request) -> Response:
         """The state of a map. POST begins with it where it has not been made yet."""
@@ -77,7 +70,7 @@ def map_routes(bench: Workbench) -> list[Route]:
         return Response(data, media_type="application/octet-stream")
 
     return [
-        Route("/map", page),
+        Route("/map", whole),
         Route("/map.state", state, methods=["GET", "POST"]),
         Route("/map.stop", stop, methods=["POST"]),
         Route("/map.points", points),

@@ -11,12 +11,10 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from common.errors import printable
-from common.files import PART_SUFFIX
 from common.location import Location
-from common.locks import is_being_written
 from recorder.topics import camera_topic
 from web.errors import WebError
-from web.folders.project_folders import Place
+from web.folders.project_folders import Place, is_recording
 from web.logs.open_logs import OpenLog
 from web.pages.workbench import Workbench
 from web.processes.predictions import Measured
@@ -31,7 +29,7 @@ def prediction_routes(bench: Workbench, place: Place) -> list[Route]:
         path = bench.folders.log(place, request.path_params["log"])
         run = bench.folders.run(request.path_params["run"])
         log = request.query_params.get("log", "")  # the fingerprint of what the page shows
-        if path.name.endswith(PART_SUFFIX) and is_being_written(path):
+        if is_recording(path):
             raise WebError("this log is being recorded: predictions can be made when that has ended", 409)
         with bench.logs.open(path) as opened:
             return JSONResponse(_state(bench, path, opened, log, run, is_start=request.method == "POST"))

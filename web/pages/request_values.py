@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable
 from urllib.parse import parse_qsl
 
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import ImmutableMultiDict
 from starlette.requests import Request
+from starlette.responses import Response
 
 from common.errors import printable
 from common.whole_number import whole_number
@@ -14,17 +18,26 @@ _FORM = "application/x-www-form-urlencoded"
 _MOST = 2000  # a thousand logs may be merged
 
 
-async def form_values(request: Request) -> dict[str, str]:
-    """The fields of a form. Raises WebError for a request without one."""
-    return dict(await form_pairs(request))
+Values = ImmutableMultiDict[str, str]
+"""Fields by name, as of a form or an address; a name may have several values, of which the last one counts."""
 
 
-async def form_pairs(request: Request) -> list[tuple[str, str]]:
-    """The same, where a name may have several values."""
+def on_form(answer: Callable[[Request, Values], Response]) -> Callable[[Request], Awaitable[Response]]:
+    """The endpoint that calls `answer`, on a thread, with the fields of a form."""
+
+    async def endpoint(request: Request) -> Response:
+        return await run_in_threadpool(answer, request, await _form_values(request))
+
+    return endpoint
+
+
+async def _form_values(request: Request) -> Values:
+    """Raises WebError for a request without a form."""
     if request.headers.get("content-type", "").partition(";")[0] != _FORM:
         raise WebError(f"this address takes only forms ({_FORM})", 415)
     try:
-        return parse_qsl((await request.body()).decode("ascii"), keep_blank_values=True, max_num_fields=_MOST)
+        text = (await request.body()).decode("ascii")
+        return Values(parse_qsl(text, keep_blank_values=True, max_num_fields=_MOST))
     except ValueError as error:
         raise WebError(f"not a form: {error}", 422) from None
 

@@ -14,10 +14,8 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import printable
-from common.files import PART_SUFFIX
-from common.locks import is_being_written
 from web.errors import WebError
-from web.folders.project_folders import Place
+from web.folders.project_folders import Place, is_recording
 from web.pages.workbench import Workbench
 from web.processes.rerun_viewers import FILES, viewer_version
 from web.server.static_files import KEPT
@@ -70,7 +68,7 @@ def rerun_log_routes(bench: Workbench, place: Place) -> list[Route]:
         """Lines of JSON: the viewer's address, as soon as it can be opened, notes on the log, and the reason of
         its end. The viewer lives as long as these lines are read."""
         path = bench.folders.log(place, request.path_params["log"])
-        is_growing = path.name.endswith(PART_SUFFIX) and is_being_written(path)
+        is_growing = is_recording(path)
         with bench.logs.open(path) as opened:
             late_s = 1e-9 * (opened.first_time_ns - opened.log.time_range_ns[0])
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 from urllib.parse import urlencode
 
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, Response
+from starlette.responses import Response
 from starlette.routing import Route
 
 from common import UserError
@@ -28,7 +28,7 @@ from web.runs.run_bins import bin_bars
 from web.runs.run_cards import RunCard
 from web.runs.run_origins import index_checksum, origin_of
 from web.runs.run_settings import run_settings
-from web.server.templates import render
+from web.server.templates import page, page_of
 
 _MAX_NUMBERS: Final = 14  # of a result
 _FULL_LOCK_RAD: Final = math.pi / 3  # as full lock is drawn: more than it is, so that a few degrees are visible
@@ -36,15 +36,8 @@ _LINE: Final = 90.0  # of such a picture
 
 
 def run_routes(bench: Workbench) -> list[Route]:
-    def page(request: Request) -> Response:
-        live = runs_version(bench)
-        return HTMLResponse(render("run.html", live=live, **_context(request)))
-
-    def top(request: Request) -> Response:
-        return HTMLResponse(render("run_top.html", **_context(request)))
-
-    def body(request: Request) -> Response:
-        return HTMLResponse(render("run_body.html", **_context(request)))
+    def whole(request: Request) -> Response:
+        return page("run.html", live=runs_version(bench), **_context(request))
 
     def worst_picture(request: Request) -> Response:
         """The network's picture of the worst frame of that number after that epoch."""
@@ -78,9 +71,9 @@ def run_routes(bench: Workbench) -> list[Route]:
         }
 
     return [
-        Route("/runs/{run}", page),
-        Route("/runs/{run}/top", top),
-        Route("/runs/{run}/body", body),
+        Route("/runs/{run}", whole),
+        Route("/runs/{run}/top", page_of("run_top.html", _context)),
+        Route("/runs/{run}/body", page_of("run_body.html", _context)),
         Route("/runs/{run}/worst/{epoch}/{number}.jpg", worst_picture),
     ]
 

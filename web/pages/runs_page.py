@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from starlette.datastructures import QueryParams
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from common import UserError
@@ -20,7 +20,7 @@ from web.runs.run_cards import RunCard
 from web.runs.run_colours import COLOURS, run_colours
 from web.runs.run_curves import run_curves
 from web.runs.run_settings import differing, run_settings
-from web.server.templates import render
+from web.server.templates import page, page_of
 
 PATIENCE_S: Final = 1.0
 """For runs that are being read."""
@@ -45,23 +45,15 @@ class RunQuery:
 
 
 def run_list_routes(bench: Workbench) -> list[Route]:
-    def page(request: Request) -> Response:
+    def whole(request: Request) -> Response:
         live = runs_version(bench)  # before the runs are read
-        query = RunQuery.of(request.query_params)
-        return HTMLResponse(
-            render("runs.html", query=query, live=live, sorts=list(SORTED_BY), **_list(query), **_differing(query))
-        )
-
-    def rows(request: Request) -> Response:
-        return HTMLResponse(render("run_rows.html", **_list(RunQuery.of(request.query_params))))
-
-    def differences(request: Request) -> Response:
-        return HTMLResponse(render("run_differences.html", **_differing(RunQuery.of(request.query_params))))
+        shown = {**_list(request), **_differing(request), "sorts": list(SORTED_BY)}
+        return page("runs.html", query=RunQuery.of(request.query_params), live=live, **shown)
 
     def curves(request: Request) -> Response:
         """The lines of each chosen run, or the problem why it has none."""
         found = []
-        chosen = list(_chosen(RunQuery.of(request.query_params)))
+        chosen = _chosen(RunQuery.of(request.query_params))
         colours = run_colours(path.name for _, path in chosen)
         for key, path in chosen:
             shown: dict[str, Any] = {"key": key, "name": printable(path.name), "lines": {}, "problem": ""}
@@ -73,8 +65,8 @@ def run_list_routes(bench: Workbench) -> list[Route]:
             found.append(shown)
         return JSONResponse(found)
 
-    def _list(query: RunQuery) -> dict[str, Any]:
-        folder = bench.folders.runs
+    def _list(request: Request) -> dict[str, Any]:
+        query, folder = RunQuery.of(request.query_params), bench.folders.runs
         cards = bench.runs.cards(PATIENCE_S)
         shown = _sorted([card for card in cards if _has(card, query.text)], query.sort)
         summaries = [card.summary for card in shown if card.summary]
@@ -94,22 +86,23 @@ def run_list_routes(bench: Workbench) -> list[Route]:
         there = bench.folders.run_folders()
         return [(key, there[key]) for key in query.chosen if key in there]
 
-    def _differing(query: RunQuery) -> dict[str, Any]:
+    def _differing(request: Request) -> dict[str, Any]:
         names, settings, problems = [], [], []
-        for _, path in _chosen(query):
+        chosen = _chosen(RunQuery.of(request.query_params))
+        for _, path in chosen:
             try:
                 settings.append(run_settings(path))
             except UserError as error:
                 problems.append(printable(str(error)))
             else:
                 names.append(printable(path.name))
-        both = dict(zip("ab", (key for key, _ in _chosen(query)), strict=False))
+        both = dict(zip("ab", (key for key, _ in chosen), strict=False))
         return {"names": names, "rows": differing(settings), "problems": problems, "compare": both}
 
     return [
-        Route("/runs", page),
-        Route("/runs.rows", rows),
-        Route("/runs.differences", differences),
+        Route("/runs", whole),
+        Route("/runs.rows", page_of("run_rows.html", _list)),
+        Route("/runs.differences", page_of("run_differences.html", _differing)),
         Route("/runs.curves", curves),
     ]
 

@@ -6,16 +6,13 @@ import contextlib
 from dataclasses import asdict
 
 import numpy as np
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from common.car import CAMERAS
 from common.errors import printable
-from common.files import PART_SUFFIX
 from common.location import Location
-from common.locks import is_being_written
 from common.stretches import stretches
 from recorder import Log, LogError
 from recorder.log.known_lag import lag_path
@@ -23,41 +20,39 @@ from recorder.log.session_car import known_max_steering_deg
 from recorder.log.tags import EXCLUDE, tags_path
 from recorder.rows.row_condition import rows_where
 from recorder.topics import camera_topic
-from web.folders.project_folders import Place, shown_name
+from web.folders.project_folders import Place, is_recording, shown_name
 from web.logs.drive_course import is_driven
 from web.logs.open_logs import OpenLog
 from web.logs.session_stretches import flag_stretches, not_learnt_stretches, shown_stretches
 from web.pages.log_jobs_page import shown_log_jobs
-from web.pages.tagging import TagChange, change_tags, json_of, names_known
+from web.pages.tagging import TagChange, change_tags, names_known, on_change
 from web.pages.workbench import Workbench
 from web.processes.rerun_viewers import command_of
-from web.server.templates import render
+from web.server.templates import page
 
 
 def session_routes(bench: Workbench, place: Place) -> list[Route]:
     def path_of(request: Request) -> Location:
         return bench.folders.log(place, request.path_params["log"])
 
-    def page(request: Request) -> Response:
+    def whole(request: Request) -> Response:
         path = path_of(request)
         info = bench.cards.info(path)
         name = shown_name(path)
-        return HTMLResponse(
-            render(
-                "session.html",
-                name=name,
-                place=place,
-                at=f"/{place}/{request.path_params['log']}",
-                info=info,
-                cameras=CAMERAS,
-                can_train=place == "sessions" and path.suffix == ".mcap",
-                is_driven=is_driven(topic.topic for topic in info.topics),
-                path=printable(str(path)),
-                log_jobs=shown_log_jobs(path),
-                others=[item for item in bench.folders.finished(place).items() if item[1] != name],
-                play_command=command_of(path),
-                runs=[(key, printable(run.name)) for key, run in bench.folders.run_folders().items()],
-            )
+        return page(
+            "session.html",
+            name=name,
+            place=place,
+            at=f"/{place}/{request.path_params['log']}",
+            info=info,
+            cameras=CAMERAS,
+            can_train=place == "sessions" and path.suffix == ".mcap",
+            is_driven=is_driven(topic.topic for topic in info.topics),
+            path=printable(str(path)),
+            log_jobs=shown_log_jobs(path),
+            others=[item for item in bench.folders.finished(place).items() if item[1] != name],
+            play_command=command_of(path),
+            runs=[(key, printable(run.name)) for key, run in bench.folders.run_folders().items()],
         )
 
     def version(request: Request) -> Response:
@@ -65,7 +60,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         bench.folders.refresh(place)
         bench.logs.drop_changed()
         path = path_of(request)
-        is_growing = path.name.endswith(PART_SUFFIX) and is_being_written(path)
+        is_growing = is_recording(path)
         files = {"log": path, "tags": tags_path(path), "lag": lag_path(path)}
         versions = {name: bench.folders.version_of(file) for name, file in files.items()}
         return JSONResponse(versions | {"growing": is_growing, "problem": bench.folders.problem(place)})
@@ -115,20 +110,19 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         """The names that tags have in this folder."""
         return JSONResponse(sorted(names_known(bench, place, path_of(request))))
 
-    async def change(request: Request) -> Response:
-        asked = await json_of(request, TagChange)
-        return JSONResponse(await run_in_threadpool(change_tags, bench, place, path_of(request), asked))
+    def change(request: Request, asked: TagChange) -> dict[str, object]:
+        return change_tags(bench, place, path_of(request), asked)
 
     at = f"/{place}/{{log}}"
     return [
-        Route(at, page),
+        Route(at, whole),
         Route(f"{at}/version", version),
         Route(f"{at}/state", state),
         Route(f"{at}/rows", rows),
         Route(f"{at}/where", where),
         Route(f"{at}/tags", tags),
         Route(f"{at}/names", known_names),
-        Route(f"{at}/tags", change, methods=["POST"]),
+        Route(f"{at}/tags", on_change(TagChange, change), methods=["POST"]),
         Route(f"{at}/look", check_pictures, methods=["GET", "POST"]),
     ]
 

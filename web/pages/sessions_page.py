@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
 from common import UserError
@@ -22,7 +22,7 @@ from web.logs.session_cards import IndexState, SessionCard
 from web.logs.session_stretches import PLAIN_FLAGS, SURE
 from web.pages.changes import sessions_version
 from web.pages.workbench import Workbench
-from web.server.templates import render
+from web.server.templates import page, page_of
 
 _PATIENCE_S: Final = 0.3
 """For logs that are being read: a handful of sessions is whole at first sight, a thousand is filled in."""
@@ -78,40 +78,31 @@ class Listed:
     rows: dict[str, int]  # by key: rows that the condition holds for
     searched: int | None  # logs that the condition was evaluated on; None where there is none
     where_problem: str
-    is_bulk: bool  # whether its query finds stretches of rows
 
 
 def session_list_routes(bench: Workbench) -> list[Route]:
     def front(request: Request) -> Response:
         return RedirectResponse("/sessions")
 
-    def page(request: Request) -> Response:
-        query = SessionQuery.of(request.query_params)
+    def whole(request: Request) -> Response:
         version = sessions_version(bench)  # before anything is read, so that later changes are noticed
-        shown = _list(query)
-        choices = {
-            "sorts": list(SORTS),
-            "only": [name for name in ONLY if name not in KINDS],
-            "kinds": list(KINDS),
-        }
-        return HTMLResponse(render("sessions.html", query=query, live=version, **choices, **shown))
+        only = [name for name in ONLY if name not in KINDS]
+        choices = {"sorts": list(SORTS), "only": only, "kinds": list(KINDS)}
+        return page("sessions.html", live=version, **choices, **_list(request))
 
-    def rows(request: Request) -> Response:
-        return HTMLResponse(render("session_rows.html", **_list(SessionQuery.of(request.query_params))))
-
-    def _list(query: SessionQuery) -> dict[str, Any]:
-        found = list_sessions(bench, query)
-        folder = bench.folders.sessions
-        demo = printable(shlex.join(form_of("demo").words({}, bench.folders)))
+    def _list(request: Request) -> dict[str, Any]:
+        query = SessionQuery.of(request.query_params)
         return {
-            "found": found,
-            "folder": printable(str(folder)),
-            "demo": demo,
+            "query": query,
+            "found": list_sessions(bench, query),
+            "folder": printable(str(bench.folders.sessions)),
+            "demo": printable(shlex.join(form_of("demo").words({}, bench.folders))),
             "bins": bins_of_index(bench.folders.index_here),
             "problem": bench.folders.problem("sessions"),
         }
 
-    return [Route("/", front), Route("/sessions", page), Route("/sessions.rows", rows)]
+    rows = page_of("session_rows.html", _list)
+    return [Route("/", front), Route("/sessions", whole), Route("/sessions.rows", rows)]
 
 
 def kind_of(query: SessionQuery) -> str:
@@ -138,8 +129,7 @@ def list_sessions(bench: Workbench, query: SessionQuery, patience_s: float | Non
             chosen = [card for card in chosen if card.key in rows]
     chosen.sort(key=lambda card: (card.info is None, SORTS[query.sort](card) if card.info else 0, card.name))
     reading = sum(card.info is None and not card.problem for card in cards)
-    is_bulk = bool(chosen) and bool(kind_of(query) or query.where)
-    return Listed(chosen, len(cards), reading, rows, searched, problem, is_bulk)
+    return Listed(chosen, len(cards), reading, rows, searched, problem)
 
 
 def _has_kind(card: SessionCard, kind: str) -> bool:

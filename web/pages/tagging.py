@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Annotated, Final, Literal, TypeVar
 
 import msgspec
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
 
 from common.errors import did_you_mean, printable
 from common.location import Location
@@ -33,8 +36,19 @@ class TagChange(msgspec.Struct, forbid_unknown_fields=True):
     log: str
 
 
-async def json_of(request: Request, kind: type[Asked]) -> Asked:
-    """The body of a request for a change. Raises WebError for anything else."""
+def on_change(
+    kind: type[Asked], change: Callable[[Request, Asked], dict[str, object]]
+) -> Callable[[Request], Awaitable[Response]]:
+    """The endpoint that calls `change`, on a thread, with the body of a request for one."""
+
+    async def endpoint(request: Request) -> Response:
+        return JSONResponse(await run_in_threadpool(change, request, await _json_of(request, kind)))
+
+    return endpoint
+
+
+async def _json_of(request: Request, kind: type[Asked]) -> Asked:
+    """Raises WebError for a body that is no request for a change."""
     # no form of another page can send this type unasked
     if request.headers.get("content-type", "").partition(";")[0] != "application/json":
         raise WebError("a change of tags is sent as application/json", 415)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.routing import Route
@@ -30,29 +30,26 @@ from web.jobs.wheels import (
     takeovers,
     training,
 )
-from web.pages.request_values import form_values
+from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
 from web.runs.run_origins import origin_of
-from web.server.templates import render
+from web.server.templates import page, page_of, render
 
 
 def wheel_routes(bench: Workbench) -> list[Route]:
-    def page(request: Request) -> Response:
+    def whole(request: Request) -> Response:
         """The form, and the drives that run now."""
         values = {**DEFAULTS, "name": free_name("drive", bench.folders), **request.query_params}
         runs = [(key, printable(run.name)) for key, run in bench.folders.run_folders().items()]
         wheels = open_wheels(Path.cwd())
-        return HTMLResponse(
-            render("wheels.html", values=values, tracks=TRACKS, rates=RATES_HZ, runs=runs, wheels=wheels)
-        )
+        return page("wheels.html", values=values, tracks=TRACKS, rates=RATES_HZ, runs=runs, wheels=wheels)
 
     def rows(request: Request) -> Response:
-        return HTMLResponse(render("wheel_rows.html", wheels=open_wheels(Path.cwd())))
+        return page("wheel_rows.html", wheels=open_wheels(Path.cwd()))
 
-    async def start(request: Request) -> Response:
-        drive = await run_in_threadpool(new_drive, await form_values(request), bench.folders)
-        after = _after(drive.place, drive.key)
-        job = await run_in_threadpool(bench.jobs.start, drive.words, after)
+    def start(request: Request, values: Values) -> Response:
+        drive = new_drive(values, bench.folders)
+        job = bench.jobs.start(drive.words, _after(drive.place, drive.key))
         return RedirectResponse(f"/wheel/begin/{job.key}", status_code=303)
 
     def begin(request: Request) -> Response:
@@ -64,40 +61,33 @@ def wheel_routes(bench: Workbench) -> list[Route]:
             return HTMLResponse(text, headers={"HX-Redirect": address} if address else {})
         if address:
             return RedirectResponse(address, status_code=303)
-        return HTMLResponse(render("wheel_begin.html", job=job))
+        return page("wheel_begin.html", job=job)
 
     def drive(request: Request) -> Response:
         """The page of a drive that runs."""
         wheel = running(request.path_params["key"])
         place = place_of(wheel, bench.folders)
         after = _after(*place) if place else ""
-        return HTMLResponse(
-            render("wheel.html", title=printable(wheel.title), at=f"/wheel/{wheel.key}", after=after)
-        )
+        return page("wheel.html", title=printable(wheel.title), at=f"/wheel/{wheel.key}", after=after)
 
-    def after(request: Request) -> Response:
-        return HTMLResponse(render("wheel_after.html", **_ended(bench, request)))
-
-    def after_body(request: Request) -> Response:
-        return HTMLResponse(render("wheel_after_body.html", **_ended(bench, request)))
-
-    async def train(request: Request) -> Response:
+    def train(request: Request) -> Response:
         """Train a network on a session, or on the takeovers of a drive. The page shows how far it is."""
         place, ended = _place(request), _ended_drive(bench, request)
         if ended is None:
             raise WebError("nothing was recorded to train on", 404)
-        words, run = await run_in_threadpool(training, place, ended.log, bench.folders)
-        await run_in_threadpool(bench.jobs.start, words, f"/runs/{key_of(Path(run))}")
+        words, run = training(place, ended.log, bench.folders)
+        bench.jobs.start(words, f"/runs/{key_of(Path(run))}")
         return RedirectResponse(_after(place, request.path_params["log"]), status_code=303)
 
+    ended = partial(_ended, bench)
     at = "/wheel/after/{place}/{log}"
     return [
-        Route("/wheel", page),
-        Route("/wheel", start, methods=["POST"]),
+        Route("/wheel", whole),
+        Route("/wheel", on_form(start), methods=["POST"]),
         Route("/wheel.rows", rows),
         Route("/wheel/begin/{job}", begin),
-        Route(at, after),
-        Route(f"{at}/body", after_body),
+        Route(at, page_of("wheel_after.html", ended)),
+        Route(f"{at}/body", page_of("wheel_after_body.html", ended)),
         Route(f"{at}/train", train, methods=["POST"]),
         Route("/wheel/{key}", drive),
     ]

@@ -19,7 +19,6 @@ from web.logs.where_search import WhereSearches
 from web.processes.picture_maps import PictureMaps
 from web.processes.predictions import Predictions
 from web.processes.rerun_viewers import RerunViewers
-from web.runs.attention import Attention
 from web.runs.run_cards import RunCards
 
 _FROM_STORES: Final = 8  # logs
@@ -49,7 +48,6 @@ class Workbench:
         self.viewers = RerunViewers(self.cache)
         self.predictions = Predictions(cache)
         self.maps = PictureMaps(cache)
-        self.attention = Attention()
 
     def close(self) -> None:
         self.viewers.close()

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 from zipfile import BadZipFile
@@ -82,7 +83,6 @@ class KeptWork:
         self._pool = ThreadPoolExecutor(1, f"work in {folder.name}")
         self._lock = threading.Lock()
         self._requested: dict[str, Work] = {}
-        self._fingerprints: dict[Path, tuple[str, str]] = {}
         self._process: subprocess.Popen[bytes] | None = None
         self._at_work: Work | None = None  # what that process is for
         self._is_closed = False
@@ -103,23 +103,6 @@ class KeptWork:
             with contextlib.suppress(OSError):
                 path.unlink()
             return None
-
-    def fingerprint(self, run: Path) -> str:
-        """The fingerprint of a run's weights and settings. Raises WebError for a run without weights."""
-        files = [run / WEIGHTS, run / CONFIG]
-        version = version_of(*files)
-        known = self._fingerprints.get(run)
-        if known is None or known[0] != version:
-            digest = hashlib.sha256()
-            try:
-                for file in files:
-                    with file.open("rb") as stream:
-                        digest.update(hashlib.file_digest(stream, "sha256").digest())
-            except OSError as error:
-                why = f"{error.filename}: {error.strerror}"
-                raise WebError(f"{why}; a run has weights after its first epoch", 409) from None
-            self._fingerprints[run] = known = version, digest.hexdigest()
-        return known[1]
 
     def requested(self, key: str) -> Work | None:
         with self._lock:
@@ -194,6 +177,24 @@ class KeptWork:
                 _update(work, message)
         if process.returncode and not work.problem:
             work.problem = f"the process at work ended with {process.returncode}; try it again"
+
+
+def run_fingerprint(run: Path) -> str:
+    """The fingerprint of a run's weights and settings. Raises WebError for a run without weights."""
+    return _fingerprint(run, version_of(run / WEIGHTS, run / CONFIG))
+
+
+@lru_cache(maxsize=1024)
+def _fingerprint(run: Path, version: str) -> str:
+    digest = hashlib.sha256()
+    try:
+        for name in (WEIGHTS, CONFIG):
+            with (run / name).open("rb") as stream:
+                digest.update(hashlib.file_digest(stream, "sha256").digest())
+    except OSError as error:
+        why = f"{error.filename}: {error.strerror}"
+        raise WebError(f"{why}; a run has weights after its first epoch", 409) from None
+    return digest.hexdigest()
 
 
 def write_result(path: Path, **columns: NDArray[Any]) -> None:

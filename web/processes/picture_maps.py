@@ -13,7 +13,7 @@ import msgspec
 
 from common.location import Location
 from web.folders.project_folders import as_word
-from web.processes.kept_work import KeptWork
+from web.processes.kept_work import KeptWork, run_fingerprint
 
 COLUMNS: Final = ("x", "y", "log", "row", "steering", "predicted", "nearest", "alone", "group", "odd")
 """Of each picture, as float32: its place, the number of its log, its row, the steering that was driven and
@@ -50,7 +50,7 @@ class PictureMaps:
 
     def key(self, logs: Sequence[MappedLog], run: Path | None) -> str:
         """The name that a map has here. Raises WebError for a run without weights."""
-        eye = self.work.fingerprint(run) if run else ""
+        eye = run_fingerprint(run) if run else ""
         words = [str(_FORMAT), str(MAX_POINTS), eye, *(log.fingerprint for log in logs)]
         return hashlib.sha256(" ".join(words).encode()).hexdigest()
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from common.location import Location
 from web.folders.project_folders import as_word
-from web.processes.kept_work import KeptWork
+from web.processes.kept_work import KeptWork, run_fingerprint
 
 _FORMAT: Final = 1  # of the files that are kept
 
@@ -65,7 +65,7 @@ class Predictions:
 
     def key(self, log_fingerprint: str, run: Path) -> str:
         """The name that this prediction has here. Raises WebError for a run without weights."""
-        return hashlib.sha256(f"{_FORMAT} {log_fingerprint} {self.work.fingerprint(run)}".encode()).hexdigest()
+        return hashlib.sha256(f"{_FORMAT} {log_fingerprint} {run_fingerprint(run)}".encode()).hexdigest()
 
     def find(self, key: str) -> Predicted | None:
         """The prediction of that key; None where it was not made yet, or is kept no more."""

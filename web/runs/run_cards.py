@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import math
-import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from model.runs.run_files import CONFIG, RESULTS_FILE, WEIGHTS, is_being_trained
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE
 from model.runs.worst_pictures import WORST_FILE
 from web.folders.background import Background
+from web.folders.file_versions import Newest
 from web.folders.project_folders import ProjectFolders, key_of
 from web.runs.training_cost import EarlierTraining
 
@@ -29,7 +29,7 @@ _SUMMED_UP: Final = CONFIG, METRICS_FILE, RESULTS_FILE, WEIGHTS
 _GROWING: Final = STEPS_FILE, WORST_FILE
 _HISTORY: Final = METRICS_FILE, *_GROWING
 _TRAININGS: Final = 8  # that say how fast one is
-_HISTORIES: Final = 16  # kept in memory, of the runs shown last
+_HISTORIES: Final = 16  # kept in memory: those shown last
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,7 @@ class RunCards:
         self._folders = folders
         self._pool = ThreadPoolExecutor(1, "reading runs")
         self._summaries = Background[Path, "RunSummary"](self._pool, _summary)
-        self._lock = threading.Lock()
-        self._histories: dict[Path, tuple[str, History]] = {}
+        self._histories: Newest[Path, History] = Newest(_HISTORIES)
 
     def close(self) -> None:
         self._pool.shutdown(cancel_futures=True)
@@ -93,18 +92,11 @@ class RunCards:
         read."""
         from model.runs.history import read_history
 
-        version = self._folders.version_of_run(path, _HISTORY)
-        with self._lock:
-            known = self._histories.get(path)
-        if known is None or known[0] != version:
+        def read() -> History:
             self._folders.bring_run(path, _HISTORY)
-            found, _ = read_history(path)
-            with self._lock:
-                self._histories.pop(path, None)
-                self._histories[path] = known = version, found
-                while len(self._histories) > _HISTORIES:
-                    self._histories.pop(next(iter(self._histories)))
-        return known[1]
+            return read_history(path)[0]
+
+        return self._histories.get(path, self._folders.version_of_run(path, _HISTORY), read)
 
 
 def earlier_trainings(runs: RunCards, patience_s: float) -> list[EarlierTraining]:

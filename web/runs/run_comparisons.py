@@ -9,7 +9,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
-from common.location import Location
 from common.steering_unit import SteeringUnit, steering_unit
 from common.untrusted_json import json_as
 from model.evaluation.differences import MEASURES
@@ -27,11 +26,7 @@ def compare_command(a: Path, b: Path, session: str, folders: ProjectFolders) -> 
     if flags := [name for name in (a.name, b.name, session) if name.startswith("-")]:
         raise WebError(f"{flags[0]!r} would be taken for a flag: rename it", 422)
     words = ["bc-eval", "--compare", a.name, b.name, "--json", *(["--session", session] if session else [])]
-    for name in ("runs", "sessions"):
-        folder: Location = getattr(folders, name)
-        if folder != getattr(ProjectFolders(), name):
-            words.append(f"--{name}={folder}")
-    return words
+    return words + folders.flags("runs", "sessions")
 
 
 def newest_job(jobs: Sequence[Job], command: list[str]) -> Job | None:

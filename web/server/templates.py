@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
+from starlette.requests import Request
+from starlette.responses import HTMLResponse
 
 from common.errors import counted, decimal
 from common.versions import version_of
@@ -59,3 +62,13 @@ _environment.filters.update(minutes=_minutes, counted=counted, places=_places, w
 def render(template: str, /, **values: Any) -> str:
     text: str = _environment.get_template(template).render(values)
     return text
+
+
+def page(template: str, /, **values: Any) -> HTMLResponse:
+    """The answer that a template makes of these values."""
+    return HTMLResponse(render(template, **values))
+
+
+def page_of(template: str, values: Callable[[Request], Mapping[str, Any]]) -> Callable[[Request], HTMLResponse]:
+    """The endpoint whose answer is a template, with the values for a request."""
+    return lambda request: page(template, **values(request))

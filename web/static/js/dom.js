@@ -22,6 +22,15 @@ export function showProblem(text) {
   by("problem").hidden = !text;
 }
 
+/** Why the server refuses, in its own words; of an answer that is not the workbench's, its status. */
+export function reasonIn(text, status) {
+  try {
+    return JSON.parse(text).error ?? `the server answers ${status}`;
+  } catch {
+    return `the server answers ${status}`;
+  }
+}
+
 export function toggleHelp() {
   const isHidden = (by("help").hidden = !by("help").hidden);
   by("help-button").setAttribute("aria-expanded", !isHidden);

@@ -1,7 +1,7 @@
 // A folder, zip or log is dropped or chosen, and sent in one request: a manifest, then the files one after the other.
 // The browser reads them from the disk while it sends; a broken-off request leaves nothing at the server.
 
-import { by, showProblem } from "./dom.js";
+import { by, reasonIn, showProblem } from "./dom.js";
 import { showStatus } from "./live.js";
 
 const [drop, progress, cancel] = [by("drop"), by("progress"), by("cancel")];
@@ -39,15 +39,9 @@ function send(files) {
   const beganMs = performance.now();
   request.upload.onprogress = ({ loaded, total: all }) => showProgress(loaded, all, beganMs);
   request.onload = () => {
-    let found = {};
-    try {
-      found = JSON.parse(request.responseText);
-    } catch {
-      // not of the workbench
-    }
     sending = null; // so that leaving needs no question
-    if (found.page) location.href = found.page;
-    else showProblem(found.error ?? `the server answers ${request.status}`);
+    if (request.status === 200) location.href = JSON.parse(request.responseText).page;
+    else showProblem(reasonIn(request.responseText, request.status));
   };
   request.onerror = () => showProblem("It could not be sent: a file has changed or cannot be read, or bc-web was ended. Nothing was kept.");
   request.onabort = () => showStatus(CANCELLED);

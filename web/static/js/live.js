@@ -2,6 +2,8 @@
 // them (data-live="NAME" data-version="...") gets the event `folders-changed` when it has another one.
 // Polling, not server-sent events: a browser keeps six connections to a server, so that a seventh tab would hang.
 
+import { reasonIn } from "./dom.js";
+
 const EVERY_MS = 2000;
 const WHILE_CHANGING_MS = 500; // logs are being read, or a command is at work
 const STATUS_FOR_MS = 8000;
@@ -53,13 +55,4 @@ if (document.querySelector("[data-live]")) {
 for (const form of document.querySelectorAll("form.filters")) {
   form.addEventListener("input", () => nameInAddress(form));
 }
-document.addEventListener("htmx:response:error", async (event) => {
-  const { ctx } = event.detail;
-  let why = `the server answers ${ctx.response.status}`;
-  try {
-    why = JSON.parse(ctx.text).error ?? why;
-  } catch {
-    // not of the workbench
-  }
-  showStatus(why);
-});
+document.addEventListener("htmx:response:error", ({ detail: { ctx } }) => showStatus(reasonIn(ctx.text, ctx.response.status)));

@@ -14,8 +14,8 @@ export class PointCloud {
    * `onPick(index)`: a click on one; `onSelect(indices, isMore)`: a drag over some, with shift in addition;
    * `drawBelow(context, place)` draws what lies below the points, `place(x, y)` gives pixels.
    */
-  constructor(box, { onPoint, onPick, onSelect, onOpen, drawBelow, keepsShape = true, radius = 3 }) {
-    Object.assign(this, { box, onPoint, onPick, onSelect, onOpen, drawBelow, keepsShape, radius });
+  constructor(box, { onPoint, onPick, onSelect, onOpen, drawBelow, radius = 3 }) {
+    Object.assign(this, { box, onPoint, onPick, onSelect, onOpen, drawBelow, radius });
     this.x = this.y = new Float32Array(0);
     this.of = new Uint8Array(0);
     this.palette = [];
@@ -87,17 +87,15 @@ export class PointCloud {
         canvas.height = Math.round(height * ratio);
       }
     }
-    let across = (width - 2 * MARGIN_PX) / (this.right - this.left || 1);
-    let down = (height - 2 * MARGIN_PX) / (this.bottom - this.top || 1);
-    if (this.keepsShape) across = down = Math.min(across, down);
-    this.across = across * this.zoom;
-    this.down = down * this.zoom;
-    this.shiftX = width / 2 + this.atX - ((this.left + this.right) / 2) * this.across;
-    this.shiftY = height / 2 + this.atY - ((this.top + this.bottom) / 2) * this.down;
+    const across = (width - 2 * MARGIN_PX) / (this.right - this.left || 1);
+    const down = (height - 2 * MARGIN_PX) / (this.bottom - this.top || 1);
+    this.scale = Math.min(across, down) * this.zoom; // pixels for 1
+    this.shiftX = width / 2 + this.atX - ((this.left + this.right) / 2) * this.scale;
+    this.shiftY = height / 2 + this.atY - ((this.top + this.bottom) / 2) * this.scale;
   }
 
   place(x, y) {
-    return [x * this.across + this.shiftX, y * this.down + this.shiftY];
+    return [x * this.scale + this.shiftX, y * this.scale + this.shiftY];
   }
 
   draw() {
@@ -129,8 +127,8 @@ export class PointCloud {
     const edge = Math.ceil(this.radius * ratio) + 1;
     pixels.fill(0);
     const put = (at, alpha) => {
-      const px = Math.round((x[at] * this.across + this.shiftX) * ratio);
-      const py = Math.round((y[at] * this.down + this.shiftY) * ratio);
+      const px = Math.round((x[at] * this.scale + this.shiftX) * ratio);
+      const py = Math.round((y[at] * this.scale + this.shiftY) * ratio);
       if (px < edge || py < edge || px >= width - edge || py >= height - edge) return;
       const colour = this.colours[of[at]];
       const middle = py * width + px;
@@ -245,8 +243,8 @@ export class PointCloud {
     let found = -1;
     let least = within * within;
     for (let at = 0; at < this.x.length; at += 1) {
-      const apartX = this.x[at] * this.across + this.shiftX - px;
-      const apartY = this.y[at] * this.down + this.shiftY - py;
+      const apartX = this.x[at] * this.scale + this.shiftX - px;
+      const apartY = this.y[at] * this.scale + this.shiftY - py;
       const apart = apartX * apartX + apartY * apartY;
       if (apart < least) [least, found] = [apart, at];
     }
@@ -310,8 +308,8 @@ export class PointCloud {
     let found = -1;
     let least = Infinity;
     for (let at = 0; at < this.x.length; at += 1) {
-      const apartX = this.x[at] * this.across + this.shiftX - px;
-      const apartY = this.y[at] * this.down + this.shiftY - py;
+      const apartX = this.x[at] * this.scale + this.shiftX - px;
+      const apartY = this.y[at] * this.scale + this.shiftY - py;
       const along = apartX * right + apartY * down;
       const aside = Math.abs(apartX * down) + Math.abs(apartY * right);
       if (along <= 0.5 || aside > along) continue;

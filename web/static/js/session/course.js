@@ -6,8 +6,11 @@ const COLUMNS = ["driver", "network", "sent", "expert", "x_m", "y_m"]; // as `dr
 const LINES = ["network", "sent", "expert"];
 const BEFORE_S = 2; // of an intervention: what led to it
 const LATE_ROWS = 5;
-/** By their numbers in a log: the class of the style sheet, and the name that is read. */
-export const DRIVERS = [["unknown", "unknown"], ["pilot", "network"], ["human", "person"], ["expert", "expert"], ["brake", "braked"]];
+/** By their numbers in a log: the class of the style sheet, the name that is read, and the colour. */
+export const DRIVERS = [
+  ["unknown", "unknown", "--series-5"], ["pilot", "network", "--series-1"], ["human", "person", "--series-0"],
+  ["expert", "expert", "--series-3"], ["brake", "braked", "--series-4"],
+];
 
 export class Course {
   /** `onChange()`: all of it is there, or there anew. */

@@ -15,13 +15,13 @@ const ANGLES_DEG = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
 const BLANK = { values: () => [], ticks: { show: false } }; // as wide as the axis of the other plot
 const PLOTS = [
   { share: 0.24, scales: { y: [-1.05, 1.05] }, lines: [
-    ["steering", "y", "--steering"], ["sent", "y", "--sent"], ["expert", "y", "--expert"], ["network", "y", "--network"],
-    ["predicted", "y", "--predicted"], ["kept_1", "y", "--kept_1"], ["kept_2", "y", "--kept_2"], ["kept_3", "y", "--kept_3"],
+    ["steering", "y", "--series-0"], ["sent", "y", "--series-2"], ["expert", "y", "--series-3"], ["network", "y", "--series-1"],
+    ["predicted", "y", "--predicted"], ["kept_1", "y", "--series-5"], ["kept_2", "y", "--series-6"], ["kept_3", "y", "--series-4"],
   ] },
   {
     share: 0.16,
     scales: { pedal: [0, 1.05], mph: null },
-    lines: [["throttle", "pedal", "--throttle"], ["brake", "pedal", "--brake"], ["speed_mph", "mph", "--speed"]],
+    lines: [["throttle", "pedal", "--series-2"], ["brake", "pedal", "--series-4"], ["speed_mph", "mph", "--series-3"]],
   },
 ];
 const NAMES = {
@@ -65,7 +65,7 @@ export class Curves {
     this.colors = {
       notLearnt: color("--dim"), odd: color("--odd-band"), oddBack: color("--odd-band-back"), tag: color("--tag-band"),
       break: color("--dim"), exclude: color("--exclude-band"), excludeBack: color("--exclude-band-back"), selection: color("--selection"),
-      outside: color("--outside"), steering: color("--steering"),
+      outside: color("--outside"), steering: color("--series-0"),
     };
     const x = Float64Array.from({ length: this.data.length }, (_, at) => at);
     this.plots = PLOTS.map((plot) => this.makePlot(plot, x, color));

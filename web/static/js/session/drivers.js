@@ -30,7 +30,7 @@ export class DriverBand {
     for (const { driver, first, last } of this.course.stretches) {
       if (last < min - 1 || first > max + 1) continue;
       const left = across(first - 0.5);
-      context.fillStyle = color(`--by-${DRIVERS[driver][0]}`);
+      context.fillStyle = color(DRIVERS[driver][2]);
       context.fillRect(left, 0, Math.max(across(last + 0.5) - left, devicePixelRatio), canvas.height);
     }
   }

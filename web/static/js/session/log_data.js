@@ -1,5 +1,7 @@
 // The page's data of its log, fetched again when the files change.
 
+import { reasonIn } from "../dom.js";
+
 const COLUMNS = ["row", "time_s", "steering", "throttle", "brake", "speed_mph"];
 const GAP_S = 1; // as recorder/rows/row_quality.py: behind a longer pause, or where time goes back, a new drive begins
 const POLL_MS = 2000;
@@ -11,13 +13,7 @@ export class Refused extends Error {}
 export async function ask(path, options) {
   const answer = await fetch(path, options);
   if (answer.ok) return answer;
-  let why = `the server answers ${answer.status}`;
-  try {
-    why = (await answer.json()).error ?? why;
-  } catch {
-    // not of the workbench
-  }
-  throw new Refused(why);
+  throw new Refused(reasonIn(await answer.text(), answer.status));
 }
 
 /** Columns that lie one after the other. */
