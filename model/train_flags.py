@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -29,6 +29,7 @@ class Train:
     """
 
     RARE: ClassVar[str] = "tensorboard listener sessions drives copy_to"
+    REMOVED: ClassVar[Mapping[str, str]] = {"--ray": "one training is one process; leave it out"}
     name: str = ""
     """Name of the run; by default date, time and six random digits."""
     resume: str | None = None
@@ -60,6 +61,8 @@ class Train:
 
 def refuse_contradictions(config: Train) -> None:
     """Raise UsageError for flags that do not go together."""
+    if os.environ.get("WORLD_SIZE", "1") != "1":
+        raise UsageError("one training is one process: start it without torchrun (WORLD_SIZE)")
     others = {"--name": config.name, "--init": config.init, "--like": config.like}
     if config.resume is not None and (unfit := [flag for flag, value in others.items() if value]):
         raise UsageError(f"{' and '.join(unfit)} make a new run, --resume continues one: give one of them")
@@ -82,8 +85,6 @@ def defaults() -> Train:
 
     Raises UsageError for the recipe of another run than the one to be repeated: no setting would follow from it.
     """
-    if "--ray" in sys.argv or os.environ.get("WORLD_SIZE", "1") != "1":
-        raise UsageError("one training is one process: start it without --ray or torchrun (WORLD_SIZE)")
     given = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     given.add_argument("--resume")
     given.add_argument("--like")
