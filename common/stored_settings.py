@@ -27,15 +27,19 @@ def settings_from(kind: type[Settings], stored: Any) -> Settings:
 
     For settings that earlier versions did not have, the dataclass may have a class variable `EARLIER`: by name,
     the value that they worked by, where that is not today's default. For those that only earlier versions had, it
-    may have `EARLIER_ONLY`: by name, the value that may be left out.
+    may have `EARLIER_ONLY`: by name, the only value that is ignored, or `...` for any.
 
     A whole number stays one where a float is wanted: it is printed and written again as it was stored. Raises
     ValueError for names or values that `kind` does not have.
     """
     names = {field.name for field in fields(kind)}
     if isinstance(stored, dict):
-        removed = getattr(kind, "EARLIER_ONLY", {}).items()
-        stored = {name: value for name, value in stored.items() if (name, value) not in removed}
+        removed = getattr(kind, "EARLIER_ONLY", {})
+        stored = {
+            name: value
+            for name, value in stored.items()
+            if name not in removed or (removed[name] is not ... and removed[name] != value)
+        }
     if isinstance(stored, dict) and (unknown := sorted(map(str, stored.keys() - names))):
         meant = did_you_mean(unknown[0], names)
         raise ValueError(f"unknown settings: {', '.join(unknown)}{f'; {meant}' if meant else ''}")

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from common.car import MAX_STEERING_DEG
+from common.stored_settings import settings_from
 from drive.errors import DriveError
 from model.runs.car_of_run import cars_of_run, known_max_steering_deg_of_run, max_steering_deg_of_run
-from recorder.log.session_car import UDACITY, Car, built_in, car_from, named_car
+from recorder.log.session_car import UDACITY, Car, built_in, named_car
 
 
 def driven_car(run: Path, named: str | None) -> Car | None:
@@ -20,7 +21,7 @@ def driven_car(run: Path, named: str | None) -> Car | None:
     if named is not None:
         return named_car(named)
     try:
-        cars = {None if stored is None else car_from(stored) for stored in cars_of_run(run)}
+        cars = {None if stored is None else settings_from(Car, stored) for stored in cars_of_run(run)}
     except ValueError as error:
         raise DriveError(f"{run}: the car in its config.json cannot be used ({error})") from None
     car = cars.pop() if len(cars) == 1 else None

@@ -9,7 +9,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 from common.car import MAX_STEERING_DEG, MPS_PER_MPH
 from common.errors import printable
@@ -27,14 +27,14 @@ CAR_KEY: Final = "car"  # of a car in a log's metadata: JSON
 SpeedUnit = Literal["mph", "km/h", "m/s"]
 MPH_OF: Final[Mapping[SpeedUnit, float]] = {"mph": 1.0, "km/h": 1 / 3.6 / MPS_PER_MPH, "m/s": 1 / MPS_PER_MPH}
 
-_EARLIER_ONLY: Final = {"lag_s", "focal", "horizon", "height_m", "forward_m", "left_m", "bonnet"}
-"""Settings of earlier versions that nothing needs now."""
-
 
 @dataclass(frozen=True)
 class Car:
     """A car that turns as a bicycle does; by default Udacity's."""
 
+    EARLIER_ONLY: ClassVar[Mapping[str, Any]] = dict.fromkeys(
+        ("lag_s", "focal", "horizon", "height_m", "forward_m", "left_m", "bonnet"), ...
+    )
     max_steering_deg: float = MAX_STEERING_DEG  # how far the front wheels turn at steering 1
     wheelbase_m: float = 3.0  # Udacity's: docs/studies/warped-pictures.md
     speed_unit: SpeedUnit = "mph"  # of its simulator's speeds; logs hold mph
@@ -66,13 +66,6 @@ def built_in() -> Car:
     return Car(wheelbase_m=vehicle.WHEELBASE_M)
 
 
-def car_from(stored: Any) -> Car:
-    """The car that `stored`, parsed JSON or TOML, describes. Raises ValueError for settings that no car has."""
-    if isinstance(stored, dict):
-        stored = {name: value for name, value in stored.items() if name not in _EARLIER_ONLY}
-    return settings_from(Car, stored)
-
-
 def metadata_of(car: Car | None) -> dict[str, str]:
     """The entry of a car in a log's `bc.session`; empty for None."""
     return {} if car is None else {CAR_KEY: json.dumps(asdict(car))}
@@ -88,7 +81,7 @@ def named_car(name: str) -> Car:
     if name == "built-in":
         return built_in()
     try:
-        return car_from(read_toml(name))
+        return settings_from(Car, read_toml(name))
     except FileNotFoundError:
         hint = "udacity, built-in or a file of the car's settings was expected"
         raise RecordingError(f"--car {printable(name)}: no such file; {hint}") from None
@@ -158,7 +151,7 @@ def car_in(session: Mapping[str, str], where: Location) -> Car | None:
     if CAR_KEY not in session:
         return None
     try:
-        return car_from(json.loads(session[CAR_KEY]))
+        return settings_from(Car, json.loads(session[CAR_KEY]))
     except (ValueError, RecursionError) as error:
         why = printable(" ".join(str(error).split()))
         raise LogError(f"{where}: its car's settings cannot be used ({why})") from None
