@@ -61,8 +61,8 @@ def _fit(centre: Sequence[Edges], left: Sequence[Edges], right: Sequence[Edges])
         _slope(np.mean([_likeness(one, other) for one, other in pairs], axis=0), rows)
         for pairs in (zip(left, centre, strict=True), zip(centre, right, strict=True))
     ]
-    known = [share for share in shares if share is not None]
-    return len(known) == 2 and abs(known[0] - known[1]) <= _MAX_ASKEW * sum(known) / 2
+    measured = [share for share in shares if share is not None]
+    return len(measured) == 2 and abs(measured[0] - measured[1]) <= _MAX_ASKEW * sum(measured) / 2
 
 
 def _bands(encoded: bytes) -> Edges | None:

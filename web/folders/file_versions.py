@@ -20,22 +20,22 @@ Value = TypeVar("Value")
 
 
 class Newest(Generic[Place, Value]):
-    """Values of files, each of the newest version alone; of the files used last."""
+    """Values made of files: for each file only that of its newest version, and only for the files used last."""
 
-    def __init__(self, most: int) -> None:
-        self._most = most
+    def __init__(self, max_kept: int) -> None:
+        self._max_kept = max_kept
         self._lock = threading.Lock()
         self._values: dict[Place, tuple[str, Value]] = {}
 
     def get(self, place: Place, version: str, make: Callable[[], Value]) -> Value:
         """The value that is kept, or what `make` returns now."""
         with self._lock:
-            known = self._values.get(place)
-        value = known[1] if known is not None and known[0] == version else make()
+            kept = self._values.get(place)
+        value = kept[1] if kept is not None and kept[0] == version else make()
         with self._lock:
             self._values.pop(place, None)
             self._values[place] = version, value
-            while len(self._values) > self._most:
+            while len(self._values) > self._max_kept:
                 self._values.pop(next(iter(self._values)))
         return value
 

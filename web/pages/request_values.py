@@ -19,7 +19,7 @@ _MOST = 2000  # a thousand logs may be merged
 
 
 Values = ImmutableMultiDict[str, str]
-"""Fields by name, as of a form or an address; a name may have several values, of which the last one counts."""
+"""The fields of a form or an address. If a name comes several times, its last value counts."""
 
 
 def on_form(answer: Callable[[Request, Values], Response]) -> Callable[[Request], Awaitable[Response]]:
