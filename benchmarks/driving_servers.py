@@ -70,8 +70,8 @@ class Server:
 
     def started(self) -> list[psutil.Process]:
         """The processes that the server has started."""
-        found: list[psutil.Process] = self.process.children(recursive=True)
-        return found
+        children: list[psutil.Process] = self.process.children(recursive=True)
+        return children
 
     def suspend(self) -> None:
         self.process.suspend()
@@ -151,9 +151,9 @@ def _pictures(recording: Path | None) -> Iterator[bytes]:
             yield path.read_bytes()
     else:
         with Log(recording) as log:
-            found = log.pictures(camera_topic("center"))
-            for at in range(len(found.offset)):
-                yield log.read(int(found.offset[at]), int(found.length[at]), int(found.chunk[at]))
+            pictures = log.pictures(camera_topic("center"))
+            for at in range(len(pictures.offset)):
+                yield log.read(int(pictures.offset[at]), int(pictures.length[at]), int(pictures.chunk[at]))
 
 
 def _listens(server: Server) -> bool:

@@ -90,13 +90,13 @@ def _ours(samples: Samples, table: pa.Table) -> dict[str, tuple[int, Epoch]]:
     def later(loader: Loader) -> Iterator[Any]:
         return (batch.pictures for batch in loader.epoch(0))
 
-    found: dict[str, tuple[int, Epoch]] = {}
+    loaders: dict[str, tuple[int, Epoch]] = {}
     for n, threads in ((1, "1 thread"), (2, "2 threads")):
         for what, budget in (("nothing kept", 0), ("crops in memory", 1 << 40)):
             loader = Loader(samples, table, batch=BATCH, budget_bytes=budget, threads=n)
-            found[f"this loader, {what}, {threads}"] = (n, lambda loader=loader: later(loader))  # type: ignore[misc]
-        found[f"this loader, first pass, {threads}"] = (n, lambda n=n: first(n))  # type: ignore[misc]
-    return found
+            loaders[f"this loader, {what}, {threads}"] = (n, lambda loader=loader: later(loader))  # type: ignore[misc]
+        loaders[f"this loader, first pass, {threads}"] = (n, lambda n=n: first(n))  # type: ignore[misc]
+    return loaders
 
 
 class _Files:
@@ -121,20 +121,20 @@ def _single_files(folder: Path, jpegs: list[bytes]) -> dict[str, tuple[int, Epoc
 
 def _with_workers(what: str, dataset: Any, **settings: Any) -> dict[str, tuple[int, Epoch]]:
     """Through PyTorch's DataLoader; its two workers are started once, before the rounds."""
-    found: dict[str, tuple[int, Epoch]] = {}
+    loaders: dict[str, tuple[int, Epoch]] = {}
     for workers in (0, 2):
         options = {"batch_size": BATCH, **settings, "num_workers": workers, "persistent_workers": workers > 0}
         loader: DataLoader[Any] = DataLoader(dataset, **options)
-        found[f"{what}, {workers} workers"] = (max(1, workers), lambda loader=loader: loader)  # type: ignore[misc]
-    return found
+        loaders[f"{what}, {workers} workers"] = (max(1, workers), lambda loader=loader: loader)  # type: ignore[misc]
+    return loaders
 
 
 def _check(what: str, epoch: Epoch, expected: list[int]) -> int:
     """How many crops an epoch gives: all of them, each once."""
-    found = sorted(zlib.crc32(np.asarray(crop).tobytes()) for batch in epoch() for crop in batch)
-    if found != expected:
-        raise SystemExit(f"{what}: {len(found)} crops, not the {len(expected)} that were expected")
-    return len(found)
+    crcs = sorted(zlib.crc32(np.asarray(crop).tobytes()) for batch in epoch() for crop in batch)
+    if crcs != expected:
+        raise SystemExit(f"{what}: {len(crcs)} crops, not the {len(expected)} that were expected")
+    return len(crcs)
 
 
 def _random_read_us(places: list[Any]) -> float:

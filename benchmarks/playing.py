@@ -99,8 +99,8 @@ def write_long_log(source: Path, path: Path, minutes: float) -> None:
 
 
 def _contents(log: Log, topic: str) -> list[bytes]:
-    found = log.pictures(topic)
-    places = zip(found.offset, found.length, found.chunk, strict=True)
+    pictures = log.pictures(topic)
+    places = zip(pictures.offset, pictures.length, pictures.chunk, strict=True)
     return [log.read(*map(int, place)) for place, _ in zip(places, range(REPEATED), strict=False)]
 
 
@@ -208,7 +208,7 @@ def has_component(client: ViewerClient, entity: str, ending: str) -> bool:
         schema = client.get_recording_schema(entity_path=entity)
     except Exception:  # nothing is open yet; what it raises is not documented
         return False
-    return any(each.component.endswith(ending) for found in schema.entities for each in found.components)
+    return any(each.component.endswith(ending) for entity in schema.entities for each in entity.components)
 
 
 def shows_green(client: ViewerClient) -> bool:

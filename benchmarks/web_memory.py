@@ -99,7 +99,7 @@ def uses(pictures: int) -> dict[str, Callable[[], object]]:
         answer.close()
         holding.close()
 
-    found: dict[str, Callable[[], object]] = {
+    requests: dict[str, Callable[[], object]] = {
         "lists": lambda: [ask(path) for path in pages * 5],
         "strips, sketches": lambda: at_once(
             [f"/sessions/{each}/{name}" for each in logs for name in ("strip.jpg", "steering.svg")]
@@ -124,14 +124,14 @@ def uses(pictures: int) -> dict[str, Callable[[], object]]:
         "rerun": rerun,
     }
     if runs:
-        found["runs"] = lambda: at_once(
+        requests["runs"] = lambda: at_once(
             [f"/runs/{run}{part}" for run in runs for part in ("", "/top", "/body", "/steering.png")] * 3
         )
-        found["predictions"] = predict
-        found["attention"] = lambda: at_once(
+        requests["predictions"] = predict
+        requests["attention"] = lambda: at_once(
             [f"/sessions/{log}/attention/{run}/{row}" for row in range(0, 300, 3)]
         )
-    return found
+    return requests
 
 
 def own_mb(process: psutil.Process) -> float:

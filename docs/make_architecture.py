@@ -21,8 +21,8 @@ def main() -> None:
 
 def modules(room: str) -> Iterator[Path]:
     """The modules of a room, those of its folders last."""
-    found = (path for path in (ROOT / room).rglob("*.py") if path.name != "__init__.py")
-    yield from sorted(found, key=lambda path: (path.parent, path.name))
+    paths = (path for path in (ROOT / room).rglob("*.py") if path.name != "__init__.py")
+    yield from sorted(paths, key=lambda path: (path.parent, path.name))
 
 
 @dataclass(frozen=True)

@@ -62,15 +62,15 @@ def commands(help_of: Callable[[str], str] | None = None) -> dict[str, str]:
 
 def arguments(help_text: str) -> list[Argument]:
     """The arguments in the boxes of a command's `--help-all`."""
-    found: list[tuple[str, str]] = []
+    arguments: list[tuple[str, str]] = []
     for line in re.findall(r"^│ (.*?) *│$", help_text, re.MULTILINE):
         if line.startswith(" "):  # goes on with the argument above
-            invocation, meaning = found.pop()
-            found.append((invocation, f"{meaning} {line.strip()}".strip()))
+            invocation, meaning = arguments.pop()
+            arguments.append((invocation, f"{meaning} {line.strip()}".strip()))
         elif line.startswith("-") or "  " in line:
             invocation, _, meaning = line.partition("  ")
-            found.append((invocation, meaning.strip()))
-    return [_argument(*pair) for pair in found if pair[0] != "-h, --help"]
+            arguments.append((invocation, meaning.strip()))
+    return [_argument(*pair) for pair in arguments if pair[0] != "-h, --help"]
 
 
 def _argument(invocation: str, meaning: str) -> Argument:

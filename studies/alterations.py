@@ -90,14 +90,14 @@ def measure(
         return
     print(result.stem, file=sys.stderr, flush=True)
     trained = trained_on(folder, network, recipe, seed, learnt)
-    found = evaluate_sessions(trained.run, [log for log in logs if log not in learnt])
+    evaluation = evaluate_sessions(trained.run, [log for log in logs if log not in learnt])
     values = {
         session: {
             "RMSE": of.network.rmse_deg / of.mean.rmse_deg,
             "error on turns": of.network.turning_mae_deg / of.mean.turning_mae_deg,
             "correlation": of.network.correlation,
         }
-        for session, of in found.driving.sessions.items()
+        for session, of in evaluation.driving.sessions.items()
     }
     keep(result, {"best_epoch": trained.best_epoch, "sessions": values})
 
@@ -147,8 +147,8 @@ def print_drives(folder: Path, network: str, recipes: Sequence[str], seeds: Sequ
     for recipe, seed in product(recipes, seeds):
         file = file_of(folder, network, recipe, seed, sessions)
         if file.exists():
-            found = json.loads(file.read_text())
-            cells = [f"{found[road]['interventions']}, {found[road]['mean_offset']:.3f}" for road in ROADS]
+            reports = json.loads(file.read_text())
+            cells = [f"{reports[road]['interventions']}, {reports[road]['mean_offset']:.3f}" for road in ROADS]
             print(f"| {recipe} | {seed} | {' | '.join(cells)} |")
 
 
@@ -177,8 +177,8 @@ def print_table(
             files = [file_of(folder, network, recipe, seed, learnt) for learnt in parts(logs, kind)]
             if not all(file.exists() for file in files):
                 continue
-            found = [values for file in files for values in json.loads(file.read_text())["sessions"].values()]
-            of_seeds.append([statistics.fmean(values[name] for values in found) for name in MEASURES])
+            measures = [values for file in files for values in json.loads(file.read_text())["sessions"].values()]
+            of_seeds.append([statistics.fmean(values[name] for values in measures) for name in MEASURES])
         if not of_seeds:
             continue
         columns = list(zip(*of_seeds, strict=True))

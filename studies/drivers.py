@@ -145,27 +145,27 @@ def drive(name: DriverName, where: str, track: Track, mph: float, laps: float, s
     return Drive(where, time_s, steering_deg, speed_mph, left_road, watched.lag_s())
 
 
-def presses(found: Drive) -> Presses:
-    side, piece = np.sign(found.steering_deg), found.piece
+def presses(drive: Drive) -> Presses:
+    side, piece = np.sign(drive.steering_deg), drive.piece
     is_new = np.concatenate([[True], (np.diff(side) != 0) | (np.diff(piece) != 0)])
     starts = np.flatnonzero(is_new)
     ends = np.append(starts[1:], len(side))
     steered = side[starts] != 0
-    lengths_s = (ends - starts) * step_s(found)
-    largest = np.maximum.reduceat(np.abs(found.steering_deg), starts)
+    lengths_s = (ends - starts) * step_s(drive)
+    largest = np.maximum.reduceat(np.abs(drive.steering_deg), starts)
     return Presses(lengths_s[steered], largest[steered], lengths_s[~steered])
 
 
-def step_s(found: Drive) -> float:
-    steps = np.diff(found.time_s)
+def step_s(drive: Drive) -> float:
+    steps = np.diff(drive.time_s)
     return float(np.median(steps[(steps > 0) & (steps <= GAP_S)]))
 
 
-def ceiling(found: Drive) -> float:
+def ceiling(drive: Drive) -> float:
     """The correlation of each row's steering with the mean of its neighbours': what any network may reach."""
-    others = neighbours_mean(found.steering_deg, found.time_s, AROUND_S)
+    others = neighbours_mean(drive.steering_deg, drive.time_s, AROUND_S)
     known = np.isfinite(others)
-    return float(np.corrcoef(found.steering_deg[known], others[known])[0, 1])
+    return float(np.corrcoef(drive.steering_deg[known], others[known])[0, 1])
 
 
 def print_head() -> None:
@@ -180,7 +180,7 @@ def print_head() -> None:
 
 def print_row(who: str, *drives: Drive) -> None:
     """The means over drives; the quartiles of all their presses."""
-    found = [presses(each) for each in drives]
+    presses_of_drives = [presses(each) for each in drives]
     minutes = sum(len(each.time_s) * step_s(each) for each in drives) / 60
 
     def mean(values: Sequence[float]) -> float:
@@ -197,10 +197,10 @@ def print_row(who: str, *drives: Drive) -> None:
         f"{mean([1 / step_s(each) for each in drives]):.1f}",
         f"{mean([each.speed_mph.mean() for each in drives]):.0f}",
         f"{mean([(each.steering_deg == 0).mean() for each in drives]):.0%}".replace("%", " %"),
-        f"{sum(len(each.length_s) for each in found) / minutes:.0f}",
-        quartiles([each.length_s for each in found], 2),
-        quartiles([each.largest_deg for each in found], 0),
-        quartiles([each.straight_s for each in found], 2),
+        f"{sum(len(each.length_s) for each in presses_of_drives) / minutes:.0f}",
+        quartiles([each.length_s for each in presses_of_drives], 2),
+        quartiles([each.largest_deg for each in presses_of_drives], 0),
+        quartiles([each.straight_s for each in presses_of_drives], 2),
         f"{mean([len(np.unique(each.steering_deg)) for each in drives]):.0f}",
         f"{mean([each.steering_deg.std() for each in drives]):.1f}",
         f"{mean([(np.abs(each.steering_deg) > 24.9).mean() for each in drives]):.1%}".replace("%", " %"),
@@ -249,15 +249,15 @@ def draw(pairs: Sequence[tuple[Drive, Drive]], path: Path) -> None:
         figure.savefig(path, dpi=DPI, bbox_inches="tight")
 
 
-def strip(axes: Axes, found: Drive, title: str) -> None:
+def strip(axes: Axes, drive: Drive, title: str) -> None:
     """Where it steers as much as it does on average: not its liveliest moment, nor its dullest."""
-    spread = found.steering_deg.std()
-    rows = round(STRIP_S / step_s(found))
-    begins = np.arange(0, max(1, len(found.time_s) - rows), 10)
-    sound = [at for at in begins.tolist() if found.piece[at] == found.piece[min(at + rows, len(found.time_s) - 1)]]
-    begin = min(sound, key=lambda at: abs(found.steering_deg[at : at + rows].std() - spread))
+    spread = drive.steering_deg.std()
+    rows = round(STRIP_S / step_s(drive))
+    begins = np.arange(0, max(1, len(drive.time_s) - rows), 10)
+    sound = [at for at in begins.tolist() if drive.piece[at] == drive.piece[min(at + rows, len(drive.time_s) - 1)]]
+    begin = min(sound, key=lambda at: abs(drive.steering_deg[at : at + rows].std() - spread))
     part = slice(begin, begin + rows)
-    axes.plot(found.time_s[part] - found.time_s[begin], found.steering_deg[part], linewidth=0.9)
+    axes.plot(drive.time_s[part] - drive.time_s[begin], drive.steering_deg[part], linewidth=0.9)
     axes.axhline(0.0, color="0.8", linewidth=0.5, zorder=0)
     axes.set_title(title, loc="left")
     axes.set_ylim(-27, 27)

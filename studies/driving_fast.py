@@ -195,8 +195,8 @@ def sideways_mps2(steps: Sequence[DriveStep]) -> Floats:
     passed_s = np.diff([step.time_s for step in steps])
     speed_mps = MPS_PER_MPH * np.array([step.speed_mph for step in steps[1:]])
     sound = passed_s < 0.15
-    found: Floats = np.abs(np.diff(heading) / passed_s * speed_mps)[sound]
-    return found
+    accelerations: Floats = np.abs(np.diff(heading) / passed_s * speed_mps)[sound]
+    return accelerations
 
 
 def print_head(*columns: str) -> None:

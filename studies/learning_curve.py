@@ -38,10 +38,10 @@ def main() -> None:
     rows = {track: record(folder, track) for track in TRACKS}
     for track in TRACKS:
         trim(folder, track, "unseen", round(UNSEEN * rows[track]), rows[track] - 1)
-    found = [measured(folder, rows, count, arguments.epochs, arguments.seed) for count in arguments.pictures]
-    print_table(found)
+    points = [measured(folder, rows, count, arguments.epochs, arguments.seed) for count in arguments.pictures]
+    print_table(points)
     if arguments.figure is not None:
-        draw(found, arguments.figure)
+        draw(points, arguments.figure)
 
 
 def measured(folder: Path, rows: dict[str, int], pictures: int, epochs: int, seed: int) -> dict[str, Any]:
@@ -60,44 +60,44 @@ def measured(folder: Path, rows: dict[str, int], pictures: int, epochs: int, see
         bc(folder, "index", *(f"{track}-{pictures}" for track in TRACKS), *index, *recipe)
         bc(folder, "train", *index, *recipe, "--name", name, "--epochs", epochs, "--seed", seed)
     [offline] = told(bc(folder, "eval", name, "--session", *(f"{track}-unseen" for track in TRACKS), "--json"))
-    found = {
+    point = {
         "pictures": CAMERAS * taken * len(TRACKS),
         "shares": [taken / rows[track] for track in TRACKS],
         "driven": told(bc(folder, "eval", name, "--simulator", *TRACKS, "--json", "--force")),
         "offline": {name: offline[name] for name in ("network", "mean", "balanced_rmse_deg") if name in offline},
     }
     kept.parent.mkdir(exist_ok=True)
-    kept.write_text(json.dumps(found))
-    return found
+    kept.write_text(json.dumps(point))
+    return point
 
 
-def print_table(found: Sequence[dict[str, Any]]) -> None:
+def print_table(points: Sequence[dict[str, Any]]) -> None:
     of_tracks = " | ".join(f"{track}: interventions | autonomy | largest distance" for track in TRACKS)
     print(f"| pictures | of a lap | {of_tracks} | RMSE | MAE on turns | correlation |")
     print("|" + "---|" * (5 + 3 * len(TRACKS)))
-    for each in found:
+    for each in points:
         network = each["offline"]["network"]
         cells = [f"{each['pictures']:,}", " and ".join(f"{share:.0%}" for share in each["shares"])]
         for book in each["driven"]:
             cells += [str(book["interventions"]), f"{book['autonomy_percent']:.1f} %", f"{book['max_offset']:.2f}"]
         cells += [f"{network[name]:.2f}" for name in ("rmse_deg", "turning_mae_deg", "correlation")]
         print(f"| {' | '.join(cells)} |")
-    print(f"\nAlways the mean: RMSE {found[0]['offline']['mean']['rmse_deg']:.2f} deg.")
+    print(f"\nAlways the mean: RMSE {points[0]['offline']['mean']['rmse_deg']:.2f} deg.")
 
 
-def draw(found: Sequence[dict[str, Any]], path: Path) -> None:
+def draw(points: Sequence[dict[str, Any]], path: Path) -> None:
     with figure_style():
         figure = new_figure(2.6)
         autonomy, error = figure.subplots(1, 2)
-        pictures = [each["pictures"] for each in found]
+        pictures = [each["pictures"] for each in points]
         for number, (track, color) in enumerate(zip(TRACKS, (BLUE, ORANGE), strict=True)):
-            values = [each["driven"][number]["autonomy_percent"] for each in found]
+            values = [each["driven"][number]["autonomy_percent"] for each in points]
             autonomy.plot(pictures, values, marker="o", color=color, label=track)
         autonomy.set(ylabel="autonomy of a full lap [%]", ylim=(0, 105))
         autonomy.legend()
-        error.plot(pictures, [each["offline"]["network"]["rmse_deg"] for each in found], marker="o", color=BLUE)
+        error.plot(pictures, [each["offline"]["network"]["rmse_deg"] for each in points], marker="o", color=BLUE)
         error.axhline(
-            found[0]["offline"]["mean"]["rmse_deg"], color="0.5", linestyle="--", label="always the mean"
+            points[0]["offline"]["mean"]["rmse_deg"], color="0.5", linestyle="--", label="always the mean"
         )
         error.set(ylabel="RMSE on unseen road [deg]", ylim=(0, None))
         error.legend()

@@ -57,10 +57,10 @@ RECIPES: Final[Mapping[str, tuple[IndexConfig, TrainConfig]]] = {
 }
 
 MEASURED: Final[Mapping[str, Callable[[Measures], float]]] = {
-    "RMSE": lambda found: found.network.rmse_deg / found.mean.rmse_deg,
-    "error on turns": lambda found: found.network.turning_mae_deg / found.mean.turning_mae_deg,
-    "correlation": lambda found: found.network.correlation,
-    "best by a scale": lambda found: math.sqrt(1 - max(0.0, found.network.correlation) ** 2),
+    "RMSE": lambda measures: measures.network.rmse_deg / measures.mean.rmse_deg,
+    "error on turns": lambda measures: measures.network.turning_mae_deg / measures.mean.turning_mae_deg,
+    "correlation": lambda measures: measures.network.correlation,
+    "best by a scale": lambda measures: math.sqrt(1 - max(0.0, measures.network.correlation) ** 2),
 }
 
 
@@ -82,7 +82,7 @@ def main() -> None:
     parts: list[Part] = [Part("held-out blocks of ", tuple(logs.values()))]
     for here, there in [*pairs, *((there, here) for here, there in pairs)]:
         parts.append(Part(f"{here} -> ", (logs[here],), (logs[there],)))
-    found: dict[str, dict[str, list[dict[str, float]]]] = {}
+    results: dict[str, dict[str, list[dict[str, float]]]] = {}
     for seed in arguments.seeds:
         for part in parts:
             if arguments.other_blocks and not part.unseen:
@@ -90,8 +90,8 @@ def main() -> None:
             for recipe in arguments.recipes:
                 measured = measures(arguments.folder, recipe, seed, arguments.epochs, part)
                 for session, values in measured.items():
-                    found.setdefault(part.heading + session, {}).setdefault(recipe, []).append(values)
-            print_table(found)
+                    results.setdefault(part.heading + session, {}).setdefault(recipe, []).append(values)
+            print_table(results)
 
 
 @dataclass(frozen=True)
@@ -122,8 +122,8 @@ def measures(folder: Path, recipe: str, seed: int, epochs: int, part: Part) -> d
         print(run.name, file=sys.stderr, flush=True)
         config = replace(of_training, epochs=epochs, seed=seed)
         train(index, run, config, resume=run.exists())
-        found = evaluate_sessions(run, unseen) if unseen else evaluate(run, index)
-        values = {session: values_of(measured) for session, measured in found.sessions.items()}
+        evaluation = evaluate_sessions(run, unseen) if unseen else evaluate(run, index)
+        values = {session: values_of(measured) for session, measured in evaluation.sessions.items()}
         result.parent.mkdir(exist_ok=True)
         unfinished = result.with_suffix(".part")
         unfinished.write_text(json.dumps(values))
@@ -131,19 +131,19 @@ def measures(folder: Path, recipe: str, seed: int, epochs: int, part: Part) -> d
     return dict(json.loads(result.read_text()))
 
 
-def values_of(found: Measures) -> dict[str, float]:
-    return {name: value(found) for name, value in MEASURED.items()}
+def values_of(measures: Measures) -> dict[str, float]:
+    return {name: value(measures) for name, value in MEASURED.items()}
 
 
-def print_table(found: Mapping[str, Mapping[str, Sequence[Mapping[str, Any]]]]) -> None:
+def print_table(results: Mapping[str, Mapping[str, Sequence[Mapping[str, Any]]]]) -> None:
     print(f"\n| measured on | recipe | {' | '.join(MEASURED)} |")
     print("|" + "---|" * (2 + len(MEASURED)))
-    recipes = list(dict.fromkeys(recipe for of_recipes in found.values() for recipe in of_recipes))
-    for session, of_recipes in found.items():
+    recipes = list(dict.fromkeys(recipe for of_recipes in results.values() for recipe in of_recipes))
+    for session, of_recipes in results.items():
         for recipe, seeds in of_recipes.items():
             print(f"| {session} | {recipe} | {' | '.join(cells(seeds))} |")
     for recipe in recipes:
-        seeds = [seed for of_recipes in found.values() for seed in of_recipes.get(recipe, ())]
+        seeds = [seed for of_recipes in results.values() for seed in of_recipes.get(recipe, ())]
         means = {name: [mean(seed[name] for seed in seeds)] for name in MEASURED}
         print(f"| all | {recipe} | {' | '.join(f'{value[0]:.2f}' for value in means.values())} |")
     sys.stdout.flush()

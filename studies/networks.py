@@ -74,16 +74,16 @@ def main() -> None:
 
 def speeds(path: Path, networks: list[str], rounds: int) -> dict[str, dict[str, Any]]:
     """Of each network its size and speed, measured now or before."""
-    found: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.exists() else {}
+    results: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.exists() else {}
     torch.set_num_threads(1)
-    contenders = {name: Contender(name) for name in networks if name not in found}
+    contenders = {name: Contender(name) for name in networks if name not in results}
     for _ in range(rounds):
         for contender in contenders.values():
             contender.take_turn()
-    found |= {name: contender.result() for name, contender in contenders.items()}
+    results |= {name: contender.result() for name, contender in contenders.items()}
     with atomic_file(path, overwrite=True) as part:
-        part.write_text(json.dumps(found, indent=2) + "\n")
-    return {name: found[name] for name in networks}
+        part.write_text(json.dumps(results, indent=2) + "\n")
+    return {name: results[name] for name in networks}
 
 
 class Contender:
@@ -140,10 +140,10 @@ def processor_s(action: Callable[[], object]) -> float:
     return time.thread_time() - before_s
 
 
-def print_speed(found: dict[str, dict[str, Any]]) -> None:
+def print_speed(results: dict[str, dict[str, Any]]) -> None:
     print("| network | it sees | parameters | weights | samples a second | ms a picture | in float32 |")
     print("|---|---|---|---|---|---|---|")
-    for name, each in found.items():
+    for name, each in results.items():
         print(
             f"| `{name}` | {each['picture']} | {each['parameters']:,} | {each['mb']:.1f} MB"
             f" | {each['samples_per_cpu_s']:,.0f} | {each['ms']['auto']:.2f} | {each['ms']['float32']:.2f} |"
@@ -199,8 +199,8 @@ def driven(run: Path, track: str, mph: float) -> dict[str, Any]:
         said = command("bc_eval", str(run), "--simulator", track, "--speed", f"{mph:g}", *logs, "--json")
         with atomic_file(kept, overwrite=True) as part:
             part.write_text(said)
-    found: dict[str, Any] = json.loads(kept.read_text())
-    return found
+    results: dict[str, Any] = json.loads(kept.read_text())
+    return results
 
 
 def command(name: str, *arguments: str) -> str:

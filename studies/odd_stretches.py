@@ -152,13 +152,13 @@ def drive_with(
     return states_of(drive.rows), places
 
 
-def measure(found: list[OddStretch], kind: str, places: list[tuple[int, int]]) -> tuple[int, int]:
+def measure(stretches: list[OddStretch], kind: str, places: list[tuple[int, int]]) -> tuple[int, int]:
     """How many of the faults were found, and the rows that are none and were."""
-    covered = {row for each in found if each.kind == kind for row in range(each.first_row, each.last_row + 1)}
+    covered = {row for each in stretches if each.kind == kind for row in range(each.first_row, each.last_row + 1)}
     near = round(NEAR_S * RATE_HZ)
     allowed = {row for first, last in places for row in range(first - near, last + near + 1)}
     held = sum(2 * len(covered & {*range(a, b + 1)}) >= b + 1 - a for a, b in places)
-    rows = {row for each in found for row in range(each.first_row, each.last_row + 1)}
+    rows = {row for each in stretches for row in range(each.first_row, each.last_row + 1)}
     return held, len(rows - allowed)
 
 
@@ -168,8 +168,8 @@ def main() -> None:
     logs = parser.parse_args().logs
     for path in logs:
         with Log(path) as log:
-            found = odd_stretches(states_of_log(log))
-        print(f"{path.stem}: {'; '.join(map(str, found)) or 'nothing'}")
+            stretches = odd_stretches(states_of_log(log))
+        print(f"{path.stem}: {'; '.join(map(str, stretches)) or 'nothing'}")
     if logs:
         return
     print("| drive | faults | found | missed | false rows | of rows |")
@@ -192,8 +192,8 @@ def main() -> None:
                 poses = np.array([(each.pose.x_m, each.pose.y_m, each.pose.heading_rad) for each in steps])
                 states = replace(states, beyond_m=beyond_edge_m(track_name, "", *poses.T))
                 count = results.setdefault(f"{name}, a lap with recoveries", Counter())
-                found = odd_stretches(states)
-                count.update(rows=len(states.row), false=measure(found, "", [])[1])
+                stretches = odd_stretches(states)
+                count.update(rows=len(states.row), false=measure(stretches, "", [])[1])
             for kind, fault in FAULTS.items():
                 driver = make_driver("expert", track.line, mph, 0.03, 0)
                 states, places = drive_with(course, driver, fault)

@@ -79,19 +79,19 @@ def rows_of(folder: Path, network: str) -> list[dict[str, Any]]:
     training, epoch = network.rsplit("-e", 1)
     recipe, seed = training.rsplit("-s", 1)
     about = {"network": network, "recipe": recipe, "seed": int(seed), "epoch": int(epoch)}
-    found: list[tuple[str, str, str, float]] = []
+    values: list[tuple[str, str, str, float]] = []
     frames = pq.read_table(folder / "predictions" / f"{network}.parquet").to_pandas()
     for driver in ("keyboard", "expert"):
         part = frames[frames["session"].str.contains(f"-{driver}-")]
-        found += [("offline", driver, name, value) for name, value in offline(part).items()]
+        values += [("offline", driver, name, value) for name, value in offline(part).items()]
     for kind, file in (("recording driven", "recordings_driven"), ("driven", "driven")):
         for line in (folder / file / f"{network}.jsonl").read_text().splitlines():
             told = json.loads(line)
             where = told.get("track") or told["session"]
-            found += [(kind, where, name, float(value)) for name, value in told.items() if is_number(value)]
+            values += [(kind, where, name, float(value)) for name, value in told.items() if is_number(value)]
     return [
         {**about, "kind": kind, "where": where, "measure": name, "value": value}
-        for kind, where, name, value in found
+        for kind, where, name, value in values
     ]
 
 
@@ -102,21 +102,21 @@ def is_number(value: object) -> bool:
 def offline(frames: pd.DataFrame) -> dict[str, float]:
     """Every offline measure of predictions, turned so that more is worse; angles in degrees."""
     predicted, recorded = frames["predicted"].to_numpy(), frames["recorded"].to_numpy()
-    found = measure(predicted, recorded)
+    measures = measure(predicted, recorded)
     spread, centred = predicted - predicted.mean(), recorded - recorded.mean()
     has_spread = float(spread @ spread) > 1e-9
     slope = float(spread @ centred / (spread @ spread)) if has_spread else 0.0
-    r = found.network.correlation if has_spread else 0.0
-    sigma_deg = found.mean.rmse_deg
+    r = measures.network.correlation if has_spread else 0.0
+    sigma_deg = measures.mean.rmse_deg
     smooth = by_session(frames, lambda part: smoothed(part, 0.5))
     second = by_session(frames, lambda part: smoothed(part, 1.0))
     change = by_session(frames, lambda part: part["predicted"].diff().fillna(0.0))
     actual = by_session(frames, lambda part: part["recorded"].rolling(11, center=True, min_periods=1).mean())
     return {
-        "RMSE": found.network.rmse_deg,
-        "MAE": found.network.mae_deg,
-        "MAE on turns": found.network.turning_mae_deg,
-        "balanced RMSE": found.balanced_rmse_deg,
+        "RMSE": measures.network.rmse_deg,
+        "MAE": measures.network.mae_deg,
+        "MAE on turns": measures.network.turning_mae_deg,
+        "balanced RMSE": measures.balanced_rmse_deg,
         "1 - correlation": 1 - r,
         "RMSE at the best scale": sigma_deg * math.sqrt(max(0.0, 1 - r * r)) if r > 0 else sigma_deg,
         "scale that is missing": abs(math.log(min(max(slope, 0.05), 20.0))),
@@ -124,9 +124,9 @@ def offline(frames: pd.DataFrame) -> dict[str, float]:
         "RMSE, smoothed over 0.5 s": rmse_deg(smooth, recorded),
         "RMSE, both smoothed over 1 s": rmse_deg(second, actual),
         "roughness": MAX_STEERING_DEG * float(np.abs(change).mean()),
-        "RMSE and correlation": found.network.rmse_deg / sigma_deg + (1 - r),
-        "RMSE times balanced RMSE": math.sqrt(found.network.rmse_deg * found.balanced_rmse_deg),
-        "balanced RMSE and correlation": found.balanced_rmse_deg / found.mean_balanced_rmse_deg + (1 - r),
+        "RMSE and correlation": measures.network.rmse_deg / sigma_deg + (1 - r),
+        "RMSE times balanced RMSE": math.sqrt(measures.network.rmse_deg * measures.balanced_rmse_deg),
+        "balanced RMSE and correlation": measures.balanced_rmse_deg / measures.mean_balanced_rmse_deg + (1 - r),
     }
 
 
@@ -183,7 +183,7 @@ def correlations(wide: pd.DataFrame) -> pd.DataFrame:
     generator = np.random.default_rng(0)
     draws = [generator.integers(0, len(members), len(members)) for _ in range(DRAWS)]
     recipe = pd.factorize(wide["recipe"])[0]
-    found = []
+    table = []
     for outcome in OUTCOMES:
         for name in names:
             x, y = wide[name].to_numpy(np.float64), wide[outcome].to_numpy(np.float64)
@@ -195,8 +195,8 @@ def correlations(wide: pd.DataFrame) -> pd.DataFrame:
                 known = [value for value in drawn if math.isfinite(value)]
                 low, high = np.quantile(known, [0.025, 0.975]) if known else (math.nan, math.nan)
                 row |= {label: of(x, y, recipe), f"{label} low": low, f"{label} high": high}
-            found.append(row)
-    return pd.DataFrame(found)
+            table.append(row)
+    return pd.DataFrame(table)
 
 
 def spearman(x: Floats, y: Floats, _: NDArray[np.intp]) -> float:
@@ -209,8 +209,8 @@ def spearman_within(x: Floats, y: Floats, group: NDArray[np.intp]) -> float:
     for number in np.unique(group):
         at = np.flatnonzero(group == number)
         for values, to in ((x, a), (y, b)):
-            found = ranks(values[at]) / len(at)
-            to[at] = found - found.mean()
+            shares = ranks(values[at]) / len(at)
+            to[at] = shares - shares.mean()
     return correlation(a, b)
 
 
