@@ -246,13 +246,13 @@ function stepBy(rows) {
   curves.follow(curves.position);
 }
 
-/** The address names a row, a kind of odd stretches, and runs: when the page is opened, and when a link leads to another row of the same page. */
+/** Show the row, the kind of odd stretches and the run of the address: of a new page, and of a link within the page. */
 function followAddress() {
   const named = new URLSearchParams(location.hash.slice(1));
   // revealed before the move: the mouse, if it is over the curves, points as well
   if (named.has("row") && data.length) goToPosition(data.position(Number(named.get("row")), false));
   if (named.get("kind")) filter.use(named.get("kind"));
-  return runs.choose(named.getAll("run"));
+  if (named.has("run")) runs.choose(named.get("run"));
 }
 
 data.addEventListener("rows", showRows);
