@@ -1,5 +1,5 @@
-"""The workbench: sessions, runs and drives in the browser. It stands on all other rooms and keeps nothing of its
-own: it reads the files that the commands write, and changes them by the functions that the commands call."""
+"""The workbench: sessions, runs and drives in the browser. It uses all other rooms. It reads the files that the
+commands write, and changes them with the functions of the commands."""
 
 from behavioural_cloning_toolkit import refuse_hidden
 

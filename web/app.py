@@ -1,4 +1,4 @@
-"""The workbench as an ASGI app: its pages, its static files, what guards them."""
+"""The workbench as an ASGI app: pages, static files, and the checks of requests."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ from web.server.memory import TrimmedApp
 from web.server.request_guard import RequestGuard
 from web.server.static_files import STATIC, PageFiles
 
-_AS_THEY_ARE: Final = (  # compressed already, or sent bit by bit
+_NOT_COMPRESSED: Final = (  # compressed already, or sent in small parts
     *DEFAULT_EXCLUDED_CONTENT_TYPES,
     "application/wasm",
     "application/x-ndjson",
 )
-_OF_A_LOG: Final = (session_routes, log_file_routes, rerun_log_routes, prediction_routes, log_job_routes)
+_LOG_ROUTES: Final = (session_routes, log_file_routes, rerun_log_routes, prediction_routes, log_job_routes)
 
 
 @contextlib.contextmanager
 def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterator[ASGIApp]:
-    """The app, until the context is left. Raises UserError where a folder is in a store, and what reads stores is
-    not installed."""
+    """The app, until the context is left. Raises UserError if a folder is in a store and the package that reads
+    stores is not installed."""
     with contextlib.ExitStack() as stack:
         if folders.are_in_stores:
             from common.store_connection import hurried  # an extra
@@ -57,8 +57,8 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
         bench = Workbench(folders, cache)
         stack.callback(bench.close)
         app = Starlette(routes=_routes(bench), exception_handlers=HANDLERS)
-        small = GZipMiddleware(app, compresslevel=5, exclude_content_types=_AS_THEY_ARE)
-        yield TrimmedApp(RequestGuard(small, host, token))
+        compressed = GZipMiddleware(app, compresslevel=5, exclude_content_types=_NOT_COMPRESSED)
+        yield TrimmedApp(RequestGuard(compressed, host, token))
 
 
 def _routes(bench: Workbench) -> list[BaseRoute]:
@@ -66,7 +66,7 @@ def _routes(bench: Workbench) -> list[BaseRoute]:
         *session_list_routes(bench),
         *bulk_routes(bench),
         *change_routes(bench),
-        *(route for place in PLACES for routes in _OF_A_LOG for route in routes(bench, place)),
+        *(route for place in PLACES for routes in _LOG_ROUTES for route in routes(bench, place)),
         *rerun_routes(bench),
         *drive_routes(bench),
         *index_routes(bench),

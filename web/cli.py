@@ -41,7 +41,7 @@ class Web:
 
 
 def serve(config: Web, page: str = "") -> int:
-    """Serve until a signal ends it; print the address of that page, and open it if `config` says so."""
+    """Serve until a signal. Print the address of `page`, and open it if `config.open`."""
     check_port("--port", config.port)
     _check_folders(config)
     allow_places(config.sessions, config.drives)
@@ -76,14 +76,13 @@ def serve(config: Web, page: str = "") -> int:
             server.stop()
     if running := [job.command for job in Jobs(default_cache_folder()).all() if job.is_running]:
         print_message(f"{counted(len(running), 'job goes', 'jobs go')} on: {'; '.join(running)}")
-        here = printable(str(Path.cwd()))
-        print_message(f"`bc-web`, begun again in {here}, shows them under Jobs, with a stop for each")
+        print_message(f"to see or stop them, start `bc-web` in {printable(str(Path.cwd()))} and open Jobs")
     return DONE
 
 
 def _check_folders(config: Web) -> None:
-    """Raise UserError for a file where a folder was expected; print which named folders are not there.
-    Folders in stores are left to the pages."""
+    """Raise UserError for a file instead of a folder. Print which named folders do not exist yet. The pages report
+    on folders in stores."""
     for name in ("sessions", "index", "runs", "drives"):
         folder: Location = getattr(config, name)
         if isinstance(folder, Url):

@@ -164,7 +164,7 @@ def test_the_command_says_which_jobs_go_on(tmp_path: Path, monkeypatch: pytest.M
         assert process.end() == 0
         said = "\n".join(process.stderr)
         assert "1 job goes on: bc-record long --laps=200\n" in said
-        assert f"`bc-web`, begun again in {tmp_path}, shows them" in said
+        assert f"start `bc-web` in {tmp_path} and" in said
     jobs = Jobs(tmp_path / "cache" / "web")
     jobs.stop(job)
     wait_until(lambda: not jobs.get(job).is_running)

@@ -212,9 +212,9 @@ def test_all_sessions_of_the_index_lie_on_one_map(browser: Browser, bench: Serve
         assert page.locator("#pictures a").count() == ROWS
         box = page.locator("#cloud").bounding_box()
         assert box is not None
-        page.click("button[data-tool=box]")
         left, top = box["x"] + 2, box["y"] + 2
-        drag(page, [(left, top), (left + 10, top + 10), (left + box["width"] - 4, top + box["height"] - 4)])
+        right, bottom = left + box["width"] - 4, top + box["height"] - 4
+        drag(page, [(left, top), (right, top), (right, bottom), (left, bottom)])
         page.wait_for_selector(f"#map[data-chosen='{ROWS + 30}']")
         page.keyboard.press("x")
         wait_until(lambda: tags_of(bench, "scenes") == [(0, ROWS - 1, "exclude")])

@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 
 from logs import write_log
+from recorder import Log
 from toy import STEERING, road
 from waiting import wait_until
 from web.errors import WebError
 from web.folders.cache_folder import CacheFolder
 from web.logs.picture_checks import PictureChecks
+from web.processes.kept_work import KeptWork
 from web.processes.predictions import Predictions
 from web.processes.rerun_viewers import RerunViewers
 
@@ -40,19 +42,25 @@ def test_a_log_in_rerun_without_room_for_temporary_files(tmp_path: Path) -> None
         RerunViewers(CacheFolder(tmp_path / "cache")).open(tmp_path / "a.mcap", is_growing=False)
 
 
-def test_a_bug_in_the_check_of_pictures_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fails(*_: object) -> None:
-        raise IndexError("nobody has thought of this")
+def test_a_bug_in_a_process_is_said(tmp_path: Path) -> None:
+    work = KeptWork(tmp_path / "cache", "web.processes.no_such_module", "stopped")
+    work.start("key", 1, [])
+    requested = work.requested("key")
+    assert requested is not None
+    wait_until(lambda: requested.is_done)
+    work.close()
+    assert requested.problem == "the process at work ended with 1; try it again"
 
-    monkeypatch.setattr("web.logs.picture_checks.check_images", fails)
-    log = write_log(tmp_path / "a.mcap", STEERING, road, cameras=["center"])
-    checks = PictureChecks(tmp_path / "index", CacheFolder(tmp_path / "cache"))
-    checks.start(log, "fingerprint")
-    checking = checks.checking("fingerprint")
-    assert checking is not None
-    wait_until(lambda: checking.is_done)
-    checks.close()
-    assert "IndexError" in checking.problem
-    assert "nobody has thought of this" in capsys.readouterr().err
+
+def test_a_log_that_is_deleted_before_its_pictures_are_checked(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "a.mcap", STEERING, road, cameras=["center"])
+    checks = PictureChecks(tmp_path / "index", tmp_path / "cache")
+    with Log(path) as log:
+        path.unlink()
+        checks.start(log)
+        checking = checks.work.requested(log.fingerprint)
+        assert checking is not None
+        wait_until(lambda: checking.is_done)
+        assert not checks.are_checked(log)
+    checks.work.close()
+    assert "a.mcap" in checking.problem

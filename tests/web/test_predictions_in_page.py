@@ -226,17 +226,3 @@ def test_of_a_car_whose_angle_is_unknown_it_shows_shares_of_full_lock(browser: B
         page.wait_for_selector("#session[data-run=constant]")
         assert f"RMSE {rmse:.2f} % of full lock; always" in page.inner_text("#predicted")
         assert "% of full lock too far right" in page.locator("#worst li").first.inner_text()
-
-
-def test_several_runs_lie_over_one_session(browser: Browser, bench: Served) -> None:
-    with opened_page(browser, f"{bench.address}/sessions/toy#run=constant&run=another") as page:
-        open_session(page)
-        page.wait_for_selector("#session[data-run='another']")
-        keys = "#curves .key span"
-        wait_until(lambda: {"constant", "another"} <= set(page.locator(keys).all_inner_texts()))
-        assert page.inner_text("#kept").startswith("constant: RMSE")
-        assert page.is_disabled("#keep-run") is False
-        page.select_option("#run", "")
-        page.click("#keep-run")  # removes what was kept
-        wait_until(lambda: page.inner_text("#kept") == "")
-        assert "constant" not in page.locator(keys).all_inner_texts()

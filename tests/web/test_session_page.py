@@ -161,7 +161,7 @@ def test_odd_rows_and_pictures_are_told(tmp_path: Path) -> None:
         stuck, frozen = ["stuck_steering", 10, 49, "at 0.4", False], ["frozen_picture", 60, 79, "", False]
         assert bench.get("/sessions/a/state").json["odd"] == [stuck]
         assert bench.ask("POST", "/sessions/a/look", b"").status == 200
-        wait_until(lambda: bench.get("/sessions/a/look").json["is_done"])
+        wait_until(lambda: bench.get("/sessions/a/look").json["about"])
         looked = bench.get("/sessions/a/state").json
         assert looked["odd"] == [stuck, frozen]
         shutil.rmtree(tmp_path / "cache")

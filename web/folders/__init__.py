@@ -1,1 +1,1 @@
-"""The folders behind the pages, in stores too: what is in them, and what is kept of it."""
+"""The project's folders, on this machine or in stores, and the cache."""

@@ -1,4 +1,4 @@
-"""Results of files that take a while, made one by one on a thread while pages show those that are there."""
+"""Slow results of files, made on threads. Pages show the results that are finished."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Place = TypeVar("Place", bound=Location)
 Result = TypeVar("Result")
 
 AGAIN_S: Final = 10.0
-"""Time after which a store that did not answer is asked again."""
+"""Time after which a store that did not answer is tried again."""
 
 
 class _Made(NamedTuple, Generic[Result]):
@@ -30,7 +30,7 @@ class _Task(NamedTuple, Generic[Result]):
     future: Future[_Made[Result]]
 
     def is_of(self, version: str) -> bool:
-        """Whether its result is, or will be, that of `version`; where a store did not answer, for a while."""
+        """Whether the task is for `version`. If a store did not answer, it counts for `AGAIN_S` only."""
         if self.version != version:
             return False
         if not self.future.done() or self.future.cancelled():
@@ -40,7 +40,7 @@ class _Task(NamedTuple, Generic[Result]):
 
 
 class Background(Generic[Place, Result]):
-    """A result for each file, made anew when its version is another one."""
+    """A result for each file, made again when the version of the file changes."""
 
     def __init__(self, pool: Executor, make: Callable[[Place, str], Result]) -> None:
         """`make` takes a file and its version. An exception is the result, as UserError."""
@@ -49,29 +49,29 @@ class Background(Generic[Place, Result]):
         self._lock = threading.Lock()
         self._tasks: dict[Place, _Task[Result]] = {}
         self.done = 0
-        """Grows with every result: pages that have not shown it yet ask again."""
+        """The number of results made so far. When it grows, pages load their lists again."""
 
     def results(
         self, versions: Iterable[tuple[Place, str]], patience_s: float | None
     ) -> dict[Place, Result | UserError]:
-        """The results that are there after `patience_s` at most; None waits for all. Those of other files are
+        """The results that are finished within `patience_s`; None waits for all. Results of other files are
         dropped."""
         with self._lock:
             before, self._tasks = self._tasks, {}
             for path, version in versions:
-                known = before.pop(path, None)
-                if known is None or not known.is_of(version):
-                    if known is not None:
-                        known.future.cancel()
-                    known = _Task(version, self._pool.submit(self._run, path, version))
-                self._tasks[path] = known
+                task = before.pop(path, None)
+                if task is None or not task.is_of(version):
+                    if task is not None:
+                        task.future.cancel()
+                    task = _Task(version, self._pool.submit(self._run, path, version))
+                self._tasks[path] = task
             for dropped in before.values():
                 dropped.future.cancel()
             futures = {path: task.future for path, task in self._tasks.items()}
         wait(futures.values(), patience_s)
-        # a cancelled one is of a version that another request has found replaced
-        there = ((path, future) for path, future in futures.items() if future.done() and not future.cancelled())
-        return {path: future.result().result for path, future in there}
+        # another request cancels a task if it finds a newer version
+        finished = ((path, future) for path, future in futures.items() if future.done() and not future.cancelled())
+        return {path: future.result().result for path, future in finished}
 
     def _run(self, path: Place, version: str) -> _Made[Result]:
         result = self._result(path, version)
@@ -84,7 +84,7 @@ class Background(Generic[Place, Result]):
             return self._make(path, version)
         except UserError as error:
             return error
-        except OSError as error:  # deleted meanwhile, or not ours to read
+        except OSError as error:  # deleted since, or not readable
             return UserError(f"{path}: {error.strerror or error}")
-        except Exception as error:  # a bug: one log must not take the others out of the list
+        except Exception as error:  # a bug must not hide the other logs
             return UserError(f"{path}: {report_bug(error)}")

@@ -1,5 +1,4 @@
-"""Thumbnails and summaries that took long to make, in a folder of the user's own caches. It may be deleted at any
-time: they are made again."""
+"""Thumbnails and summaries, in the user's cache folder. You may delete the folder at any time."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ from common.users_cache import users_cache
 Kept = TypeVar("Kept")
 
 _MAX_BYTES: Final = 512 << 20
-_KEPT_SHARE: Final = 0.8  # when it is too large, so that this is seldom
+_KEPT_SHARE: Final = 0.8  # after tidying, so that it is seldom needed
 
 
 def default_cache_folder() -> Path:
@@ -26,13 +25,13 @@ def default_cache_folder() -> Path:
 
 
 class CacheFolder:
-    """Bytes by key. Whatever goes wrong with the files, only time is lost."""
+    """Bytes by key. If a file cannot be read or written, its data are made again."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def get(self, key: str, make: Callable[[], bytes]) -> bytes:
-        """The data kept under that key, else those that `make` returns, which are then kept."""
+        """The data of a key. If there are none, call `make` and keep what it returns."""
         if data := self.find(key):
             return data
         data = make()
@@ -40,7 +39,7 @@ class CacheFolder:
         return data
 
     def struct(self, key: str, kind: type[Kept], make: Callable[[], Kept]) -> Kept:
-        """`get` for a value that msgspec encodes; made anew where the file is damaged."""
+        """`get` for a value that msgspec encodes. If the file is damaged, make it again."""
         data = self.get(key, lambda: msgspec.json.encode(make()))
         kept = json_as(data, kind)
         if kept is None:
@@ -49,28 +48,28 @@ class CacheFolder:
         return kept
 
     def find(self, key: str) -> bytes | None:
-        """The data kept under that key, if any."""
+        """The data of a key, if any."""
         try:
             return self._path(key).read_bytes() or None
         except OSError:
             return None
 
     def forget(self, key: str) -> None:
-        """Delete the data kept under that key."""
+        """Delete the data of a key."""
         with contextlib.suppress(OSError):
             self._path(key).unlink()
 
     def tidy(self) -> None:
-        """Remove the oldest files, if all of them are more than half a gigabyte."""
-        found = []
+        """Remove the oldest files if all together have more than half a gigabyte."""
+        files = []
         with contextlib.suppress(OSError):
             for path in self.folder.glob("*/*"):
                 status = path.stat()
-                found.append((status.st_mtime_ns, status.st_size, path))
-        found.sort(reverse=True)
+                files.append((status.st_mtime_ns, status.st_size, path))
+        files.sort(reverse=True)
         total = 0
-        is_too_large = sum(size for _, size, _ in found) > _MAX_BYTES
-        for _, size, path in found if is_too_large else ():
+        is_too_large = sum(size for _, size, _ in files) > _MAX_BYTES
+        for _, size, path in files if is_too_large else ():
             total += size
             if total > _MAX_BYTES * _KEPT_SHARE:
                 with contextlib.suppress(OSError):
@@ -81,13 +80,13 @@ class CacheFolder:
         return self.folder / name[:2] / name[2:]
 
     def keep(self, key: str, data: bytes) -> None:
-        """Keep it; `get` and `find` give it back, unless the folder is deleted meanwhile."""
+        """Keep data under a key."""
         path = self._path(key)
         part = path.with_name(f"{path.name}.{secrets.token_hex(3)}")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             part.write_bytes(data)
-            part.replace(path)  # no fsync: what a power cut takes is made again
-        except OSError:  # a full disk, a folder that cannot be written to: then it is made each time
+            part.replace(path)  # no fsync: what a power cut destroys is made again
+        except OSError:  # the disk is full or read-only: the data are made each time
             with contextlib.suppress(OSError):
                 part.unlink()

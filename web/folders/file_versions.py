@@ -1,4 +1,4 @@
-"""Versions of files and folders: short texts that change whenever a command writes there. Nothing is read."""
+"""Versions of files and folders: short texts that change when a command writes there. No file is read."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Value = TypeVar("Value")
 
 
 class Newest(Generic[Place, Value]):
-    """Values made of files: for each file only that of its newest version, and only for the files used last."""
+    """Values made from files: of each file that of its newest version, for the files used last."""
 
     def __init__(self, max_kept: int) -> None:
         self._max_kept = max_kept
@@ -28,7 +28,7 @@ class Newest(Generic[Place, Value]):
         self._values: dict[Place, tuple[str, Value]] = {}
 
     def get(self, place: Place, version: str, make: Callable[[], Value]) -> Value:
-        """The value that is kept, or what `make` returns now."""
+        """The kept value of this version, or what `make` returns."""
         with self._lock:
             kept = self._values.get(place)
         value = kept[1] if kept is not None and kept[0] == version else make()
@@ -41,7 +41,7 @@ class Newest(Generic[Place, Value]):
 
 
 def version_of(*paths: Path) -> str:
-    """The version of files: it changes when one of them is written to, replaced, or removed."""
+    """The version of files: it changes when one of them is written, replaced or removed."""
     digest = hashlib.sha256()
     for path in paths:
         try:
@@ -54,7 +54,7 @@ def version_of(*paths: Path) -> str:
 
 
 def version_of_growing(path: Path) -> str:
-    """The version of a file that is being written to: it changes now and then."""
+    """The version of a file that is being written: it changes with every 4 MB."""
     try:
         status = path.stat()
     except OSError:
@@ -62,16 +62,16 @@ def version_of_growing(path: Path) -> str:
     return f"{status.st_ino:x}.{status.st_size >> _GROWING_STEP:x}"
 
 
-def version_of_stats(found: Iterable[tuple[Location, Stat]]) -> str:
+def version_of_stats(stats: Iterable[tuple[Location, Stat]]) -> str:
     """The version of objects in a store, by their sizes and ETags."""
     digest = hashlib.sha256()
-    for place, stat in found:
+    for place, stat in stats:
         digest.update(f"{place},{stat};".encode())
     return digest.hexdigest()[:16]
 
 
 def version_of_folder(folder: Path) -> str:
-    """The version of a folder's names, sizes and times, without subfolders; "" if there is none."""
+    """The version of a folder: its names, sizes and times, without subfolders; "" without a folder."""
     digest = hashlib.sha256()
     try:
         with os.scandir(folder) as entries:
@@ -87,7 +87,7 @@ def _lines(entries: Iterable[os.DirEntry[str]]) -> Iterable[bytes]:
         name = os.fsencode(entry.name)
         try:
             status = entry.stat()
-        except OSError:  # gone since, or a link to nothing
+        except OSError:  # deleted since, or a broken link
             yield name
             continue
         if entry.name.endswith(_PART):

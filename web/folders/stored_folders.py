@@ -1,5 +1,5 @@
-"""Folders in stores, as far as pages need them: their listings, and copies of the small ones. Both are refreshed
-on threads, at most once every few seconds, however many pages need them."""
+"""Folders in stores: their listings, and copies of small folders. Threads refresh both, at most every few seconds,
+for all pages together."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _PATIENCE_S: Final = 1.5
 
 
 class Refreshed(Generic[Value]):
-    """The last value. Reading it does not wait; only the first calls of `refresh` wait a little for it."""
+    """A value that a thread refreshes. Only the first calls of `refresh` wait a moment for it."""
 
     def __init__(self, name: str, make: Callable[[Value | None], Value]) -> None:
-        """`name` is that of the value in messages. `make` is called with the value before."""
+        """`name` is for messages. `make` gets the value before, and returns the new one."""
         self._make = make
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
@@ -44,12 +44,12 @@ class Refreshed(Generic[Value]):
         """Why there is no newer value; empty if there is."""
 
     def refresh(self) -> None:
-        """Begin a refresh, if the last one is long enough ago."""
+        """Start a refresh, if the last one is long enough ago."""
         now_s = time.monotonic()
         with self._lock:
             self._first_s = self._first_s or now_s
             if self._thread is None and now_s >= self._next_s:
-                # not one of a pool: the process ends without it
+                # a daemon, unlike a pool: the process ends without waiting for it
                 self._thread = threading.Thread(target=self._run, name="asking a store", daemon=True)
                 self._thread.start()
         self._has_result.wait(max(0.0, self._first_s + _PATIENCE_S - now_s))
@@ -80,16 +80,15 @@ class StoreListings:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._listed: dict[Url, Refreshed[Listing]] = {}
-        self._changed_here: dict[
-            Url, tuple[float, StoredObject | None]
-        ] = {}  # objects asked for since a listing began, and when
+        # objects asked for since a listing began, and when
+        self._changed_here: dict[Url, tuple[float, StoredObject | None]] = {}
 
     def refresh(self, folder: Url) -> None:
-        """List the folder anew, if the last time is some seconds ago; only pages that show it need to."""
+        """List the folder again, if the last listing is some seconds old."""
         self._of(folder).refresh()
 
     def objects(self, folder: Url) -> Listing:
-        """The objects directly in a folder, as it was listed last."""
+        """The objects directly in a folder, by the last listing."""
         listed = self._of(folder)
         if listed.value is None:
             listed.refresh()
@@ -101,7 +100,7 @@ class StoreListings:
         return {url: found for url, found in {**objects, **changed}.items() if found is not None}
 
     def refresh_object(self, url: Url) -> None:
-        """Ask for an object that was changed from here: the next listing may be seconds away."""
+        """Ask for an object that was changed here, because the next listing may be seconds away."""
         from common.object_store import find_object  # an extra
 
         now_s = time.monotonic()
@@ -111,7 +110,7 @@ class StoreListings:
                 self._changed_here[url] = now_s, found
 
     def problem(self, folder: Url) -> str:
-        """The reason why there is no newer listing; empty if there is one."""
+        """Why there is no newer listing; empty if there is one."""
         return self._of(folder).problem
 
     def find(self, url: Url) -> StoredObject | None:
@@ -127,26 +126,26 @@ class StoreListings:
         began_s = time.monotonic()
         found = _list(folder)
         with self._lock:
-            known = [
+            listed = [
                 url for url, (at_s, _) in self._changed_here.items() if url.parent == folder and at_s < began_s
             ]
-            for url in known:
+            for url in listed:
                 del self._changed_here[url]
         return found
 
 
 class StoredCopy(Refreshed[Listing]):
-    """A copy of a folder of small files, for pages that read it; it is brought again when its listing has changed.
+    """A copy of a folder of small files. It is fetched again when its listing has changed.
 
-    It is not the one in which `bc-index` works: that shall not find it in use.
+    `bc-index` works in another copy, so that this one never blocks it.
     """
 
     def __init__(self, url: Url) -> None:
-        super().__init__(str(url), self._brought)
+        super().__init__(str(url), self._fetch)
         self.here = cached_copy(url, "shown")
         self._url = url
 
-    def _brought(self, before: Listing | None) -> Listing:
+    def _fetch(self, before: Listing | None) -> Listing:
         listed = _list(self._url)
         if listed != before:
             from common.stored_folder import StoredFolder  # an extra
@@ -159,4 +158,4 @@ class StoredCopy(Refreshed[Listing]):
 def _list(folder: Url) -> Listing:
     from common.object_store import list_objects  # an extra
 
-    return {each.url: each for each in list_objects(folder)}
+    return {stored.url: stored for stored in list_objects(folder)}

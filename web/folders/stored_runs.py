@@ -1,5 +1,5 @@
-"""Runs in a store: their small files are brought to the user's cache, where pages read them; the others when a
-page needs them."""
+"""Runs in a store. Their small files are copied to the user's cache, where pages read them. Other files are copied
+when a page needs them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _AT_ONCE: Final = 8  # runs
 
 
 class StoredRuns(Refreshed[None]):
-    """The runs of a folder in a store by the folders of their copies; each when its small files are here."""
+    """The runs of a folder in a store by the folders of their copies, as soon as their small files are here."""
 
     def __init__(self, url: Url) -> None:
         super().__init__(str(url), self._bring_changed)
@@ -38,26 +38,26 @@ class StoredRuns(Refreshed[None]):
 
     def url(self, run: Path) -> Url | None:
         with self._of_runs:
-            found = self._brought.get(run)
-        return found.url if found else None
+            stored = self._brought.get(run)
+        return stored.url if stored else None
 
     def version(self, run: Path, names: Sequence[str]) -> str:
-        """The version of these files of a run, as they were listed last."""
+        """The version of these files of a run, by the last listing."""
         with self._of_runs:
-            found = self._brought.get(run)
-        files = [found.files.get(name) for name in names] if found else []
-        return version_of_stats((each.url, (each.size, each.version)) for each in files if each is not None)
+            stored = self._brought.get(run)
+        files = [stored.files.get(name) for name in names] if stored else []
+        return version_of_stats((file.url, (file.size, file.version)) for file in files if file is not None)
 
     def bring(self, run: Path, names: Sequence[str]) -> None:
-        """Fetch those of these files that have changed since. Raises StoreError."""
+        """Fetch these files if they have changed since the last time. Raises StoreError."""
         version = self.version(run, names)
         with self._of_runs:
-            found = self._brought.get(run)
-            if found is None or self._others.get((run, tuple(names))) == version:
+            stored = self._brought.get(run)
+            if stored is None or self._others.get((run, tuple(names))) == version:
                 return
         from model.runs.runs_in_store import bring_run
 
-        bring_run(found, names)
+        bring_run(stored, names)
         with self._of_runs:
             self._others[run, tuple(names)] = version
 
@@ -66,18 +66,18 @@ class StoredRuns(Refreshed[None]):
 
         def bring(run: RunInStore) -> UserError | None:
             try:
-                here = bring_summary(run)
+                copy = bring_summary(run)
             except UserError as error:
                 return error
             with self._of_runs:
-                self._brought[here] = run
+                self._brought[copy] = run
             return None
 
-        there = {cached_copy(run.url): run for run in runs_in_store(self._url)}
+        runs = {cached_copy(run.url): run for run in runs_in_store(self._url)}
         with self._of_runs:
-            for removed in self._brought.keys() - there.keys():
+            for removed in self._brought.keys() - runs.keys():
                 del self._brought[removed]
-            changed = [run for here, run in there.items() if self._brought.get(here) != run]
+            changed = [run for copy, run in runs.items() if self._brought.get(copy) != run]
         with ThreadPoolExecutor(_AT_ONCE) as pool:
             problem = next(filter(None, pool.map(bring, changed)), None)
         if problem is not None:

@@ -1,7 +1,7 @@
 """Recordings that a browser sends to the project, each a folder in `recordings/`, whole or not at all.
 
-A body begins with a manifest in JSON, the paths and sizes of its files, and goes on with the files themselves, one
-after the other. A single zip is unpacked. Everything in it is untrusted: names are checked before a file is made.
+A body begins with a manifest in JSON: the paths and sizes of its files. The files follow, one after the other. A
+single zip is unpacked. Everything is untrusted: names are checked before a file is made.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ class Manifest(msgspec.Struct):
 
 
 class Upload:
-    """An upload that is being received: `write` its bytes, `finish` it. Left early, it leaves nothing."""
+    """An upload that is being received: `write` its bytes, then `finish` it. Otherwise nothing is kept."""
 
     def __init__(self, folder: Path, manifest_bytes: int, total_bytes: int) -> None:
-        """`folder`: of all uploads. Raises WebError for what is too large."""
+        """`folder` has all uploads. Raises WebError if it is too large."""
         if not 0 < manifest_bytes <= min(_MAX_MANIFEST_BYTES, total_bytes) or total_bytes > MAX_UPLOAD_BYTES:
             raise WebError(f"an upload of {total_bytes:,} bytes: at most {MAX_UPLOAD_BYTES:,} are taken", 413)
         self._parent = folder
@@ -56,7 +56,7 @@ class Upload:
         self._manifest = bytearray()
         self._left = manifest_bytes  # bytes of the manifest or file that is being received
         self._total_bytes = total_bytes - manifest_bytes
-        self._files: list[tuple[Path | None, int]] | None = None  # still to come; None for one that is left out
+        self._files: list[tuple[Path | None, int]] | None = None  # to come; None: left out
         self._stream: IO[bytes] | None = None
         self._zip: Path | None = None
 
@@ -74,11 +74,11 @@ class Upload:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._close()
-        shutil.rmtree(self._part, ignore_errors=True)  # gone already if it was finished
+        shutil.rmtree(self._part, ignore_errors=True)  # renamed already if it was finished
         remove_empty(self._above)
 
     def write(self, data: bytes) -> None:
-        """Take the next bytes. Raises WebError for names or sizes that cannot be."""
+        """Take the next bytes. Raises WebError for invalid names or sizes."""
         view = memoryview(data)
         while view:
             if not self._left:
@@ -95,7 +95,7 @@ class Upload:
                 self._next_file()
 
     def finish(self) -> Path:
-        """The folder of the upload, which has got its name. Raises WebError if it is not whole."""
+        """Give the upload its name; its folder. Raises WebError if it is incomplete."""
         if self._files is None or self._files or self._left:
             raise WebError("the upload is incomplete: it was cut off", 422)
         self._close()
@@ -129,7 +129,7 @@ class Upload:
         self._next_file()
 
     def _next_file(self) -> None:
-        """Open the file whose bytes come next, once those of the one before are there."""
+        """Open the next file, if the one before is complete."""
         while not self._left and self._files:
             self._close()
             path, self._left = self._files.pop()
@@ -154,10 +154,10 @@ class Upload:
 def uploads_in(folder: Path) -> dict[str, Path]:
     """The uploads in a folder by their names, which are plain."""
     try:
-        found = [path for path in sorted(folder.iterdir()) if path.is_dir() and path.suffix != PART_SUFFIX]
+        uploads = [path for path in sorted(folder.iterdir()) if path.is_dir() and path.suffix != PART_SUFFIX]
     except OSError:
         return {}
-    return {path.name: path for path in found}
+    return {path.name: path for path in uploads}
 
 
 def remove_upload(upload: Path) -> None:
@@ -167,13 +167,13 @@ def remove_upload(upload: Path) -> None:
 
 
 def unpack(archive: Path, folder: Path) -> None:
-    """Unpack a zip into a folder. Raises WebError for one that is damaged, too large, or leads out of it."""
+    """Unpack a zip into a folder. Raises WebError if it is damaged, too large, or has paths outside the folder."""
     try:
         with archive.open("rb") as stream:
             if _directory_bytes(stream) > _MAX_DIRECTORY_BYTES:
                 raise WebError("the zip has a directory that is too large", 413)
-        with zipfile.ZipFile(archive) as found:
-            _unpack(found, folder)
+        with zipfile.ZipFile(archive) as opened:
+            _unpack(opened, folder)
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError) as error:
         raise WebError(f"the zip cannot be unpacked ({printable(str(error))[:200]})", 422) from None
 
@@ -201,18 +201,18 @@ def _unpack(archive: zipfile.ZipFile, folder: Path) -> None:
 
 
 def _directory_bytes(stream: IO[bytes]) -> int:
-    """The length of a zip's directory, as its end says it: the largest number that may be one."""
+    """The length of a zip's directory by the records at its end: the largest, if there are several."""
     stream.seek(-min(stream.seek(0, 2), (1 << 16) + 200), 2)
     end = stream.read()
     short = [end[at.start() + 12 : at.start() + 16] for at in re.finditer(b"PK\5\6", end)]
     long = [end[at.start() + 40 : at.start() + 48] for at in re.finditer(b"PK\6\6", end)]
-    sizes = [int.from_bytes(each, "little") for each in [*short, *long]]
-    return max((size for size in sizes if size != 0xFFFFFFFF), default=0)  # which stands for "see the long one"
+    sizes = [int.from_bytes(size, "little") for size in [*short, *long]]
+    return max((size for size in sizes if size != 0xFFFFFFFF), default=0)  # means: see the 64-bit record
 
 
 def checked_name(name: str) -> Sequence[str]:
-    """The parts of a file's path in an upload; none for a file that systems add. Raises WebError for one that
-    leads elsewhere, or has a name that not every system takes."""
+    """The parts of a file's path in an upload; none for files that systems add. Raises WebError for a path that
+    leads elsewhere, or a name that is not valid on every system."""
     parts = name.split("/")
     if len(parts) > _MAX_DEPTH:
         raise WebError(f"{printable(name)[:200]}: more than {_MAX_DEPTH} folders deep", 422)
@@ -224,13 +224,13 @@ def checked_name(name: str) -> Sequence[str]:
 
 
 def plain_name(name: str) -> str:
-    """A name for a folder or session out of that of a file or folder: plain letters, at most 60."""
+    """A plain name for a folder or session, made from a file's name: at most 60 letters."""
     stem = re.sub(r"\.(zip|mcap|csv)$", "", name, flags=re.IGNORECASE)
     return _UNSAFE.sub("-", stem).strip("-.")[:60] or "recording"
 
 
 def refuse_full(folder: Path, size: int) -> None:
-    """Raise WebError where a disk has no room for so many bytes."""
+    """Raise WebError if the disk has no room for `size` bytes."""
     free = shutil.disk_usage(folder).free - _SPARE_BYTES
     if size > free:
         raise WebError(f"{folder}: {size / 1e6:,.0f} MB, but the disk has room for {max(0, free) / 1e6:,.0f}", 507)

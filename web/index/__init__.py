@@ -1,1 +1,1 @@
-"""What pages show of the index."""
+"""The data of the index that pages show."""

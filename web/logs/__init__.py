@@ -1,1 +1,1 @@
-"""What pages show of sessions and drives."""
+"""The data of sessions and drives that pages show."""

@@ -1,4 +1,4 @@
-"""The course of a drive, row by row: who drove, what was predicted and sent, where the car was, and its road."""
+"""The course of a drive by rows: who drove, the predicted and the sent steering, the car's place, and its road."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ _FARTHEST_M: Final = 1e6  # a place beyond is no place
 
 
 def is_driven(topics_of_log: Iterable[str]) -> bool:
-    """Whether a log with these topics has more of a drive than its vehicle states: commands, or where it was."""
+    """Whether a log with these topics has a course: commands or poses."""
     return not {topics.PILOT_COMMAND, topics.POSE}.isdisjoint(topics_of_log)
 
 
 def course_columns(log: Log, rows: NDArray[np.int64]) -> Values:
-    """`COLUMNS` of the rows (N,) of a log: (6, N); NaN where a row has none.
+    """Return `COLUMNS` for the rows (N,) of a log: (6, N); NaN where a row has no value.
 
     The driver is a number of `PilotCommand.Driver`; steering is -1 (left) to 1 (right), that of the network before
     any clamp; places are metres east and north. Raises LogError for a damaged log.
     """
-    found = np.full((len(COLUMNS), len(rows)), np.nan)
+    columns = np.full((len(COLUMNS), len(rows)), np.nan)
     for topic, fields, at in ((topics.PILOT_COMMAND, _COMMAND, 0), (topics.POSE, _PLACE, len(_COMMAND))):
         if log.counts.get(topic):
             table = log.numbers(topic, fields)
             values = np.stack([table[name].to_numpy() for name in fields])
-            found[at : at + len(fields)] = _at_rows(table["row"].to_numpy(), values, rows)
-    is_place = (np.abs(found[4:]) < _FARTHEST_M).all(axis=0)  # False for NaN
-    found[4:, ~is_place] = np.nan
-    return found
+            columns[at : at + len(fields)] = _at_rows(table["row"].to_numpy(), values, rows)
+    is_place = (np.abs(columns[4:]) < _FARTHEST_M).all(axis=0)  # False for NaN
+    columns[4:, ~is_place] = np.nan
+    return columns
 
 
 def road_of(log: Log) -> dict[str, Any] | None:
-    """The edges of the road that a log names (`road_named`); None where it names none that is built in."""
+    """The edges of the built-in road that a log names (`road_named`); None if it names no such road."""
     name = log.metadata.get("track", "")
     is_placed = name and log.counts.get(topics.POSE)
     return road_named(name, log.metadata.get("track_fingerprint", "")) if is_placed else None

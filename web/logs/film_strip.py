@@ -22,12 +22,12 @@ _NO_PICTURE: Final = 128  # grey
 
 
 def film_strip(log: Log) -> bytes:
-    """`PICTURES` pictures of the first camera that has any, as one JPEG; one that is missing, damaged or does not
-    decode is a crossed-out box. Raises LogError where the log's index cannot be read."""
+    """`PICTURES` pictures of the first camera that has any, as one JPEG. A missing or damaged picture is a
+    crossed-out box. Raises LogError if the log's index cannot be read."""
     strip = np.full((HEIGHT_PX, PICTURES * WIDTH_PX, 3), _NO_PICTURE, np.uint8)
-    found = (log.pictures(camera_topic(camera)) for camera in CAMERAS)
-    pictures = next((each for each in found if len(each.sequence)), None)
-    with ThreadPoolExecutor(PICTURES) as pool:  # of a log in a store, each takes a request
+    by_camera = (log.pictures(camera_topic(camera)) for camera in CAMERAS)
+    pictures = next((pictures for pictures in by_camera if len(pictures.sequence)), None)
+    with ThreadPoolExecutor(PICTURES) as pool:  # in a store, each takes a request
         shares = [(number + 0.5) / PICTURES for number in range(PICTURES)]
         thumbnails = list(pool.map(lambda share: _thumbnail(log, pictures, share), shares))
     for number, shown in enumerate(thumbnails):
@@ -61,7 +61,7 @@ def _thumbnail(log: Log, pictures: Pictures | None, share: float) -> NDArray[np.
         return None
     height, width = decoded.shape[:2]
     scale = max(WIDTH_PX / width, HEIGHT_PX / height)
-    # cropped before it is resized: a picture of one row would be made 80 times as wide as it is
+    # first cropped: else a picture of one row would be made 80 times as wide
     kept_width, kept_height = (max(1, round(side / scale)) for side in (WIDTH_PX, HEIGHT_PX))
     left, top = (width - kept_width) // 2, (height - kept_height) // 2
     middle = decoded[top : top + kept_height, left : left + kept_width]

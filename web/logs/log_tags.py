@@ -1,4 +1,4 @@
-"""The tags beside logs, kept in memory while their files are unchanged; those of a store in the cache, too."""
+"""The tags of logs. Memory keeps them while their files are unchanged; the cache keeps those of a store, too."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _KEPT: Final = 10_000  # logs
 
 @dataclass(frozen=True)
 class TagsBeside:
-    """The contents of the file of tags beside a log."""
+    """The contents of a log's file of tags."""
 
     version: str  # of the file
-    tags: list[Tag]  # of this content of the log, by their rows
-    stale: int  # those of what had its name before
+    tags: list[Tag]  # of this content of the log, in the order of their rows
+    stale: int  # tags of another log that had this name before
 
 
 class LogTags:
@@ -33,7 +33,7 @@ class LogTags:
         self._tags = Newest[Location, TagsBeside](_KEPT)
 
     def of(self, path: Location, fingerprint: str) -> TagsBeside:
-        """The tags beside a log, for this content of it. Raises LogError for a broken file, StoreError."""
+        """The tags of this content of a log. Raises LogError for a damaged file, StoreError."""
         version = self._folders.version_of(tags_path(path))
 
         def read() -> TagsBeside:

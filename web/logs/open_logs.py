@@ -1,4 +1,4 @@
-"""Logs that stay open between the requests of a page, opened anew when the file is another one."""
+"""Logs that stay open between the requests of a page. A log is opened again when its file has changed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAX_MESSAGES: Final = 500_000
 
 
 class OpenLog:
-    """An open log with what several requests need of it."""
+    """An open log with the data that several requests need."""
 
     def __init__(self, path: Location, version: str) -> None:
         self.log = Log(path)
@@ -30,7 +30,7 @@ class OpenLog:
         """The version of the file, by `ProjectFolders.version_of`."""
         self.messages = sum(self.log.counts.values())
         self.users = 0
-        if isinstance(path, Url):  # a page's requests come at once: each would ask the store for the same
+        if isinstance(path, Url):  # else each of a page's requests would ask the store for the same
             try:
                 with contextlib.suppress(LogError, OSError):  # raised again where its rows are used
                     read_kept(self.log)
@@ -50,8 +50,8 @@ class OpenLog:
 
 
 class OpenLogs:
-    """The logs used last. A log that is not kept any more is closed only when no request uses it: else another
-    file might get its descriptor's number during a read."""
+    """The logs used last. A log that is not kept any more is closed when no request uses it: else another file
+    might get its descriptor's number during a read."""
 
     def __init__(self, folders: ProjectFolders) -> None:
         self._folders = folders
@@ -63,31 +63,31 @@ class OpenLogs:
     def open(self, path: Location) -> Iterator[OpenLog]:
         """Raises LogError if it cannot be read, StoreError."""
         version = self._folders.version_of(path)
-        found = self._used(path, version)
-        if found is None:
+        opened = self._used(path, version)
+        if opened is None:
             with self._lock:
                 opening = self._opening.setdefault(path, threading.Lock())
             with opening:  # requests meanwhile get the same one
-                found = self._used(path, version) or self._opened(path, version)
+                opened = self._used(path, version) or self._opened(path, version)
         try:
-            yield found
+            yield opened
         finally:
             with self._lock:
-                found.users -= 1
-                if not found.users and self._kept.get(path) is not found:
-                    found.log.close()
+                opened.users -= 1
+                if not opened.users and self._kept.get(path) is not opened:
+                    opened.log.close()
 
     def _used(self, path: Location, version: str) -> OpenLog | None:
-        """The log as it is kept open, with one user more."""
+        """The open log, with one more user; None if it is not open."""
         with self._lock:
-            found = self._kept.get(path)
-            if found is not None and found.version != version:
+            opened = self._kept.get(path)
+            if opened is not None and opened.version != version:
                 self._drop(path)
-                found = None
-            if found is not None:
+                opened = None
+            if opened is not None:
                 self._kept.move_to_end(path)
-                found.users += 1
-        return found
+                opened.users += 1
+        return opened
 
     def _opened(self, path: Location, version: str) -> OpenLog:
         self._folders.refuse_unanswered(path)
@@ -102,10 +102,10 @@ class OpenLogs:
         return opened
 
     def _messages(self) -> int:
-        return sum(each.messages for each in self._kept.values())
+        return sum(opened.messages for opened in self._kept.values())
 
     def drop_changed(self) -> None:
-        """Close those whose files were deleted or replaced: an open file keeps its space on the disk."""
+        """Close the logs whose files were deleted or replaced: an open file keeps its space on the disk."""
         with self._lock:
             versions = {path: self._folders.version_of(path) for path in self._kept}
             for path in [path for path, kept in self._kept.items() if kept.version != versions[path]]:

@@ -1,4 +1,4 @@
-"""The entries of the list of sessions: each log in short, its tags, and its frames in the index."""
+"""The entries of the list of sessions: a summary of each log, its tags, and its frames in the index."""
 
 from __future__ import annotations
 
@@ -38,21 +38,21 @@ TagRows = tuple[str, int, int]
 
 
 class Glance(msgspec.Struct, frozen=True):
-    """The part of a log that is cached between starts: without its tags, which change without it."""
+    """The part of a log that the cache keeps: without its tags, which change alone."""
 
     info: LogInfo
     fingerprint: str
 
 
 class Share(msgspec.Struct, frozen=True):
-    """The part of a session's frames file that is cached between starts."""
+    """The part of a session's frames file that the cache keeps."""
 
     frames: dict[str, int]  # by split
     tags: list[TagRows] | None  # that its rows had; None where the file lacks them
 
 
 class IndexState(StrEnum):
-    """What the index has of a session, as pages show it."""
+    """The state of a session in the index, as pages show it."""
 
     INDEXED = "in the index"
     MISSING = "not in the index"
@@ -100,14 +100,14 @@ class SessionCard:
 
     @property
     def why(self) -> str:
-        """Why it is damaged or unfinished, and what helps; without its path, as its name stands beside it."""
-        is_finished = self.info and not self.is_recording  # what grows need not be recovered
+        """Why it is damaged or unfinished, and what helps. Without its path: the list shows the name."""
+        is_finished = self.info and not self.is_recording  # a growing log needs no recovery
         notice = self.problem or (self.info.notice if self.info and is_finished else "")
         return notice.removeprefix(f"{printable(str(self.path))}: ")
 
     @cached_property
     def flags(self) -> dict[str, int]:
-        """The odd rows of each kind; and gaps, without those that the recorder meant."""
+        """The odd rows of each kind; and gaps, without those that the recorder made on purpose."""
         if self.info is None:
             return {}
         gaps = (self.info.flags or {}).get("gap", 0) - len(self.info.meant_gaps)
@@ -119,7 +119,7 @@ class SessionCard:
 
 
 class SessionCards:
-    """The cards of all logs of a folder, read on a thread and cached between starts."""
+    """The cards of all logs of a folder. Threads read them, and the cache keeps them."""
 
     def __init__(self, folders: ProjectFolders, cache: CacheFolder, pools: Mapping[Place, Executor]) -> None:
         self._folders = folders
@@ -134,7 +134,7 @@ class SessionCards:
         return sum(made.done for made in glances) + sum(made.done for made in shares)
 
     def cards(self, place: Place, patience_s: float | None) -> list[SessionCard]:
-        """The cards of all logs in a folder, by name; those not read in that time have no `info` yet."""
+        """The cards of all logs in a folder, by name. Those not read within `patience_s` have no `info` yet."""
         logs = self._folders.logs(place)
         versions = [(path, self._folders.version_of_log(path)) for path in logs.values()]
         glances = self._glances[place].results(versions, patience_s)
@@ -157,7 +157,7 @@ class SessionCards:
         return describe(path, with_tags=False) if is_measured_since else info
 
     def tags(self, path: Location, fingerprint: str) -> TagsBeside:
-        """The tags beside the log. Raises LogError for a broken file, StoreError."""
+        """The tags of the log. Raises LogError for a damaged file, StoreError."""
         return self._tags.of(path, fingerprint)
 
     def _card(
@@ -168,7 +168,7 @@ class SessionCards:
         if isinstance(glance, StoreError):
             tags_problem, glance = printable(str(glance)), None  # it is not known to be damaged
         elif isinstance(glance, UserError):
-            # of what is being recorded, nothing may have reached the disk yet
+            # the first rows of a recording may not be on the disk yet
             problem = "" if is_growing and _is_empty(path) else printable(str(glance))
             glance = None
         if glance is not None:
@@ -209,7 +209,7 @@ class SessionCards:
         if built.sources != sources:
             are_tags = _but_tags(built.sources) == _but_tags(sources)
             if are_tags and share is None:
-                return InIndex(IndexState.UNREAD)  # what the index has of its tags
+                return InIndex(IndexState.UNREAD)  # the tags in the index are still being read
             if not (are_tags and self._has_tags_of(share, path, built.fingerprint)):
                 return InIndex(IndexState.CHANGED, "`bc-index` brings it up to date")
         if not built.fingerprint:
@@ -219,7 +219,7 @@ class SessionCards:
         return InIndex(IndexState.INDEXED, "", share.frames if share else {})
 
     def _has_tags_of(self, share: Share | UserError | None, path: Location, fingerprint: str) -> bool:
-        """Whether the tags beside a log are those of the index: later changes may have been undone."""
+        """Whether the tags of a log are those of the index: later changes may have been undone."""
         if not isinstance(share, Share):
             return False
         try:
@@ -255,9 +255,9 @@ def _is_empty(path: Location) -> bool:
 
 
 def _read_glance(path: Location) -> Glance:
-    # a path may be no text; of what is kept, nothing depends on where it was
+    # without the path, which may be invalid text, and differs between copies
     with Log(path) as log:
-        info = describe(log, with_tags=False, with_kept_lag=False)  # kept as long as the log is the same
+        info = describe(log, with_tags=False, with_kept_lag=False)  # tags and lag change without the log
         info = dataclasses.replace(info, path="", notice=printable(info.notice))
         return Glance(info, log.fingerprint)
 

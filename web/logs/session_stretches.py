@@ -1,4 +1,4 @@
-"""The stretches of a log that something is odd in, of its rows and of its pictures; those that a filter finds."""
+"""The odd stretches of a log, by its rows and its pictures; and the stretches that a filter finds."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from web.logs.open_logs import OpenLog
 from web.logs.picture_checks import PictureChecks
 
 PLAIN_FLAGS: Final = ("standing_still", "manoeuvring")
-"""Flags of rows that are no kind of odd stretch: ordinary stops, and the ways out of crashes."""
+"""Flags that are not odd: ordinary stops, and driving out of crashes."""
 SURE: Final = "sure"
-"""Instead of a kind: all that is surely odd."""
+"""Instead of a kind: all rows that are surely odd."""
 _SURE: Final = ("broken_picture", "steering_against_pictures")
 
 Rows = tuple[int, int]
@@ -44,23 +44,24 @@ class ShownStretch(NamedTuple):
 
 
 def shown_stretches(log: Log, states: States, findings: ImageFindings | None) -> list[ShownStretch]:
-    """The odd stretches of a log, in order. Frozen and broken pictures, and steering that contradicts them, are
-    among them where `findings` of the log's pictures are given.
+    """The odd stretches of a log, in order. With `findings` of the log's pictures, they include frozen and broken
+    pictures, and steering that contradicts the pictures.
 
-    A gap is a stretch of two rows: the last before it and the first after it. One that the recorder meant is none.
+    A gap is a stretch of two rows: the last before it and the first after it. Gaps that the recorder made on
+    purpose are left out.
     """
-    found = []
-    for each in odd_stretches(states):
-        first, last = (int(np.flatnonzero(states.row == row)[0]) for row in (each.first_row, each.last_row))
-        found.append(ShownStretch(each.kind, first, last, printable(each.cause), each.is_sure))
+    shown = []
+    for odd in odd_stretches(states):
+        first, last = (int(np.flatnonzero(states.row == row)[0]) for row in (odd.first_row, odd.last_row))
+        shown.append(ShownStretch(odd.kind, first, last, printable(odd.cause), odd.is_sure))
     gaps = row_flags(states)["gap"] & ~np.isin(states.row, meant_rows(log.read_metadata(QUALITY_METADATA)))
-    found += [ShownStretch("gap", max(at - 1, 0), at, "", False) for at in np.flatnonzero(gaps).tolist()]
-    found += [
+    shown += [ShownStretch("gap", max(at - 1, 0), at, "", False) for at in np.flatnonzero(gaps).tolist()]
+    shown += [
         ShownStretch(flag, first, last, "", flag in _SURE)
         for flag, mask in _of_pictures(log, states, findings).items()
         for first, last in stretches(mask)
     ]
-    return sorted(found, key=lambda stretch: (stretch.first, stretch.last, stretch.kind))
+    return sorted(shown, key=lambda stretch: (stretch.first, stretch.last, stretch.kind))
 
 
 def flag_stretches(states: States) -> dict[str, list[tuple[int, int]]]:
@@ -80,7 +81,7 @@ def not_learnt_stretches(states: States) -> list[tuple[int, int]]:
 
 
 def _of_pictures(log: Log, states: States, findings: ImageFindings | None) -> dict[PictureFlag, NDArray[np.bool_]]:
-    """Of each flag of pictures the rows (N,) that it holds for."""
+    """For each flag of pictures, a mask of the rows (N,) that have it."""
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
     session = printable(session_name(log.path))  # a file name may be no text
     frames = frames_of(states, pictures, session, IndexConfig(), findings=findings)
@@ -109,10 +110,10 @@ def stretches_of_rows(opened: OpenLog, rows: set[int]) -> list[Rows]:
     return [_rows(states, first, last) for first, last in stretches(np.isin(states.row, list(rows)))]
 
 
-def left(found: list[Rows], tags: list[Tag]) -> list[Rows]:
-    """Those with a row that is neither excluded nor fine."""
+def left(stretches: list[Rows], tags: list[Tag]) -> list[Rows]:
+    """The stretches with a row that is neither excluded nor fine."""
     done = TaggedRows(tag._replace(name=FINE) for tag in tags if tag.name in (EXCLUDE, FINE))
-    return [rows for rows in found if not done.hold(*rows)]
+    return [rows for rows in stretches if not done.hold(*rows)]
 
 
 def _rows(states: States, first: int, last: int) -> Rows:

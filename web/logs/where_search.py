@@ -1,4 +1,4 @@
-"""The search for rows that a condition holds for: the SQL of `bc-index --where`, over each log."""
+"""The search for rows that meet a condition, in the SQL of `bc-index --where`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from recorder.log.tags import read_tags, tags_path
 from web.folders.background import Background
 from web.folders.project_folders import ProjectFolders
 
-_MAX_SEARCHES: Final = 8  # of which the results are kept
+_MAX_SEARCHES: Final = 8  # whose results are kept
 _LONGEST: Final = 2000  # characters of a condition
 
 Found = Mapping[Location, int]
@@ -30,14 +30,14 @@ Found = Mapping[Location, int]
 
 
 class WhereSearches:
-    """The conditions that pages have used last, with what was found so far."""
+    """The conditions that pages used last, with their results so far."""
 
     def __init__(self, folders: ProjectFolders, pool: Executor) -> None:
         self._folders = folders
         self._pool = pool
         self._lock = threading.Lock()
         self._searches: OrderedDict[str, Background[Location, int]] = OrderedDict()
-        self._done = 0  # of searches that are not kept any more
+        self._done = 0  # by searches that are not kept any more
 
     @property
     def done(self) -> int:
@@ -45,8 +45,8 @@ class WhereSearches:
             return self._done + sum(search.done for search in self._searches.values())
 
     def rows(self, where: str, logs: Sequence[Location], patience_s: float | None) -> Found:
-        """The number of rows that the condition holds for, of each log searched in that time; 0 where a log
-        cannot be read. Raises UserError if it is no condition."""
+        """The number of rows that meet the condition, for each log searched within `patience_s`; 0 for unreadable
+        logs. Raises UserError for an invalid condition."""
         if len(where) > _LONGEST:
             raise UserError(f"a condition of {len(where):,} characters: at most {_LONGEST:,} are taken")
         with self._lock:
@@ -61,12 +61,12 @@ class WhereSearches:
                     self._done += dropped.done
         version_of, version_of_log = self._folders.version_of, self._folders.version_of_log
         versions = [(path, f"{version_of_log(path)} {version_of(tags_path(path))}") for path in logs]
-        found = search.results(versions, patience_s)
-        return {path: rows if isinstance(rows, int) else 0 for path, rows in found.items()}
+        results = search.results(versions, patience_s)
+        return {path: rows if isinstance(rows, int) else 0 for path, rows in results.items()}
 
     def numbers(self, where: str, path: Location) -> set[int]:
-        """The rows of a log that the condition holds for. Raises UserError if it is no condition, or where the log
-        cannot be read."""
+        """The rows of a log that meet the condition. Raises UserError for an invalid condition or an unreadable
+        log."""
         self._folders.refuse_unanswered(path)
         with Log(path) as log:
             frames = frames_table(log, self._folders.index_here, IndexConfig(), read_tags(path, log.fingerprint))

@@ -9,22 +9,14 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from common import UserError
-from common.errors import counted, printable
-from common.whole_number import whole_number
-from model.config import TrainConfig
+from common.errors import printable
 from web.errors import WebError
 from web.folders.project_folders import shown_name
-from web.index.index_view import view_index
 from web.jobs.job_forms import FORMS, form_of
 from web.jobs.jobs import Job
 from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
-from web.runs.run_cards import earlier_trainings
-from web.runs.training_cost import training_cost
 from web.server.templates import page, render
-
-_PATIENCE_S = 5.0
 
 
 def job_routes(bench: Workbench) -> list[Route]:
@@ -50,23 +42,6 @@ def job_routes(bench: Workbench) -> list[Route]:
         except WebError as error:
             return PlainTextResponse(printable(str(error)))
         return PlainTextResponse(printable(shlex.join(words)))
-
-    def cost(request: Request) -> Response:
-        """What a training would cost in time; nothing where no run of this project tells it."""
-        values = {name: value for name, value in request.query_params.items() if value.strip()}
-        epochs = whole_number(values.get("epochs", str(TrainConfig.epochs)))
-        if epochs is None or "on" in values:
-            return PlainTextResponse("")
-        try:
-            samples = sum(view_index(bench.folders.index_here).after)
-        except UserError:
-            return PlainTextResponse("")
-        network, device = values.get("network", TrainConfig.network), values.get("device", "auto")
-        found = training_cost(samples, epochs, network, device, earlier_trainings(bench.runs, _PATIENCE_S))
-        if found is None:
-            return PlainTextResponse("")
-        work = f"{counted(epochs, 'epoch')} of {counted(samples, 'sample')}"
-        return PlainTextResponse(printable(f"{work}: {found.words(network)}"))
 
     def start(request: Request, given: Values) -> Response:
         form = form_of(given.get("form", ""))
@@ -100,7 +75,6 @@ def job_routes(bench: Workbench) -> list[Route]:
         Route("/jobs", on_form(start), methods=["POST"]),
         Route("/jobs.rows", rows),
         Route("/jobs.command", command),
-        Route("/jobs.cost", cost),
         Route("/jobs/{job}", one),
         Route("/jobs/{job}/body", body),
         Route("/jobs/{job}/stop", stop, methods=["POST"]),

@@ -1,12 +1,11 @@
-"""What pages load of a log: film strip, steering sketch, pictures, attention maps, links; a drive's course."""
+"""Files that pages load of a log: film strip, steering sketch, pictures, attention maps, links to runs."""
 
 from __future__ import annotations
 
 from typing import Final, get_args
 
-import msgspec
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import Response
 from starlette.routing import Route
 
 from common.car import CAMERAS, Camera
@@ -18,8 +17,6 @@ from recorder.pictures.picture_size import PNG_START
 from web.errors import WebError
 from web.folders.project_folders import Place, key_of
 from web.index.index_view import bins_of_index
-from web.logs.drive_course import course_columns, road_of
-from web.logs.drive_view import drive_events
 from web.logs.film_strip import film_strip
 from web.logs.open_logs import OpenLog
 from web.logs.steering_sketch import steering_sketch
@@ -89,18 +86,6 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
         drove = printable(driver), f"/runs/{key}" if key in runs else ""
         return page("log_links.html", learnt=learnt, drove=drove)
 
-    def course(request: Request) -> Response:
-        """The events, and the edges of the road, or null."""
-        with bench.logs.open(path_of(request)) as opened:
-            events = drive_events(opened.log, opened.states.row, opened.states.time_ns)
-            return JSONResponse({"events": msgspec.to_builtins(events), "road": road_of(opened.log)})
-
-    def columns(request: Request) -> Response:
-        """The columns of the course (`drive_course.COLUMNS`), one after the other, as float32."""
-        with bench.logs.open(path_of(request)) as opened:
-            data = course_columns(opened.log, opened.states.row).astype("<f4").tobytes()
-        return Response(data, media_type="application/octet-stream")
-
     at = f"/{place}/{{log}}"
     return [
         Route(f"{at}/strip.jpg", strip),
@@ -108,8 +93,6 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
         Route(f"{at}/pictures/{{camera}}/{{row}}", picture),
         Route(f"{at}/attention/{{run}}/{{row}}", attention),
         Route(f"{at}/links", links),
-        Route(f"{at}/course", course),
-        Route(f"{at}/course/rows", columns),
     ]
 
 

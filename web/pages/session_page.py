@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import asdict
+from functools import partial
+from typing import Final
 
+import msgspec
 import numpy as np
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
@@ -21,7 +23,8 @@ from recorder.log.tags import EXCLUDE, tags_path
 from recorder.rows.row_condition import rows_where
 from recorder.topics import camera_topic
 from web.folders.project_folders import Place, is_recording, shown_name
-from web.logs.drive_course import is_driven
+from web.logs.drive_course import COLUMNS, course_columns, is_driven, road_of
+from web.logs.drive_view import drive_events
 from web.logs.open_logs import OpenLog
 from web.logs.session_stretches import flag_stretches, not_learnt_stretches, shown_stretches
 from web.pages.log_jobs_page import shown_log_jobs
@@ -29,6 +32,8 @@ from web.pages.tagging import TagChange, change_tags, names_known, on_change
 from web.pages.workbench import Workbench
 from web.processes.rerun_viewers import command_of
 from web.server.templates import page
+
+_COLUMNS: Final = ("row", "time_s", "steering", "throttle", "brake", "speed_mph")
 
 
 def session_routes(bench: Workbench, place: Place) -> list[Route]:
@@ -71,12 +76,13 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
             return JSONResponse(_state(bench, opened))
 
     def rows(request: Request) -> Response:
-        """Columns of float64, one after the other: row, seconds since the first, steering, throttle, brake,
-        mph."""
+        """The `columns` of the state as float64, one after the other."""
         with bench.logs.open(path_of(request)) as opened:
             states = opened.states
             since_s = (states.time_ns - states.time_ns[:1]) / 1e9
-            columns = (states.row, since_s, states.steering, states.throttle, states.brake, states.speed_mph)
+            columns = [states.row, since_s, states.steering, states.throttle, states.brake, states.speed_mph]
+            if is_driven(opened.log.counts):
+                columns += list(course_columns(opened.log, states.row))
             data = np.concatenate([column.astype("<f8") for column in columns]).tobytes()
             return Response(data, media_type="application/octet-stream")
 
@@ -97,14 +103,13 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         return JSONResponse({"version": found.version, "names": names, "tags": rows, "stale": found.stale})
 
     def check_pictures(request: Request) -> Response:
-        """The progress of the check for frozen and broken pictures, which decodes all; POST starts it."""
-        path = path_of(request)
-        with bench.logs.open(path) as opened:
-            fingerprint = opened.log.fingerprint
-        if request.method == "POST":
-            bench.checks.start(path, fingerprint)
-        checking = bench.checks.checking(fingerprint)
-        return JSONResponse(None if checking is None else asdict(checking))
+        """The state of the check for frozen and broken pictures, which decodes all. POST starts it."""
+        with bench.logs.open(path_of(request)) as opened:
+            log = opened.log
+            start = partial(bench.checks.start, log) if request.method == "POST" else None
+            return JSONResponse(
+                bench.checks.work.state(log.fingerprint, lambda: bench.checks.are_checked(log) or None, start)
+            )
 
     def known_names(request: Request) -> Response:
         """The names that tags have in this folder."""
@@ -128,21 +133,25 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
 
 
 def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
+    """The data of a log besides its rows. `course` is None if it was not driven by `bc-drive` and has no poses."""
     log, states = opened.log, opened.states
     findings = bench.checks.findings(log)
+    has_course = is_driven(log.counts)
+    events = msgspec.to_builtins(drive_events(log, states.row, states.time_ns)) if has_course else []
     return {
+        "columns": [*_COLUMNS, *COLUMNS] if has_course else _COLUMNS,
+        "course": {"events": events, "road": road_of(log)} if has_course else None,
         "version": opened.version,
         "lag": bench.folders.version_of(lag_path(log.path)),
         "fingerprint": log.fingerprint,
         "rows": len(states.row),
         "cameras": [camera for camera in CAMERAS if len(log.pictures(camera_topic(camera)).sequence)],
-        "pictures": sum(log.counts.get(camera_topic(camera), 0) for camera in CAMERAS),
         "problem": printable(log.notice),  # tags of what is not finished would be lost with its recovery
         "odd": shown_stretches(log, states, findings) if len(states.row) else [],
         "flags": flag_stretches(states),
         "not_learnt": not_learnt_stretches(states),
         "max_steering_deg": _max_steering_deg(log),
-        "pictures_checked": findings is not None and findings.against is not None,
+        "pictures_checked": bench.checks.are_checked(log),
     }
 
 

@@ -41,7 +41,7 @@ class Workbench:
         self.cards.cards("sessions", 0)  # begins to read them before the first request
         self.drives = DriveViews(folders, self.cache, pools["drives"])
         self.searches = WhereSearches(folders, pools["sessions"])
-        self.checks = PictureChecks(folders.index_here, self.cache)
+        self.checks = PictureChecks(folders.index_here, cache)
         self.runs = RunCards(folders)
         self.jobs = Jobs(cache)
         self.trials = IndexTrials(cache)
@@ -53,8 +53,8 @@ class Workbench:
         self.viewers.close()
         self.predictions.work.close()
         self.maps.work.close()
+        self.checks.work.close()
         for pool in self._pools:
             pool.shutdown(cancel_futures=True)
         self.runs.close()
-        self.checks.close()
         self.logs.close()

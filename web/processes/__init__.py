@@ -1,1 +1,1 @@
-"""Work that a process of its own does for a page: predictions, maps of pictures, Rerun."""
+"""Work that separate processes do for pages: predictions, maps and checks of pictures, Rerun."""

@@ -1,5 +1,5 @@
-"""Work on many pictures: done by a process of its own, one at a time, its progress reported, its result kept as a
-file in the cache by a key that names what it was made of."""
+"""Work on many pictures: a separate process does it, one at a time, and reports its progress. The cache keeps the
+result as a file; its key names what it was made of."""
 
 from __future__ import annotations
 
@@ -38,14 +38,16 @@ class Work:
 
     total: int  # pictures
     pictures: int = 0
-    stage: str = ""  # its part, where it has several: each has a total of its own
-    is_begun: bool = False  # else it waits until the one before it has ended
+    stage: str = ""  # its part, if it has several: each has its own total
+    is_begun: bool = False  # else it waits for the work before it
     is_done: bool = False
     is_stopped: bool = False
     problem: str = ""
     left_s: float | None = None
     """Remaining time; None while it is unknown."""
-    _first: tuple[int, float] | None = None  # pictures by the first report, and when: before lies the beginning
+    _first: tuple[int, float] | None = (
+        None  # pictures and time of the first report, so that the start does not count
+    )
 
     def advance_to(self, pictures: int, total: int | None = None, stage: str = "") -> None:
         if stage != self.stage:
@@ -72,11 +74,11 @@ class Work:
 
 
 class KeptWork:
-    """The works of one kind: those that are kept, and those under way. The folder may be deleted at any time."""
+    """The works of one kind: kept, running and waiting. The folder may be deleted at any time."""
 
     def __init__(self, folder: Path, module: str, stopped: str) -> None:
-        """`module` has the `main()` of the process; it is given words and, last, the path of its result. `stopped`
-        is what a page reads of work that was stopped."""
+        """`module` has the `main()` of the process. Its arguments are the words and the path of its result. Pages
+        show `stopped` for stopped work."""
         self._folder = folder
         self._module = module
         self._stopped = stopped
@@ -84,15 +86,15 @@ class KeptWork:
         self._lock = threading.Lock()
         self._requested: dict[str, Work] = {}
         self._process: subprocess.Popen[bytes] | None = None
-        self._at_work: Work | None = None  # what that process is for
+        self._at_work: Work | None = None  # of that process
         self._is_closed = False
 
     def path(self, key: str) -> Path:
         return self._folder / f"{key}.npz"
 
     def find(self, key: str, read: Callable[[Mapping[str, NDArray[Any]]], Result]) -> Result | None:
-        """What `read` makes of the columns kept under that key; None where there are none (any more). A damaged
-        file is deleted: it is made again."""
+        """Return what `read` makes of the columns of a key; None if there are none (any more). A damaged file is
+        deleted."""
         path = self.path(key)
         try:
             with path.open("rb") as stream, np.load(stream, allow_pickle=False) as kept:
@@ -109,10 +111,10 @@ class KeptWork:
             return self._requested.get(key)
 
     def start(self, key: str, pictures: int, words: Sequence[str]) -> None:
-        """Begin with it, if it is not under way."""
+        """Start it, unless it is waiting or running."""
         with self._lock:
-            known = self._requested.get(key)
-            if known is not None and not (known.is_done or known.is_stopped):
+            before = self._requested.get(key)
+            if before is not None and not (before.is_done or before.is_stopped):
                 return
             self._requested[key] = work = Work(pictures)
         self._pool.submit(self._run, work, [*words, str(self.path(key).absolute())])
@@ -120,12 +122,12 @@ class KeptWork:
     def state(
         self, key: str, about: Callable[[], object | None], start: Callable[[], None] | None
     ) -> dict[str, object]:
-        """The state of a work as its page shows it: what it is `about` once it is kept, else its progress and its
-        problem. Where it is not kept, `start` begins with it."""
+        """The state of a work as its page shows it: `about()` if the result is kept, else progress and problem.
+        If it is not kept, `start` is called."""
         before = self.requested(key)
-        was_done = before is not None and before.is_done  # then what it has made is there
-        if (found := about()) is not None:
-            return {"key": key, "about": msgspec.to_builtins(found), "problem": ""}
+        was_done = before is not None and before.is_done
+        if (result := about()) is not None:
+            return {"key": key, "about": msgspec.to_builtins(result), "problem": ""}
         if start is not None:
             start()
         shown: dict[str, object] = {"key": key, "about": None, "problem": ""}
@@ -136,7 +138,7 @@ class KeptWork:
         return {**shown, **work.progress, "problem": problem}
 
     def stop(self, key: str) -> None:
-        """End it, for all pages that wait for it; one that has ended stays as it is."""
+        """Stop it for all pages. Work that is done stays as it is."""
         with self._lock:
             work = self._requested.get(key)
             if work is None or work.is_done:
@@ -198,7 +200,7 @@ def _fingerprint(run: Path, version: str) -> str:
 
 
 def write_result(path: Path, **columns: NDArray[Any]) -> None:
-    """Write the result of the process at work: whole, or not at all."""
+    """Write the result of the process, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"{path.name}.{os.getpid()}")
     try:

@@ -1,4 +1,4 @@
-"""A map of things by their features: alike ones lie near each other. After UMAP (McInnes, Healy and Melville 2018,
+"""A map of things by their features: similar ones lie near each other. After UMAP (McInnes, Healy, Melville 2018,
 arXiv 1802.03426), in NumPy: a graph of nearest neighbours, whose edges attract, and random others, which repel."""
 
 from __future__ import annotations
@@ -58,19 +58,19 @@ def groups(place: Floats, most: int) -> NDArray[np.int32]:
         centres.append(place[gap.argmax()])
         gap = np.minimum(gap, ((place - centres[-1]) ** 2).sum(1))
     middle = np.array(centres)
-    found = np.zeros(len(place), np.int64)
+    group = np.zeros(len(place), np.int64)
     for _ in range(30):
-        found = ((place[:, None] - middle[None]) ** 2).sum(2).argmin(1)
-        size = np.bincount(found, minlength=len(middle))
+        group = ((place[:, None] - middle[None]) ** 2).sum(2).argmin(1)
+        size = np.bincount(group, minlength=len(middle))
         for axis in (0, 1):
-            total = np.bincount(found, place[:, axis], len(middle))
+            total = np.bincount(group, place[:, axis], len(middle))
             middle[:, axis] = np.where(size, total / np.maximum(size, 1), middle[:, axis])
-    order = np.argsort(-np.bincount(found, minlength=len(middle)), kind="stable")
-    return np.argsort(order)[found].astype(np.int32)
+    order = np.argsort(-np.bincount(group, minlength=len(middle)), kind="stable")
+    return np.argsort(order)[group].astype(np.int32)
 
 
 def _two(reduced: Floats) -> Floats:
-    """The first two axes, as wide as UMAP's beginning; of one thing, or all alike, zeros."""
+    """The first two axes, as wide as UMAP's start; zeros if all things are equal."""
     place = np.zeros((len(reduced), 2), np.float32)
     place[:, : min(2, reduced.shape[1])] = reduced[:, :2]
     return (place * (10 / (abs(place).max() or 1))).astype(np.float32)
@@ -89,7 +89,7 @@ def _nearest(points: Floats) -> tuple[NDArray[np.int64], Floats]:
         apart = squares - 2 * block @ points.T
         apart[np.arange(len(block)), np.arange(start, start + len(block))] = np.inf
         some = np.argpartition(apart, NEIGHBOURS, 1)[:, :NEIGHBOURS]
-        exact = np.linalg.norm(points[some] - block[:, None], axis=2)  # of the squares' difference little is left
+        exact = np.linalg.norm(points[some] - block[:, None], axis=2)  # the difference of squares loses digits
         order = exact.argsort(1, kind="stable")
         neighbours.append(np.take_along_axis(some, order, 1))
         distances.append(np.take_along_axis(exact, order, 1))
@@ -114,7 +114,7 @@ def _laid_out(
 ) -> Floats:
     count = len(place)
     random = np.random.default_rng(0)
-    place = place + random.normal(0, 1e-3, place.shape).astype(np.float32)  # alike ones would never part
+    place = place + random.normal(0, 1e-3, place.shape).astype(np.float32)  # equal ones would never separate
     tail, head = np.repeat(np.arange(count), NEIGHBOURS), neighbour.ravel()
     pull = weight.ravel()
     pushed = (pull.reshape(count, -1).sum(1) / _REPELLED)[:, None, None] * 5  # UMAP's five others for each pull

@@ -1,4 +1,4 @@
-"""Processes of ours next to the server: each runs a module, and reports lines of JSON."""
+"""Processes next to the server: each runs a module, and reports lines of JSON."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _ROOT: Final = str(Path(behavioural_cloning_toolkit.__file__).parent)
 
 
 def start_process(module: str, words: list[str], temporary: str) -> subprocess.Popen[bytes]:
-    """Call `main()` of a module with these words as its arguments. Its temporary files lie in a folder of its own:
-    a process that is killed leaves its copy of a log in a store behind. Raises OSError if it cannot be started."""
+    """Call `main()` of a module with these words as its arguments. Its temporary files are in the folder
+    `temporary`: a killed process leaves its copy of a log behind. Raises OSError if it cannot be started."""
     start = f"import sys; sys.path.append(sys.argv.pop(1)); from {module} import main; main()"
     return subprocess.Popen(
         [sys.executable, "-P", "-c", start, _ROOT, *words],
@@ -36,7 +36,7 @@ def start_process(module: str, words: list[str], temporary: str) -> subprocess.P
 
 
 def reports(process: subprocess.Popen[bytes]) -> Iterator[dict[str, Any]]:
-    """What a process reports, until it ends."""
+    """The reports of a process, until it ends."""
     assert process.stdout is not None  # noqa: S101
     with process.stdout as lines:
         for line in lines:
@@ -45,12 +45,12 @@ def reports(process: subprocess.Popen[bytes]) -> Iterator[dict[str, Any]]:
 
 
 def report(**values: object) -> None:
-    """Tell the server, from the process itself, its progress or `problem`."""
+    """Report progress or a `problem` from the process to the server."""
     print_result(json.dumps(values))
 
 
 def run_in_process(work: Callable[..., object], niceness: int = 0) -> None:
-    """Call `work` with this process's arguments, and report what goes wrong."""
+    """Call `work` with this process's arguments, and report its errors."""
     if sys.platform != "win32":
         signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the web server's threads block those that end a process
         os.nice(niceness)

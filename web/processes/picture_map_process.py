@@ -1,5 +1,5 @@
-"""The process in which pictures are laid out by what they show: to a run's network or, without one, by their
-pixels. It reports progress on stdout, and writes a file. A network of one's own code is not run here."""
+"""The process that makes a map of pictures: similar ones lie near each other, by the features of a run's network
+or by their pixels. It reports progress on stdout, and writes a file. It runs no user's own network code."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _NICENESS: Final = 5
 
 @dataclass
 class _Columns:
-    """What is gathered of each picture, in parts of some pictures."""
+    """The columns of a map, in parts."""
 
     features: list[Floats] = field(default_factory=list)
     log: list[NDArray[np.int64]] = field(default_factory=list)
@@ -61,17 +61,17 @@ def _work(most: str, run: str, *words: str) -> None:
 
 def _make(logs: Sequence[tuple[str, str]], run: Path | None, most: int, result: Path) -> None:
     notes: list[str] = []
-    found = _Columns()
-    sees = _Eye(run)
+    columns = _Columns()
+    reader = _FeatureReader(run)
     total = sum(_pictures(log) for _, log in logs)
     step = max(1, -(-total // most))
     angles = set()
     for number, (fingerprint, log) in enumerate(logs):
-        with _noted(notes, len(logs) > 1), brought_here([location(log)]) as (here,):
-            angles.add(_look(here, number, fingerprint, step, sees, found, total))
-    if not found.row:
+        with _skipped_if(notes, len(logs) > 1), brought_here([location(log)]) as (here,):
+            angles.add(_look(here, number, fingerprint, step, reader, columns, total))
+    if not columns.row:
         raise WebError("; ".join(notes) or "no picture of the centre camera in these logs")
-    features = np.concatenate(found.features)
+    features = np.concatenate(columns.features)
     rounds = 0
 
     def on_round() -> None:
@@ -92,13 +92,15 @@ def _make(logs: Sequence[tuple[str, str]], run: Path | None, most: int, result: 
         alone=laid_out.alone,
         group=group,
         about=np.frombuffer(msgspec.json.encode(about), np.uint8),
-        **{name: np.concatenate(getattr(found, name)) for name in ("log", "row", "steering", "predicted", "odd")},
+        **{
+            name: np.concatenate(getattr(columns, name)) for name in ("log", "row", "steering", "predicted", "odd")
+        },
     )
 
 
 @contextlib.contextmanager
-def _noted(notes: list[str], is_one_of_several: bool) -> Iterator[None]:
-    """A log that cannot be read is left out of several."""
+def _skipped_if(notes: list[str], is_one_of_several: bool) -> Iterator[None]:
+    """Skip an unreadable log if there are others."""
     try:
         yield
     except UserError as error:
@@ -111,12 +113,12 @@ def _pictures(log: str) -> int:
     try:
         with brought_here([location(log)]) as (here,), LogCrops(here) as crops:
             return len(crops)
-    except UserError:  # it is named when its pictures are read
+    except UserError:  # reported when its pictures are read
         return 0
 
 
-class _Eye:
-    """What looks at crops: a run's network, or the pixels themselves."""
+class _FeatureReader:
+    """Reads features from crops: by a run's network, or their pixels."""
 
     def __init__(self, run: Path | None) -> None:
         self.spec = _PIXELS
@@ -127,7 +129,7 @@ class _Eye:
             self.spec = picture_of_run(run)
             self._network = load_network(run).eval()
 
-    def look(self, crops: Image) -> tuple[Floats, NDArray[np.float64]]:
+    def features(self, crops: Image) -> tuple[Floats, NDArray[np.float64]]:
         """Features (N, D) and predicted steering (N,), NaN of pixels, for crops (N, `spec.shape`)."""
         if self._network is None:
             shrunk = [cv2.resize(crop, _SHRUNK, interpolation=cv2.INTER_AREA) for crop in crops]
@@ -142,35 +144,35 @@ class _Eye:
 
 
 def _look(
-    path: Path, number: int, fingerprint: str, step: int, eye: _Eye, found: _Columns, total: int
+    path: Path, number: int, fingerprint: str, step: int, reader: _FeatureReader, columns: _Columns, total: int
 ) -> float | None:
-    """Add the pictures of a log to what was found; the wheels' angle of its car."""
+    """Add the pictures of a log to the columns. Return the angle of its car's wheels at steering 1."""
     with Log(path) as log:
         odd = odd_stretches(States.of(log.vehicle()))
     kinds = list(ODD_KINDS)
     with LogCrops(path) as crops:
         if crops.log.fingerprint != fingerprint:
             raise WebError(f"{path.name}: it has changed since: reload this page, or bring the index up to date")
-        for numbers, pictures in crops.batches(_BATCH, eye.spec, step):
+        for numbers, pictures in crops.batches(_BATCH, reader.spec, step):
             if not len(numbers):
                 continue
-            features, predicted = eye.look(pictures)
+            features, predicted = reader.features(pictures)
             rows = crops.row[numbers]
             of_rows = np.full(len(rows), -1)
             for stretch in reversed(odd):
                 of_rows[(rows >= stretch.first_row) & (rows <= stretch.last_row)] = kinds.index(stretch.kind)
-            found.features.append(features)
-            found.log.append(np.full(len(rows), number))
-            found.row.append(rows)
-            found.steering.append(crops.recorded[numbers])
-            found.predicted.append(predicted)
-            found.odd.append(of_rows)
-            report(pictures=step * sum(map(len, found.row)), total=total)
+            columns.features.append(features)
+            columns.log.append(np.full(len(rows), number))
+            columns.row.append(rows)
+            columns.steering.append(crops.recorded[numbers])
+            columns.predicted.append(predicted)
+            columns.odd.append(of_rows)
+            report(pictures=step * sum(map(len, columns.row)), total=total)
         return crops.max_steering_deg
 
 
 def _middles(place: Floats, group: NDArray[np.int32]) -> list[int]:
-    """Of each group the picture that is nearest to its middle."""
+    """For each group, the picture nearest to its middle."""
     middles = []
     for number in range(int(group.max()) + 1):
         members = np.flatnonzero(group == number)

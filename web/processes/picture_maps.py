@@ -1,5 +1,5 @@
-"""Maps of the pictures of logs by what they show: made by a process of its own, and kept in the cache by the
-fingerprints of the logs and of the run whose network looks at them."""
+"""Maps on which similar pictures of logs lie near each other. A process makes them. The cache keeps them by the
+fingerprints of the logs and of the run whose network compares the pictures."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _FORMAT: Final = 1
 
 
 class MapAbout(msgspec.Struct, frozen=True):
-    """What a map is of."""
+    """The description of a map."""
 
     step: int  # of so many pictures, one is shown
     odd: list[str]  # the kinds that `odd` has numbers of
@@ -43,19 +43,19 @@ class MappedLog:
 
 
 class PictureMaps:
-    """Maps that are kept, and those that are being made."""
+    """The maps that are kept, running and waiting."""
 
     def __init__(self, cache: Path) -> None:
         self.work = KeptWork(cache / "maps", "web.processes.picture_map_process", "it was stopped")
 
     def key(self, logs: Sequence[MappedLog], run: Path | None) -> str:
-        """The name that a map has here. Raises WebError for a run without weights."""
-        eye = run_fingerprint(run) if run else ""
-        words = [str(_FORMAT), str(MAX_POINTS), eye, *(log.fingerprint for log in logs)]
+        """The key of a map. Raises WebError for a run without weights."""
+        network = run_fingerprint(run) if run else ""
+        words = [str(_FORMAT), str(MAX_POINTS), network, *(log.fingerprint for log in logs)]
         return hashlib.sha256(" ".join(words).encode()).hexdigest()
 
     def find(self, key: str) -> MapAbout | None:
-        """What the map of that key is of; None where it was not made yet, or is kept no more."""
+        """The description of the map of a key; None if it is not kept."""
         return self.work.find(key, lambda kept: msgspec.json.decode(kept["about"].tobytes(), type=MapAbout))
 
     def columns(self, key: str) -> bytes | None:
@@ -63,6 +63,6 @@ class PictureMaps:
         return self.work.find(key, lambda kept: b"".join(kept[name].astype("<f4").tobytes() for name in COLUMNS))
 
     def start(self, key: str, logs: Sequence[MappedLog], run: Path | None) -> None:
-        """Begin with it, if it is not under way."""
+        """Start it, unless it is waiting or running."""
         pairs = [word for log in logs for word in (log.fingerprint, as_word(log.path))]
         self.work.start(key, 0, [str(MAX_POINTS), str(run.absolute()) if run else "", *pairs])

@@ -1,7 +1,7 @@
 """The process in which a run's network predicts a whole log. It reports progress on stdout, and writes a file.
 
-A process of its own: a network uses all processors for a while, and shall not hold up the pages. A network of
-one's own code is not run here, because no user has named it.
+It is a separate process, because a network uses all processors for a while and would delay the pages. It runs no
+user's own network code, because nobody has named that code.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ def main() -> None:
 
 def _work(log: str, run: str, fingerprint: str, result: str) -> None:
     with brought_here([location(log)]) as (here,):
-        found = _predict(here, Path(run))
-    if found.about["log_fingerprint"] != fingerprint:
+        predictions = _predict(here, Path(run))
+    if predictions.about["log_fingerprint"] != fingerprint:
         raise WebError("the log has been replaced since this page was opened: reload it")
-    _write(found, Path(result))
+    _write(predictions, Path(result))
 
 
 def _predict(log: Path, run: Path) -> LogPredictions:
@@ -51,21 +51,21 @@ def _predict(log: Path, run: Path) -> LogPredictions:
     return predict_log(log, [run], on_batch=on_batch)
 
 
-def _write(found: LogPredictions, result: Path) -> None:
-    (run,) = found.predicted
-    predicted = found.predicted[run]
-    known = np.isfinite(found.recorded)
-    measured = measure(predicted[known], found.recorded[known], max_deg=found.max_deg)
+def _write(predictions: LogPredictions, result: Path) -> None:
+    (run,) = predictions.predicted
+    predicted = predictions.predicted[run]
+    is_recorded = np.isfinite(predictions.recorded)
+    measured = measure(predicted[is_recorded], predictions.recorded[is_recorded], max_deg=predictions.max_deg)
     about = Measured(
         frames=measured.frames,
         rmse_deg=measured.network.rmse_deg if measured.frames else None,
         mean_rmse_deg=measured.mean.rmse_deg if measured.frames else None,
-        max_deg=found.max_deg,
+        max_deg=predictions.max_deg,
         worst=[
             WorstMoment(worst.row, worst.error_deg, worst.predicted_deg, worst.recorded_deg)
-            for worst in found.worst(run, _WORST)
+            for worst in predictions.worst(run, _WORST)
         ],
-        notes=[printable(line) for line in (*found.skipped.lines(), found.notice) if line],
+        notes=[printable(line) for line in (*predictions.skipped.lines(), predictions.notice) if line],
     )
     encoded = np.frombuffer(msgspec.json.encode(about), np.uint8)
-    write_result(result, row=found.row, predicted=predicted, about=encoded)
+    write_result(result, row=predictions.row, predicted=predicted, about=encoded)

@@ -1,4 +1,4 @@
-"""The steering that a run predicts for a log, kept in the cache by the fingerprints of both."""
+"""The steering that a run predicts for a log. The cache keeps it by the fingerprints of both."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FORMAT: Final = 1  # of the files that are kept
 
 
 class WorstMoment(msgspec.Struct, frozen=True):
-    """A moment at which the network is off the most; `error_deg` is positive where it steers too far right."""
+    """A moment with one of the largest errors; `error_deg` is positive if it steers too far right."""
 
     row: int
     error_deg: float
@@ -29,7 +29,7 @@ class WorstMoment(msgspec.Struct, frozen=True):
 
 
 class Measured(msgspec.Struct, frozen=True):
-    """The errors of a network. RMSEs are None where nothing was recorded to compare with."""
+    """The errors of a network. RMSEs are None if the log has no steering to compare with."""
 
     frames: int
     rmse_deg: float | None
@@ -47,32 +47,32 @@ class Predicted:
 
     def at(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
         """The steering at rows (M,) of the log; NaN where there was no picture."""
-        found = np.full(len(rows), np.nan)
+        steering = np.full(len(rows), np.nan)
         if len(self.row):
             order = np.argsort(self.row, kind="stable")
             places = np.minimum(np.searchsorted(self.row[order], rows), len(order) - 1)
-            is_there = self.row[order][places] == rows
-            found[is_there] = self.steering[order][places[is_there]]
-        return found
+            has_picture = self.row[order][places] == rows
+            steering[has_picture] = self.steering[order][places[has_picture]]
+        return steering
 
 
 class Predictions:
-    """Predictions that are kept, and those that are being made."""
+    """The predictions that are kept, running and waiting."""
 
     def __init__(self, cache: Path) -> None:
         stopped = "it was stopped; choose the run again to begin anew"
         self.work = KeptWork(cache / "predictions", "web.processes.prediction_process", stopped)
 
     def key(self, log_fingerprint: str, run: Path) -> str:
-        """The name that this prediction has here. Raises WebError for a run without weights."""
+        """The key of a prediction. Raises WebError for a run without weights."""
         return hashlib.sha256(f"{_FORMAT} {log_fingerprint} {run_fingerprint(run)}".encode()).hexdigest()
 
     def find(self, key: str) -> Predicted | None:
-        """The prediction of that key; None where it was not made yet, or is kept no more."""
+        """The prediction of a key; None if it is not kept."""
         return self.work.find(key, _predicted)
 
     def start(self, key: str, log: Location, log_fingerprint: str, run: Path, pictures: int) -> None:
-        """Begin with it, if it is not under way."""
+        """Start it, unless it is waiting or running."""
         self.work.start(key, pictures, [as_word(log), str(run.absolute()), log_fingerprint])
 
 

@@ -1,6 +1,6 @@
-"""Logs that are open in Rerun. For each, a process writes a recording file, which the viewer in the page reads.
+"""Logs that are open in Rerun. For each, a process writes a recording file, and the viewer in the page reads it.
 
-Rerun's viewer is a program of WebAssembly within the `rerun` program. bc-web takes it out once and keeps it.
+Rerun's viewer is a WebAssembly program in the `rerun` program. bc-web copies it from there once, to the cache.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from web.folders.project_folders import as_word
 from web.processes.own_process import reports, start_process
 
 MOST: Final = 2
-"""Logs that are open at once; one more ends the oldest."""
+"""The most logs that are open at once. One more closes the oldest."""
 FILES: Final = {"re_viewer.js": "text/javascript", "re_viewer_bg.wasm": "application/wasm"}
 """The viewer's files, and their media types."""
 
@@ -51,9 +51,9 @@ class RerunViewer:
         """Raises WebError if the process cannot be started."""
         self.key = secrets.token_hex(8)
         self.notes: list[str] = []
-        """Messages about the log, such as what had to be left out."""
+        """Messages about the log, such as skipped messages."""
         self.problem = ""
-        """Why it cannot be shown any longer; empty while it can."""
+        """Why it is not shown any more; empty while it is."""
         if isinstance(log, Url):
             self.notes.append("a copy of the log comes from its store first")
         try:
@@ -69,7 +69,7 @@ class RerunViewer:
 
     @property
     def has_begun(self) -> bool:
-        """Whether there is something to show by now."""
+        """Whether there is something to show."""
         file = self._opened()
         if file is None:
             return False
@@ -93,14 +93,14 @@ class RerunViewer:
                     time.sleep(_POLL_S)
 
     def _opened(self) -> BinaryIO | None:
-        for _ in range(2):  # it gets its name when it is whole
+        for _ in range(2):  # it is renamed when it is whole
             for path in self._folder.glob("*"):
                 with contextlib.suppress(FileNotFoundError):
                     return path.open("rb")
         return None
 
     def end(self, why: str = "") -> threading.Thread:
-        """Begin to end it; the thread ends when all of it has."""
+        """Start to end it. The returned thread ends when everything has ended."""
         self.problem = self.problem or why or "Rerun has ended; open it again"
         ending = threading.Thread(target=self._end, name="rerun ends")
         ending.start()
@@ -132,7 +132,7 @@ class RerunViewer:
 
 
 class RerunViewers:
-    """All of them. Each lives as long as the request that has asked for it."""
+    """All open logs. Each is open as long as the request that opened it."""
 
     def __init__(self, cache: CacheFolder) -> None:
         self._cache = cache
@@ -142,7 +142,7 @@ class RerunViewers:
         self._endings: list[threading.Thread] = []
 
     def open(self, log: Location, *, is_growing: bool) -> RerunViewer:
-        """Serve a log. Raises WebError where Rerun is not installed, or cannot be started."""
+        """Open a log. Raises WebError if Rerun is not installed, or cannot be started."""
         if find_spec("rerun") is None or find_spec("rerun_cli") is None:
             raise WebError(f"Rerun is not installed here: `{package_line('rerun-sdk')}` brings it", 501)
         viewer = RerunViewer(log, is_growing=is_growing)
@@ -154,7 +154,7 @@ class RerunViewers:
         return viewer
 
     def get(self, key: str) -> RerunViewer:
-        """Raises WebError if it is not open (any more)."""
+        """The open log of a key. Raises WebError if it is not open (any more)."""
         with self._lock:
             viewer = self._open.get(key)
         if viewer is None:
@@ -168,20 +168,20 @@ class RerunViewers:
                 self._endings.append(viewer.end(why))
 
     def file(self, name: str) -> bytes:
-        """One of the viewer's `FILES`. Raises WebError if Rerun does not give it."""
+        """One of the viewer's `FILES`. Raises WebError if Rerun does not serve it."""
         with self._fetching:
             if (kept := self._cache.find(_key(name))) is None:
                 try:
                     files = _files_of_viewer()
                 except (OSError, UserError, http.client.HTTPException) as error:
                     raise WebError(f"{name}: Rerun does not start ({error}); open the log again", 503) from None
-                for each, data in files.items():
-                    self._cache.keep(_key(each), data)
+                for file, data in files.items():
+                    self._cache.keep(_key(file), data)
                 kept = files[name]
         return kept
 
     def close(self) -> None:
-        """End all of them, and wait for it."""
+        """Close all logs, and wait until their processes have ended."""
         with self._lock:
             viewers = list(self._open.values())
         for viewer in viewers:
@@ -191,12 +191,12 @@ class RerunViewers:
 
 
 def command_of(log: Location) -> str:
-    """The command that opens the same beside the browser."""
+    """The command that opens the same log outside the browser."""
     return printable(shlex.join(["bc-play", str(log)]))
 
 
 def viewer_version() -> str:
-    """The version of Rerun, under which a browser keeps the viewer's files."""
+    """The version of Rerun. The addresses of the viewer's files name it."""
     return version_of("rerun-sdk")
 
 
@@ -205,7 +205,7 @@ def _key(name: str) -> str:
 
 
 def _files_of_viewer() -> dict[str, bytes]:
-    """From a `rerun` that serves them on this machine for a moment."""
+    """Fetch the files from a `rerun` that serves them for a moment."""
     from viz.viewer_process import Ports, free_port, open_viewer, wait_until_it_listens
 
     ports = Ports(free_port(), free_port())

@@ -1,1 +1,1 @@
-"""What pages show of runs."""
+"""The data of runs that pages show."""

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +17,6 @@ from model.runs.worst_pictures import WORST_FILE
 from web.folders.background import Background
 from web.folders.file_versions import Newest
 from web.folders.project_folders import ProjectFolders, key_of
-from web.runs.training_cost import EarlierTraining
 
 if TYPE_CHECKING:  # these load PyTorch, which only pages of runs need
     from model.runs.history import History
@@ -28,7 +25,6 @@ if TYPE_CHECKING:  # these load PyTorch, which only pages of runs need
 _SUMMED_UP: Final = CONFIG, METRICS_FILE, RESULTS_FILE, WEIGHTS
 _GROWING: Final = STEPS_FILE, WORST_FILE
 _HISTORY: Final = METRICS_FILE, *_GROWING
-_TRAININGS: Final = 8  # that say how fast one is
 _HISTORIES: Final = 16  # kept in memory: those shown last
 
 
@@ -97,27 +93,6 @@ class RunCards:
             return read_history(path)[0]
 
         return self._histories.get(path, self._folders.version_of_run(path, _HISTORY), read)
-
-
-def earlier_trainings(runs: RunCards, patience_s: float) -> list[EarlierTraining]:
-    """The speed of the newest trainings of this project, the newest first."""
-    cards = [card for card in runs.cards(patience_s) if card.summary is not None and card.summary.epochs]
-    cards.sort(key=lambda card: card.summary.written_at if card.summary else "", reverse=True)
-    found = []
-    for card in cards[:_TRAININGS]:
-        with contextlib.suppress(UserError):
-            found.append(_earlier(card, runs))
-    return found
-
-
-def _earlier(card: RunCard, runs: RunCards) -> EarlierTraining:
-    from model.runs.run_config import load_config
-
-    machine = load_config(card.path).get("machine")
-    device = str(machine.get("device", "")) if isinstance(machine, dict) else ""
-    network = card.summary.network if card.summary else ""
-    speeds = [epoch.samples_per_s for epoch in runs.history(card.path).epochs]
-    return EarlierTraining(card.name, network, device, speeds[-1] if speeds else math.nan)
 
 
 def _card(path: Path, found: RunSummary | UserError | None, place: Location) -> RunCard:

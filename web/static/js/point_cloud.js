@@ -1,4 +1,4 @@
-// Points on a canvas: ten thousand of them are drawn, pointed at, and chosen by a lasso or a box, at every move.
+// Points on a canvas: ten thousand of them are drawn, pointed at, and chosen by a lasso, at every move.
 
 const NEAR_PX = 14;
 const MARGIN_PX = 14;
@@ -160,7 +160,7 @@ export class PointCloud {
     }
     if (!this.path || this.tool === "move") return;
     context.beginPath();
-    for (const [px, py] of this.outline()) context.lineTo(px, py);
+    for (const [px, py] of this.path) context.lineTo(px, py);
     context.closePath();
     context.setLineDash([5, 4]);
     context.stroke();
@@ -169,14 +169,6 @@ export class PointCloud {
     context.fillStyle = ink;
     context.fill();
     context.globalAlpha = 1;
-  }
-
-  /** The corners of what was dragged over. */
-  outline() {
-    if (this.tool === "lasso") return this.path;
-    const [[left, top]] = this.path;
-    const [right, bottom] = this.path.at(-1);
-    return [[left, top], [right, top], [right, bottom], [left, bottom]];
   }
 
   begin(event) {
@@ -209,9 +201,8 @@ export class PointCloud {
     const { path } = this;
     if (!path) return;
     const far = path.some(([px, py]) => Math.hypot(px - path[0][0], py - path[0][1]) > CLICK_PX);
-    const outline = far && !this.isPan ? this.outline() : null;
     this.drop();
-    if (outline) this.onSelect?.(this.inside(outline), event.shiftKey);
+    if (far && !this.isPan) this.onSelect?.(this.inside(path), event.shiftKey);
     else if (!far) this.onPick?.(this.nearest(this.at(event), NEAR_PX), event.shiftKey);
   }
 

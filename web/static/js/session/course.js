@@ -1,8 +1,5 @@
-// What a log has of a drive: who drove, what was predicted and sent, where the car was, and its events.
+// The course of a drive: who drove, the predicted and the sent steering, the car's places, and the events.
 
-import { ask, columnsOf } from "./log_data.js";
-
-const COLUMNS = ["driver", "network", "sent", "expert", "x_m", "y_m"]; // as `drive_course.COLUMNS`
 const LINES = ["network", "sent", "expert"];
 const BEFORE_S = 2; // of an intervention: what led to it
 const LATE_ROWS = 5;
@@ -13,28 +10,19 @@ export const DRIVERS = [
 ];
 
 export class Course {
-  /** `onChange()`: all of it is there, or there anew. */
-  constructor(data, { onChange }) {
-    Object.assign(this, { data, onChange, columns: null, road: null, events: [], interventions: [], stretches: [] });
+  constructor(data) {
+    Object.assign(this, { data, columns: null, road: null, events: [], interventions: [], stretches: [] });
   }
 
-  /** Read it again: the rows of the page's data are other ones. */
-  async load() {
-    const [about, rows] = await Promise.all([
-      ask(`${this.data.address}/course`).then((answer) => answer.json()),
-      ask(`${this.data.address}/course/rows`).then((answer) => answer.arrayBuffer()),
-    ]);
-    const values = new Float32Array(rows);
-    if (values.length !== this.data.length * COLUMNS.length) return; // the log has grown meanwhile, and is read again
-    this.columns = columnsOf(values, COLUMNS);
-    for (const name of LINES) {
-      if (this.columns[name].some(Number.isFinite)) this.data.columns[name] = this.columns[name];
-    }
-    this.road = about.road;
-    this.events = about.events.map((event) => ({ ...event, position: this.data.position(event.row, false) }));
+  /** The page's data has other rows. */
+  update() {
+    const { columns, state } = this.data;
+    this.columns = columns;
+    for (const name of LINES) if (!columns[name].some(Number.isFinite)) delete columns[name];
+    this.road = state.course.road;
+    this.events = state.course.events.map((event) => ({ ...event, position: this.data.position(event.row, false) }));
     this.interventions = this.events.filter((event) => event.is_intervention).map((event) => this.stretchOf(event));
-    this.stretches = stretchesOf(this.columns.driver);
-    this.onChange();
+    this.stretches = stretchesOf(columns.driver);
   }
 
   /** What led to an intervention, as an odd stretch: the seconds before it that the same one drove. */

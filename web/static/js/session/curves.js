@@ -16,7 +16,7 @@ const BLANK = { values: () => [], ticks: { show: false } }; // as wide as the ax
 const PLOTS = [
   { share: 0.24, scales: { y: [-1.05, 1.05] }, lines: [
     ["steering", "y", "--series-0"], ["sent", "y", "--series-2"], ["expert", "y", "--series-3"], ["network", "y", "--series-1"],
-    ["predicted", "y", "--predicted"], ["kept_1", "y", "--series-5"], ["kept_2", "y", "--series-6"], ["kept_3", "y", "--series-4"],
+    ["predicted", "y", "--predicted"],
   ] },
   {
     share: 0.16,
@@ -39,7 +39,6 @@ export class Curves {
     this.selection = [];
     this.view = null;
     this.position = 0;
-    this.names = { ...NAMES };
     this.watchers = [];
     new ResizeObserver(() => this.resize()).observe(element);
     addEventListener("resize", () => this.resize());
@@ -109,7 +108,7 @@ export class Curves {
           axis({ scale: names[1] ?? names[0], side: 1, grid: { show: false }, ...(names[1] ? {} : BLANK) }),
         ],
         series: [{}, ...lines.map(([name, scale, variable]) => ({
-          label: this.names[name], scale, stroke: color(variable), width: 1.5, points: { show: false }, spanGaps: false,
+          label: NAMES[name], scale, stroke: color(variable), width: 1.5, points: { show: false }, spanGaps: false,
         }))],
         hooks: {
           drawClear: [(drawn) => drawBands(drawn, this.data, this.odd, this.selection, this.colors)],
@@ -120,7 +119,7 @@ export class Curves {
       [x, ...values],
       this.element,
     );
-    plot.over.append(make("div", { className: "key" }, ...lines.map(([name]) => make("span", { className: name }, this.names[name]))));
+    plot.over.append(make("div", { className: "key" }, ...lines.map(([name]) => make("span", { className: name }, NAMES[name]))));
     // not after a drag: uPlot keeps that one back
     plot.over.addEventListener("click", (event) => this.onClick(this.clamped(Math.round(plot.posToVal(event.offsetX, "x"))), event));
     return plot;

@@ -2,7 +2,6 @@
 
 import { reasonIn } from "../dom.js";
 
-const COLUMNS = ["row", "time_s", "steering", "throttle", "brake", "speed_mph"];
 const GAP_S = 1; // as recorder/rows/row_quality.py: behind a longer pause, or where time goes back, a new drive begins
 const POLL_MS = 2000;
 const WORK_POLL_MS = 400;
@@ -57,7 +56,7 @@ export class LogData extends EventTarget {
       ask(`${this.address}/state`).then((answer) => answer.json()),
       ask(`${this.address}/rows`).then((answer) => answer.arrayBuffer()),
     ]);
-    this.columns = columnsOf(new Float64Array(rows), COLUMNS);
+    this.columns = columnsOf(new Float64Array(rows), state.columns);
     this.length = this.columns.row.length;
     this.countDriven();
     this.state = state;

@@ -11,7 +11,7 @@ import { DriverBand } from "./drivers.js";
 import { Filter } from "./filter.js";
 import { listen } from "./keys.js";
 import { listEvents, listOdd, listTags } from "./lists.js";
-import { ask, LogData } from "./log_data.js";
+import { ask, awaited, LogData } from "./log_data.js";
 import { left, Round, words } from "./odd.js";
 import { Overview } from "./overview.js";
 import { Pictures } from "./pictures.js";
@@ -38,7 +38,7 @@ const player = new Player(data, { onMove: move, onChange: () => by("play").setAt
 const changes = new TagChanges({ change: changeRows, tag, said });
 const rerun = new RerunFrame(by("rerun"), data, { onChange: showRerun, onProblem: showStatus });
 const runs = new RunTools(page, data, curves, { onPick: goToPosition, onChange: redraw });
-const course = by("course-map") && new Course(data, { onChange: showCourse }); // of a log that was driven
+const course = by("course-map") && new Course(data); // of a log that was driven
 const drivers = course && new DriverBand(by("drivers"), course, curves);
 const map = course && new CourseMap(by("course-map"), course, {
   picture: document.querySelector("figure[data-camera=center] img"), onPoint: point, onPick: goTo,
@@ -145,13 +145,12 @@ async function copyCommands() {
   }
 }
 
-/** What the log has of a drive. */
 function showCourse() {
+  course.update();
   by("events-part").hidden = !course.events.length;
   listEvents(by("events"), course.events, ({ position }) => goToPosition(position));
   drivers.show();
   map.show();
-  redraw();
   page.dataset.course = data.length; // what is shown now, for scripts that wait for it
 }
 
@@ -205,8 +204,8 @@ function showRows() {
   filter.refresh();
   pictures.useCameras();
   curves.odd = filter.groups;
+  if (course) showCourse();
   runs.refresh();
-  course?.load().catch((error) => showStatus(error.message));
   selected.select(selected.stretches);
   by("curves").setAttribute("aria-valuemax", Math.max(data.length - 1, 0));
   move(curves.position);
@@ -216,7 +215,7 @@ function showRows() {
 async function checkPictures() {
   by("look").disabled = true;
   try {
-    showStatus(await checked(data.state.pictures));
+    showStatus(await checked());
   } catch (error) {
     showStatus(error.message);
   }
@@ -224,20 +223,17 @@ async function checkPictures() {
   by("look").disabled = false;
 }
 
-async function checked(total) {
-  let found = await (await ask(`${data.address}/look`, { method: "POST" })).json();
-  while (!found.is_done) {
-    const isDecoded = found.pictures >= total;
-    by("look").textContent = isDecoded ? "comparing steering with pictures" : `looking: ${number(found.pictures)} of ${number(total)} pictures`;
-    await new Promise((resolve) => setTimeout(resolve, 300));
-    found = await (await ask(`${data.address}/look`)).json();
-  }
-  if (found.problem) return found.problem;
+async function checked() {
+  const onProgress = ({ pictures, total, is_begun: isBegun }) => {
+    const progress = pictures < total ? `looking: ${number(pictures)} of ${number(total)} pictures` : "comparing steering with pictures";
+    by("look").textContent = isBegun ? progress : "waits until the check before it has ended";
+  };
+  await awaited(`${data.address}/look`, { isWanted: () => true, onProgress });
   filter.use("");
   const before = filter.groups.length;
   await data.load();
   const more = filter.groups.length - before;
-  return `looked at ${number(total)} pictures: ${more > 0 ? `${more} more odd ${more === 1 ? "stretch" : "stretches"}` : "nothing more is odd"}`;
+  return `looked at all pictures: ${more > 0 ? `${more} more odd ${more === 1 ? "stretch" : "stretches"}` : "nothing more is odd"}`;
 }
 
 function setSpeed(speed) {
@@ -250,13 +246,13 @@ function stepBy(rows) {
   curves.follow(curves.position);
 }
 
-/** The address names a row, a kind of odd stretches, and runs: when the page is opened, and when a link leads to another row of the same page. */
+/** Show the row, the kind of odd stretches and the run of the address: of a new page, and of a link within the page. */
 function followAddress() {
   const named = new URLSearchParams(location.hash.slice(1));
   // revealed before the move: the mouse, if it is over the curves, points as well
   if (named.has("row") && data.length) goToPosition(data.position(Number(named.get("row")), false));
   if (named.get("kind")) filter.use(named.get("kind"));
-  return runs.choose(named.getAll("run"));
+  if (named.has("run")) runs.choose(named.get("run"));
 }
 
 data.addEventListener("rows", showRows);

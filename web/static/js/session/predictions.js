@@ -4,32 +4,11 @@
 import { clock } from "./clock.js";
 import { ask, awaited } from "./log_data.js";
 
-const KEPT = ["kept_1", "kept_2", "kept_3"]; // columns of runs whose lines stay beside the chosen one's
-
 export class Predictions {
   /** `onChange()`: another run, further, or there. */
   constructor(data, { onChange }) {
     Object.assign(this, { data, onChange });
-    this.forgetKept();
     this.clear("");
-  }
-
-  /** The lines that stay: [{column, name, summary}, ...]. */
-  forgetKept() {
-    this.kept = [];
-    for (const column of KEPT) delete this.data.columns[column];
-  }
-
-  get canKeep() {
-    return Boolean(this.about) && this.kept.length < KEPT.length && !this.kept.some(({ name }) => name === this.name);
-  }
-
-  /** The line of the chosen run stays when another one is chosen. */
-  keep() {
-    if (!this.canKeep) return;
-    const column = KEPT[this.kept.length];
-    this.data.columns[column] = this.data.columns.predicted;
-    this.kept.push({ column, name: this.name, summary: `${this.name}: ${this.compared}` });
   }
 
   clear(run) {
@@ -83,15 +62,14 @@ export class Predictions {
 
   show({ name, about }) {
     this.about = about;
-    this.name = name;
     // without an angle, in shares of full lock: the degrees are of 25 at steering 1
     const angle = (degrees, digits) =>
       about.max_deg === null ? `${(degrees * 4).toFixed(digits)} % of full lock` : `${degrees.toFixed(digits)}°`;
-    this.compared =
+    const compared =
       about.rmse_deg === null
         ? "nothing was recorded to compare with"
         : `RMSE ${angle(about.rmse_deg, 2)}; always predicting the mean: ${angle(about.mean_rmse_deg, 2)}`;
-    this.summary = [`${name}: ${about.frames.toLocaleString("en")} frames`, this.compared, ...about.notes].join(", ");
+    this.summary = [`${name}: ${about.frames.toLocaleString("en")} frames`, compared, ...about.notes].join(", ");
     this.worst = about.worst.map((moment) => {
       const position = this.data.position(moment.row, false);
       const side = moment.error_deg > 0 ? "right" : "left";

@@ -1,6 +1,6 @@
 // The tools of a run on the page of a session: what it would have steered, where it looks, its worst moments.
 
-import { by, make } from "../dom.js";
+import { by } from "../dom.js";
 import { showStatus } from "../live.js";
 import { Attention } from "./attention.js";
 import { listWorst } from "./lists.js";
@@ -27,47 +27,29 @@ export class RunTools {
         (error) => showStatus(error.message),
       ),
     );
-    by("keep-run").addEventListener("click", () => this.keep());
     by("attention").addEventListener("click", () => this.toggleAttention());
     by("worst-next").addEventListener("click", () => this.goToWorst(1));
   }
 
-  /** Choose runs, and keep the lines of all but the last. */
-  async choose(runs) {
-    for (const run of runs) {
-      by("run").value = run;
-      await this.predictions.choose(by("run").value);
-      if (run !== runs.at(-1)) this.keep();
-    }
+  choose(run) {
+    by("run").value = run;
+    this.predictions.choose(by("run").value); // "" if there is no such run
   }
 
-  /** The log has other rows: what was predicted is of the log as it was. */
+  /** The log has other rows: the predictions are of the log as it was. */
   refresh() {
-    this.predictions.forgetKept();
     if (this.predictions.run) this.predictions.choose(this.predictions.run);
     else this.curves.build();
   }
 
-  /** Its line stays while other runs are chosen; with none chosen, all that were kept go. */
-  keep() {
-    if (this.predictions.about) this.predictions.keep();
-    else this.predictions.forgetKept();
-    this.show();
-  }
-
   /** The prediction of the chosen run, as far as it is there. */
   show() {
-    const { predictions, curves } = this;
-    const { about, kept } = predictions;
+    const { predictions } = this;
+    const { about } = predictions;
     const run = predictions.problem ? "" : predictions.run; // then it can be chosen again
     by("predicted").textContent = predictions.summary;
     by("predicted").className = predictions.problem ? "problem" : "dim";
     by("run").value = run;
-    by("keep-run").disabled = !predictions.canKeep && (about || !kept.length);
-    by("keep-run").textContent = about || !kept.length ? "Keep its line" : "Remove kept lines";
-    by("kept").replaceChildren(...kept.map(({ column, summary }) => make("span", { className: column }, `${summary} `)));
-    for (const { column, name } of kept) curves.names[column] = name;
-    curves.names.predicted = kept.length && about ? predictions.name : "predicted";
     by("predict-stop").hidden = !predictions.isWaiting;
     this.attention.use(run);
     by("attention").disabled = !run;
