@@ -45,9 +45,8 @@ class Work:
     problem: str = ""
     left_s: float | None = None
     """Remaining time; None while it is unknown."""
-    _first: tuple[int, float] | None = (
-        None  # pictures and time of the first report, so that the start does not count
-    )
+    _first: tuple[int, float] | None = None
+    """Pictures and time of the first report, so that the start does not count."""
 
     def advance_to(self, pictures: int, total: int | None = None, stage: str = "") -> None:
         if stage != self.stage:
