@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -27,16 +27,16 @@ from common.progress import progress_bar
 from common.stretches import consecutive, stretches
 from common.tasks import Tasks, one_by_one
 from dataset.errors import index_write_errors, log_problem
-from dataset.frames.frame_flags import ImageFindings, Position, Stretches
+from dataset.frames.frame_flags import ImageFindings, Stretches
 from recorder import Log, LogError
 from recorder.mcap.message_index import UNCOMPRESSED
 from recorder.pictures.image_check import ImageCheck
 from recorder.rows.row_quality import STANDING_MPH, States
-from recorder.rows.steering_habits import LagFinding
 from recorder.topics import camera_topic
 from recorder.upkeep.log_info import find_lag, lacks_lag
 
 IMAGE_CHECKS_FOLDER: Final = "looks"
+_FORMAT: Final = 1
 _MAX_BYTES: Final = 1 << 26
 
 
@@ -124,23 +124,12 @@ def _check_log(
     return None
 
 
-class _Stored(msgspec.Struct):
-    format: Literal[1]
-    fingerprint: str
-    pictures: Position
-    broken: dict[str, Stretches]
-    frozen: dict[str, Stretches]
-    against: Stretches | None = None
-    lag: LagFinding | None = None
-
-
 def write_image_check(index: Path, session: str, fingerprint: str, findings: ImageFindings) -> None:
-    """Keep what was found in the log with this fingerprint."""
-    broken, frozen = (dict[str, Stretches](each.items()) for each in (findings.broken, findings.frozen))
-    stored = _Stored(1, fingerprint, findings.pictures, broken, frozen, findings.against, findings.lag)
+    """Keep the findings in the log with this fingerprint."""
+    stored = {"format": _FORMAT, "fingerprint": fingerprint, **msgspec.to_builtins(findings)}
     path = image_check_path(index, session)
     with index_write_errors(path), atomic_file(path, overwrite=True) as part:
-        part.write_text(json.dumps(msgspec.to_builtins(stored)) + "\n", encoding="utf-8")
+        part.write_text(json.dumps(stored) + "\n", encoding="utf-8")
 
 
 def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindings | None:
@@ -149,19 +138,14 @@ def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindin
     try:
         if path.is_symlink() or path.stat().st_size > _MAX_BYTES:
             return None
-        stored = msgspec.convert(json.loads(path.read_bytes()), _Stored)
+        stored = json.loads(path.read_bytes())
+        findings = msgspec.convert(stored, ImageFindings)
     except (OSError, ValueError, RecursionError):
         return None
-    of_all = itertools.chain(stored.broken.values(), stored.frozen.values(), [stored.against or ()])
-    if stored.fingerprint != fingerprint or not all(map(_are_ascending, of_all)):
+    if (stored.get("format"), stored.get("fingerprint")) != (_FORMAT, fingerprint):
         return None
-    broken, frozen = _of_our_cameras(stored.broken), _of_our_cameras(stored.frozen)
-    return ImageFindings(stored.pictures, broken, frozen, stored.against, stored.lag)
-
-
-def _of_our_cameras(stored: dict[str, Stretches]) -> dict[Camera, Stretches]:
-    """Without cameras that a later version has added."""
-    return {camera: stored[camera] for camera in CAMERAS if camera in stored}
+    of_all = itertools.chain(findings.broken.values(), findings.frozen.values(), [findings.against or ()])
+    return findings if all(map(_are_ascending, of_all)) else None
 
 
 def image_check_path(index: Path, session: str) -> Path:

@@ -129,12 +129,8 @@ class Samples(Closeable):
         """The samples of a split; `LOADED` are the columns that a loader needs, in a third of the memory."""
         return self._table(columns, split=_known(split))
 
-    def parts_of_split(self, split: Split, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
-        """The same in parts, one after the other: so that all of them need not be held."""
-        return self._matching(columns, split=_known(split))
-
     def rows_of_split(self, split: Split, targets: Sequence[TargetName] = STEERING_ONLY) -> Rows:
-        """The same as arrays."""
+        """The samples of a split as arrays."""
         return self.rows(self.of_split(split, loaded_columns(targets)), targets)
 
     def driving_view(self, split: Split) -> pa.Table:
