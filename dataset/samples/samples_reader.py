@@ -9,7 +9,6 @@ import contextlib
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, get_args
@@ -27,6 +26,7 @@ from common.location import Location, Url, location
 from common.open_file_limit import allow_open_files
 from common.random_access import read_bytes
 from common.stored_settings import settings_from
+from common.tasks import in_threads, one_by_one
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import log_place, refuse_other_places
@@ -54,7 +54,6 @@ def loaded_columns(targets: Sequence[TargetName] = STEERING_ONLY) -> tuple[str, 
 
 _WORDS: Final = ("session", "camera", "alteration", "split")  # of those, few different ones: read as numbers
 
-_OPENED_AT_ONCE: Final = 16
 _MAX_BYTES: Final = 1 << 34
 
 _UNREADABLE: Final = (
@@ -290,58 +289,37 @@ def open_logs(index: Location, sources: Mapping[str, IndexedLog]) -> dict[str, L
     Raises DatasetError for a log that is not the one that was indexed; none is left open then.
     """
     allow_open_files(len(sources))
-    places = {session: log_place(source.path, index) for session, source in sources.items()}
     folder_of = cache(short_path)  # asks the disk about each folder in the path
-    logs = _open_in_stores({name: place for name, place in places.items() if isinstance(place, Url)})
-    try:
-        for session, source in sources.items():
-            place = places[session]
-            if isinstance(place, Path):
-                path = folder_of(place.parent) / place.name  # also where the index is a passing one
-                if not path.is_file():
-                    raise DatasetError(
-                        f"{path}: the log of session {session} is gone; put it back or run `bc-index` again"
-                    )
-                logs[session] = Log(path)
-            if logs[session].file_fingerprint != source.file:
+
+    def opened(session: str, place: Location) -> Log:
+        if isinstance(place, Path):
+            place = folder_of(place.parent) / place.name  # also where the index is a passing one
+            if not place.is_file():
                 raise DatasetError(
-                    f"{logs[session].path}: has changed since it was indexed as session {session};"
-                    " run `bc-index` again"
+                    f"{place}: the log of session {session} is gone; put it back or run `bc-index` again"
                 )
-    except BaseException as error:
+        try:
+            log = Log(place)
+        except (LogError, OSError) as error:
+            raise DatasetError(f"{error} (session {session} of the index; without it: `bc-index`)") from None
+        if log.file_fingerprint != sources[session].file:
+            log.close()
+            raise DatasetError(
+                f"{place}: has changed since it was indexed as session {session}; run `bc-index` again"
+            )
+        return log
+
+    places = [(session, log_place(source.path, index)) for session, source in sources.items()]
+    tasks = in_threads if any(isinstance(place, Url) for _, place in places) else one_by_one
+    logs: dict[str, Log] = {}
+    try:
+        for number, log in tasks(opened, places):
+            logs[places[number][0]] = log
+    except BaseException:
         for log in logs.values():
             log.close()
-        if isinstance(error, LogError | OSError):
-            raise _unreadable(error, session) from None
         raise
     return {session: logs[session] for session in sources}
-
-
-def _unreadable(error: Exception, session: str) -> DatasetError:
-    return DatasetError(f"{error} (session {session} of the index; without it: `bc-index`)")
-
-
-def _open_in_stores(places: Mapping[str, Url]) -> dict[str, Log]:
-    """Logs by session, several at a time: each takes three requests or so."""
-    if not places:
-        return {}
-
-    def opened(session: str) -> Log:
-        try:
-            return Log(places[session])
-        except LogError as error:
-            raise _unreadable(error, session) from None
-
-    with ThreadPoolExecutor(_OPENED_AT_ONCE) as pool:
-        opening = {session: pool.submit(opened, session) for session in places}
-        try:
-            return {session: each.result() for session, each in opening.items()}
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            for each in opening.values():
-                if not each.cancelled() and each.exception() is None:
-                    each.result().close()
-            raise
 
 
 def _known(split: Split) -> str:
