@@ -155,10 +155,10 @@ def load_pilot(run: Path | str, precision: Precision = "auto", device: Device = 
     eighths of the time. Over 5,000 pictures, real and drawn, a trained network's steering differed by 0.02 degrees
     on average and by 0.2 at most from that of float32, in which evaluations measure.
 
-    A network that cannot be calculated in bfloat16 drives in float32, unless bfloat16 is asked for; one that does
-    not work on the GPU drives on the processor, unless the GPU is asked for.
+    With "auto", a network that does not work in bfloat16 drives in float32, and one that does not work on the GPU
+    drives on the processor.
 
-    Raises RunError if the run is incomplete, damaged or of another version, if its network is somebody's own that
+    Raises RunError if the run is incomplete, damaged or of another version, if its network is a user's own that
     was not named (`load_code`) or does not work here, or if there is no such device.
     """
     run = Path(run)
@@ -182,8 +182,8 @@ def load_pilot(run: Path | str, precision: Precision = "auto", device: Device = 
 def _ways(precision: Precision, device: Device) -> Iterator[tuple[torch.device, torch.dtype]]:
     """The devices and arithmetics that may be taken, the best first."""
     chosen = choose_device(device)
-    for each in dict.fromkeys([chosen, _PROCESSOR] if device == "auto" else [chosen]):
-        dtype = training_dtype(precision, each)
-        yield each, dtype
+    for place in dict.fromkeys([chosen, _PROCESSOR] if device == "auto" else [chosen]):
+        dtype = training_dtype(precision, place)
+        yield place, dtype
         if precision == "auto" and dtype != torch.float32:
-            yield each, torch.float32
+            yield place, torch.float32

@@ -43,9 +43,9 @@ _MAX_BYTES: Final = 1 << 26
 def check_images(
     log: Log, on_decoded: Callable[[int], object] = lambda count: None, threads: int | None = None
 ) -> ImageFindings:
-    """Decode every camera picture of a log, on all cores or in so many `threads`, and with bounded memory; and
-    compare those of the centre camera with the steering. The steering's lag is measured, and kept beside the log,
-    if it was not known.
+    """Decode every camera picture of a log, in `threads` (by default one a core) and with bounded memory. Compare
+    those of the centre camera with the steering. Measure the steering's lag if it is unknown, and keep it next to
+    the log.
 
     `on_decoded` is called with the number decoded since the last call. Raises LogError if the log is damaged.
     """
@@ -80,11 +80,11 @@ def check_images(
 def check_all_images(
     logs: Mapping[str, Location], index: Path, *, leave_out_unreadable: bool = False, tasks: Tasks = one_by_one
 ) -> list[str]:
-    """Check the pictures of the logs (by session) whose findings `index` does not have; the sessions checked now.
+    """Check the pictures of the logs (by session) whose findings `index` does not have; returns these sessions.
 
-    Each one that is done stays done, also if the work is then stopped. Raises LogError for a damaged log
-    (`leave_out_unreadable`: it is left out, as it will be when the index is built). `tasks`: here each log has all
-    cores, one after the other; on a cluster each is a task.
+    The findings of each log are kept at once, also if the work is stopped later. Raises LogError for a damaged
+    log; with `leave_out_unreadable`, the log is left out. On this machine, each log has all cores; on a cluster,
+    each log is one of the `tasks`.
     """
     unreadable = (LogError,) if leave_out_unreadable else ()
     pictures: dict[str, int] = {}
@@ -115,7 +115,7 @@ def _check_log(
     threads: int | None,
     on_decoded: Callable[[int], object] = lambda count: None,
 ) -> LogError | None:
-    """Keep what is found in a log's pictures; or why it cannot be read."""
+    """Check a log's pictures and keep the findings; returns the error of a log that cannot be read."""
     try:
         with Log(path) as log:
             write_image_check(index, session, log.fingerprint, check_images(log, on_decoded, threads))

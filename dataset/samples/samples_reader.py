@@ -79,7 +79,7 @@ class Samples(Closeable):
     `close()`.
 
     Raises DatasetError if there is no index, if it is damaged, or if a log is not the one that was indexed;
-    PlaceNotAllowedError for an index of somebody else that names logs outside of its project.
+    PlaceNotAllowedError if the index was not built here and names logs outside of its project.
     """
 
     def __init__(self, index: Location | str) -> None:
@@ -212,7 +212,7 @@ class Samples(Closeable):
             )
 
     def targets_fingerprint(self, targets: Sequence[TargetName]) -> str:
-        """SHA-256, in hex, of the labels of the targets besides steering; empty where there are none of them."""
+        """SHA-256, in hex, of the labels of the targets besides steering; empty if there are no others."""
         others = [name for name in targets if name not in STEERING_ONLY]
         if not others:
             return ""
@@ -276,7 +276,7 @@ class Samples(Closeable):
 
 
 def _fetched(url: Url) -> bytes:
-    """All of an index in a store, which is small beside its pictures."""
+    """All of an index in a store: small, compared with its pictures."""
     data = read_bytes(url, _MAX_BYTES)
     if data is None:
         raise missing_index(url.parent)
@@ -329,8 +329,8 @@ def _known(split: Split) -> str:
 
 
 def _hashable(column: pa.ChunkedArray, kind: pa.DataType, stands_for: Mapping[str, str]) -> bytes:
-    """The values of a column as bytes, the same however the file stores them; those of a word are the hash of
-    itself, or of what it stands for."""
+    """The values of a column as bytes, the same however the file stores them. A word becomes its hash; a word in
+    `stands_for`, the hash of its replacement."""
     if kind != pa.string():
         return numbers(column, kind.to_pandas_dtype()).tobytes()
     number, words = words_as_numbers(column)

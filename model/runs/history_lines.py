@@ -103,7 +103,7 @@ def _count(value: Any) -> int:
 
 
 def _number(value: Any) -> float:
-    """NaN for null, by which JSON stands for a number that does not exist."""
+    """A number; NaN for null, which JSON has in place of NaN."""
     if value is None:
         return math.nan
     if type(value) not in (int, float) or not abs(value) <= _LARGEST_NUMBER:

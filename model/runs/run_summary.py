@@ -86,8 +86,7 @@ class RunSummary:
 
     @property
     def interventions_per_km(self) -> float:
-        """Over all of `drives`, or where there are none, of those that a person supervised; NaN where it has not
-        driven."""
+        """Over all of `drives`; without any, over those that a person supervised; NaN if it has not driven."""
         drives = self.drives or self.supervised
         driven_m = sum(drive["distance_m"] for drive in drives)
         return 1000 * sum(drive["interventions"] for drive in drives) / driven_m if driven_m else math.nan
@@ -191,7 +190,7 @@ def last_results(run: Path) -> list[KeptResult]:
         result = kept.result
         if kept.weights_sha256 == checksum and _is_whole(kept):
             names = ("track", "set_speed_mph", "session", "departure_m", "index", "split")
-            # frames of whole sessions are of no index: what was measured is told by their names
+            # whole sessions have no index: their names show what was measured
             last[kept.way, *(str(result.get(name)) for name in names), *measured_sessions(result)] = kept
     return list(last.values())
 

@@ -135,8 +135,8 @@ class TrainingLoop:
                 f"{path}: stands at batch {self.position.batch:,}, but an epoch has {self.loader.batches:,};"
                 " train another run, perhaps from its weights: --init"
             )
-        of = self.position
-        self.answers = AnswerScale(of.answer_scale, of.answer_offset, of.answer_curve)
+        position = self.position
+        self.answers = AnswerScale(position.answer_scale, position.answer_offset, position.answer_curve)
         self.cut_history()
 
     def cut_history(self) -> None:
@@ -213,7 +213,7 @@ class TrainingLoop:
         return squared_error
 
     def _report(self, squared_error: float, samples: int, seconds: float) -> str:
-        """Write a step, and pass it to the listeners; the note beside the progress bar."""
+        """Write a step, and pass it to the listeners; returns the note for the progress bar."""
         if not math.isfinite(squared_error):
             raise self._diverged()
         position = self.position

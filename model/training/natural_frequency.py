@@ -55,9 +55,9 @@ class NaturalFrames:
 
 
 def _at_natural_frequency(samples: Samples) -> pa.Table:
-    """At most `MAX_FRAMES` originals of the centre camera (of all, where there are none of it).
+    """At most `MAX_FRAMES` originals of the centre camera; of all cameras, if it has none.
 
-    Balancing has left each bin a random part of its frames. Each original that was left stands for others of its
+    Balancing has left each bin a random part of its frames. Each original that is left represents others of its
     bin.
     """
     before = Balance.from_dict(samples.metadata["balance"]).before
@@ -66,9 +66,9 @@ def _at_natural_frequency(samples: Samples) -> pa.Table:
     bins = training["bin"].to_numpy()[originals]
     is_center = np.asarray(pc.equal(training["camera"].cast(pa.string()), "center"))[originals]
     of_bin = np.bincount(bins, minlength=len(before))
-    stands_for = (before ** (1 - TOWARDS_BALANCE) / np.maximum(of_bin, 1))[bins]
-    stands_for = np.where(is_center, stands_for, 0.0) if is_center.any() else stands_for
-    count = min(MAX_FRAMES, int(np.count_nonzero(stands_for)))
-    quantiles = (np.arange(count) + 0.5) / count * stands_for.sum()
-    at = np.minimum(np.searchsorted(np.cumsum(stands_for), quantiles), len(bins) - 1)
+    weight = (before ** (1 - TOWARDS_BALANCE) / np.maximum(of_bin, 1))[bins]
+    weight = np.where(is_center, weight, 0.0) if is_center.any() else weight
+    count = min(MAX_FRAMES, int(np.count_nonzero(weight)))
+    quantiles = (np.arange(count) + 0.5) / count * weight.sum()
+    at = np.minimum(np.searchsorted(np.cumsum(weight), quantiles), len(bins) - 1)
     return training.take(originals[at])
