@@ -1,7 +1,7 @@
-"""Alterations of a filling copy's picture, so that the network never sees the same one twice.
+"""Alterations of the copies that fill up a steering bin, so that the network never sees the same picture twice.
 
-Each takes a picture, (height, width, 3) BGR uint8, and gives a new one; its strength is drawn from a random
-generator.
+Each function takes a picture, (height, width, 3) BGR uint8, and returns a new one. A random generator gives the
+strength.
 """
 
 from __future__ import annotations
@@ -48,10 +48,9 @@ ALTERATIONS: Final[dict[str, Callable[[Image, np.random.Generator], Image]]] = {
 
 
 def alter(picture: Image, names: str, seed: int) -> Image:
-    """Apply the alterations called `names` ("blur+shadow"; "" for none) one after another, drawn from `seed` (not
-    negative).
+    """Apply the alterations called `names` ("blur+shadow"; "" for none) one after another, drawn from `seed`.
 
-    Raises DatasetError for a name or a seed that no index of ours has, and for a name that comes twice.
+    Raises DatasetError for an unknown name, a name that comes twice, or a negative seed.
     """
     wanted = names.split("+") if names else []
     if seed < 0 or not ALTERATIONS.keys() >= set(wanted) or len(set(wanted)) < len(wanted):

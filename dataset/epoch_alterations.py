@@ -22,7 +22,7 @@ STEERING_A_WIDTH: Final = 4.8
 """Steering for a picture that is moved by its width, in side corrections: 0.0075 a column of 128, by default."""
 
 NOISE_LEVEL: Final = 32.0
-"""Standard deviation of what `noise_of` gives, of which a share is added."""
+"""Standard deviation of the noise of `noise_of`; a share of it is added."""
 
 _MOVE: Final = 8 / 128, 5 / 128  # of width and height, to either side
 _ZOOM: Final = 0.1
@@ -94,26 +94,26 @@ class EpochAlterations:
     def draw(self, epoch: int, samples: Numbers, height: int, width: int) -> Drawn:
         """What is done to the pictures of samples, of this size."""
         draws = self._draws(epoch, samples, slice(0, _MAX_DRAWS))
-        of = {name: draws[:, part] for name, part in _DRAWS.items() if name in self.names}
+        by_name = {name: draws[:, part] for name, part in _DRAWS.items() if name in self.names}
         shade, strip = None, np.zeros((len(samples), 4, 2), np.int32)
-        if (shadow := of.get("shadow")) is not None:
+        if (shadow := by_name.get("shadow")) is not None:
             shade = np.where(shadow[:, 0] < 0, 1, _between(_SHADE, shadow[:, 1]))
             columns = (0.5 + 0.75 * shadow[:, 2:]) * width
             strip[:, :2, 0] = np.sort(columns[:, :2])
             strip[:, :1:-1, 0] = np.sort(columns[:, 2:])
             strip[:, 2:, 1] = height - 1
         box = None
-        if (drawn := of.get("box")) is not None:
+        if (drawn := by_name.get("box")) is not None:
             length = _between(_BOX, drawn[:, 1:3]) * (width, height)
             start = (0.5 + 0.5 * drawn[:, 3:5]) * ((width, height) - length)
             end = np.where(drawn[:, :1] < -1 / 3, start + length, start)
             level = 127.5 + 127.5 * drawn[:, 5:]
             box = np.concatenate([start, end, level], axis=1).astype(np.int64).tolist()
         noise, piece = None, np.zeros(len(samples), np.int64)
-        if (drawn := of.get("noise")) is not None:
+        if (drawn := by_name.get("noise")) is not None:
             noise = _between((0, _NOISE), drawn[:, 0])
             piece = _between((0, _PIECES), drawn[:, 1]).astype(np.int64)
-        return Drawn(_matrix(of, height, width), _colours(of), shade, strip, box, noise, piece)
+        return Drawn(_matrix(by_name, height, width), _colours(by_name), shade, strip, box, noise, piece)
 
     def _draws(self, epoch: int, samples: Numbers, part: slice) -> Floats:
         """(N, K), -1..1, by SplitMix64 (Steele et al. 2014), which draws any of them without those before."""
@@ -187,11 +187,11 @@ def _alter(picture: Image, drawn: Drawn, number: int) -> None:
 
 @cache
 def noise_of(size: int) -> Image:
-    """Noise around 128, of which a picture of `size` values takes a piece."""
+    """Noise around 128; a picture of `size` values takes a piece of it."""
     random = np.random.default_rng(0)
     return np.clip(random.normal(128, NOISE_LEVEL, size + _PIECES).round(), 0, 255).astype(np.uint8)
 
 
 def _between(bounds: tuple[float, float], drawn: Floats) -> Floats:
-    """What was drawn, -1..1, as between these bounds."""
+    """Draws of -1..1, scaled to these bounds."""
     return bounds[0] + (bounds[1] - bounds[0]) * (0.5 + 0.5 * drawn)

@@ -41,7 +41,7 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
     """`folder`: where the index is, until `put` brings it to its place."""
     # before anything is written, or takes long
     check_settings(logs, folder, config.config)
-    # named by nobody, one damaged log must not keep all the others from being indexed
+    # without names, one damaged log must not stop the indexing of all others
     is_any = not config.sessions
     others = [] if is_any else sessions_beside(logs, config.folder)
     with tasks_of(config.ray) as tasks:
@@ -81,7 +81,7 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
 
 
 def _refuse_contradictions(config: Index) -> None:
-    """Raise UsageError for flags that would be passed over, and for a condition that is none."""
+    """Raise UsageError for flags that contradict each other, and for a wrong condition."""
     if config.ray not in (None, ("local",)) and isinstance(config.index, Url):
         raise UsageError(
             f"--index {config.index}: nodes of a cluster write into a folder that all of them see; without --ray"

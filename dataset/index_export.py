@@ -23,15 +23,14 @@ from recorder.lerobot.log_episodes import ChosenRows
 
 
 def export_index(index: Location, folder: Path, *, where: str | None = None, **options: Any) -> Exported:
-    """Write the rows that `index` uses as the new LeRobot dataset `folder`, and which side of the split each is on
-    (`split`).
+    """Write the rows that `index` uses as the new LeRobot dataset `folder`, each with its side of the `split`.
 
-    These are the rows of which a frame is for training or validation before anything is balanced: those that its
-    settings, tags and flags leave in; and of these, those of which a frame fulfils `where`. Steering is as it was
-    driven, whatever is learnt of it. `options` are those of `export_lerobot`.
+    A row is used if the settings, tags and flags leave one of its frames in, before anything is balanced. With
+    `where`, such a frame must also meet that condition. Steering is as it was driven, not the label. `options` are
+    those of `export_lerobot`.
 
-    Raises DatasetError if there is no index, if it does not fit its logs, or for a condition that is none;
-    LogError if nothing can be exported, UserError if `folder` exists or cannot be written.
+    Raises DatasetError if there is no index, if it does not fit its logs, or for a wrong condition; LogError if
+    nothing can be exported, UserError if `folder` exists or cannot be written.
     """
     with Samples(index) as samples:
         chosen = _chosen_rows(index, samples, where)
@@ -46,7 +45,7 @@ def export_index(index: Location, folder: Path, *, where: str | None = None, **o
 
 
 def _chosen_rows(index: Location, samples: Samples, where: str | None) -> Mapping[str, ChosenRows]:
-    """The rows that the index uses, and that fulfil `where`, by session."""
+    """The used rows that meet `where`, by session."""
     config = samples.settings
     condition = None if config.where is None else Condition(config.where)
     further = None if where is None else Condition(where)

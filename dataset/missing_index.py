@@ -17,9 +17,9 @@ _RUN_CONFIG: Final = "config.json"
 
 
 def missing_index(index: Location) -> DatasetError:
-    """The error for a folder without an index: it names the indexes beside it, and the command that builds one.
+    """The error for a folder without an index: it names the indexes next to it, and the command that builds one.
 
-    Raises DatasetError where not even a folder can be.
+    Raises DatasetError if the path or one of its parents is a file.
     """
     if isinstance(index, Url):
         sessions = index.parent / "sessions"
@@ -30,17 +30,17 @@ def missing_index(index: Location) -> DatasetError:
             f"{index}: {what}, no index; `bc-index --index FOLDER` builds one in a folder of its own"
         )
     folder = index.parent if index.parent.is_dir() else Path()
-    beside = [str(samples.parent) for samples in sorted(folder.glob(f"*/{SAMPLES_NAME}"))]
-    hint = did_you_mean(str(index), beside)
-    if beside and not hint:
-        more = " and others" if len(beside) > _MAX_NAMED else ""
-        hint = f"these are: {', '.join(beside[:_MAX_NAMED])}{more};"
+    neighbours = [str(samples.parent) for samples in sorted(folder.glob(f"*/{SAMPLES_NAME}"))]
+    hint = did_you_mean(str(index), neighbours)
+    if neighbours and not hint:
+        more = " and others" if len(neighbours) > _MAX_NAMED else ""
+        hint = f"these are: {', '.join(neighbours[:_MAX_NAMED])}{more};"
     flag = "" if index == DEFAULT_INDEX else f" --index {shlex.quote(str(index))}"
     return DatasetError(f"{index}: no index; {f'{hint} ' if hint else ''}build it with `bc-index{flag}`")
 
 
 def other_folder(index: Path) -> str:
-    """What a folder holds that is not an index, in whose place none is built; empty for all others."""
+    """What a folder is that cannot become an index: "a run" or "a folder of logs"; else an empty string."""
     if (index / SAMPLES_NAME).exists():
         return ""
     if (index / _RUN_CONFIG).is_file():

@@ -22,7 +22,7 @@ _RESIZE: Final = "bilinear"
 class PictureSpec:
     """A picture of any size, cropped, brought to one size, in one order of colours. By default the original's.
 
-    Raises ValueError for what is no picture, or would fill the memory.
+    Raises ValueError for a picture that is too small or too large, or cut away.
     """
 
     width_px: int = 128

@@ -20,8 +20,8 @@ _TO_BGR: Final = {"RGB": cv2.COLOR_RGB2BGR, "YUV": cv2.COLOR_YUV2BGR}
 
 
 def decode(encoded: bytes) -> Image:
-    """A JPEG or PNG as (height, width, 3) BGR uint8. Raises ValueError if it is none, or would take too much
-    memory or time."""
+    """A JPEG or PNG as (height, width, 3) BGR uint8. Raises ValueError for other data, and for a picture that
+    would take too much memory or time."""
     picture = decode_picture(encoded, cv2.IMREAD_COLOR)
     if picture is None:
         why = decoding_problem(encoded) or f"{counted(len(encoded), 'byte')} that are not a picture"
@@ -50,14 +50,14 @@ def crop_of(picture: Image, spec: PictureSpec = ORIGINAL) -> Image:
 
 
 def in_channels(crop: Image, spec: PictureSpec) -> Image:
-    """A crop in BGR in the network's order of colours; itself, where that is BGR."""
+    """A BGR crop in the network's order of colours; the same array if that is BGR."""
     if spec.channels == "BGR":
         return crop
     return cv2.cvtColor(crop, _FROM_BGR[spec.channels]).astype(np.uint8, copy=False)
 
 
 def as_bgr(crop: Image, spec: PictureSpec) -> Image:
-    """A network's input as BGR, to be shown; itself, where it is BGR."""
+    """A network's input as BGR, to be shown; the same array if it is BGR."""
     if spec.channels == "BGR":
         return crop
     return cv2.cvtColor(crop, _TO_BGR[spec.channels]).astype(np.uint8, copy=False)

@@ -22,7 +22,7 @@ class Adam:
         self.is_fused = self.parameters[0].is_cuda
         self.state: dict[Tensor, dict[str, Tensor]] = {}
         """`exp_avg` and `exp_avg_sq` of each parameter that was stepped, in its own shape and memory format, and
-        `step`, a float32 beside it on the GPU, else on the CPU."""
+        `step`, a float32, on the same GPU or on the CPU."""
 
     def zero_grad(self) -> None:
         for parameter in self.parameters:

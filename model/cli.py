@@ -157,7 +157,7 @@ def _named(network: str) -> str:
 
 
 def _going_on(run: Path) -> str:
-    """The end of the line that is printed first: where a resumed run goes on."""
+    """The end of the line that is printed first: where a resumed run continues."""
     from model.runs.checkpoint import read_position
     from model.runs.run_folder import has_nothing_saved
 
@@ -178,7 +178,7 @@ def _resume(run: Path, index: Location) -> str:
 
 
 def _network_flag(run: Path) -> str:
-    """The flag that a run of somebody's own network needs, because its code is never run unasked."""
+    """The flag that a run of a user's own network needs: its code never runs unasked."""
     from model.runs.network_of_run import network_flag, stored_network
     from model.runs.run_folder import load_config
 
@@ -199,13 +199,13 @@ def _listeners(config: Train, run: Path) -> list[Listener]:
 
 
 def _own_listener(name: str, run: Path, config: TrainConfig) -> Listener:
-    """Raises UserError where it is not there, cannot be made, or is none."""
+    """Raises UserError if it is missing, cannot be made, or is not a listener."""
     make = load_function("--listener", name)
     try:
         listener: Listener = make(run, config)
     except Exception as error:
         raise UserError(f"--listener {printable(name)} fails ({in_one_line(error)})") from None
-    missing = [each for each in ("step", "epoch", "close") if not callable(getattr(listener, each, None))]
+    missing = [name for name in ("step", "epoch", "close") if not callable(getattr(listener, name, None))]
     if missing:
         raise UserError(
             f"--listener {printable(name)}: a listener was expected, with step, epoch and close; it has no"

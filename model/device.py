@@ -28,14 +28,15 @@ PROCESSOR_WAYS: Final = (
     ProcessorWay("avx512_bf16", "bfloat16", 64),
     ProcessorWay("bf16", "bfloat16", 64),  # Arm's
     ProcessorWay("", "float32", 64),
-    ProcessorWay("", "bfloat16", 64),  # only if it is asked for
+    ProcessorWay("", "bfloat16", 64),  # only with --precision bfloat16
 )
-"""The first that a processor has is its way. A table of what was measured (benchmarks/README.md): a trial at the
-start of a training would not always end alike, and the same machine and seed have to give the same weights.
+"""The first row whose instruction a processor has is used. The table was measured (benchmarks/README.md). A trial
+at the start of a training would not always give the same row, but the same machine and seed must give the same
+weights.
 
-Cores and caches are not asked for: what 16 pictures give in the first layer is already more than fits into a
-core's cache, and from there on more of them at once were faster, if not by much. With AMX it is more, as
-convolutions take less of the time; 256 would be a few percent faster again, and take 0.4 GB more."""
+Cores and caches do not matter: the first layer's output for 16 pictures is already larger than a core's cache, and
+larger batches were a little faster. With AMX they gain more, because convolutions take less of the time; 256 would
+be a few percent faster again, and take 0.4 GB more."""
 
 
 @dataclass(frozen=True)

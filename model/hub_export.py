@@ -54,7 +54,7 @@ def export_to_hub(run: Path | str, folder: Path | str, *, licence: str | None = 
     """Write a run as the new folder `folder`: it appears whole or not at all. Nothing is uploaded.
 
     A network that ONNX cannot hold goes without; the card and `onnx_problem` give the reason. Raises RunError if
-    the run is incomplete, damaged, of another version, or of somebody's own network that was not named
+    the run is incomplete, damaged, of another version, or of a user's own network that was not named
     (`load_code`), if ONNX is not installed, or if the disk is full; UserError if `folder` exists.
     """
     run, folder = Path(run), Path(folder)
@@ -108,7 +108,7 @@ def without_places(config: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _own_file(config: dict[str, Any], run: Path) -> bytes:
-    """The file of a network of somebody's own, as it was named and run here; empty where there is none."""
+    """The file of a user's own network, as it was named and run here; empty for other networks."""
     stored = stored_network(config, run)
     if not is_own(stored.name):
         return b""

@@ -1,7 +1,7 @@
-"""Errors of predicted steering, and of other targets, beside those of predictors that know nothing.
+"""Errors of predicted steering and of other targets, compared with those of constant predictions.
 
-Half to four fifths of recorded labels are near zero, so that a small mean error alone means little: every
-measure stands beside those of always predicting zero, and the mean.
+Half to four fifths of recorded labels are near zero, so that a small mean error alone means little. Every measure
+is compared with those of always predicting zero, and the mean.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ def _off_deg(predicted: Floats, recorded: Floats, max_deg: float | None) -> NDAr
 def _bin_errors(predicted: Floats, recorded: Floats, bins: int, max_deg: float | None) -> list[BinErrors]:
     off = _off_deg(predicted, recorded, max_deg)
     exact: NDArray[np.float64] = recorded.astype(np.float64)
-    bin_index = bin_of(np.round(exact, 6), bins)  # in float32, a value on an edge is beside it
+    bin_index = bin_of(np.round(exact, 6), bins)  # in float32, a value on an edge may lie next to it
     errors_of_bins = []
     for number in np.unique(bin_index).tolist():
         part = off[bin_index == number]

@@ -33,7 +33,7 @@ def read_commands(log: Log) -> Commands:
     """Raises LogError for a damaged log."""
     numbers, steering = array("q"), array("d")
     for message, command in log.commands():
-        # one that a later version of the schema knows is nobody to us
+        # a driver that only a later version knows counts as unknown
         driver = command.driver if 0 <= command.driver < len(DRIVERS) else 0
         numbers.extend((message.sequence, message.log_time_ns, driver))
         steering.append(command.steering)

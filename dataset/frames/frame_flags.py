@@ -30,7 +30,7 @@ Stretches = tuple[tuple[Position, Position], ...]
 class ImageFindings:
     """The findings of decoding all pictures of a log."""
 
-    pictures: int  # that were checked
+    pictures: Position  # that were checked
     broken: Mapping[Camera, Stretches]  # positions among a camera's pictures (`Log.pictures`)
     frozen: Mapping[Camera, Stretches]
     against: Stretches | None = None  # positions of vehicle states; None in what earlier versions have found

@@ -83,12 +83,12 @@ def frames_metadata(log: Log, index: Path, config: IndexConfig, tags: Sequence[T
 
 
 def file_if_rewritten(fingerprint: str, file: str) -> dict[str, str]:
-    """The file's own fingerprint, kept beside the log's if that is of another file with the same content."""
+    """The file's own fingerprint, if it differs from the log's: a log that was rewritten with the same content."""
     return {} if file == fingerprint else {"file": file}
 
 
 def log_place(named: str, index: Location) -> Location:
-    """The place of a log that an index names so. Raises DatasetError for a name that is no place."""
+    """The place of a log, from its name in an index. Raises DatasetError for an invalid name."""
     try:
         if "://" in named:
             return location(named)
@@ -167,11 +167,10 @@ def extent_of(path: Path) -> Extent:
     if "log_time_ns" in paths:
         at = paths.index("log_time_ns")
         statistics_ns = [about.row_group(group).column(at).statistics for group in range(about.num_row_groups)]
-    if not statistics_ns or any(
-        each is None or not each.has_min_max for each in statistics_ns
-    ):  # another program wrote it anew
-        return Extent(about.num_rows, *_ALWAYS_NS)
-    return Extent(about.num_rows, min(each.min for each in statistics_ns), max(each.max for each in statistics_ns))
+    if not statistics_ns or any(group is None or not group.has_min_max for group in statistics_ns):
+        return Extent(about.num_rows, *_ALWAYS_NS)  # another program wrote the file
+    first_ns, last_ns = min(group.min for group in statistics_ns), max(group.max for group in statistics_ns)
+    return Extent(about.num_rows, first_ns, last_ns)
 
 
 def codes(column: pa.ChunkedArray, names: Sequence[str]) -> NDArray[np.int8]:

@@ -69,12 +69,12 @@ def frames_of(
 ) -> pa.Table:
     """The frames of a session from its vehicle states, the places of its pictures, the driver at each state (as
     `driven_states` gives it; None: unknown), and its `device_numbers` (None: unknown)."""
-    nobody = np.zeros(len(states.row), np.int8)
-    driver = nobody if driver is None else driver
-    device = nobody if device is None else device
+    unknown = np.zeros(len(states.row), np.int8)
+    driver = unknown if driver is None else driver
+    device = unknown if device is None else device
     drive = drive_numbers(states.time_ns)
     taken = is_taken(driver, config.drives)
-    # A stretch of which something is taken may be short: its blocks begin with it, so that none is cut in two.
+    # a takeover may be short: blocks begin with it, so that no edge of a block cuts it in two
     is_edge = (np.diff(drive) != 0) | (np.diff(taken) != 0)
     stretch = np.concatenate([[0], np.cumsum(is_edge)])[: len(drive)]
     block = block_numbers(states.time_ns, stretch, config.block_s)

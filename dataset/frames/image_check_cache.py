@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -27,25 +27,25 @@ from common.progress import progress_bar
 from common.stretches import consecutive, stretches
 from common.tasks import Tasks, one_by_one
 from dataset.errors import index_write_errors, log_problem
-from dataset.frames.frame_flags import ImageFindings, Position, Stretches
+from dataset.frames.frame_flags import ImageFindings, Stretches
 from recorder import Log, LogError
 from recorder.mcap.message_index import UNCOMPRESSED
 from recorder.pictures.image_check import ImageCheck
 from recorder.rows.row_quality import STANDING_MPH, States
-from recorder.rows.steering_habits import LagFinding
 from recorder.topics import camera_topic
 from recorder.upkeep.log_info import find_lag, lacks_lag
 
 IMAGE_CHECKS_FOLDER: Final = "looks"
+_FORMAT: Final = 1
 _MAX_BYTES: Final = 1 << 26
 
 
 def check_images(
     log: Log, on_decoded: Callable[[int], object] = lambda count: None, threads: int | None = None
 ) -> ImageFindings:
-    """Decode every camera picture of a log, on all cores or in so many `threads`, and with bounded memory; and
-    compare those of the centre camera with the steering. The steering's lag is measured, and kept beside the log,
-    if it was not known.
+    """Decode every camera picture of a log, in `threads` (by default one a core) and with bounded memory. Compare
+    those of the centre camera with the steering. Measure the steering's lag if it is unknown, and keep it next to
+    the log.
 
     `on_decoded` is called with the number decoded since the last call. Raises LogError if the log is damaged.
     """
@@ -80,11 +80,11 @@ def check_images(
 def check_all_images(
     logs: Mapping[str, Location], index: Path, *, leave_out_unreadable: bool = False, tasks: Tasks = one_by_one
 ) -> list[str]:
-    """Check the pictures of the logs (by session) whose findings `index` does not have; the sessions checked now.
+    """Check the pictures of the logs (by session) whose findings `index` does not have; returns these sessions.
 
-    Each one that is done stays done, also if the work is then stopped. Raises LogError for a damaged log
-    (`leave_out_unreadable`: it is left out, as it will be when the index is built). `tasks`: here each log has all
-    cores, one after the other; on a cluster each is a task.
+    The findings of each log are kept at once, also if the work is stopped later. Raises LogError for a damaged
+    log; with `leave_out_unreadable`, the log is left out. On this machine, each log has all cores; on a cluster,
+    each log is one of the `tasks`.
     """
     unreadable = (LogError,) if leave_out_unreadable else ()
     pictures: dict[str, int] = {}
@@ -115,7 +115,7 @@ def _check_log(
     threads: int | None,
     on_decoded: Callable[[int], object] = lambda count: None,
 ) -> LogError | None:
-    """Keep what is found in a log's pictures; or why it cannot be read."""
+    """Check a log's pictures and keep the findings; returns the error of a log that cannot be read."""
     try:
         with Log(path) as log:
             write_image_check(index, session, log.fingerprint, check_images(log, on_decoded, threads))
@@ -124,23 +124,12 @@ def _check_log(
     return None
 
 
-class _Stored(msgspec.Struct):
-    format: Literal[1]
-    fingerprint: str
-    pictures: Position
-    broken: dict[str, Stretches]
-    frozen: dict[str, Stretches]
-    against: Stretches | None = None
-    lag: LagFinding | None = None
-
-
 def write_image_check(index: Path, session: str, fingerprint: str, findings: ImageFindings) -> None:
-    """Keep what was found in the log with this fingerprint."""
-    broken, frozen = (dict[str, Stretches](each.items()) for each in (findings.broken, findings.frozen))
-    stored = _Stored(1, fingerprint, findings.pictures, broken, frozen, findings.against, findings.lag)
+    """Keep the findings in the log with this fingerprint."""
+    stored = {"format": _FORMAT, "fingerprint": fingerprint, **msgspec.to_builtins(findings)}
     path = image_check_path(index, session)
     with index_write_errors(path), atomic_file(path, overwrite=True) as part:
-        part.write_text(json.dumps(msgspec.to_builtins(stored)) + "\n", encoding="utf-8")
+        part.write_text(json.dumps(stored) + "\n", encoding="utf-8")
 
 
 def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindings | None:
@@ -149,19 +138,14 @@ def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindin
     try:
         if path.is_symlink() or path.stat().st_size > _MAX_BYTES:
             return None
-        stored = msgspec.convert(json.loads(path.read_bytes()), _Stored)
+        stored = json.loads(path.read_bytes())
+        findings = msgspec.convert(stored, ImageFindings)
     except (OSError, ValueError, RecursionError):
         return None
-    of_all = itertools.chain(stored.broken.values(), stored.frozen.values(), [stored.against or ()])
-    if stored.fingerprint != fingerprint or not all(map(_are_ascending, of_all)):
+    if (stored.get("format"), stored.get("fingerprint")) != (_FORMAT, fingerprint):
         return None
-    broken, frozen = _of_our_cameras(stored.broken), _of_our_cameras(stored.frozen)
-    return ImageFindings(stored.pictures, broken, frozen, stored.against, stored.lag)
-
-
-def _of_our_cameras(stored: dict[str, Stretches]) -> dict[Camera, Stretches]:
-    """Without cameras that a later version has added."""
-    return {camera: stored[camera] for camera in CAMERAS if camera in stored}
+    of_all = itertools.chain(findings.broken.values(), findings.frozen.values(), [findings.against or ()])
+    return findings if all(map(_are_ascending, of_all)) else None
 
 
 def image_check_path(index: Path, session: str) -> Path:

@@ -119,7 +119,7 @@ def build_index(
     (`leave_out_unreadable`: it is left out, and the notices name it), DatasetError if nothing in them can be used,
     if two of them have the same name or, but for a standing start, a picture in common, if `config` names a
     session that is not among them, or if a file cannot be written; and what `check_settings` does. `passed_over`
-    are the sessions that somebody chose not to have in the index: `sessions_not_indexed` does not list them.
+    are sessions that the user left out on purpose: `sessions_not_indexed` does not list them.
     `tasks` reads the logs: here, or on a cluster (`common.ray_cluster`), which comes to the same bytes.
     """
     index, config = Path(index), config or IndexConfig()
@@ -143,10 +143,10 @@ def build_index(
 
 
 def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -> None:
-    """Raise what `build_index` could raise without having read anything.
+    """Check what `build_index` can check before it reads anything.
 
-    That is DatasetError for a session to hold out that is not among `logs`, for a condition that is none, and for
-    an index that is no plain folder, or whose folder is a run or holds logs; UserError if DuckDB is missing.
+    Raises DatasetError if a session to hold out is not among `logs`, if the condition is wrong, or if the index is
+    not a plain folder of its own; UserError if DuckDB is missing.
     """
     names = sorted(map(session_name, logs))
     if missing := set(config.validation) - set(names):
@@ -155,7 +155,7 @@ def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -
     if what := other_folder(index):
         raise DatasetError(f"{index}: {what}; an index needs a folder of its own: give --index another name")
     for folder in (index / name for name in (FRAMES_FOLDER, IMAGE_CHECKS_FOLDER)):
-        # what is written and deleted in a link would be somebody else's
+        # behind a link, files of others would be overwritten and deleted
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise DatasetError(f"{folder}: not a plain folder; remove it")
     if config.where is not None:
@@ -163,7 +163,7 @@ def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -
 
 
 def _refuse_different_steering(held: Mapping[str, BuiltLog]) -> None:
-    """Raise DatasetError where the same number would be another angle of the wheels."""
+    """Raise DatasetError if steering 1 is not the same angle of the wheels in all sessions."""
     (first, one), *others = held.items()
     for name, other in others:
         one_deg, other_deg = assumed_deg(one.max_steering_deg), assumed_deg(other.max_steering_deg)
@@ -187,7 +187,7 @@ class _Build:
     tasks: Tasks
 
     def run(self, state: BuildState, damaged: Mapping[str, str]) -> Indexed:
-        """`damaged`: what was found of logs that look sound while their pictures are not read."""
+        """`damaged`: the errors, by session, of logs whose damage showed only when their pictures were read."""
         index, config, by_name = self.index, self.config, self.by_name
         with staged(index) as stage:
             entries = self._entries(state, damaged, stage)
@@ -259,7 +259,7 @@ def _mixed(log: Location, entry: BuiltLog) -> str:
 
 
 def _not_measured(logs: Sequence[Location]) -> list[str]:
-    """A line that names the logs whose labels need a lag that nobody has measured, if there are any."""
+    """A line that names the logs whose labels need a lag that was never measured, if there are any."""
     if not logs:
         return []
     command = shlex.join(["bc-log", "check", *map(str, logs[:MAX_NAMES])])

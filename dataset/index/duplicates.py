@@ -1,10 +1,10 @@
 """The same pictures in two sessions: in training and in validation, they would make every error look small.
 
-A log may have been imported twice, or trimmed, merged, recovered beside its original. Logs name no ancestors that
-could be trusted, so the pictures themselves are compared: those of equal time, camera and length, byte by byte.
+A log may have been imported twice, or lie next to the log that it was trimmed, merged or recovered from. What a
+log says of its origin cannot be trusted. So pictures of equal time, camera and length are compared, byte by byte.
 
-A simulator that always does the same begins two drives with the same pictures of a standing car. A few of them are
-taken, and held out in neither.
+A deterministic simulator begins two drives with the same pictures of a standing car. A few of these are accepted,
+and held out in neither session.
 """
 
 from __future__ import annotations

@@ -71,12 +71,12 @@ def by_session_name(logs: Iterable[Location]) -> dict[str, Location]:
 
 
 def _expected(given: str, log: Location) -> Location | str:
-    """Where a log was looked for: of a path without an ending, which is no session's name, what was given."""
+    """Where a log was looked for; for a path without an ending, which is not a session's name, the path."""
     return given if isinstance(log, Path) and len(Path(given).parts) > 1 else log
 
 
 def _hint(given: str, folder: Location) -> str:
-    """What somebody may have meant by a session that is not there."""
+    """A hint at the session that the user may have meant."""
     path = Path(given)
     if (path / "driving_log.csv").is_file():
         return f"this is a recording; `bc-record NAME --from {shlex.quote(given)}` makes a log of it"
@@ -105,8 +105,8 @@ def sessions_beside(logs: Sequence[Location], folder: Location) -> list[str]:
 def sessions_not_indexed(index: Path | str, folder: Location | str) -> list[str]:
     """Names of the logs in `folder` that the index does not hold because they are newer, or have changed since.
 
-    Those that somebody chose not to have in it, and those that could not be read, were reported when it was built.
-    An index of logs that all lie elsewhere is not compared with `folder`.
+    Logs that were left out on purpose, and unreadable ones, were reported when the index was built. An index whose
+    logs all lie elsewhere is not compared with `folder`.
     """
     if not _is_of_logs_in(Path(index), location(folder)):
         return []
@@ -125,7 +125,7 @@ def _is_of_logs_in(index: Path, folder: Location) -> bool:
 
 
 def logs_not_indexed(index: Path, logs: Sequence[Location], stat: Callable[[Location], Stat]) -> list[str]:
-    """The same of these logs, with what is known of the files that their frames are made of."""
+    """`sessions_not_indexed` of these logs; `stat` gives the state of their files."""
     held = (read_metadata(index / SAMPLES_NAME) or {}).get("logs")
     if not isinstance(held, dict):
         return []

@@ -1,4 +1,4 @@
-"""An index changes whole or not at all: new files are written beside it first, and then all get their names.
+"""An index changes whole or not at all: new files are written to a folder in it, and then all get their names.
 
 Several files cannot be renamed in one step. So the frames files that are replaced, or whose sessions the new index
 does not hold, are moved out first; then the new samples.parquet comes, then the new frames. At every moment the

@@ -34,7 +34,7 @@ class FrameChoice:
 def choose_frames(
     frames: pa.Table, config: IndexConfig, labels: SessionLabels, condition: Condition | None
 ) -> FrameChoice:
-    """`condition` is that of `config.where`. Raises DatasetError if it is none on the columns of `frames`."""
+    """`condition` is that of `config.where`. Raises DatasetError if it does not fit the columns of `frames`."""
     split = codes(frames["split"], SPLITS)
     split = np.where((split == 1) & np.isin(frames["row"].to_numpy(), labels.shared_rows), 2, split)
     is_bad = is_unusable(frames)

@@ -85,10 +85,10 @@ def _side(frames: pa.Table, is_odd: NDArray[np.bool_]) -> NDArray[np.int8]:
 def labels_of(
     frames: pa.Table, is_usable: NDArray[np.bool_], split: NDArray[np.int8], smooth_s: float, shift_s: float
 ) -> Steering:
-    """The steering to be learnt of each of a session's frames (N,), -1..1; NaN where there is none.
+    """The steering to be learnt of each of a session's frames (N,), -1..1; NaN without a label.
 
-    `is_usable` (N,) marks the frames that can be used, `split` (N,) has their side. A row of which no frame
-    can be used is a border. So is an edge of a drive, a gap in time, and where `split` changes: no label depends
+    `is_usable` (N,) marks the frames that can be used, `split` (N,) has their side. A row without a usable frame
+    is a border. So is an edge of a drive, a gap in time, and where `split` changes: no label depends
     on what lies behind a border. Smoothing is the mean over the rows within half of `smooth_s` on either side, as
     far as the border. Then the label is the steering `shift_s` seconds later (earlier, if negative), between two
     rows on the line between them; where that lies behind the border, there is no label. With neither, it is as
@@ -111,7 +111,7 @@ def later_speed_mph(
     frames: pa.Table, is_usable: NDArray[np.bool_], split: NDArray[np.int8], ahead_s: float
 ) -> NDArray[np.float64]:
     """The speed that was driven `ahead_s` after each of a session's frames (N,); NaN where that lies behind a
-    border, which is as for `labels_of`, or where nobody knows a speed."""
+    border, which is as for `labels_of`, or where the speed is unknown."""
     speed_mph: NDArray[np.float64] = frames["speed_mph"].to_numpy()
     is_speed = (speed_mph >= SPEED_RANGE_MPH[0]) & (speed_mph <= SPEED_RANGE_MPH[1])  # False for NaN
     speed_mph = np.where(is_speed, speed_mph, np.nan)

@@ -86,7 +86,7 @@ def target_labels(table: pa.Table, target: TargetName) -> NDArray[np.float64]:
 
 
 def words_as_numbers(column: pa.ChunkedArray) -> tuple[NDArray[np.int32], tuple[str, ...]]:
-    """A column of words as numbers, and the words that they stand for."""
+    """A column of words as numbers, and the word of each number."""
     if not pa.types.is_dictionary(column.type):
         column = column.dictionary_encode()
     column = column.unify_dictionaries()

@@ -36,10 +36,8 @@ SAMPLES_SCHEMA: Final = pa.schema(
         pa.field("bin", pa.int64()),
         pa.field("split", pa.string()),
         pa.field("copy", pa.bool_()),  # added to fill up its bin
-        pa.field(
-            "later_speed_mph", pa.float64()
-        ),  # that was driven --speed-ahead seconds later; null: nobody knows
-        pa.field("throttle", pa.float64()),  # less the brake: -1..1; null: nobody knows
+        pa.field("later_speed_mph", pa.float64()),  # driven --speed-ahead seconds later; null: unknown
+        pa.field("throttle", pa.float64()),  # less the brake: -1..1; null: unknown
     ]
 )
 
@@ -58,7 +56,7 @@ class Balance:
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> Balance:
-        """Raises KeyError, TypeError or ValueError if it is none."""
+        """Raises KeyError, TypeError or ValueError for a dictionary that `as_dict` does not give."""
         before, after = (np.array(stored[name], np.int64) for name in ("before", "after"))
         if before.ndim != 1 or before.shape != after.shape or not len(before):
             raise ValueError("not two counts of the same bins")

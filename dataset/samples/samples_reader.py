@@ -9,7 +9,6 @@ import contextlib
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, get_args
@@ -27,6 +26,7 @@ from common.location import Location, Url, location
 from common.open_file_limit import allow_open_files
 from common.random_access import read_bytes
 from common.stored_settings import settings_from
+from common.tasks import in_threads, one_by_one
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import log_place, refuse_other_places
@@ -54,7 +54,6 @@ def loaded_columns(targets: Sequence[TargetName] = STEERING_ONLY) -> tuple[str, 
 
 _WORDS: Final = ("session", "camera", "alteration", "split")  # of those, few different ones: read as numbers
 
-_OPENED_AT_ONCE: Final = 16
 _MAX_BYTES: Final = 1 << 34
 
 _UNREADABLE: Final = (
@@ -80,7 +79,7 @@ class Samples(Closeable):
     `close()`.
 
     Raises DatasetError if there is no index, if it is damaged, or if a log is not the one that was indexed;
-    PlaceNotAllowedError for an index of somebody else that names logs outside of its project.
+    PlaceNotAllowedError if the index was not built here and names logs outside of its project.
     """
 
     def __init__(self, index: Location | str) -> None:
@@ -129,12 +128,8 @@ class Samples(Closeable):
         """The samples of a split; `LOADED` are the columns that a loader needs, in a third of the memory."""
         return self._table(columns, split=_known(split))
 
-    def parts_of_split(self, split: Split, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
-        """The same in parts, one after the other: so that all of them need not be held."""
-        return self._matching(columns, split=_known(split))
-
     def rows_of_split(self, split: Split, targets: Sequence[TargetName] = STEERING_ONLY) -> Rows:
-        """The same as arrays."""
+        """The samples of a split as arrays."""
         return self.rows(self.of_split(split, loaded_columns(targets)), targets)
 
     def driving_view(self, split: Split) -> pa.Table:
@@ -217,7 +212,7 @@ class Samples(Closeable):
             )
 
     def targets_fingerprint(self, targets: Sequence[TargetName]) -> str:
-        """SHA-256, in hex, of the labels of the targets besides steering; empty where there are none of them."""
+        """SHA-256, in hex, of the labels of the targets besides steering; empty if there are no others."""
         others = [name for name in targets if name not in STEERING_ONLY]
         if not others:
             return ""
@@ -281,7 +276,7 @@ class Samples(Closeable):
 
 
 def _fetched(url: Url) -> bytes:
-    """All of an index in a store, which is small beside its pictures."""
+    """All of an index in a store: small, compared with its pictures."""
     data = read_bytes(url, _MAX_BYTES)
     if data is None:
         raise missing_index(url.parent)
@@ -294,58 +289,37 @@ def open_logs(index: Location, sources: Mapping[str, IndexedLog]) -> dict[str, L
     Raises DatasetError for a log that is not the one that was indexed; none is left open then.
     """
     allow_open_files(len(sources))
-    places = {session: log_place(source.path, index) for session, source in sources.items()}
     folder_of = cache(short_path)  # asks the disk about each folder in the path
-    logs = _open_in_stores({name: place for name, place in places.items() if isinstance(place, Url)})
-    try:
-        for session, source in sources.items():
-            place = places[session]
-            if isinstance(place, Path):
-                path = folder_of(place.parent) / place.name  # also where the index is a passing one
-                if not path.is_file():
-                    raise DatasetError(
-                        f"{path}: the log of session {session} is gone; put it back or run `bc-index` again"
-                    )
-                logs[session] = Log(path)
-            if logs[session].file_fingerprint != source.file:
+
+    def opened(session: str, place: Location) -> Log:
+        if isinstance(place, Path):
+            place = folder_of(place.parent) / place.name  # also where the index is a passing one
+            if not place.is_file():
                 raise DatasetError(
-                    f"{logs[session].path}: has changed since it was indexed as session {session};"
-                    " run `bc-index` again"
+                    f"{place}: the log of session {session} is gone; put it back or run `bc-index` again"
                 )
-    except BaseException as error:
+        try:
+            log = Log(place)
+        except (LogError, OSError) as error:
+            raise DatasetError(f"{error} (session {session} of the index; without it: `bc-index`)") from None
+        if log.file_fingerprint != sources[session].file:
+            log.close()
+            raise DatasetError(
+                f"{place}: has changed since it was indexed as session {session}; run `bc-index` again"
+            )
+        return log
+
+    places = [(session, log_place(source.path, index)) for session, source in sources.items()]
+    tasks = in_threads if any(isinstance(place, Url) for _, place in places) else one_by_one
+    logs: dict[str, Log] = {}
+    try:
+        for number, log in tasks(opened, places):
+            logs[places[number][0]] = log
+    except BaseException:
         for log in logs.values():
             log.close()
-        if isinstance(error, LogError | OSError):
-            raise _unreadable(error, session) from None
         raise
     return {session: logs[session] for session in sources}
-
-
-def _unreadable(error: Exception, session: str) -> DatasetError:
-    return DatasetError(f"{error} (session {session} of the index; without it: `bc-index`)")
-
-
-def _open_in_stores(places: Mapping[str, Url]) -> dict[str, Log]:
-    """Logs by session, several at a time: each takes three requests or so."""
-    if not places:
-        return {}
-
-    def opened(session: str) -> Log:
-        try:
-            return Log(places[session])
-        except LogError as error:
-            raise _unreadable(error, session) from None
-
-    with ThreadPoolExecutor(_OPENED_AT_ONCE) as pool:
-        opening = {session: pool.submit(opened, session) for session in places}
-        try:
-            return {session: each.result() for session, each in opening.items()}
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            for each in opening.values():
-                if not each.cancelled() and each.exception() is None:
-                    each.result().close()
-            raise
 
 
 def _known(split: Split) -> str:
@@ -355,8 +329,8 @@ def _known(split: Split) -> str:
 
 
 def _hashable(column: pa.ChunkedArray, kind: pa.DataType, stands_for: Mapping[str, str]) -> bytes:
-    """The values of a column as bytes, the same however the file stores them; those of a word are the hash of
-    itself, or of what it stands for."""
+    """The values of a column as bytes, the same however the file stores them. A word becomes its hash; a word in
+    `stands_for`, the hash of its replacement."""
     if kind != pa.string():
         return numbers(column, kind.to_pandas_dtype()).tobytes()
     number, words = words_as_numbers(column)

@@ -75,10 +75,10 @@ def compare_sums(
     order. `statistic` gives the measures of such sums. The intervals of fewer than `FEWEST_BLOCKS` are NaN, unless
     A and B are the same.
     """
-    found_a, found_b = statistic(a.sum(axis=0)), statistic(b.sum(axis=0))
+    measured_a, measured_b = statistic(a.sum(axis=0)), statistic(b.sum(axis=0))
     low = high = np.full(len(measures), math.nan)
     if np.array_equal(a, b):  # of however few blocks: there is no difference that chance could have made
-        low = high = found_b - found_a
+        low = high = measured_b - measured_a
     elif len(a) >= FEWEST_BLOCKS:
         split = a.shape[1]
         low, high = intervals(
@@ -86,7 +86,7 @@ def compare_sums(
             lambda sums: statistic(sums[..., split:]) - statistic(sums[..., :split]),
             1 - (1 - CONFIDENCE) / len(measures),
         )
-    values = np.stack([found_a, found_b, low, high], axis=1).tolist()
+    values = np.stack([measured_a, measured_b, low, high], axis=1).tolist()
     return tuple(
         Difference(
             measure, of_a, of_b, low, high, tolerance * (abs(of_a) if measure.scale is None else measure.scale)

@@ -58,17 +58,13 @@ class Evaluation:
     predicted_NAME: other targets, in their unit."""
     logs: Mapping[str, Location]  # of the sessions
     begins_ns: dict[str, int]  # log time of the first message of each of these logs
-    trained_on: (
-        int | None
-    )  # number of the frames that the run was trained on; None where its config does not record it
+    trained_on: int | None  # frames that the run was trained on; None if its config does not record it
     skipped: Skipped  # pictures that do not decode
     notices: tuple[str, ...] = ()  # unfinished logs, and logs without a measured frame; of all runs
     remarks: tuple[str, ...] = ()  # logs in which damage is not noticed
     answers: AnswerScale = field(default_factory=AnswerScale)  # that is in the predictions
     targets: tuple[TargetName, ...] = STEERING_ONLY  # that the network answers, and the frames have
-    max_deg: float | None = (
-        MAX_STEERING_DEG  # the wheels' angle at steering 1 (None: unknown), in the frames and the answers
-    )
+    max_deg: float | None = MAX_STEERING_DEG  # the wheels' angle at steering 1; None: unknown
 
     @cached_property
     def measures(self) -> Measures:
@@ -89,7 +85,8 @@ class Evaluation:
 
     @cached_property
     def driving(self) -> Evaluation:
-        """The same of all other frames, by which a network is judged; itself where crashes have none, or all."""
+        """The evaluation of the frames outside of crashes, by which a network is judged; this one if no frame or
+        every frame is of a crash."""
         others = self.frames.filter(pc.invert(self.frames["crash"]))
         return replace(self, frames=others) if self._is_mixed else self
 
@@ -99,7 +96,7 @@ class Evaluation:
 
     @property
     def without_crashes(self) -> Measures | None:
-        """The measures of all other frames; None where that are all of them, or none."""
+        """The measures outside of crashes; None if no frame or every frame is of a crash."""
         return self.driving.measures if self._is_mixed else None
 
     @cached_property
@@ -127,6 +124,7 @@ class Evaluation:
     def as_dict(self) -> dict[str, Any]:
         """For JSON, in the words of metrics.jsonl; a measure that does not exist (NaN) is None."""
         whole = _as_dict(self.measures)
+        targets = [without_nan(target.as_dict()) for target in self.other_targets]
         whole["zero"]["balanced_rmse_deg"] = self.balanced_rmse_deg["zero"]
         return {
             "run": run_name(self.run),
@@ -136,9 +134,7 @@ class Evaluation:
             **whole,
             "answers": asdict(self.answers),
             "as_learnt": without_nan(asdict(self.as_learnt)),
-            **(
-                {"targets": [without_nan(of.as_dict()) for of in self.other_targets]} if self.other_targets else {}
-            ),
+            **({"targets": targets} if targets else {}),
             "crashes": self.crashes,
             "without_crashes": _as_dict(self.without_crashes) if self.without_crashes else None,
             "sessions": {

@@ -28,15 +28,15 @@ _TRIED: Final = 2  # pictures: shows a network that mixes them up
 
 
 class OwnNetwork(PictureNetwork):
-    """Somebody's own module: it is given pictures as float32 -1..1, (N, 3, height, width)."""
+    """A user's own module: it receives pictures as float32 -1..1, (N, 3, height, width)."""
 
     def __init__(self, network: nn.Module) -> None:
         super().__init__()
         self.network = network
 
     def answers(self, inputs: Tensor) -> Tensor:
-        found: Tensor = self.network(inputs)
-        return found
+        answers: Tensor = self.network(inputs)
+        return answers
 
 
 @dataclass(frozen=True)
@@ -57,11 +57,11 @@ class NetworkChoice:
 
     @property
     def picture(self) -> PictureSpec:
-        """The network's default picture. Raises RunError where its `PICTURE` is none."""
-        found = getattr(self.make, "PICTURE", ORIGINAL)
-        if not isinstance(found, PictureSpec):
-            raise RunError(f"{self._label}: its PICTURE is a {type(found).__name__}: a PictureSpec was expected")
-        return found
+        """The network's default picture. Raises RunError if its `PICTURE` is not a PictureSpec."""
+        picture = getattr(self.make, "PICTURE", ORIGINAL)
+        if not isinstance(picture, PictureSpec):
+            raise RunError(f"{self._label}: its PICTURE is a {type(picture).__name__}: a PictureSpec was expected")
+        return picture
 
     def build(self) -> PictureNetwork:
         """A new network, with random weights. Raises RunError where that fails."""
@@ -82,11 +82,11 @@ class NetworkChoice:
         return network
 
     def try_out(self, picture: PictureSpec, device: torch.device) -> int:
-        """Make one, show it pictures, and forget it; the number of its parameters.
+        """Make a network and show it pictures; returns the number of its parameters.
 
-        Raises RunError for what cannot be trained: another shape than one number a picture and target, answers
-        that are no numbers, weights that cannot be kept. Not on PyTorch's meta device, which computes nothing: a
-        first answer there takes a second of imports, a real one of the original network a twentieth of that.
+        Raises RunError for a network that cannot be trained: its answers have another shape than one number a
+        picture and target, or are not finite, or its weights cannot be stored. PyTorch's meta device is not used:
+        its first answer takes a second of imports, a real answer of the original network a twentieth of that.
         """
         with torch.random.fork_rng(devices=[]):
             network = self.build()
@@ -99,7 +99,7 @@ class NetworkChoice:
 
     @torch.inference_mode()
     def try_network(self, network: PictureNetwork, picture: PictureSpec) -> None:
-        """Show it pictures. Raises RunError where its answers are no steering."""
+        """Show a network pictures. Raises RunError if its answers are not steering."""
         height, width, _ = picture.shape
         device = next(network.parameters()).device
         noise = np.random.default_rng(0).integers(0, 256, (_TRIED, height, width, 3), np.uint8)
@@ -144,8 +144,8 @@ class NetworkChoice:
 
 
 def choose_network(config: TrainConfig) -> NetworkChoice:
-    """The network of a training; if it is one's own, its code is run. Raises RunError where that is not there, or
-    takes other arguments."""
+    """The network of a training; a user's own code is run. Raises RunError if the code is missing or takes other
+    arguments."""
     given = _parsed(config.network_args)
     if is_own(config.network):
         code = load_code(config.network)
@@ -186,13 +186,13 @@ def chosen_picture(config: TrainConfig, network: NetworkChoice) -> PictureSpec:
 
 def _parsed(arguments: Sequence[str]) -> dict[str, Any]:
     """The values of NAME=VALUE: numbers, true, false and null as in JSON, all else as text."""
-    found: dict[str, Any] = {}
-    for each in arguments:
-        name, _, text = each.partition("=")
-        found[name] = text
+    values: dict[str, Any] = {}
+    for argument in arguments:
+        name, _, text = argument.partition("=")
+        values[name] = text
         with contextlib.suppress(ValueError, RecursionError):
-            found[name] = json.loads(text)
-    return found
+            values[name] = json.loads(text)
+    return values
 
 
 def _takes(make: Callable[..., Any], argument: str) -> bool:

@@ -1,4 +1,4 @@
-"""Somebody's own network: code that runs because its user has named it, and never because a run names it.
+"""A user's own network: its code runs because the user has named it, and never because a run names it.
 
 `FILE.py:CLASS` is read once: the same bytes are run, hashed and kept in the run.
 """
@@ -52,7 +52,7 @@ def load_code(name: str) -> OwnCode:
     """Run the file, or import the module, that `name` (`FILE.py:CLASS`, `package.module:CLASS`) names; from then
     on runs of that network can be loaded in this process.
 
-    Raises RunError where it is not there, fails, or has no such class.
+    Raises RunError if the code is missing, fails, or has no such class.
     """
     try:
         check_network_name(name)
@@ -64,12 +64,12 @@ def load_code(name: str) -> OwnCode:
         module = _run(name, Path(place), source)
     else:
         source, module = b"", _import(name, place)
-    found = getattr(module, kind, None)
-    if not callable(found):
-        names = [each for each, value in vars(module).items() if isinstance(value, type)]
+    make = getattr(module, kind, None)
+    if not callable(make):
+        names = [name for name, value in vars(module).items() if isinstance(value, type)]
         meant = did_you_mean(kind, names)
         raise RunError(f"--network {printable(name)}: no {kind} in {place}{f'; {meant}' if meant else ''}")
-    code = OwnCode(name, found, source)
+    code = OwnCode(name, make, source)
     _loaded[code.file_sha256 or place, kind] = code
     return code
 
@@ -83,7 +83,7 @@ def named_code(label: str, file_sha256: str) -> OwnCode | None:
 def named_otherwise(label: str) -> OwnCode | None:
     """Code of a file that was named in this process, with a class of the same name as a run's network has."""
     kind = label.rpartition(":")[2]
-    return next((code for (_, each), code in _loaded.items() if each == kind and code.source), None)
+    return next((code for (_, name), code in _loaded.items() if name == kind and code.source), None)
 
 
 def _read(name: str, path: Path) -> bytes:
@@ -91,15 +91,15 @@ def _read(name: str, path: Path) -> bytes:
         return read_bounded(path, MAX_SOURCE_BYTES)
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else error
-        beside = [str(each) for each in path.parent.glob("*.py")]
-        meant = did_you_mean(str(path), beside) or "give FILE.py:CLASS, the file by its path from this folder"
+        neighbours = [str(file) for file in path.parent.glob("*.py")]
+        meant = did_you_mean(str(path), neighbours) or "give FILE.py:CLASS, the file by its path from this folder"
         raise RunError(
             f"--network {printable(name)}: {printable(str(path))} cannot be read ({why}); {meant}"
         ) from None
 
 
 class _Source(InspectLoader):
-    """Loads a module from a text that was read already; nothing is cached beside the file."""
+    """Loads a module from a text that was read before; no bytecode is cached next to the file."""
 
     def __init__(self, path: Path, source: bytes) -> None:
         self._path = path

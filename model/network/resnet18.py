@@ -43,8 +43,8 @@ def _torchvision_resnet18() -> Callable[..., nn.Module]:
         try:
             models: Any = importlib.import_module("torchvision.models")
         except RuntimeError:
-            # Built for another PyTorch, such as that with CUDA beside one without: its operators cannot be loaded.
-            # ResNet has none of them; with their names known, the rest of torchvision is imported.
+            # Built for another PyTorch (with or without CUDA): its operators cannot be loaded. ResNet needs none
+            # of them; once their names are defined, the rest of torchvision is imported.
             for name, schema in _OPERATORS.items():
                 torch.library.define(name, schema)
             models = importlib.import_module("torchvision.models")

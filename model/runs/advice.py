@@ -70,8 +70,8 @@ def is_unfinished(numbers: RunNumbers) -> Advice | None:
 
 
 def has_worse_answers(numbers: RunNumbers) -> Advice | None:
-    """Natural answers, where those as learnt would be better, and not worse than always predicting the mean. Of a
-    few epochs, more of them help first."""
+    """Natural answers are worse than answers as learnt, and the latter beat always predicting the mean. After only
+    a few epochs, more epochs help first."""
     kept = numbers.kept
     if (
         kept is None
@@ -98,7 +98,7 @@ def has_worse_answers(numbers: RunNumbers) -> Advice | None:
 
 
 def is_enough(numbers: RunNumbers) -> Advice | None:
-    """Nothing is to be mended of a network that is likely to drive, and has not failed to: it is to drive."""
+    """A network that is likely to drive, and has not failed to, should drive."""
     driven, measured = numbers.drives, numbers.measured
     if measured is None or any(_interventions(drive) for drive in driven):
         return None
@@ -176,7 +176,7 @@ def has_one_side(numbers: RunNumbers) -> Advice | None:
 
 
 def has_one_camera(numbers: RunNumbers) -> Advice | None:
-    """Pictures from beside the line show how to come back to it."""
+    """Pictures from the sides show how to come back to the middle."""
     frames = sum(count.frames for count in numbers.data.counts.values())
     rows = sum(labels.habits.rows for labels in numbers.data.labels.values())
     has_others = not rows or frames > 1.5 * rows
@@ -206,8 +206,8 @@ RULES: Final[tuple[Callable[[RunNumbers], Advice | None], ...]] = (
     has_one_camera,
     nothing_stands_out,
 )
-"""Wrong labels make all else useless; what is measured goes before what is likely; what costs minutes goes before
-what has to be recorded."""
+"""Wrong labels make everything else useless. Measured causes come before likely ones. Advice that costs minutes
+comes before a new recording."""
 
 
 def _beats_the_mean_on_turns(numbers: RunNumbers) -> bool:

@@ -1,8 +1,7 @@
-"""Checkpoints: `last/checkpoint.safetensors`, from which a training goes on as if it had never stopped.
+"""Checkpoints: `last/checkpoint.safetensors`, from which a training continues as if it had never stopped.
 
-One file with its own checksum (checksums.py), so that weights, their mean, moments of Adam and position are always
-of the same moment. No random state is in it: order, dropout and alterations are functions of (seed, epoch, batch),
-drawn anew in every step.
+One file with its own checksum (checksums.py) holds weights, their mean, moments of Adam and position, so that all
+are of the same moment. It has no random state: order, dropout and alterations depend only on (seed, epoch, batch).
 """
 
 from __future__ import annotations
@@ -133,8 +132,8 @@ def load_checkpoint(run: Path, network: nn.Module, averaged: nn.Module, optimize
     if tensors.keys() != expected:
         raise RunError(f"{path}: {_ANOTHER}")
     with torch.no_grad():
-        for kind, each in networks.items():
-            for name, tensor in each.state_dict().items():
+        for kind, module in networks.items():
+            for name, tensor in module.state_dict().items():
                 tensor.copy_(_like(tensors[f"{kind}.{name}"], tensor, path))
         for name, parameter in stepped.items():
             optimizer.state[parameter] = _moments(name, parameter, tensors, optimizer, path)

@@ -41,7 +41,7 @@ class History:
 
 
 def read_history(run: Path) -> tuple[History, Skipped]:
-    """The history of a training by now, which is empty where there is none, and the lines that had to be left out.
+    """The history of a training until now, empty without a training, and the lines that had to be left out.
 
     Raises RunError if a file of it is a link, too large or cannot be read.
     """
@@ -54,7 +54,7 @@ def read_history(run: Path) -> tuple[History, Skipped]:
 
 
 def read_epochs(run: Path) -> tuple[Epoch, ...]:
-    """The epochs of a training by now, those alone; broken lines are left out. Raises RunError as `read_history`
+    """Only the epochs of a training until now; broken lines are left out. Raises RunError as `read_history`
     does."""
     return _read(run / METRICS_FILE, parse_epoch, lambda epoch: epoch.epoch, Skipped())
 

@@ -9,7 +9,9 @@ from __future__ import annotations
 import base64
 import json
 import math
-from typing import Any, Final
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import Any, Final, TypeVar
 
 from common.car import MAX_STEERING_DEG
 from dataset.prediction_targets import TARGET_NAMES
@@ -22,6 +24,8 @@ _LARGEST_COUNT: Final = 1 << 62  # samples, or ns; beyond it, nothing was ever t
 _LARGEST_NUMBER: Final = 1e100  # its square is still a number
 _MAX_CHARACTERS: Final = 1000  # of a session's name
 
+Part = TypeVar("Part", AnswerScale, BinErrors, Errors, Step, TargetErrors, WorstFrame)
+
 
 def parse_epoch(line: bytes) -> Epoch:
     values = json.loads(line)
@@ -29,36 +33,34 @@ def parse_epoch(line: bytes) -> Epoch:
         raise TypeError("no object")
     answers, learnt = values.get("answers"), values.get("learnt")  # earlier versions have neither
     return Epoch(
-        _count(values["epoch"], least=1),
+        _count(values["epoch"]),
         _number(values["training_loss"]),
         _number(values["validation_loss"]),
         parse_measures(values, "validation"),
         values["is_best"] is True,
         _number(values["seconds"]),
         _number(values["samples_per_s"]),
-        AnswerScale() if answers is None else _answers(answers),
-        None if learnt is None else _errors(learnt),
-        tuple(_target_errors(each) for each in values.get("targets", ())),
+        AnswerScale() if answers is None else _part(AnswerScale, {"curve": 0.0, **answers}),  # earlier: no curve
+        None if learnt is None else _part(Errors, learnt),
+        tuple(_part(TargetErrors, target) for target in values.get("targets", ())),
         _number(learnt.get("driving_error")) if isinstance(learnt, dict) else math.nan,  # earlier: none
     )
 
 
 def parse_measures(values: Any, network: str) -> Measures:
     """The measures in a line, with the network's errors by that name."""
-    bins = tuple(_bin_errors(part) for part in values["bins"])
-    network_errors, zero, mean = (_errors(values[name]) for name in (network, "zero", "mean"))
+    bins = tuple(_part(BinErrors, part) for part in values["bins"])
+    if not all(part.frames and -1.001 <= part.low < part.high <= 1.001 for part in bins):
+        raise ValueError("no bin of steering")
+    network_errors, zero, mean = (_part(Errors, values[name]) for name in (network, "zero", "mean"))
     balanced_rmse_deg = _number(values["mean"].get("balanced_rmse_deg"))  # earlier versions have none
     frames = sum(part.frames for part in bins)
     return Measures(frames, network_errors, zero, mean, bins, balanced_rmse_deg, _max_deg(values))
 
 
 def parse_step(line: bytes) -> Step:
-    values = json.loads(line)
-    step = Step(
-        *(_count(values[name], least=1) for name in ("epoch", "batch", "batches", "samples")),
-        *(_number(values[name]) for name in ("training_loss", "samples_per_s")),
-    )
-    if step.batch > step.batches:
+    step = _part(Step, json.loads(line))
+    if not step.epoch or not 1 <= step.batch <= step.batches:
         raise ValueError("no batch of an epoch")
     return step
 
@@ -67,16 +69,17 @@ def parse_worst_pictures(line: bytes) -> WorstPictures:
     from dataset.preprocessing import decode, may_be_crop
 
     values = json.loads(line)
-    epoch = _count(values["epoch"], least=1)
     if len(values["frames"]) > WORST_COUNT:
         raise ValueError("more frames than a training keeps")
-    frames = tuple(_worst_frame(frame) for frame in values["frames"])
+    frames = tuple(_part(WorstFrame, frame) for frame in values["frames"])
+    if any(math.isnan(frame.predicted_deg + frame.recorded_deg + frame.error_deg) for frame in frames):
+        raise ValueError("no steering of a frame")
     jpegs = tuple(base64.b64decode(frame["jpeg"], validate=True) for frame in values["frames"])
     for jpeg in jpegs:
         if not may_be_crop(jpeg):
             raise ValueError("no crop that a network sees")
         decode(jpeg)  # raises ValueError if it is no picture
-    return WorstPictures(epoch, frames, jpegs, _max_deg(values))
+    return WorstPictures(_count(values["epoch"]), frames, jpegs, _max_deg(values))
 
 
 def _max_deg(values: Any) -> float | None:
@@ -88,56 +91,19 @@ def _max_deg(values: Any) -> float | None:
     return angle_deg
 
 
-def _answers(values: Any) -> AnswerScale:
-    curve = values.get("curve", 0.0)  # earlier versions have none
-    return AnswerScale(_number(values["scale"]), _number(values["offset"]), _number(curve))
+def _part(kind: type[Part], values: Mapping[str, Any]) -> Part:
+    """The fields of a dataclass, checked by their types; others may hold anything."""
+    return kind(**{field.name: _CHECKS[str(field.type)](values[field.name]) for field in fields(kind)})
 
 
-def _errors(values: Any) -> Errors:
-    return Errors(*(_number(values[name]) for name in ("mae_deg", "rmse_deg", "turning_mae_deg", "correlation")))
-
-
-def _target_errors(values: Any) -> TargetErrors:
-    if values["target"] not in TARGET_NAMES[1:]:
-        raise ValueError("no target of a run")
-    numbers = (_number(values[name]) for name in ("mae", "rmse", "bias", "correlation", "mean_rmse"))
-    return TargetErrors(values["target"], _count(values["frames"]), *numbers)
-
-
-def _bin_errors(values: Any) -> BinErrors:
-    part = BinErrors(
-        _count(values["bin"]),
-        _number(values["low"]),
-        _number(values["high"]),
-        _count(values["frames"], least=1),
-        *(_number(values[name]) for name in ("mae_deg", "rmse_deg", "bias_deg")),
-    )
-    if not -1.001 <= part.low < part.high <= 1.001:
-        raise ValueError("no bin of steering")
-    return part
-
-
-def _worst_frame(values: Any) -> WorstFrame:
-    frame = WorstFrame(
-        _text(values["session"]),
-        _count(values["row"]),
-        _count(values["log_time_ns"]),
-        _text(values["log_time_utc"]),
-        *(_number(values[name]) for name in ("predicted_deg", "recorded_deg", "error_deg")),
-    )
-    if math.isnan(frame.predicted_deg + frame.recorded_deg + frame.error_deg):
-        raise ValueError("no steering of a frame")
-    return frame
-
-
-def _count(value: Any, least: int = 0) -> int:
-    if type(value) is not int or not least <= value <= _LARGEST_COUNT:
+def _count(value: Any) -> int:
+    if type(value) is not int or not 0 <= value <= _LARGEST_COUNT:
         raise ValueError("not a count")
     return value
 
 
 def _number(value: Any) -> float:
-    """NaN for null, by which JSON stands for a number that does not exist."""
+    """A number; NaN for null, which JSON has in place of NaN."""
     if value is None:
         return math.nan
     if type(value) not in (int, float) or not abs(value) <= _LARGEST_NUMBER:
@@ -149,3 +115,17 @@ def _text(value: Any) -> str:
     if type(value) is not str or len(value) > _MAX_CHARACTERS:
         raise ValueError("not a name")
     return value
+
+
+def _target(value: Any) -> str:
+    if value not in TARGET_NAMES[1:]:
+        raise ValueError("no target besides steering")
+    return str(value)
+
+
+_CHECKS: Final[Mapping[str, Callable[[Any], Any]]] = {
+    "int": _count,
+    "float": _number,
+    "str": _text,
+    "TargetName": _target,
+}

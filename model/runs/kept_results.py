@@ -1,4 +1,4 @@
-"""The results of evaluations, kept in the run that they are of: results.jsonl, a line for each.
+"""The results of a run's evaluations, kept in its folder: results.jsonl, a line for each.
 
 A line has the time of the measurement, and the SHA-256 of the weights: a run that was trained on since has others.
 Results are not trusted: a line that cannot be one is left out and counted.
@@ -43,7 +43,7 @@ def keep_result(run: Path, way: Way, result: Mapping[str, Any]) -> None:
 
 
 def kept_results(run: Path) -> tuple[list[KeptResult], int]:
-    """The results in a run's folder, the oldest first, and the number of lines that are none."""
+    """The results in a run's folder, the oldest first, and the number of invalid lines."""
     path = run / RESULTS_FILE
     try:
         content = read_bounded(path, _MAX_BYTES)

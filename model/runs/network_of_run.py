@@ -42,7 +42,7 @@ class _StoredSettings(msgspec.Struct, frozen=True):
 
 
 def stored_network(config: dict[str, Any], folder: Path) -> StoredNetwork:
-    """The network in the config.json of the run in `folder`. Raises RunError if that is none."""
+    """The network in the config.json of the run in `folder`. Raises RunError for an unknown network."""
     stored = config.get("network", _EARLIER)
     if stored == _EARLIER:
         return StoredNetwork()
@@ -55,7 +55,7 @@ def stored_network(config: dict[str, Any], folder: Path) -> StoredNetwork:
 
 
 def stored_targets(config: dict[str, Any], folder: Path) -> tuple[TargetName, ...]:
-    """The targets that the network of the run in `folder` answers. Raises RunError for what are none."""
+    """The targets that the network of the run in `folder` answers. Raises RunError for unknown ones."""
     try:
         names = msgspec.convert(config.get("targets", STEERING_ONLY), tuple[TargetName, ...])
         check_targets(names)
@@ -78,7 +78,7 @@ def picture_of(config: dict[str, Any], folder: Path) -> PictureSpec:
 def choice_of(config: dict[str, Any], folder: Path) -> NetworkChoice:
     """The network of the run in `folder`, to be made.
 
-    Raises RunError for somebody's own that was not named in this process (`load_code`), or is not what it was.
+    Raises RunError for a user's own network that was not named in this process (`load_code`), or has changed.
     """
     from model.network.choice import NetworkChoice, built_in
 
@@ -108,15 +108,15 @@ def network_flag(stored: StoredNetwork, folder: Path) -> str:
 
 
 def is_own_network(config: dict[str, Any]) -> bool:
-    """Whether a run's network is one's own code, by its config.json."""
+    """Whether a run's network is a user's own code, by its config.json."""
     stored = config.get("network")
     name = stored.get("name") if isinstance(stored, dict) else None
     return isinstance(name, str) and is_own(name)
 
 
 def network_settings(config: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Settings of a `TrainConfig` for another training of the same network, which must be named if it is
-    somebody's own, and of the same targets. Raises RunError for what are none."""
+    """Settings of a `TrainConfig` for another training of the same network and targets. A user's own network must
+    be named first. Raises RunError for settings that cannot be used."""
     choice, picture = choice_of(config, folder), picture_of(config, folder)
     try:
         stored = msgspec.convert(config.get("training", {}), _StoredSettings)

@@ -92,7 +92,7 @@ def machine_settings(machine: Machine) -> dict[str, Any]:
 
 
 def training_of(stored: dict[str, Any], run: Path) -> TrainConfig:
-    """The settings in a run's config. Raises RunError if they are none."""
+    """The settings in a run's config. Raises RunError if they cannot be used."""
     try:
         return settings_from(TrainConfig, stored.get("training"))
     except ValueError as error:

@@ -24,7 +24,7 @@ from model.runs.run_inputs import log_to_open, logs_of
 def index_of_run(
     run: Path, index: Location, sessions: Location, on_notice: Callable[[str], object] = lambda notice: None
 ) -> Location:
-    """An index of the samples that `run` was trained on: `index` if it is that, or one that is built beside it
+    """An index of the samples that `run` was trained on: `index` itself, or one that is built next to it
     from the run's settings and the logs of its sessions, in `sessions` or where they were.
 
     `on_notice` gets the notices of building it. Raises RunError if these logs, or their tags, have changed since;

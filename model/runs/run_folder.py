@@ -2,7 +2,7 @@
 
 runs/NAME/model.safetensors   the weights of the best epoch: these drive; with their checksum, see checksums.py
 runs/NAME/config.json         everything needed to reproduce the run and to drive with it
-runs/NAME/network.py          the file that its network is of, where that is somebody's own
+runs/NAME/network.py          the file of its network, if it is a user's own
 runs/NAME/metrics.jsonl       one line an epoch
 runs/NAME/steps.jsonl         one line every few batches
 runs/NAME/worst.jsonl         one line an epoch: the frames held out at which it is off the most
@@ -190,7 +190,7 @@ def _here(runs: Location) -> Path:
 
 def _known(name: str, runs: Path, file: str) -> str:
     given = Path(name)
-    name = given.name if given.parent == runs else name  # runs/frist is one of these, hub/frist is none
+    name = given.name if given.parent == runs else name  # runs/frist is in this folder, hub/frist is not
     return suggest_runs(name, sorted(path.parent.name for path in runs.glob(f"*/{file}")), runs)
 
 
@@ -238,7 +238,7 @@ def load_named(names: Sequence[str | None], runs: Sequence[Path]) -> None:
 
 def load_network(folder: Path) -> PictureNetwork:
     """The run's network, ready to predict. Raises RunError if its weights are damaged or of another shape, or if
-    it is somebody's own that was not named, or does not work here."""
+    it is a user's own network that was not named, or does not work here."""
     choice = choice_of_run(folder)
     network = choice.build()
     answers = load_weights(folder, network)

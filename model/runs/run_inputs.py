@@ -43,8 +43,8 @@ def index_of(run: Path) -> Location | None:
 
 
 def allowed_index_of(run: Path) -> Location | None:
-    """The same, to be opened; None also where it is gone from a place that the run may not name. Raises RunError
-    where it is there: a run of somebody else may name what it likes."""
+    """The index that a run was trained on, if the run may name its place; None also if it is gone from another
+    place. Raises RunError if it is there: a run from elsewhere may name any place."""
     index = index_of(run)
     if index is None or index in _allowed(run):
         return index
@@ -75,7 +75,7 @@ def logs_of(run: Path) -> dict[str, Location]:
 
 
 def log_to_open(run: Path, session: str, log: Location) -> Location:
-    """The log that a run names so (`logs_of`). Raises RunError where it may not."""
+    """A log of `logs_of`. Raises RunError if the run may not name its place."""
     if log in _allowed(run):
         return log
     raise _not_allowed(run, f"{printable(str(log))} as the log of {printable(session)}", "--sessions", log.parent)
@@ -145,6 +145,6 @@ def _place_of(run: Path, stored: object) -> Location | None:
             return location(stored)
         return None
     folder = config_folder(run)
-    if cached_from(folder):  # in a store, which has no folder beside it here: as of one made in this project
+    if cached_from(folder):  # of a run in a store: as if the run lay in this project
         folder = RUNS / folder.name
     return short_path(real_path(folder) / stored)

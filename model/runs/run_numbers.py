@@ -79,6 +79,8 @@ class StoredIndex(msgspec.Struct):
 
 class StoredTraining(msgspec.Struct):
     epochs: int = 0
+    recipe: str = "original"
+    seed: int = 0
     patience: int = 0
 
 

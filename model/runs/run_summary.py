@@ -11,8 +11,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-import msgspec
-
 from common.car import MAX_STEERING_DEG
 from common.errors import as_user_error
 from common.location import Location
@@ -30,35 +28,9 @@ from model.runs.runs_in_store import bring_summaries
 from model.runs.training_progress import Epoch
 from model.runs.verdict import Verdict, verdict_of
 
-
-class _Training(msgspec.Struct):
-    epochs: int
-    recipe: str = "original"
-    seed: int = 0
-
-
 _SPLIT_SETTINGS: Final = (
     "validation", "validation_share", "seed", "block_s", "gap_s", "cameras", "drives", "where", "flip",
 )  # fmt: skip
-
-
-class _Data(msgspec.Struct):
-    logs: dict[str, Any] = {}
-    settings: dict[str, Any] = {}
-
-    def split(self, frames: int) -> str:
-        """A short name of the frames that are held out: the same for the same logs, split alike, and as many."""
-        settings = {name: self.settings.get(name) for name in _SPLIT_SETTINGS}
-        logs = {name: log.get("fingerprint") if isinstance(log, dict) else None for name, log in self.logs.items()}
-        described = json.dumps([logs, settings, frames], sort_keys=True, default=str)
-        return hashlib.sha256(described.encode()).hexdigest()[:8]
-
-
-class _Config(msgspec.Struct):
-    """The part of a run's config.json that a summary needs."""
-
-    training: _Training
-    data: _Data = msgspec.field(default_factory=_Data)
 
 
 @dataclass(frozen=True)
@@ -114,8 +86,7 @@ class RunSummary:
 
     @property
     def interventions_per_km(self) -> float:
-        """Over all of `drives`, or where there are none, of those that a person supervised; NaN where it has not
-        driven."""
+        """Over all of `drives`; without any, over those that a person supervised; NaN if it has not driven."""
         drives = self.drives or self.supervised
         driven_m = sum(drive["distance_m"] for drive in drives)
         return 1000 * sum(drive["interventions"] for drive in drives) / driven_m if driven_m else math.nan
@@ -163,7 +134,6 @@ def _summary(run: Path) -> RunSummary:
     has_weights = left is not None or weights.exists()
     written_s = (weights if has_weights else run / CONFIG).stat().st_mtime if left is None else left.mtime_ns / 1e9
     stored = load_config(run)
-    config = msgspec.convert(stored, _Config)
     epochs = read_epochs(run)
     kept = next((epoch for epoch in reversed(epochs) if epoch.is_best), None)
     results = last_results(run) if has_weights else []
@@ -174,16 +144,24 @@ def _summary(run: Path) -> RunSummary:
         datetime.fromtimestamp(written_s, UTC).isoformat(timespec="seconds"),
         network=stored_network(stored, run).name,
         targets=list(stored_targets(stored, run)),
-        recipe=config.training.recipe,
-        seed=config.training.seed,
-        sessions=list(config.data.logs),
+        recipe=numbers.training.recipe,
+        seed=numbers.training.seed,
+        sessions=list(numbers.data.logs),
         epochs=epochs[-1].epoch if epochs else 0,
-        epochs_asked=config.training.epochs,
+        epochs_asked=numbers.training.epochs,
         **_errors(kept),
-        split=config.data.split(kept.measures.frames) if kept else "",
+        split=_split(stored["data"], kept.measures.frames) if kept and numbers.data.logs else "",
         results=results,
         verdict=verdict_of(numbers),
     )
+
+
+def _split(data: Mapping[str, Any], frames: int) -> str:
+    """A short name of the frames that are held out: the same for the same logs, split alike, and as many."""
+    settings = data.get("settings", {})
+    logs = {name: log.get("fingerprint") for name, log in data["logs"].items()}
+    described = [logs, {name: settings.get(name) for name in _SPLIT_SETTINGS}, frames]
+    return hashlib.sha256(json.dumps(described, sort_keys=True, default=str).encode()).hexdigest()[:8]
 
 
 def _errors(kept: Epoch | None) -> dict[str, Any]:
@@ -212,7 +190,7 @@ def last_results(run: Path) -> list[KeptResult]:
         result = kept.result
         if kept.weights_sha256 == checksum and _is_whole(kept):
             names = ("track", "set_speed_mph", "session", "departure_m", "index", "split")
-            # frames of whole sessions are of no index: what was measured is told by their names
+            # whole sessions have no index: their names show what was measured
             last[kept.way, *(str(result.get(name)) for name in names), *measured_sessions(result)] = kept
     return list(last.values())
 

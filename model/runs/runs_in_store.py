@@ -63,10 +63,10 @@ def runs_in_store(runs: Url) -> list[RunInStore]:
     from common.object_store import list_below  # an extra
 
     by_run: dict[str, list[StoredObject]] = {}
-    for each in list_below(runs):
-        name, slash, _ = each.url.name_in(runs).partition("/")
+    for stored in list_below(runs):
+        name, slash, _ = stored.url.name_in(runs).partition("/")
         if slash and is_name(name):
-            by_run.setdefault(name, []).append(each)
+            by_run.setdefault(name, []).append(stored)
     all_runs = (_run_of(runs / name, objects) for name, objects in sorted(by_run.items()))
     return [run for run in all_runs if CONFIG in run.files]
 
@@ -75,7 +75,7 @@ def find_in_store(name: str | None, runs: Location) -> RunInStore | None:
     """A run by its URL, or by name where `runs` is in a store; without a name, the one whose weights were written
     last. None for a run of this machine.
 
-    Raises RunError, which names those there are, where there is none; StoreError.
+    Raises RunError, which names the runs there, if it does not exist; StoreError.
     """
     if name is None:
         return _newest(runs) if isinstance(runs, Url) else None
@@ -86,7 +86,7 @@ def find_in_store(name: str | None, runs: Location) -> RunInStore | None:
 
     run = _run_of(url, list_below(url))
     if CONFIG not in run.files:
-        names = [each.name for each in runs_in_store(url.parent)] if url.parent.key else []
+        names = [other.name for other in runs_in_store(url.parent)] if url.parent.key else []
         suggestion = suggest_runs(url.name, names, url.parent)
         raise RunError(f"{url}: no run there ({CONFIG} is missing); {suggestion}")
     return run
@@ -114,7 +114,7 @@ def bring_summaries(runs: Url) -> Iterator[tuple[RunInStore, Path]]:
 
 
 def bring_summary(run: RunInStore) -> Path:
-    """The same of one run."""
+    """A copy of one run's `SUMMARY_FILES`, and of its weights where `bring_summaries` needs them."""
     copy = bring_run(run, SUMMARY_FILES)
     left = read_record(copy).left.get(WEIGHTS)
     if left is not None and not left.sha256 and RESULTS_FILE in run.files:
@@ -158,4 +158,4 @@ def _newest(runs: Url) -> RunInStore:
 
 
 def _run_of(url: Url, objects: Iterable[StoredObject]) -> RunInStore:
-    return RunInStore(url, {each.url.name_in(url): each for each in objects})
+    return RunInStore(url, {stored.url.name_in(url): stored for stored in objects})

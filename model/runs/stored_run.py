@@ -1,4 +1,4 @@
-"""A run that is trained here and kept in a store: brought here to be gone on with, copied there while it grows."""
+"""A run that is trained here and kept in a store: fetched to be resumed, copied back while it grows."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _EVERY_S: Final = 60.0
 
 
 def bring_run_to(runs: Path, name: str) -> Path:
-    """A copy of a run in a store, named by its URL, among those of this machine, to go on with; what this machine
-    has learnt of it and never copied there stays. Raises RunError where there is none, or another one has its name
+    """Copy a run in a store, named by its URL, to the runs of this machine, to resume it. What this machine has
+    learnt of it and not yet copied stays. Raises RunError if there is no such run, or if another run has its name
     here; StoreError."""
     stored = find_in_store(name, runs)
     assert stored is not None  # noqa: S101

@@ -39,7 +39,7 @@ def count_trained_on(frames: Mapping[str, pa.Table], samples: Samples, config: d
 
 def _training_data(stored: dict[str, Any]) -> tuple[IndexConfig, dict[str, str]]:
     """The settings that the split of a training depends on, and fingerprints of its logs by session. Raises
-    KeyError, TypeError, ValueError, AttributeError or OverflowError for what are none."""
+    KeyError, TypeError, ValueError, AttributeError or OverflowError for other data."""
     # Not by `settings_from`: values of other types, and settings of other versions, do not hide what was learnt.
     settings = stored["settings"]
     config = IndexConfig(

@@ -35,7 +35,7 @@ def _of_natural_answers(best: Epoch) -> list[str]:
     if best.learnt is None or best.answers == AnswerScale():
         return []
     unit = best.measures.unit
-    natural, learnt = (decimal(unit.of(each.rmse_deg), 2) for each in (best.measures.network, best.learnt))
+    natural, learnt = (decimal(unit.of(errors.rmse_deg), 2) for errors in (best.measures.network, best.learnt))
     formula = best.answers.in_words(best.measures.max_deg)
     return [f"natural answers: {formula}: RMSE {natural} instead of {learnt} {unit.name}"]
 

@@ -26,7 +26,7 @@ _UNKNOWN: Final = Drivable(None, "")
 
 @dataclass(frozen=True)
 class BesideTheMean:
-    """An error of a network beside that of always predicting the mean of the same rows."""
+    """An error of a network, compared with that of always predicting the mean of the same rows."""
 
     name: str
     network: float

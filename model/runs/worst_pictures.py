@@ -85,7 +85,7 @@ def find_worst(
     `measured` has `WORST_COLUMNS` for each sample of `loader`; the steering arrays (N,) are of those that decode;
     `max_deg` is the wheels' angle at steering 1, None if it is unknown.
     """
-    import pyarrow as pa  # here: `bc-runs` reads what was found, and starts without
+    import pyarrow as pa  # here: `bc-runs` starts without it
 
     from dataset.preprocessing import as_bgr
 

@@ -23,7 +23,7 @@ after N steps over 1 + N / 10 of them."""
 class AveragedWeights:
     """A second network whose weights are the exponential mean of another one's over about `steps` steps.
 
-    Over one step, it is that other network itself, and costs nothing.
+    With one step, it is that other network itself.
     """
 
     def __init__(self, network: PictureNetwork, steps: int) -> None:

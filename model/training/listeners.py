@@ -50,6 +50,6 @@ def _close(listener: Listener) -> object:
 def _error_of(method: Callable[[Listener], object], listener: Listener) -> Exception | None:
     try:
         method(listener)
-    except Exception as error:  # somebody else's code
+    except Exception as error:  # a user's own code
         return error
     return None

@@ -32,7 +32,6 @@ from model.runs.run_folder import load_weights
 from model.runs.training_progress import Epoch, Step
 from model.training.averaged_weights import AveragedWeights
 from model.training.batches import make_batches
-from model.training.busy_processor import BusyProcessorWarning
 from model.training.listeners import Listeners
 from model.training.natural_frequency import NaturalFrames
 from model.training.run_writer import RunWriter
@@ -113,7 +112,6 @@ class TrainingLoop:
             torch.tensor(config.target_weights, device=machine.device) if config.target_weights else None
         )
         self._saved_s = time.monotonic()
-        self._busy_warning = BusyProcessorWarning(is_enabled=machine.device.type == "cpu")
 
     def start_from(self, init: Path) -> None:
         """Take the weights of another run of the same network."""
@@ -137,8 +135,8 @@ class TrainingLoop:
                 f"{path}: stands at batch {self.position.batch:,}, but an epoch has {self.loader.batches:,};"
                 " train another run, perhaps from its weights: --init"
             )
-        of = self.position
-        self.answers = AnswerScale(of.answer_scale, of.answer_offset, of.answer_curve)
+        position = self.position
+        self.answers = AnswerScale(position.answer_scale, position.answer_offset, position.answer_curve)
         self.cut_history()
 
     def cut_history(self) -> None:
@@ -187,7 +185,6 @@ class TrainingLoop:
                     if count:
                         note = self._report(loss, count, now_s - reported_s)
                     reported_s = now_s
-                    self._busy_warning.check()
                 advance(len(labels), note)
                 is_stopped = stopped.is_set()
                 if is_stopped or self._is_checkpoint_due():
@@ -202,22 +199,21 @@ class TrainingLoop:
         """The squared error, summed over the batch with this number, from 1."""
         config = self.config
         torch.manual_seed(_dropout_seed(config.seed, self.position.epoch, batch))
-        with self._busy_warning.timed_step():
-            squared_error = training_step(
-                self.network,
-                self.optimizer,
-                pictures,
-                labels,
-                dtype=self.machine.dtype,
-                micro_batch=self.machine.micro_batch,
-                batch=min(config.batch, len(self.loader) - (batch - 1) * config.batch),
-                weights=self.target_weights,
-            )
+        squared_error = training_step(
+            self.network,
+            self.optimizer,
+            pictures,
+            labels,
+            dtype=self.machine.dtype,
+            micro_batch=self.machine.micro_batch,
+            batch=min(config.batch, len(self.loader) - (batch - 1) * config.batch),
+            weights=self.target_weights,
+        )
         self.averaged.update(self.network, (self.position.epoch - 1) * self.loader.batches + batch)
         return squared_error
 
     def _report(self, squared_error: float, samples: int, seconds: float) -> str:
-        """Write a step, and pass it to the listeners; the note beside the progress bar."""
+        """Write a step, and pass it to the listeners; returns the note for the progress bar."""
         if not math.isfinite(squared_error):
             raise self._diverged()
         position = self.position

@@ -10,12 +10,12 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from numpy.typing import NDArray
 
 from dataset import Loader, Samples
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import steering_in
 from dataset.samples.samples_format import Balance
+from dataset.samples.samples_reader import LOADED
 from model.evaluation.predict import predict
 from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
@@ -27,7 +27,7 @@ TOWARDS_BALANCE: Final = 0.25
 """The point between the frequency of the road (0), which has few hard bends, and that of equal bins (1).
 At 0 answers have the least error, but hairpins are driven wide, or not: see docs/studies/natural-answers.md."""
 
-_COLUMNS: Final = ("split", "camera", "bin", "copy")
+_COLUMNS: Final = (*LOADED, "camera", "bin", "copy")
 
 
 class NaturalFrames:
@@ -55,34 +55,20 @@ class NaturalFrames:
 
 
 def _at_natural_frequency(samples: Samples) -> pa.Table:
-    """At most `MAX_FRAMES` originals of the centre camera (of all, where there are none of it).
+    """At most `MAX_FRAMES` originals of the centre camera; of all cameras, if it has none.
 
-    Balancing has left each bin a random part of its frames. Each original that was left stands for others of its
+    Balancing has left each bin a random part of its frames. Each original that is left represents others of its
     bin.
     """
     before = Balance.from_dict(samples.metadata["balance"]).before
-    of_parts: list[tuple[NDArray[np.int16], NDArray[np.bool_]]] = []  # of originals, bin and whether it is central
-    for part in samples.parts_of_split("train", _COLUMNS):  # of many samples, all at once would not fit
-        is_original = ~np.asarray(part["copy"])
-        bin_of = part["bin"].to_numpy()
-        is_center = np.asarray(pc.equal(part["camera"].cast(pa.string()), "center"))
-        of_parts.append((bin_of[is_original].astype(np.int16), is_center[is_original]))
-    bins, is_center = (np.concatenate(column) for column in zip(*of_parts, strict=True))
+    training = samples.of_split("train", _COLUMNS)
+    originals = np.flatnonzero(~np.asarray(training["copy"]))
+    bins = training["bin"].to_numpy()[originals]
+    is_center = np.asarray(pc.equal(training["camera"].cast(pa.string()), "center"))[originals]
     of_bin = np.bincount(bins, minlength=len(before))
-    stands_for = (before ** (1 - TOWARDS_BALANCE) / np.maximum(of_bin, 1))[bins]
-    stands_for = np.where(is_center, stands_for, 0.0) if is_center.any() else stands_for
-    count = min(MAX_FRAMES, int(np.count_nonzero(stands_for)))
-    quantiles = (np.arange(count) + 0.5) / count * stands_for.sum()
-    at = np.minimum(np.searchsorted(np.cumsum(stands_for), quantiles), len(bins) - 1)
-    return _originals(samples, at)
-
-
-def _originals(samples: Samples, at: NDArray[np.int64]) -> pa.Table:
-    """Training samples that repeat no other one, by their positions (N,) among these, which ascend."""
-    taken, begin = [], 0
-    for part in samples.parts_of_split("train"):
-        originals = part.filter(pa.array(~np.asarray(part["copy"])))
-        first, last = np.searchsorted(at, (begin, begin + len(originals)))
-        taken.append(originals.take(pa.array(at[first:last] - begin)))
-        begin += len(originals)
-    return pa.concat_tables(taken)
+    weight = (before ** (1 - TOWARDS_BALANCE) / np.maximum(of_bin, 1))[bins]
+    weight = np.where(is_center, weight, 0.0) if is_center.any() else weight
+    count = min(MAX_FRAMES, int(np.count_nonzero(weight)))
+    quantiles = (np.arange(count) + 0.5) / count * weight.sum()
+    at = np.minimum(np.searchsorted(np.cumsum(weight), quantiles), len(bins) - 1)
+    return training.take(originals[at])

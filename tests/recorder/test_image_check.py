@@ -273,7 +273,7 @@ def test_a_look_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert read_image_check(tmp_path, "b", "f") is None
     (tmp_path / "looks" / "a.json").write_text(json.dumps(SOUND))
     assert read_image_check(tmp_path, "a", "f") == looked
-    of_a_later_version = {**SOUND, "broken": {**SOUND["broken"], "rear": [[0, 2]]}, "more": math.nan}
+    of_a_later_version = {**SOUND, "more": math.nan}
     (tmp_path / "looks" / "a.json").write_text(json.dumps(of_a_later_version))
     assert read_image_check(tmp_path, "a", "f") == looked
 
@@ -289,6 +289,7 @@ def test_a_look_is_read_as_it_was_written(tmp_path: Path) -> None:
         *(json.dumps({**SOUND, "pictures": wrong}) for wrong in (-1, 1.5, True, "10", None, 2**62)),
         *(json.dumps({**SOUND, name: wrong}) for name in SOUND for wrong in WRONG_VALUES),
         *(json.dumps({**SOUND, "broken": {"left": json.loads(wrong)}}) for wrong in WRONG_STRETCHES),
+        json.dumps({**SOUND, "broken": {"rear": [[0, 2]]}}),  # a camera of a later version
         json.dumps({name: value for name, value in SOUND.items() if name != "frozen"}),
     ],
 )
