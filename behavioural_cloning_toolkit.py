@@ -31,7 +31,6 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
 
 _FAILED, _INTERRUPTED = 1, 130  # common.command's; nothing of ours is imported yet
 _NO_MEMORY: Final = "not enough memory to begin; close other programs, or raise the limit (ulimit -v)"
-_MIN_MEMORY_BYTES: Final = 900_000_000  # of address space: with less, libraries crash while they are loaded
 
 
 def __getattr__(name: str) -> str:
@@ -65,7 +64,6 @@ def _command(prog: str, module: str) -> Callable[[], None]:
     def run() -> None:
         _hold_standard_streams()
         _end_tidily_on_signals(prog)
-        _warn_of_little_memory(prog)
         main = _import_main(prog, module)
         try:
             main()
@@ -196,21 +194,6 @@ def _end_tidily_on_signals(prog: str) -> None:
         number = getattr(signal, name, None)  # no SIGHUP on Windows; ignored: under nohup
         if number is not None and not (name == "SIGHUP" and signal.getsignal(number) == signal.SIG_IGN):
             signal.signal(number, end)
-
-
-def _warn_of_little_memory(prog: str) -> None:
-    if sys.platform == "win32":
-        return
-    import resource
-
-    allowed, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if allowed != resource.RLIM_INFINITY and allowed < _MIN_MEMORY_BYTES:
-        limit = f"{allowed / 1e6:,.0f} MB of memory are allowed here (ulimit -v)"
-        print(
-            f"{prog}: {limit}; with less than {_MIN_MEMORY_BYTES / 1e6:,.0f} MB it may crash without a word",
-            file=sys.stderr,
-            flush=True,
-        )
 
 
 def _fail(prog: str, why: str) -> NoReturn:
