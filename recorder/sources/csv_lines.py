@@ -56,6 +56,7 @@ class CsvTail:
         self._status: tuple[int, ...] = ()  # of the file, when it was last read
         self._earlier_lines = set[int]()  # hashes: a day's drive has hundreds of thousands of lines
         self._lines = set[int]()
+        self._end = b""  # of what was read: still there, unless the file was replaced
         self._start_again()
 
     def new_lines(self) -> list[tuple[int, bytes]]:
@@ -105,7 +106,7 @@ class CsvTail:
 
     def _start_again(self) -> None:
         self._offset = self._line_count = 0
-        self._end = b""  # of what was read: still there, unless the file was replaced
+        self._end = b""
         self._splitter = LineSplitter()
         self._earlier_lines |= self._lines
         self._lines = set()
