@@ -1,14 +1,17 @@
-"""The check of the settings of a store in the environment and ~/.aws, before obstore uses them.
+"""The settings of stores in the environment and in ~/.aws, for obstore, which reads the environment alone.
 
-An endpoint that is no URL, or a region or a key with odd characters, lets obstore panic: a hundred lines.
+They are checked first: with an endpoint that is no URL, or odd characters in a region or a key, obstore panics and
+prints a hundred lines.
 """
 
 from __future__ import annotations
 
+import configparser
+import contextlib
 import os
 import re
-from collections.abc import Mapping
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 from urllib.parse import urlsplit
 
 from common.errors import StoreError, printable
@@ -18,31 +21,66 @@ _ENDPOINTS: Final = {
     "gs": ("GOOGLE_BASE_URL",),
     "az": ("AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT", "AZURITE_BLOB_STORAGE_URL"),
 }
-_REGIONS: Final = {"s3": ("AWS_REGION", "AWS_DEFAULT_REGION")}
-_KEYS: Final = {"s3": ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN")}
+_S3_REGIONS: Final = ("AWS_REGION", "AWS_DEFAULT_REGION")
+_S3_KEYS: Final = ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN")
 _REGION: Final = re.compile(r"[A-Za-z0-9-]+")
 
 
-def check_environment(scheme: str, config: Mapping[str, object]) -> None:
-    """Raise StoreError for a setting that no store of this scheme can be reached with. `config` is what was read
-    from ~/.aws."""
-    for name, value in _given(scheme, _ENDPOINTS, config, "endpoint"):
+def store_settings(scheme: str) -> dict[str, Any]:
+    """The settings that obstore does not find by itself. Raises StoreError for one that reaches no store."""
+    config = _s3_settings() if scheme == "s3" else {}
+    for name, value in _given(_ENDPOINTS[scheme], config, "endpoint"):
         _check_endpoint(name, value)
-    for name, value in _given(scheme, _REGIONS, config, "region"):
-        if not _REGION.fullmatch(value):
-            raise StoreError(f"{name}={printable(value[:100])}: a region was expected, such as us-east-1")
-    for name, value in _given(scheme, _KEYS, {}, ""):
-        if not value.isprintable():
-            raise StoreError(f"{name}: contains a line end or another invisible character; remove it")
+    if scheme == "s3":
+        for name, value in _given(_S3_REGIONS, config, "region"):
+            if not _REGION.fullmatch(value):
+                raise StoreError(f"{name}={printable(value[:100])}: a region was expected, such as us-east-1")
+        for name in _S3_KEYS:
+            if not os.environ.get(name, "").isprintable():
+                raise StoreError(f"{name}: contains a line end or another invisible character; remove it")
+    return config
 
 
-def _given(
-    scheme: str, names: Mapping[str, tuple[str, ...]], config: Mapping[str, object], setting: str
-) -> list[tuple[str, str]]:
-    """The names and values of the settings that are there."""
-    settings = [(name, value) for name in names.get(scheme, ()) if (value := os.environ.get(name))]
+def _s3_settings() -> dict[str, Any]:
+    environment = os.environ
+    # one object at a time is deleted here, and not every store knows how to delete many
+    config: dict[str, Any] = {"disable_bulk_delete": True}
+    if "AWS_COPY_IF_NOT_EXISTS" not in environment:
+        config["copy_if_not_exists"] = "multipart"
+    profile = _aws_profile()
+    if "AWS_ACCESS_KEY_ID" not in environment:
+        config |= {name: profile[name] for name in map(str.lower, _S3_KEYS) if name in profile}
+    if not environment.keys() & set(_S3_REGIONS) and "region" in profile:
+        config["region"] = profile["region"]
+    endpoints = (environment.get("AWS_ENDPOINT_URL_S3"), environment.get("AWS_ENDPOINT_URL"))
+    if endpoint := next(filter(None, (*endpoints, profile.get("endpoint_url"))), None):
+        config["endpoint"] = endpoint
+    return config
+
+
+def _aws_profile() -> dict[str, str]:
+    """The chosen profile of ~/.aws/config and ~/.aws/credentials."""
+    name = os.environ.get("AWS_PROFILE", "default")
+    home = Path.home() / ".aws"
+    files = (
+        (os.environ.get("AWS_CONFIG_FILE", home / "config"), name if name == "default" else f"profile {name}"),
+        (os.environ.get("AWS_SHARED_CREDENTIALS_FILE", home / "credentials"), name),
+    )
+    profile: dict[str, str] = {}
+    for file, section in files:
+        parser = configparser.RawConfigParser()
+        with contextlib.suppress(OSError, UnicodeDecodeError, configparser.Error):
+            parser.read(file, "utf-8")
+            if parser.has_section(section):
+                profile.update(parser.items(section))
+    return profile
+
+
+def _given(names: tuple[str, ...], config: dict[str, Any], setting: str) -> list[tuple[str, str]]:
+    """The names and values of a setting, in the environment and in ~/.aws."""
+    settings = [(name, value) for name in names if (value := os.environ.get(name))]
     stored = config.get(setting)
-    if isinstance(stored, str) and stored not in dict(settings).values():
+    if stored and stored not in dict(settings).values():
         settings.append((f"~/.aws/config: {setting}", stored))
     return settings
 
