@@ -114,14 +114,14 @@ def _hidden_room_line(room: str) -> str | None:
     if spec is None:
         return None  # Python itself reports it as missing
     # a folder without an __init__.py has no origin
-    found = [place for place in (spec.origin, *(spec.submodule_search_locations or ())) if place is not None]
+    origins = [place for place in (spec.origin, *(spec.submodule_search_locations or ())) if place is not None]
     ours = (Path(__file__).parent / room).resolve()
-    if not found or any(ours in (place := Path(name).resolve(), place.parent) for name in found):
+    if not origins or any(ours in (place := Path(name).resolve(), place.parent) for name in origins):
         return None if _is_intact(ours) else _overwritten(room)
     if owners := _owners(room):
         return _of_another(room, owners)
     return (
-        f"{found[0]} is in the way: Python takes it for this toolkit's `{room}`; rename it, or start Python in"
+        f"{origins[0]} is in the way: Python takes it for this toolkit's `{room}`; rename it, or start Python in"
         " another folder (the bc- commands do not mind it)"
     )
 
