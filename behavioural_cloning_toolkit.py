@@ -31,7 +31,6 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
 
 _FAILED, _INTERRUPTED = 1, 130  # common.command's; nothing of ours is imported yet
 _NO_MEMORY: Final = "not enough memory to begin; close other programs, or raise the limit (ulimit -v)"
-_MIN_MEMORY_BYTES: Final = 900_000_000  # of address space: with less, libraries crash while they are loaded
 
 
 def __getattr__(name: str) -> str:
@@ -65,7 +64,6 @@ def _command(prog: str, module: str) -> Callable[[], None]:
     def run() -> None:
         _hold_standard_streams()
         _end_tidily_on_signals(prog)
-        _warn_of_little_memory(prog)
         main = _import_main(prog, module)
         try:
             main()
@@ -116,14 +114,14 @@ def _hidden_room_line(room: str) -> str | None:
     if spec is None:
         return None  # Python itself reports it as missing
     # a folder without an __init__.py has no origin
-    found = [place for place in (spec.origin, *(spec.submodule_search_locations or ())) if place is not None]
+    origins = [place for place in (spec.origin, *(spec.submodule_search_locations or ())) if place is not None]
     ours = (Path(__file__).parent / room).resolve()
-    if not found or any(ours in (place := Path(name).resolve(), place.parent) for name in found):
+    if not origins or any(ours in (place := Path(name).resolve(), place.parent) for name in origins):
         return None if _is_intact(ours) else _overwritten(room)
     if owners := _owners(room):
         return _of_another(room, owners)
     return (
-        f"{found[0]} is in the way: Python takes it for this toolkit's `{room}`; rename it, or start Python in"
+        f"{origins[0]} is in the way: Python takes it for this toolkit's `{room}`; rename it, or start Python in"
         " another folder (the bc- commands do not mind it)"
     )
 
@@ -196,21 +194,6 @@ def _end_tidily_on_signals(prog: str) -> None:
         number = getattr(signal, name, None)  # no SIGHUP on Windows; ignored: under nohup
         if number is not None and not (name == "SIGHUP" and signal.getsignal(number) == signal.SIG_IGN):
             signal.signal(number, end)
-
-
-def _warn_of_little_memory(prog: str) -> None:
-    if sys.platform == "win32":
-        return
-    import resource
-
-    allowed, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if allowed != resource.RLIM_INFINITY and allowed < _MIN_MEMORY_BYTES:
-        limit = f"{allowed / 1e6:,.0f} MB of memory are allowed here (ulimit -v)"
-        print(
-            f"{prog}: {limit}; with less than {_MIN_MEMORY_BYTES / 1e6:,.0f} MB it may crash without a word",
-            file=sys.stderr,
-            flush=True,
-        )
 
 
 def _fail(prog: str, why: str) -> NoReturn:

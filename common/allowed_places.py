@@ -98,10 +98,8 @@ def remember_places(holder: Location, project: Location, folders: Iterable[Locat
     path = _record_path(record.holder)
     if _record_in(path) == record:
         return
-    with contextlib.suppress(OSError, UserError):
-        _forget_removed()
-        with atomic_file(path, overwrite=True) as part:
-            part.write_bytes(msgspec.json.encode(record))
+    with contextlib.suppress(OSError, UserError), atomic_file(path, overwrite=True) as part:
+        part.write_bytes(msgspec.json.encode(record))
 
 
 def folders_of(files: Iterable[Location]) -> set[Location]:
@@ -143,12 +141,3 @@ def _record_in(path: Path) -> _Record | None:
         return json_as(read_bounded(path, _MAX_RECORD_BYTES), _Record)
     except OSError:
         return None
-
-
-def _forget_removed() -> None:
-    """Remove the records of what is gone, such as an index in a temporary folder; not of a disk that is away."""
-    for path in (users_cache() / FOLDER).glob("*.json"):
-        record = _record_in(path)
-        holder = Path(record.holder) if record is not None and "://" not in record.holder else None
-        if holder is not None and not holder.exists() and holder.parent.exists():
-            path.unlink(missing_ok=True)

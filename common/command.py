@@ -190,11 +190,11 @@ def _refuse_urls(given: object) -> None:
     if isinstance(given, Path):
         refuse_collapsed(given)
     elif isinstance(given, tuple):
-        for each in given:
-            _refuse_urls(each)
+        for value in given:
+            _refuse_urls(value)
     elif dataclasses.is_dataclass(given):
-        for each in dataclasses.fields(given):
-            _refuse_urls(getattr(given, each.name))
+        for flag in dataclasses.fields(given):
+            _refuse_urls(getattr(given, flag.name))
 
 
 def _no_memory(error: Exception) -> str:

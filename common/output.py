@@ -129,8 +129,8 @@ def clear_live_displays() -> None:
 def shell_command(command: str) -> str:
     """A command of this environment as it can be typed in this shell: with its path, if its name is not enough."""
     script = Path(sysconfig.get_path("scripts")) / command
-    found = shutil.which(command)
-    if not script.exists() or (found is not None and script.samefile(found)):
+    on_path = shutil.which(command)
+    if not script.exists() or (on_path is not None and script.samefile(on_path)):
         return command
     relative = Path(os.path.relpath(script))
     return shlex.quote(str(relative if len(relative.parts) < len(script.parts) else script))

@@ -239,9 +239,9 @@ def refuse_other_node(versions: Mapping[str, str], folder: Path) -> None:
     """To be called on a node: work in the driver's `folder`. Raises ClusterError if it has other versions than the
     driver's, or no such folder."""
     node = socket.gethostname()
-    here = package_versions()
-    if others := [name for name, version in here.items() if version != versions[name]]:
-        has, wanted = (", ".join(f"{name} {found[name]}" for name in others) for found in (here, versions))
+    installed = package_versions()
+    if different := [name for name, version in installed.items() if version != versions[name]]:
+        has, wanted = (", ".join(f"{name} {table[name]}" for name in different) for table in (installed, versions))
         raise ClusterError(f"the cluster's node {node} has {has}, this machine {wanted}: they must be the same")
     try:
         os.chdir(folder)

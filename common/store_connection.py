@@ -12,13 +12,12 @@ import os
 from collections.abc import Iterator
 from datetime import timedelta
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from common.errors import StoreError
 from common.location import Url
-from common.s3_settings import obstore_s3_config
-from common.store_environment import check_environment
 from common.store_errors import from_url
+from common.store_settings import store_settings
 
 if TYPE_CHECKING:
     from obstore.store import ClientConfig, ObjectStore, RetryConfig
@@ -60,8 +59,6 @@ def store_of(url: Url, is_patient: bool) -> ObjectStore:
 
 @cache
 def _bucket(scheme: str, bucket: str, is_patient: bool, timeout: timedelta) -> ObjectStore:
-    config: dict[str, Any] = obstore_s3_config() if scheme == "s3" else {}
-    check_environment(scheme, config)
     client: ClientConfig = {
         "timeout": timeout,
         "connect_timeout": timedelta(seconds=5),
@@ -69,7 +66,7 @@ def _bucket(scheme: str, bucket: str, is_patient: bool, timeout: timedelta) -> O
     }
     store: ObjectStore = from_url(
         f"{scheme}://{bucket}",
-        config=config,  # type: ignore[call-overload]  # of the store that the scheme names
+        config=store_settings(scheme),  # type: ignore[call-overload]  # of the store that the scheme names
         client_options=client,
         retry_config=_PATIENT if is_patient else _IMPATIENT,
     )

@@ -129,7 +129,7 @@ class StoredFolder(Closeable):
         """Remove local files that never were in the store: by their names, or a folder's, with a slash."""
         for path in self._files():
             name = path.relative_to(self.here).as_posix()
-            if name not in self._copies and any(_is_it_or_in_it(name, each) for each in names):
+            if name not in self._copies and any(_is_it_or_in_it(name, forgotten) for forgotten in names):
                 path.unlink()
 
     def send(self, first: Sequence[str] = (), only: Collection[str] | None = None) -> bool:
@@ -145,8 +145,8 @@ class StoredFolder(Closeable):
         files = {path.relative_to(self.here).as_posix(): path.stat().st_mtime_ns for path in self._files()}
         changed = [name for name in files if self._is_changed(name) and (only is None or name in only)]
         changed.sort(key=lambda name: (files[name], name))
-        groups = [[name for name in changed if _is_it_or_in_it(name, each)] for each in first]
-        groups += [[name] for name in changed if not any(_is_it_or_in_it(name, each) for each in first)]
+        groups = [[name for name in changed if _is_it_or_in_it(name, place)] for place in first]
+        groups += [[name] for name in changed if not any(_is_it_or_in_it(name, place) for place in first)]
         gone = sorted(self._copies.keys() - files.keys()) if only is None else []
         try:
             for group in groups:

@@ -60,7 +60,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
     if config.environment.gym is not None:
         return _drive_environment(config, settings, path)
 
-    from common.low_latency import prepare_process
+    from common.process_settings import prepare_to_drive
     from drive.drive_server import DriveServer
     from drive.evaluation.simulator_process import BuiltInSimulator, check_laps, drive_built_in
     from model import find_run
@@ -74,7 +74,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
         simulator = BuiltInSimulator(config.simulator, config.laps, is_real_time, is_supervised, config.start)
     run = find_run(config.run, config.runs)
     settings, pilot = _loaded(config, settings, run)
-    prepare_process()
+    prepare_to_drive()
     with contextlib.ExitStack() as page:  # it outlives the drive: it has what comes next
         with (
             StatusLine() as status,

@@ -12,7 +12,7 @@ import time
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, flags_given, run_command
@@ -45,27 +45,22 @@ _MADE: Final = ("sessions", "index", "runs", "drives")
 """The folders that its commands make."""
 
 
-class DemoStep(NamedTuple):
-    command: str
-    seconds: float
-    """Measured on two cores; on another machine, all steps are slower or faster alike."""
-
-
-def steps_of(config: Demo) -> list[DemoStep]:
+def commands_of(config: Demo) -> list[str]:
+    """The commands of the demo, in their order."""
     tracks: tuple[str, ...] = ("lake", "mountain")
     share, laps, epochs = config.share, config.laps, config.epochs
-    network, epoch_s = "", 48.0
+    network = ""
     if config.quick:
         tracks, share, laps, epochs = ("lake",), 0.15, 0.15, 5
-        network, epoch_s = " --network small", 15.0
+        network = " --network small"
     training = f"--recipe people --epochs {epochs}"  # in so few, altered pictures were not measured
     drive = f"drives/demo-{tracks[-1]}-10mph"
     return [
-        *(DemoStep(f"bc-record {track} --track {track} --laps {share:g}", 3 + 63 * share) for track in tracks),
-        DemoStep("bc-index", 3),
-        DemoStep(f"bc-train --name demo{network} {training}", 10 + epoch_s * share * epochs),
-        DemoStep(f"bc-eval demo --simulator {' '.join(tracks)} --laps {laps:g}", 10 + 42 * len(tracks) * laps),
-        DemoStep(f"bc-play {drive}.mcap --save {drive}.rrd", 6),
+        *(f"bc-record {track} --track {track} --laps {share:g}" for track in tracks),
+        "bc-index",
+        f"bc-train --name demo{network} {training}",
+        f"bc-eval demo --simulator {' '.join(tracks)} --laps {laps:g}",
+        f"bc-play {drive}.mcap --save {drive}.rrd",
     ]
 
 
@@ -74,18 +69,14 @@ def demo(config: Demo) -> int:
     _refuse_unusable_settings(config, folder)
     is_new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
-    steps = steps_of(config)
-    seconds = sum(step.seconds for step in steps)
-    print_result(f"working in {folder}; all takes about {duration_text(seconds)} on two idle cores")
+    commands = commands_of(config)
+    print_result(f"working in {folder}")
     if (activate := _activation_command()) is not None:
         print_result(f"to type these commands yourself, there: {activate}")
-    start_s, code, done_s = time.monotonic(), DONE, 0.0
-    for number, (command, step_s) in enumerate(steps, start=1):
+    start_s, code = time.monotonic(), DONE
+    for number, command in enumerate(commands, start=1):
         begin_s = time.monotonic()
-        slower = (begin_s - start_s) / done_s if done_s else 1.0
-        left = f", about {duration_text((seconds - done_s) * slower)} left" if done_s else ""
-        takes = f"about {duration_text(step_s * slower)}"
-        print_result("", f"{number} of {len(steps)}, {takes}{left}", f"$ {command}")
+        print_result("", f"{number} of {len(commands)}", f"$ {command}")
         try:
             code = max(code, _run(command, folder))
         except KeyboardInterrupt:
@@ -95,9 +86,8 @@ def demo(config: Demo) -> int:
             elif is_new:
                 folder.rmdir()
             raise
-        done_s += step_s
         print_result(f"took {duration_text(time.monotonic() - begin_s)}")
-    log = folder / shlex.split(steps[-1].command)[1]
+    log = folder / shlex.split(commands[-1])[1]
     print_result(
         "",
         f"Done in {duration_text(time.monotonic() - start_s)}. Watch the drive:",
@@ -122,8 +112,8 @@ def _refuse_unusable_settings(config: Demo, folder: Path) -> None:
         raise UsageError(f"--laps {config.laps:g}: a number above 0, and up to 1,000, was expected")
     if not 0.05 <= config.share <= 1000:
         raise UsageError(f"--share {config.share:g}: give at least 0.05 laps: less is not enough to train on")
-    for step in steps_of(config):
-        _program(step.command.split()[0])
+    for command in commands_of(config):
+        _program(command.split()[0])
 
 
 def _activation_command() -> str | None:

@@ -76,7 +76,7 @@ def drive_gymnasium(
             steps, reward = steps + 1, reward + moment.reward
         driven.append(Episode(seed + number, steps, reward, moment.end or "stopped"))
         session.disconnected(f"episode {number + 1}, seed {seed + number}: {driven[-1].end}, reward {reward:,.1f}")
-        session.add_metadata(EPISODES_METADATA, {"episodes": json.dumps([asdict(each) for each in driven])})
+        session.add_metadata(EPISODES_METADATA, {"episodes": json.dumps([asdict(episode) for episode in driven])})
         yield driven[-1]
 
 

@@ -15,9 +15,9 @@ from common.command import DONE, run_command, warn, warn_skipped
 from common.errors import counted, printable
 from common.files import refuse_existing
 from common.location import Location, Url, absolute, is_in_store, local_path, location
-from common.memory_allocator import use_large_pages
 from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
+from common.process_settings import use_large_pages
 from common.random_access import is_there
 from model.config import TrainConfig
 from model.epoch_printer import EpochPrinter

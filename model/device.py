@@ -9,7 +9,7 @@ from typing import Annotated, Final, Literal
 import msgspec
 import torch
 
-from common.memory_allocator import keep_freed_memory
+from common.process_settings import keep_freed_memory
 from model.config import Device, Precision, TrainConfig
 from model.errors import RunError
 

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from common.memory_allocator import keep_freed_memory
 from common.named_function import in_one_line
+from common.process_settings import keep_freed_memory
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 from dataset.preprocessing import Image, crop_of, in_channels

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import resource
 import shutil
 import signal
 import subprocess
@@ -217,17 +216,6 @@ def test_every_room_looks_whether_those_under_it_are_ours() -> None:
     for room, under in MAY_IMPORT.items():
         if under:
             assert "refuse_hidden(__name__)" in (ROOT / room / "__init__.py").read_text(encoding="utf-8")
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="memory is limited so on Linux")
-def test_too_little_memory_is_said() -> None:
-    def limit() -> None:
-        resource.setrlimit(resource.RLIMIT_AS, (600_000_000, 600_000_000))
-
-    done = subprocess.run(
-        command("bc-log", "--help"), env=environment(), preexec_fn=limit, capture_output=True, check=False
-    )
-    assert b"bc-log: 600 MB of memory are allowed here (ulimit -v)" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -150,8 +150,8 @@ class _Pictures:
         """Raises UserError if there is none that decodes."""
         self.skipped = Skipped()
         self._log = log
-        self._found = log.pictures(camera_topic("center"))
-        self.times_ns = self._found.log_time_ns
+        self._index = log.pictures(camera_topic("center"))
+        self.times_ns = self._index.log_time_ns
         sound = (picture for i in range(len(self.times_ns)) if (picture := self._decoded(i)) is not None)
         first = next(sound, None)
         if first is None:
@@ -166,7 +166,7 @@ class _Pictures:
         """Draw a picture on `canvas` (height, width, 3) BGR; a broken one is counted, and leaves it as it is."""
         picture = self._decoded(number)
         if picture is None:
-            row = int(self._found.sequence[number])
+            row = int(self._index.sequence[number])
             self.skipped.add("broken pictures, shown as the one before", f"row {row}")
             return
         is_larger = picture.shape[1] > self.width
@@ -178,8 +178,8 @@ class _Pictures:
         )
 
     def _decoded(self, number: int) -> Image | None:
-        found = self._found
-        place = int(found.offset[number]), int(found.length[number]), int(found.chunk[number])
+        index = self._index
+        place = int(index.offset[number]), int(index.length[number]), int(index.chunk[number])
         try:
             return decode(self._log.read(*place))
         except (LogError, ValueError):  # its chunk is damaged, or it is no picture

@@ -90,10 +90,10 @@ class Panel:
         return self._canvas.copy()
 
     def _draw_steering(self, reading: Reading) -> None:
-        known = math.isfinite(reading.steering)
-        turned_deg = WHEEL_DEG * _clamped(reading.steering) if known else 0.0
-        self._draw_wheel(turned_deg, _RIM if known else _TRACK)
-        if known:
+        is_known = math.isfinite(reading.steering)
+        turned_deg = WHEEL_DEG * _clamped(reading.steering) if is_known else 0.0
+        self._draw_wheel(turned_deg, _RIM if is_known else _TRACK)
+        if is_known:
             self._arc(turned_deg, RECORDED)
         if math.isfinite(reading.predicted_steering):
             self._pointer(WHEEL_DEG * _clamped(reading.predicted_steering), PREDICTED)

@@ -89,8 +89,8 @@ class _Rows:
     def largest(self, column: int) -> float:
         """The largest finite number of a column; 0 if there is none above."""
         _, values = self._sorted
-        found = values[:, column]
-        return float(np.max(found[np.isfinite(found)], initial=0.0))
+        numbers = values[:, column]
+        return float(np.max(numbers[np.isfinite(numbers)], initial=0.0))
 
     @cached_property
     def _sorted(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

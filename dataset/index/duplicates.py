@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS
 from common.location import Location
-from common.open_file_limit import allow_open_files
+from common.process_settings import allow_open_files
 from common.progress import track
 from common.tasks import Tasks, one_by_one
 from dataset.errors import DatasetError, SessionError

@@ -23,7 +23,7 @@ from common.car import MAX_STEERING_DEG
 from common.closeable import Closeable
 from common.files import short_path
 from common.location import Location, Url, location
-from common.open_file_limit import allow_open_files
+from common.process_settings import allow_open_files
 from common.random_access import read_bytes
 from common.stored_settings import settings_from
 from common.tasks import in_threads, one_by_one

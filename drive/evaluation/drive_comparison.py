@@ -81,7 +81,7 @@ class DriveComparison:
             "stretches": self.stretches,
             "confidence": CONFIDENCE,
             "tolerance": self.tolerance,
-            "measures": {each.measure.name: each.as_dict() for each in self.differences},
+            "measures": {difference.measure.name: difference.as_dict() for difference in self.differences},
             "gave_up": list(self.gave_up),
             "verdict": self.verdict,
         }

@@ -96,7 +96,7 @@ def _measures_table(evaluation: Evaluation) -> Table:
     if (others := evaluation.without_crashes) is not None:
         heading = f"RMSE without crashes ({evaluation.crashes:,})"
         table.add_row(
-            heading, *(_number(shown(each.rmse_deg)) for each in (others.network, others.zero, others.mean))
+            heading, *(_number(shown(errors.rmse_deg)) for errors in (others.network, others.zero, others.mean))
         )
     if is_scaled:
         table.caption = f"answers: {evaluation.answers.in_words(evaluation.max_deg)}"

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from common.memory_allocator import keep_freed_memory
+from common.process_settings import keep_freed_memory
 from common.progress import progress_bar, progress_task
 from dataset import Loader
 from dataset.picture_spec import PictureSpec

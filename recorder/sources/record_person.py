@@ -16,7 +16,7 @@ from common import Skipped
 from common.errors import counted
 from common.files import refuse_existing
 from common.interrupts import StopEvent, stop_signals
-from common.low_latency import prepare_process
+from common.process_settings import prepare_to_drive
 from common.progress import StatusLine
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
@@ -91,7 +91,7 @@ def record_person(
         writer = stack.enter_context(LogWriter(log, metadata, overwrite=overwrite, live=True))
         if on_wheel is not None:
             on_wheel(wheel)
-        prepare_process()
+        prepare_to_drive()
         with (
             StatusLine() as status,
             EyePictures(simulation, wheel) as eye,

@@ -17,7 +17,6 @@ from typing import Final
 
 from common.car import Camera
 from common.errors import counted
-from common.file_tail import FileTail
 from common.interrupts import stop_signals
 from common.progress import StatusLine
 from common.untrusted import read_bounded
@@ -25,11 +24,12 @@ from recorder.errors import RecordingError
 from recorder.log.session_car import Car
 from recorder.log.writer import LogWriter
 from recorder.pictures.whole_picture import is_whole_jpeg
+from recorder.sources.csv_lines import CsvTail
 from recorder.sources.find_recording import is_udacity, recordings_near
 from recorder.sources.frame_rate import check_rate
 from recorder.sources.import_udacity import NOT_WHOLE, UNREADABLE_PICTURES, state_of, udacity_metadata
 from recorder.sources.imported_rows import Imported, SkippedEvents
-from recorder.sources.udacity_csv import MAX_LINE_BYTES, RowReader
+from recorder.sources.udacity_csv import RowReader
 from recorder.sources.udacity_recording import CSV_NAME, MAX_PICTURE_BYTES, PictureFiles, check_csv
 from simulator.protocol.udacity_writer import CSV_CAMERAS
 
@@ -89,24 +89,6 @@ def watch_udacity(
         if not recording.rows:
             raise RecordingError(recording.why_nothing())
     return Imported(log, recording.rows, recording.pictures, recording.skipped, writer.notices)
-
-
-class CsvTail(FileTail):
-    """The lines of a growing csv. Of one that begins again, those that were there before are not given a second
-    time; those within one file are, as often as they are in it."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path, MAX_LINE_BYTES)
-        self._lines = set[int]()  # hashes: a day's drive has hundreds of thousands of lines
-        self._earlier_lines = set[int]()
-
-    def _numbered(self, lines: list[bytes]) -> list[tuple[int, bytes]]:
-        numbered = super()._numbered(lines)
-        if numbered and numbered[0][0] == 1:  # the first line of another file
-            self._earlier_lines |= self._lines
-            self._lines = set()
-        self._lines.update(map(hash, lines))
-        return [(number, content) for number, content in numbered if hash(content) not in self._earlier_lines]
 
 
 class _GrowingRecording:

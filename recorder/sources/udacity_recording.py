@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Final
 
 from common import Skipped
-from common.text_lines import LineSplitter
 from common.untrusted import open_regular
 from recorder.errors import RecordingError, readable
-from recorder.sources.udacity_csv import MAX_LINE_BYTES, Row, RowReader
+from recorder.sources.csv_lines import LineSplitter
+from recorder.sources.udacity_csv import Row, RowReader
 
 CSV_NAME: Final = "driving_log.csv"
 MAX_CSV_BYTES: Final = 1 << 30  # 200 hours of driving
@@ -165,7 +165,7 @@ class UdacityRecording:
             self._files.skip_without_row(self._reader.named)
 
     def _lines(self) -> Iterator[bytes]:
-        splitter = LineSplitter(MAX_LINE_BYTES)
+        splitter = LineSplitter()
         with readable(self.csv), open_regular(self.csv) as stream:
             while block := stream.read(_BLOCK_BYTES):
                 yield from splitter.feed(block)

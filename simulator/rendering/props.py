@@ -26,7 +26,7 @@ def place_props(track: Track, terrain: Terrain, random: np.random.Generator) -> 
 
     Nothing stands on another stretch of the road, in the water, or on a bridge.
     """
-    line, found = track.line, []
+    line, rows = track.line, []
     for k in range(len(line.points_m)):
         look = track.looks[track.look_index[k]]
         for side, edge in ((1.0, look.left), (-1.0, look.right)):
@@ -44,8 +44,8 @@ def place_props(track: Track, terrain: Terrain, random: np.random.Generator) -> 
             away = track.half_width_m[k] + near + (far - near) * random.random() ** 1.5
             x = line.points_m[k, 0] - side * away * np.sin(line.heading_rad[k])
             y = line.points_m[k, 1] + side * away * np.cos(line.heading_rad[k])
-            found.append((x, y, 0.0, random.uniform(*HEIGHTS_M[kind]), kind))
-    props = np.array(found, dtype=np.float64).reshape(-1, 5)
+            rows.append((x, y, 0.0, random.uniform(*HEIGHTS_M[kind]), kind))
+    props = np.array(rows, dtype=np.float64).reshape(-1, 5)
     column, row = (np.round((props[:, i] - terrain.origin_m[i]) / CELL_M).astype(int) for i in (0, 1))
     props[:, 2] = terrain.height_m[row, column] - 0.05
     clear = terrain.beyond_m[row, column] > np.where(props[:, 4] == POST, 0.7, 2.0)

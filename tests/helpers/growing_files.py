@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from common.file_tail import FileTail
+from recorder.sources.csv_lines import CsvTail
 
 WAYS = ["written anew", "another file", "deleted first"]
 
 
-def begin_again(tail: FileTail, text: bytes, way: str) -> None:
+def begin_again(tail: CsvTail, text: bytes, way: str) -> None:
     """Give the file that `tail` reads other contents, in one of WAYS."""
     path = tail.path
     if way == "another file":

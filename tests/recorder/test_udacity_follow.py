@@ -20,10 +20,9 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from common.car import CAMERAS
 from driving import PATIENCE_S, Process
-from growing_files import WAYS, begin_again
 from logs import read_messages
 from recorder import Imported, RecordingError, import_udacity
-from recorder.sources.udacity_follow import CsvTail, watch_udacity
+from recorder.sources.udacity_follow import watch_udacity
 from udacity import jpeg, make_recording, paths, picture_name
 
 Found = dict[str, set[tuple[int, int, object]]]
@@ -192,24 +191,6 @@ def test_a_csv_that_begins_again_adds_only_what_is_new(tmp_path: Path) -> None:
     done = watch(drive, tmp_path / "watched.mcap", steps)
     assert [name for reason, name in done.skipped if reason.startswith("rows")] == ["line 3"]
     assert (done.rows, done.pictures) == (3, 3)
-
-
-@pytest.mark.parametrize(
-    "text", [b"b\nd\n", b"a\nd\n", b"a\nb\nx\nd\n", b"d\n", b"new\nb\nc\nd\n", b"d\nd\nb\nd\n"]
-)
-@pytest.mark.parametrize("way", WAYS)
-def test_of_a_csv_that_begins_again_only_new_lines_are_given(tmp_path: Path, text: bytes, way: str) -> None:
-    csv = tmp_path / "driving_log.csv"
-    csv.write_bytes(b"a\nb\nc\npart")
-    tail = CsvTail(csv)
-    assert tail.new_lines() == [(1, b"a"), (2, b"b"), (3, b"c")]
-    begin_again(tail, text, way)
-    lines = list(enumerate(text.splitlines(), 1))
-    assert tail.new_lines() == [(number, line) for number, line in lines if line not in (b"a", b"b", b"c")]
-    with csv.open("ab") as stream:
-        stream.write(b"c\nd\ne\nb")
-    assert tail.new_lines() == [(len(lines) + 2, b"d"), (len(lines) + 3, b"e")]
-    assert tail.rest() == []
 
 
 def test_what_never_came_is_named_and_in_the_log(tmp_path: Path) -> None:

@@ -63,12 +63,12 @@ class GrowingLog(Closeable):
         self._quiet_since_s = time.monotonic()
         self._file: McapFile | None = None
         self._position = len(MAGIC)
-        self._found = Structure()
+        self._structure = Structure()
 
     @property
     def has_crcs(self) -> bool:
         """True if all that was read of it has CRCs, without which damage is not noticed."""
-        return self._file is None or self._file.have_crcs(self._found.chunks)
+        return self._file is None or self._file.have_crcs(self._structure.chunks)
 
     def close(self) -> None:
         if self._file is not None:
@@ -81,7 +81,7 @@ class GrowingLog(Closeable):
         """
         path = find_log(self.path)
         is_written = is_being_written(path)  # asked first: what was written until it died is then read
-        before = self._position, len(self._found.chunks), len(self._found.lost)
+        before = self._position, len(self._structure.chunks), len(self._structure.lost)
         self._file = self._file or self._opened()
         if self._file is not None:
             self._walk_on(self._file)
@@ -91,9 +91,9 @@ class GrowingLog(Closeable):
             self._end_without_end(path)
         if self._file is None:
             return
-        for start, end in self._found.lost[before[2] :]:
+        for start, end in self._structure.lost[before[2] :]:
             self.skipped.add("stretches of bytes without anything whole", f"{start:,} to {end:,}")
-        chunks = self._found.chunks[before[1] :]
+        chunks = self._structure.chunks[before[1] :]
         since_ns = 0
         if pictures_of_last_s is not None and chunks:
             since_ns = _newest_ns(self._file, chunks[-1]) - round(pictures_of_last_s * 1e9)
@@ -102,7 +102,7 @@ class GrowingLog(Closeable):
 
     def _walk_on(self, file: McapFile) -> None:
         try:
-            self._position, self.is_finished = walk_on(file, self._position, self._found)
+            self._position, self.is_finished = walk_on(file, self._position, self._structure)
         except LogError:
             if find_log(self.path).exists():
                 raise
@@ -115,7 +115,7 @@ class GrowingLog(Closeable):
         state = "its recording was killed; everything complete is shown"
         self.notice = f"{path}: {state}; `bc-log recover {shlex.quote(str(path))}` makes a log of it"
         if self._position < self._file.size:
-            self._found.lost.append((self._position, self._file.size))
+            self._structure.lost.append((self._position, self._file.size))
 
     def _opened(self) -> McapFile | None:
         path = find_log(self.path)
@@ -136,7 +136,7 @@ class GrowingLog(Closeable):
             self.skipped.add("damaged chunks", f"bytes {chunk.start:,} to {chunk.end:,}")
             return
         for stored in messages:
-            channel = self._found.channels.get(stored.channel)
+            channel = self._structure.channels.get(stored.channel)
             if channel is None:
                 self.skipped.add("messages whose description is lost", f"channel {stored.channel}")
             elif self._can_be_shown(channel):
@@ -146,7 +146,7 @@ class GrowingLog(Closeable):
 
     def _can_be_shown(self, channel: Channel) -> bool:
         kind = SHOWN.get(channel.topic)
-        return kind is not None and self._found.is_protobuf(channel.id, kind.DESCRIPTOR.full_name)
+        return kind is not None and self._structure.is_protobuf(channel.id, kind.DESCRIPTOR.full_name)
 
     def _shown(self, stored: StoredMessage, channel: Channel, records: bytes, since_ns: int) -> LiveMessage | None:
         name = f"{channel.topic} row {stored.sequence}"

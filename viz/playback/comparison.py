@@ -72,10 +72,10 @@ def prepare_comparison(
         by_time = [start_clock(log.time_range_ns[0]) for log, _ in opened]
         clocks = _by_place(paths, drawn) if by == "place" else by_time
         logs = [
-            _ComparedLog(name, log, found, clock)
-            for name, (log, _), found, clock in zip(names_of(paths), opened, drawn, clocks, strict=True)
+            _ComparedLog(name, log, messages, clock)
+            for name, (log, _), messages, clock in zip(names_of(paths), opened, drawn, clocks, strict=True)
         ]
-        topics = {each.name: topics_with_messages(each.log) for each in logs}
+        topics = {compared.name: topics_with_messages(compared.log) for compared in logs}
         layout = comparison_layout(topics, PLACE if by == "place" else SINCE_START, at_s=at_s)
         notices = [notice for _, notice in opened if notice]
         name = " | ".join(topics)
@@ -106,7 +106,7 @@ def names_of(paths: Sequence[Path]) -> list[str]:
 
 def _by_place(paths: Sequence[Path], drawn: Sequence[DrawnMessages]) -> list[Clock]:
     """Raises UserError if there is a log without poses, or one of another track."""
-    ways = [_way(path, found) for path, found in zip(paths, drawn, strict=True)]
+    ways = [_way(path, messages) for path, messages in zip(paths, drawn, strict=True)]
     first = ways[0][1]
     clocks = []
     for path, (time_ns, way) in zip(paths, ways, strict=True):
@@ -127,12 +127,12 @@ def _place_clock(pose_ns: Times, placed_m: NDArray[np.float64]) -> Clock:
 
 def _way(path: Path, drawn: DrawnMessages) -> tuple[Times, NDArray[np.float64]]:
     time_ns, poses = drawn.others.get(POSE, (np.zeros(0, np.int64), []))
-    way = np.array([(each.pose.position.x, each.pose.position.y) for each in poses], np.float64).reshape(-1, 2)
-    known = np.isfinite(way).all(axis=1)
-    order = np.argsort(time_ns[known], kind="stable")
-    if not known.any():
+    way = np.array([(pose.pose.position.x, pose.pose.position.y) for pose in poses], np.float64).reshape(-1, 2)
+    is_known = np.isfinite(way).all(axis=1)
+    order = np.argsort(time_ns[is_known], kind="stable")
+    if not is_known.any():
         raise UserError(f"{path}: has no poses, so no place: compare by time, without --by place")
-    return time_ns[known][order], way[known][order]
+    return time_ns[is_known][order], way[is_known][order]
 
 
 def _send(
@@ -142,23 +142,23 @@ def _send(
     skipped: Skipped,
     every: int,
 ) -> None:
-    for number, each in enumerate(logs):
+    for number, compared in enumerate(logs):
         color = LOG_COLORS[number % len(LOG_COLORS)]
-        drawing = Drawing(recording, each.clock, log_entity(each.name), each.name, color)
-        draw(each.drawn, drawing)
-        for curve, time_ns, values in predicted_curves(each.log):
+        drawing = Drawing(recording, compared.clock, log_entity(compared.name), compared.name, color)
+        draw(compared.drawn, drawing)
+        for curve, time_ns, values in predicted_curves(compared.log):
             drawing.curve(curve, time_ns, values)
-    for each in logs:
-        send_chunks(_moved(each, skipped, every), recording, flush)
+    for compared in logs:
+        send_chunks(_moved(compared, skipped, every), recording, flush)
 
 
-def _moved(one: _ComparedLog, skipped: Skipped, every: int) -> Generator[Chunk]:
+def _moved(compared: _ComparedLog, skipped: Skipped, every: int) -> Generator[Chunk]:
     """The chunks of a log that are not drawn, under its own entity and on the common time line."""
-    all_chunks = read_chunks(one.log, drawn_topics(one.log), one.clock, skipped, _LEFT_OUT, every)
+    all_chunks = read_chunks(compared.log, drawn_topics(compared.log), compared.clock, skipped, _LEFT_OUT, every)
     with contextlib.closing(all_chunks) as chunks:
         for chunk in chunks:
             if not chunk.is_static:
-                yield chunk.with_entity_path(log_entity(one.name) + chunk.entity_path)
+                yield chunk.with_entity_path(log_entity(compared.name) + chunk.entity_path)
 
 
 def distances_along(path: Path2D, other: Path2D) -> NDArray[np.float64] | None:

@@ -33,7 +33,7 @@ from viz.timelines import Clock, on_clock
 
 _SENT_BYTES: Final = 1 << 18  # of pictures that are sent at once: of larger parts, a viewer needs more memory
 _OF_SUMMARY: Final = ("metadata", "recording_info", "schema", "stats")  # decoders of what is no message
-_NOT_OF_SUMMARY: Final = tuple(each for each in McapReader.available_decoders() if each not in _OF_SUMMARY)
+_NOT_OF_SUMMARY: Final = tuple(name for name in McapReader.available_decoders() if name not in _OF_SUMMARY)
 _BLOB: Final = pa.list_(pa.field("item", pa.uint8(), nullable=False))
 
 
@@ -58,7 +58,9 @@ def protobuf_topics(log: Log) -> dict[str, str]:
     schemas = log.schemas
     channels = log.channels.values()
     return {
-        each.topic: schemas[each.topic] for each in channels if each.message_encoding == MessageEncoding.Protobuf
+        channel.topic: schemas[channel.topic]
+        for channel in channels
+        if channel.message_encoding == MessageEncoding.Protobuf
     }
 
 

@@ -1,4 +1,4 @@
-"""The lines of a text file that another program is still appending to."""
+"""The lines of a csv: of one that is read in blocks, and of one that another program is still appending to."""
 
 from __future__ import annotations
 
@@ -7,36 +7,62 @@ from pathlib import Path
 from stat import S_ISREG
 from typing import Final
 
-from common.text_lines import LineSplitter
 from common.untrusted import open_regular
+from recorder.sources.udacity_csv import MAX_LINE_BYTES
 
 _COMPARED_BYTES: Final = 1024
 _MAX_AT_ONCE: Final = 1 << 20
 
 
-class FileTail:
-    """Reads on where it stopped; a file that was made shorter or replaced is read again from its start.
+class LineSplitter:
+    """Splits bytes at \\n, \\r\\n and \\r, as bytes.splitlines does. It holds no more than a block and a line.
 
-    Lines end with \\n, \\r\\n or \\r. Of a line that is longer than `max_line_bytes`, so much and a byte more is
-    given.
+    A line that is longer than `MAX_LINE_BYTES` is cut one byte after them.
     """
 
-    def __init__(self, path: Path, max_line_bytes: int) -> None:
+    def __init__(self) -> None:
+        self._partial = b""  # a line whose end was not there yet
+        self._skips_newline = False  # the last line ended with a \r that may be half of a \r\n
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """The lines that are complete with `data`, without their ends."""
+        if self._skips_newline and data:
+            data = data.removeprefix(b"\n")
+            self._skips_newline = False
+        if not data:
+            return []
+        pieces = (self._partial + data).splitlines(keepends=True)
+        self._partial = b"" if pieces[-1].endswith((b"\n", b"\r")) else pieces.pop()[: MAX_LINE_BYTES + 1]
+        self._skips_newline = not self._partial and pieces[-1].endswith(b"\r")
+        return [piece.rstrip(b"\r\n")[: MAX_LINE_BYTES + 1] for piece in pieces]
+
+    def rest(self) -> bytes:
+        """The last line, if it has no end, for when nothing more will come; b"" without one."""
+        last, self._partial = self._partial, b""
+        return last
+
+
+class CsvTail:
+    """The lines of a growing csv. It reads on where it stopped.
+
+    A csv that was made shorter or replaced is read again from its start, without the lines that were there before.
+    Equal lines of one csv are all given.
+    """
+
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self.line_count = 0
-        """Lines of the present file that were read so far."""
         self.is_behind = False
         """True if there is more than the last call has read: it reads a megabyte, so that nothing waits long."""
-        self._most_line_bytes = max_line_bytes
         self._status: tuple[int, ...] = ()  # of the file, when it was last read
-        self._offset = 0
+        self._earlier_lines = set[int]()  # hashes: a day's drive has hundreds of thousands of lines
+        self._lines = set[int]()
         self._end = b""  # of what was read: still there, unless the file was replaced
-        self._splitter = LineSplitter(max_line_bytes)
+        self._start_again()
 
     def new_lines(self) -> list[tuple[int, bytes]]:
         """The lines that were completed since the last call, with their numbers in the file, from 1.
 
-        A file that is not there has no lines. Raises OSError for one that cannot be read now.
+        A file that is missing has no lines. Raises OSError for one that cannot be read now.
         """
         self.is_behind = False
         try:
@@ -51,9 +77,11 @@ class FileTail:
         return self._numbered([content] if content else [])
 
     def _numbered(self, lines: list[bytes]) -> list[tuple[int, bytes]]:
-        first = self.line_count + 1
-        self.line_count += len(lines)
-        return list(enumerate(lines, first))
+        first = self._line_count + 1
+        self._line_count += len(lines)
+        self._lines.update(map(hash, lines))
+        numbered = enumerate(lines, first)
+        return [(number, content) for number, content in numbered if hash(content) not in self._earlier_lines]
 
     def _read_on(self) -> bytes:
         """The bytes that were appended; b"" if the file is as it was."""
@@ -77,6 +105,8 @@ class FileTail:
         return data
 
     def _start_again(self) -> None:
-        self._offset = self.line_count = 0
+        self._offset = self._line_count = 0
         self._end = b""
-        self._splitter = LineSplitter(self._most_line_bytes)
+        self._splitter = LineSplitter()
+        self._earlier_lines |= self._lines
+        self._lines = set()
