@@ -65,16 +65,16 @@ class SizeReader:
         return self._size
 
 
-def pixels(picture: bytes) -> int | None:
-    """Width x height of a JPEG or PNG; None if it is neither, or cut off before that."""
-    size = width_and_height(picture)
-    return None if size is None else size[0] * size[1]
+def pixels(picture: bytes) -> int:
+    """Width x height of a JPEG or PNG; 0 if it is neither, or cut off before that."""
+    width, height = width_and_height(picture) or (0, 0)
+    return width * height
 
 
 def decoding_problem(picture: bytes) -> str:
     """Why a picture is not to be decoded, by its header and its markers; empty for what begins as a JPEG or PNG of
     at most `MAX_PIXELS` and, as a JPEG, of at most `MAX_SCANS`."""
-    size = pixels(picture) or 0
+    size = pixels(picture)
     if not size:
         return f"{counted(len(picture), 'byte')} that are not a picture"
     if size > MAX_PIXELS:
