@@ -1,7 +1,7 @@
 """Logs of stores on this machine's disk: fetched whole, once, and read from then on as any file.
 
-They are in the user's cache. BC_CACHE names another folder, BC_CACHE_GB how much all of them may take (100). Where
-that is full, those that were not used for longest go. A gigabyte of the disk always stays free.
+They are in the user's cache. BC_CACHE names another folder. BC_CACHE_GB limits the size of all of them (100). If
+the cache is full, the least recently used logs are removed. A gigabyte of the disk always stays free.
 """
 
 from __future__ import annotations
