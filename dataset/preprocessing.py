@@ -31,7 +31,7 @@ def decode(encoded: bytes) -> Image:
 
 def may_be_crop(encoded: bytes) -> bool:
     """True for the header of a JPEG or PNG of no more pixels than a network may see; nothing is unpacked."""
-    return 0 < (pixels(encoded) or 0) <= MAX_PX**2
+    return 0 < pixels(encoded) <= MAX_PX**2
 
 
 def preprocess(picture: Image, spec: PictureSpec = ORIGINAL) -> Image:

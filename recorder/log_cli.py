@@ -71,13 +71,18 @@ class Check:
 
         checked = check(path, look=self.look)
         if self.json:
-            findings = [finding._asdict() for finding in checked.findings]
-            result = {"path": str(path), "messages": checked.messages, "pictures_decoded": checked.pictures}
-            gaps = {"meant_gaps": checked.meant_gaps, "pauses": checked.pauses}
-            more = {"has_crcs": checked.has_crcs, **gaps, "findings": findings}
-            more |= {"odd": [asdict(stretch) for stretch in checked.odd]}
-            more |= {"lag": checked.lag and checked.lag.lag and asdict(checked.lag.lag)}
-            print_result(json.dumps({**result, **more}))
+            result = {
+                "path": str(path),
+                "messages": checked.messages,
+                "pictures_decoded": checked.pictures,
+                "has_crcs": checked.has_crcs,
+                "meant_gaps": checked.meant_gaps,
+                "pauses": checked.pauses,
+                "findings": [finding._asdict() for finding in checked.findings],
+                "odd": [asdict(stretch) for stretch in checked.odd],
+                "lag": checked.lag and checked.lag.lag and asdict(checked.lag.lag),
+            }
+            print_result(json.dumps(result))
         else:
             info = describe(path)
             print_checked(checked, info.tags)

@@ -109,7 +109,6 @@ def rows_of(tag: Tag) -> str:
 
 
 def _print_drives(info: LogInfo) -> None:
-
     if info.drives is None or info.flags is None:
         if not info.is_ours:
             print_table("  written by another program: `bc-log check` shows its content")

@@ -22,7 +22,6 @@ from dataset.frames.pairing import moments, paired_rows
 from dataset.frames.split import block_numbers, near_validation, validation_blocks
 from dataset.steering_bins import bin_of
 from recorder import Log, Pictures
-from recorder.log.row_devices import device_numbers
 from recorder.log.tags import Tag
 from recorder.rows.devices import DEVICES
 from recorder.rows.row_quality import NOT_LEARNT, States, drive_numbers, row_flags
@@ -38,7 +37,7 @@ def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
     session = session_name(log.path)
     findings = read_image_check(index, session, log.fingerprint)
-    return frames_of(states, pictures, session, config, tags, findings, driver, device_numbers(log))
+    return frames_of(states, pictures, session, config, tags, findings, driver, log.devices())
 
 
 def driven_states(log: Log) -> tuple[States, NDArray[np.int8]]:
@@ -68,7 +67,7 @@ def frames_of(
     device: NDArray[np.int8] | None = None,
 ) -> pa.Table:
     """The frames of a session from its vehicle states, the places of its pictures, the driver at each state (as
-    `driven_states` gives it; None: unknown), and its `device_numbers` (None: unknown)."""
+    `driven_states` gives it; None: unknown), and its `devices` (None: unknown)."""
     unknown = np.zeros(len(states.row), np.int8)
     driver = unknown if driver is None else driver
     device = unknown if device is None else device

@@ -23,7 +23,7 @@ def camera_picture(encoded: bytes) -> tuple[Image, tuple[int, int]]:
     try:
         size = check_whole_picture(encoded)
     except TelemetryError:
-        _refuse_too_large(pixels(encoded) or 0)
+        _refuse_too_large(pixels(encoded))
         raise
     _refuse_too_large(size[0] * size[1])
     try:

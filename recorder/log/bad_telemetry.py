@@ -19,12 +19,12 @@ class BadTelemetry:
         self.counts: Counter[str] = Counter()
 
     def take(self, kind: str, reason: str) -> str | None:
-        """The event that one more makes; None where there were enough of its kind."""
+        """Count one, and return its event; None if there are `MAX_OF_EACH` of its kind already."""
         self.counts[kind] += 1
         return f"{_PREFIX}{reason}" if self.counts[kind] <= MAX_OF_EACH else None
 
     def left(self) -> list[str]:
-        """The events at the end, for those that were none."""
+        """The events at the end of a log, for those that were only counted."""
         return [
             f"{_PREFIX}{kind} ({count - MAX_OF_EACH:,} more)"
             for kind, count in self.counts.items()

@@ -1,7 +1,7 @@
 """Logs of stores on this machine's disk: fetched whole, once, and read from then on as any file.
 
-They are in the user's cache. BC_CACHE names another folder, BC_CACHE_GB how much all of them may take (100). Where
-that is full, those that were not used for longest go. A gigabyte of the disk always stays free.
+They are in the user's cache. BC_CACHE names another folder. BC_CACHE_GB limits the size of all of them (100). If
+the cache is full, the least recently used logs are removed. A gigabyte of the disk always stays free.
 """
 
 from __future__ import annotations
@@ -87,22 +87,22 @@ def _make_room(kept: Collection[Path], size: int) -> None:
     for part in folder.glob(f"*{PART_SUFFIX}"):  # of killed processes: the lock is held
         part.unlink()
     logs = sorted((path.stat().st_mtime, path.stat().st_size, path) for path in folder.glob("*.mcap"))
-    held = sum(each for _, each, _ in logs)
+    held = sum(log_bytes for _, log_bytes, _ in logs)
     free = shutil.disk_usage(folder).free - _STAYS_FREE
     most = min(_max_bytes(), held + free)
-    needed = size + sum(each for _, each, path in logs if path in kept)
+    needed = size + sum(log_bytes for _, log_bytes, path in logs if path in kept)
     if needed > most:
         why = "the disk has no more room" if most < _max_bytes() else "BC_CACHE_GB sets how much"
         raise UserError(
             f"{folder}: {needed / 1e9:,.1f} GB of logs have to be fetched to it, but it can hold"
             f" {max(0, most) / 1e9:,.1f} GB ({why}; BC_CACHE names another folder)"
         )
-    for _, freed, path in logs:
+    for _, log_bytes, path in logs:
         if held + size <= most:
             return
         if path not in kept:
             path.unlink()
-            held -= freed
+            held -= log_bytes
 
 
 def _max_bytes() -> int:

@@ -22,7 +22,7 @@ def logs_in(folder: Location) -> list[Path] | list[Url]:
     if isinstance(folder, Url):
         from common.object_store import list_objects  # an extra
 
-        return [each.url for each in list_objects(folder) if each.url.suffix == ".mcap"]
+        return [entry.url for entry in list_objects(folder) if entry.url.suffix == ".mcap"]
     return sorted((*folder.glob("*.mcap"), *folder.glob("*.mcap.*.part")))
 
 

@@ -33,6 +33,7 @@ from recorder.mcap.number_fields import decode_numbers
 from recorder.mcap.picture_places import Pictures, is_about_places, is_of_pictures, read_chunk_crcs, read_places
 from recorder.mcap.salvage import salvage
 from recorder.mcap.scan import read_structure
+from recorder.rows.devices import DEVICES
 from recorder.topics import camera_topic, prediction_topic
 
 if TYPE_CHECKING:  # training reads pictures where protobuf is not installed; a log's end needs no Arrow
@@ -63,7 +64,7 @@ class Message:
 class Log(Closeable):
     """A log, open for reading. Use it as a context manager, or call `close()`.
 
-    `salvages`: with whole chunks that lie elsewhere than they should, or have a damaged header, for a recovery.
+    `salvages`: with whole chunks that lie elsewhere than they should, for a recovery.
     `shows_progress`: with a progress bar while all of it is read, which is when messages are first read.
     Raises LogError where the file is missing, not an MCAP file, or damaged.
     """
@@ -278,6 +279,12 @@ class Log(Closeable):
         """The vehicle states, one a row: row, log_time_ns, steering (-1 left .. 1 right), throttle and brake
         (0 .. 1), speed_mph (NaN where the source has none)."""
         return self.numbers(topics.VEHICLE, topics.VEHICLE_COLUMNS)
+
+    def devices(self) -> NDArray[np.int8]:
+        """The device that a person steered with in each vehicle state (N,), as its position in `DEVICES`."""
+        numbers = self.numbers(topics.VEHICLE, ["device"])["device"].to_numpy()
+        is_known = (numbers >= 0) & (numbers < len(DEVICES))  # a later version may know more
+        return np.where(is_known, numbers, 0).astype(np.int8)
 
     def numbers(self, topic_name: str, fields: Sequence[str]) -> pa.Table:
         """Fields of the messages on a topic of the registry, one message a row: row, log_time_ns, and each field

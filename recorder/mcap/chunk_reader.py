@@ -16,8 +16,8 @@ _CACHED_BYTES: Final = 1 << 26  # and fewer of larger ones
 
 
 class ChunkReader:
-    """Reads from chunks of a file. The CRC of each is compared once; compressed ones stay unpacked for
-    a while, as do those that were fetched from a store."""
+    """Reads from chunks of a file, and compares the CRC of each once. The last few chunks that were compressed, or
+    fetched from a store, stay in memory."""
 
     def __init__(self, file: McapFile, chunks: Sequence[Chunk]) -> None:
         self._file = file

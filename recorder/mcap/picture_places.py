@@ -147,7 +147,9 @@ def read_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None
     of_pictures = [number for number, chunk in enumerate(structure.chunks) if is_of_pictures(chunk, images)]
     if np.unique(places["chunk"]).tolist() != of_pictures:
         return None
-    counted = dict(zip(*(each.tolist() for each in np.unique(places["channel"], return_counts=True)), strict=True))
+    counted = dict(
+        zip(*(column.tolist() for column in np.unique(places["channel"], return_counts=True)), strict=True)
+    )
     if counted != _picture_counts(structure) or (places["log_time_ns"] > LAST_TIME_NS).any():
         return None
     starts = np.array([chunk.start for chunk in structure.chunks], np.int64)
@@ -189,7 +191,7 @@ def _attached(file: McapFile, structure: Structure, name: str, size: int) -> byt
     if not 0 < size <= file.size:
         return None
     parts, left = [], size
-    for at in sorted(at for at, its_name in structure.attachment_names.items() if its_name == name):
+    for at in sorted(at for at, stored in structure.attachment_names.items() if stored == name):
         try:
             parts.append(file.attachment(at).data)
         except LogError:

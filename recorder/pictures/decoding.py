@@ -27,10 +27,10 @@ def decode_picture(picture: bytes, flags: int) -> NDArray[np.uint8] | None:
     import cv2  # what looks at no picture needs none of its memory
 
     try:
-        found = cv2.imdecode(np.frombuffer(picture, np.uint8), flags)
+        decoded = cv2.imdecode(np.frombuffer(picture, np.uint8), flags)
     except cv2.error:  # a header that promises more columns than OpenCV allows
         return None
-    return None if found is None else found.astype(np.uint8, copy=False)
+    return None if decoded is None else decoded.astype(np.uint8, copy=False)
 
 
 def decodes(picture: bytes) -> bool:

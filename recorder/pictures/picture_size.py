@@ -65,16 +65,16 @@ class SizeReader:
         return self._size
 
 
-def pixels(picture: bytes) -> int | None:
-    """Width x height of a JPEG or PNG; None if it is neither, or cut off before that."""
-    size = width_and_height(picture)
-    return None if size is None else size[0] * size[1]
+def pixels(picture: bytes) -> int:
+    """Width x height of a JPEG or PNG; 0 if it is neither, or cut off before that."""
+    width, height = width_and_height(picture) or (0, 0)
+    return width * height
 
 
 def decoding_problem(picture: bytes) -> str:
     """Why a picture is not to be decoded, by its header and its markers; empty for what begins as a JPEG or PNG of
     at most `MAX_PIXELS` and, as a JPEG, of at most `MAX_SCANS`."""
-    size = pixels(picture) or 0
+    size = pixels(picture)
     if not size:
         return f"{counted(len(picture), 'byte')} that are not a picture"
     if size > MAX_PIXELS:
@@ -91,11 +91,11 @@ class PictureSizes:
     """Counts the sizes of each camera's pictures, to report one that changes its size within a session."""
 
     def __init__(self) -> None:
-        self._found: dict[str, dict[tuple[int, int], tuple[int, int]]] = {}  # topic, size -> count, first row
+        self._sizes: dict[str, dict[tuple[int, int], tuple[int, int]]] = {}  # topic, size -> count, first row
 
     def add(self, topic: str, row: int, size: tuple[int, int] | None) -> None:
         """A picture of this width and height; None for one that has none."""
-        sizes = self._found.setdefault(topic, {})
+        sizes = self._sizes.setdefault(topic, {})
         if size is not None and (size in sizes or len(sizes) < _MAX_SIZES):
             count, first_row = sizes.get(size, (0, row))
             sizes[size] = count + 1, first_row
@@ -107,18 +107,18 @@ class PictureSizes:
                 f"{counted(count, 'picture')} of {width}x{height} (first: row {row})"
                 for (width, height), (count, row) in sizes.items()
             )
-            for topic, sizes in sorted(self._found.items())
+            for topic, sizes in sorted(self._sizes.items())
             if len(sizes) > 1
         }
 
     def first(self) -> dict[str, tuple[int, int]]:
         """Width and height of the first picture of each topic; not of one that has none."""
-        return {topic: next(iter(sizes)) for topic, sizes in sorted(self._found.items()) if sizes}
+        return {topic: next(iter(sizes)) for topic, sizes in sorted(self._sizes.items()) if sizes}
 
     def notices(self) -> list[str]:
         """Lines to print about a recording whose pictures are not all of one size, on whatever camera."""
         counts: Counter[tuple[int, int]] = Counter()
-        for sizes in self._found.values():
+        for sizes in self._sizes.values():
             counts.update({size: count for size, (count, _) in sizes.items()})
         if len(counts) < 2:
             return []

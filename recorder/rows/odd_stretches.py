@@ -75,13 +75,13 @@ class OddStretch:
 
     def __str__(self) -> str:
         kind = ODD_KINDS.get(self.kind, printable(self.kind))
-        rows = (
-            f"row {self.first_row}"
-            if self.first_row == self.last_row
-            else f"rows {self.first_row} to {self.last_row}"
-        )
+        rows = rows_named(self.first_row, self.last_row)
         perhaps = "" if self.is_sure else "perhaps "
         return f"{perhaps}{kind}: {rows}, {self.begin_s:.1f} to {self.end_s:.1f} s ({printable(self.cause)})"
+
+
+def rows_named(first: int, last: int) -> str:
+    return f"row {first}" if first == last else f"rows {first} to {last}"
 
 
 def odd_stretches(states: States) -> list[OddStretch]:
@@ -99,8 +99,8 @@ def odd_stretches(states: States) -> list[OddStretch]:
             if not is_sure and states.time_ns[last] - states.time_ns[first] < CRUMB_S * 1e9:
                 continue  # the edge of what is odd for another cause
             why = cause(rows) if callable(cause) else cause
-            kind_of_it, why = why if isinstance(why, tuple) else (kind, why)
-            odd.append(stretch_of(states, first, last, kind_of_it, why, is_sure=is_sure))
+            own_kind, why = why if isinstance(why, tuple) else (kind, why)
+            odd.append(stretch_of(states, first, last, own_kind, why, is_sure=is_sure))
     return sorted(odd, key=lambda stretch: (stretch.first_row, stretch.last_row))
 
 

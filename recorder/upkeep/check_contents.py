@@ -22,7 +22,7 @@ from recorder.mcap.message_index import LAST_TIME_NS
 from recorder.mcap.scan import Structure
 from recorder.pictures.image_check import ImageCheck, TopicPictures
 from recorder.pictures.picture_size import PictureSizes, width_and_height
-from recorder.rows.odd_stretches import OddStretch, odd_stretches
+from recorder.rows.odd_stretches import OddStretch, odd_stretches, rows_named
 from recorder.rows.row_quality import STANDING_MPH, StatesWritten, row_flags
 from recorder.topics import CAMERA_TOPICS, LOG_MESSAGE, TOPICS, VEHICLE_STATE, camera_topic
 
@@ -35,7 +35,7 @@ ODD_FINDINGS: Final = {
     "out_of_range": "stretches of values out of range",
     "steering_against_pictures": "stretches of steering against the pictures",
 }
-"""Whoever coasts or creeps may do so: `bc-log info` names it."""
+"""Coasting and creeping are no findings; `bc-log info` names them."""
 _MISFIT: Final = "messages that are not what their schema says"
 
 
@@ -181,11 +181,8 @@ class Contents:
 
 def odd_findings(odd: Iterable[OddStretch]) -> list[Finding]:
     """Those of the odd stretches that are findings."""
-    named = [
-        (ODD_FINDINGS.get(stretch.kind, ""), rows_named(stretch.first_row, stretch.last_row)) for stretch in odd
+    return [
+        Finding(ODD_FINDINGS[stretch.kind], rows_named(stretch.first_row, stretch.last_row))
+        for stretch in odd
+        if stretch.kind in ODD_FINDINGS
     ]
-    return [Finding(kind, where) for kind, where in named if kind]
-
-
-def rows_named(first: int, last: int) -> str:
-    return f"row {first}" if first == last else f"rows {first} to {last}"

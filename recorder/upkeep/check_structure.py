@@ -114,8 +114,8 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
             counts.update(message.channel for message in messages)
             yield record, messages
         elif opcode == Opcode.MESSAGE_INDEX and expected:
-            channel, found = _message_index(record)
-            if sorted(found) != sorted(expected.pop(channel, [])):
+            channel, entries = _message_index(record)
+            if sorted(entries) != sorted(expected.pop(channel, [])):
                 findings.append(Finding("indexes that do not fit their chunk", f"at byte {position:,}"))
         position += len(record)
     findings.extend(

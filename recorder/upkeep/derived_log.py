@@ -101,8 +101,8 @@ def publish_all(path: Path, writers: Sequence[LogWriter], tags: Sequence[Sequenc
                     f" {stays} was kept"
                 ) from None
             published.append(writer.path)
-        for target, its_tags in zip(published, tags, strict=True):
-            _write_tags(target, its_tags)
+        for target, target_tags in zip(published, tags, strict=True):
+            _write_tags(target, target_tags)
 
 
 def _write_tags(path: Path, tags: Sequence[Tag]) -> None:

@@ -103,7 +103,7 @@ def merge(paths: Sequence[Path], to: Path, *, overwrite: bool = False) -> Writte
         merged_tags: list[Tag] = []
         metadata = {"source": "merged", "merged_from": ", ".join(path.name for path in paths)}
         writer = stack.enter_context(LogWriter(to, metadata, overwrite=overwrite))
-        for log, its_tags in zip(logs, tags, strict=True):
+        for log, log_tags in zip(logs, tags, strict=True):
             first, rows = following, list[int]()
             for schema, channel, message in _messages(log, "merging"):
                 sequence = message.sequence
@@ -118,7 +118,7 @@ def merge(paths: Sequence[Path], to: Path, *, overwrite: bool = False) -> Writte
                     rows.append(message.sequence)
             row_count += len(rows)
             merged_tags += [
-                Tag(tag.first_row + first, tag.last_row + first, tag.name) for tag in tags_of_rows(its_tags, rows)
+                Tag(tag.first_row + first, tag.last_row + first, tag.name) for tag in tags_of_rows(log_tags, rows)
             ]
             writer.add_metadata(f"{topics.SESSION_METADATA} of {log.path.name}", log.metadata)
             copy_rest(log, log.all_metadata(), writer, skipped)
@@ -172,7 +172,7 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
             copy_rest(log, log.all_metadata(), writer, left_out)
             writer.finish()
         rows = [number[drives == drive].tolist() for drive in range(len(targets))]
-        publish_all(path, writers, [tags_of_rows(tags, its_rows) for its_rows in rows], overwrite)
+        publish_all(path, writers, [tags_of_rows(tags, drive_rows) for drive_rows in rows], overwrite)
     return [Written(*parts) for parts in zip(targets, counts, map(len, rows), skipped, strict=True)]
 
 

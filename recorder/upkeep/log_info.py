@@ -17,7 +17,6 @@ from recorder.log.known_lag import keep_lag, kept_lag, known_lag, noted_lag
 from recorder.log.meant_gaps import NotRecorded, meant_rows
 from recorder.log.reader import Log
 from recorder.log.road_places import states_of
-from recorder.log.row_devices import device_numbers
 from recorder.log.session_car import max_steering_deg_of
 from recorder.log.tagged_rows import TaggedRows
 from recorder.log.tags import Tag, tags_by_content
@@ -82,7 +81,7 @@ class LogInfo:
         """The rows of the odd stretches, by their kind: most first."""
         rows = Counter[str]()
         for stretch in self.odd or ():
-            rows[stretch.kind] += stretch.last_row - stretch.first_row + 1
+            rows[stretch.kind] += stretch.rows
         return dict(rows.most_common())
 
     @property
@@ -230,7 +229,7 @@ def _odd(log: Log, quality: dict[str, str]) -> list[OddStretch] | None:
     noted = odd_in(quality)
     if noted is not None or not quality:
         return noted
-    states = _states(log) if log.is_ours and log.counts.get(topics.VEHICLE) else None
+    states = _states(log)
     return None if states is None else odd_stretches(states)
 
 
@@ -238,15 +237,15 @@ def _steering(log: Log, quality: dict[str, str]) -> SteeringHabits | None:
     """The habits that the log's writer has noted; for a log without, measured from its rows."""
     if noted := habits_from(quality.get("steering", "")):
         return noted
-    states = _states(log) if log.is_ours and log.counts.get(topics.VEHICLE) else None
+    states = _states(log)
     if states is None:
         return None
-    return steering_habits(states, max_steering_deg_of(log), most_used_of(device_numbers(log)))
+    return steering_habits(states, max_steering_deg_of(log), most_used_of(log.devices()))
 
 
 def _states(log: Log) -> States | None:
-    states = states_of(log)
-    return states if len(states.row) else None
+    """The states of a log of ours; None if it has no rows."""
+    return states_of(log) if log.is_ours and log.counts.get(topics.VEHICLE) else None
 
 
 def _count(text: str | None) -> int:

@@ -21,8 +21,8 @@ from recorder.errors import LogError
 from recorder.log.reader import Log
 from recorder.log.tags import Tag, bad_rows_in, read_tags
 from recorder.mcap.mcap_file import Chunk
+from recorder.rows.odd_stretches import rows_named
 from recorder.topics import CAMERA_TOPICS, PICTURE_TOPICS, ROW_TOPICS, VEHICLE
-from recorder.upkeep.check_contents import rows_named
 from recorder.upkeep.check_structure import is_damaged_beside_chunks
 from recorder.upkeep.derived_log import Written, close_with_tags, copy_rest, new_log, refuse_taken, tags_of_rows
 

@@ -47,10 +47,10 @@ def are_swapped(log: Log) -> bool:
     right: list[Edges] = []
     for row in (rows[at] for at in chosen):
         bands = [_bands(log.picture(row, camera)) for camera in _CAMERAS]
-        whole = [each for each in bands if each is not None]
-        if len(whole) == 3 and len({each.shape for each in whole}) == 1:
-            for of_camera, each in zip((centre, left, right), whole, strict=True):
-                of_camera.append(each)
+        whole = [edges for edges in bands if edges is not None]
+        if len(whole) == 3 and len({edges.shape for edges in whole}) == 1:
+            for camera_edges, edges in zip((centre, left, right), whole, strict=True):
+                camera_edges.append(edges)
     return len(centre) >= _MIN_MOMENTS and not _fit(centre, left, right) and _fit(centre, right, left)
 
 

@@ -20,7 +20,6 @@ from driving import road_jpeg, untrained_run
 from model import load_pilot
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
-from recorder.log.row_devices import device_numbers
 from recorder.log.tags import Tag, read_tags
 from recorder.rows.devices import DEVICES
 from recorder.server.telemetry_server import Steer
@@ -175,7 +174,7 @@ def test_the_log_and_the_summary_count_the_persons_takeovers(supervised: Supervi
     person, network = (PilotCommand.HUMAN, PERSON), (PilotCommand.PILOT, pytest.approx(networks))
     assert rows(supervised.log) == [network, person, network, person, network]
     with Log(supervised.log) as log:
-        assert [DEVICES[number] for number in device_numbers(log)] == ["", "keyboard", "", "keyboard", ""]
+        assert [DEVICES[number] for number in log.devices()] == ["", "keyboard", "", "keyboard", ""]
     ended = supervised.page.text("ended")
     assert (ended["rows"], [each["row"] for each in ended["takeovers"]]) == (5, [1, 3])
 
