@@ -1,7 +1,6 @@
 """What `--help` shows: the flags that most people need, on one screen. `--help-all` shows the others too.
 
-A configuration lists its rare flags in `RARE: ClassVar[str]`, and in `EARLIER_FLAGS` those of the version before,
-which no help shows. Parsing treats them as any other flag.
+A configuration lists its rare flags in `RARE: ClassVar[str]`. Parsing treats them as any other flag.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ def shown_by_help(config: Any, with_rare: bool) -> Any:
         kinds = [(variant.__origin__, variant.__metadata__) for variant in get_args(config)]
         return Union[tuple(Annotated[(shown_by_help(kind, with_rare), *notes)] for kind, notes in kinds)]  # noqa: UP007
     hints = get_type_hints(config, include_extras=True)
-    hidden = [*getattr(config, "EARLIER_FLAGS", "").split(), *([] if with_rare else _rare(config))]
+    hidden = [] if with_rare else _rare(config)
     changed = []
     for flag in dataclasses.fields(config):
         hint = hints[flag.name]

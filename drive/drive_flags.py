@@ -13,7 +13,7 @@ import tyro
 from common.command import check_port, flags_given
 from common.errors import UsageError
 from common.location_flag import LocationFlag
-from recorder.sources.gymnasium_flags import GYM_FLAGS, GymFlags
+from recorder.sources.gymnasium_flags import GYM_FLAGS, REMOVED_GYM_FLAGS, GymFlags
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,7 @@ class Drive:
     REMOVED: ClassVar[Mapping[str, str]] = {
         "--aggregate": "drive with --takeover --log LOG.mcap, then `bc-train --init RUN --takeovers LOG.mcap`",
         "--server": "eventlet serves; leave it out",
+        **REMOVED_GYM_FLAGS,
     }
     run: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
     """Name or folder; by default the newest."""

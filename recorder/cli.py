@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -10,7 +11,7 @@ import tyro
 
 from common.command import run_command
 from common.location_flag import LocationFlag
-from recorder.sources.gymnasium_flags import GymFlags
+from recorder.sources.gymnasium_flags import REMOVED_GYM_FLAGS, GymFlags
 from recorder.sources.settings import SimulatedDrive, Topics
 
 
@@ -24,6 +25,7 @@ class Record:
     """
 
     RARE: ClassVar[str] = "idle host port topics columns udacity copy_to page wander"
+    REMOVED: ClassVar[Mapping[str, str]] = REMOVED_GYM_FLAGS
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
     """Name of the session, without folder or ending."""
     source: Annotated[Path | None, tyro.conf.arg(name="from", metavar="SOURCE")] = None

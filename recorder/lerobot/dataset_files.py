@@ -6,8 +6,7 @@ import contextlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, BinaryIO, Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 import pyarrow as pa
@@ -20,8 +19,7 @@ from recorder.lerobot.log_episodes import Sizes
 from recorder.lerobot.video_files import VideoFiles
 
 _EPISODES_AT_ONCE: Final = 64  # are kept until they are written to meta/episodes
-_BYTES_A_ROW: Final = 150  # what a row has beside its pictures, at most
-_PART_BYTES: Final = 1 << 28  # of one array: Arrow counts the bytes of `binary` in 32 bits
+_BYTES_A_ROW: Final = 150  # of a row without its pictures, at most
 
 
 class DatasetFiles:
@@ -34,22 +32,21 @@ class DatasetFiles:
         self._has_speed = has_speed
         self._has_split = has_split
         self.columns: dict[str, form.Feature] = {}  # from the first episode on
-        self._schema = pa.schema([])
         self._data: DataFiles | None = None
         self._videos: list[VideoFiles] = []
         self._episodes: list[dict[str, Any]] = []
         self._episodes_writer: pq.ParquetWriter | None = None
 
-    def begin_episode(self, sizes: Sizes) -> None:
-        """To be called before anything is added of an episode."""
+    def begin_episode(self, sizes: Sizes, frames: int, pictures_bytes: int) -> None:
+        """Begin an episode of at most so many frames, whose pictures have at most so many bytes."""
         if self._data is None:
             self.columns = form.features(
                 sizes, has_speed=self._has_speed, is_video=self.is_video, has_split=self._has_split
             )
-            self._schema = form.data_schema(self.columns)
-            self._data = DataFiles(self.root, self._schema)
+            self._data = DataFiles(self.root, form.data_schema(self.columns))
             cameras = sizes.items() if self.is_video else ()
             self._videos = [VideoFiles(self.root, form.image_key(camera), self._fps, s) for camera, s in cameras]
+        self._data.begin_episode(frames, 0 if self.is_video else pictures_bytes)
         for video in self._videos:
             video.begin_episode()
 
@@ -58,12 +55,15 @@ class DatasetFiles:
         for video, picture in zip(self._videos, pictures, strict=True):
             video.add(picture)
 
-    def write(self, columns: Mapping[str, pa.Array | pa.ChunkedArray], size: int, about: dict[str, Any]) -> None:
-        """Write an episode's columns, whose pictures have `size` bytes, and what meta/episodes has about it."""
-        if self._data is None:
-            raise ValueError("no episode was begun")
-        table = pa.table([columns[name] for name in self._schema.names], schema=self._schema)
-        number = self._data.write(table, size)
+    def write(self, columns: Mapping[str, pa.Array]) -> None:
+        """Write frames of the episode."""
+        assert self._data is not None  # noqa: S101
+        self._data.write(columns)
+
+    def end_episode(self, about: dict[str, Any]) -> None:
+        """Write what meta/episodes has about the episode."""
+        assert self._data is not None  # noqa: S101
+        number = self._data.number
         places: dict[str, Any] = {"data/chunk_index": number.chunk, "data/file_index": number.file}
         for video in self._videos:
             places |= video.episode_columns()
@@ -118,30 +118,34 @@ def write_tasks(root: Path, task: str) -> None:
 
 
 class DataFiles:
-    """Writes episodes one after the other; a file that would become larger than the format's size is ended before.
+    """Writes the frames of one episode after the other.
 
-    An episode is always in one file, also one that is larger.
+    An episode begins a new file if the file might become larger than the format's size. It is always in one file.
     """
 
     def __init__(self, root: Path, schema: pa.Schema, file_bytes: int = DATA_FILE_MB * MEBIBYTE) -> None:
+        self.number = FileNumber()  # of the file that the episode is in
         self._root = root
         self._file_bytes = file_bytes
         self._schema = schema
-        self._number = FileNumber()
         self._writer: pq.ParquetWriter | None = None
         self._bytes = 0
 
-    def write(self, episode: pa.Table, pictures_bytes: int) -> FileNumber:
-        """Write an episode whose pictures have so many bytes; returns which file it is in."""
-        size = pictures_bytes + len(episode) * _BYTES_A_ROW
+    def begin_episode(self, frames: int, pictures_bytes: int) -> None:
+        """Begin an episode of at most so many frames, whose pictures have at most so many bytes."""
+        size = pictures_bytes + frames * _BYTES_A_ROW
         if self._writer is not None and self._bytes + size > self._file_bytes:
             self.close()
-            self._number = self._number.next()
+            self.number = self.number.next()
         if self._writer is None:
             self._writer = self._begun()
-        self._writer.write_table(episode, row_group_size=len(episode))
         self._bytes += size
-        return self._number
+
+    def write(self, columns: Mapping[str, pa.Array]) -> None:
+        """Write frames as a row group."""
+        assert self._writer is not None  # noqa: S101
+        table = pa.table([columns[name] for name in self._schema.names], schema=self._schema)
+        self._writer.write_table(table, row_group_size=len(table))
 
     def close(self) -> None:
         if self._writer is not None:
@@ -149,7 +153,7 @@ class DataFiles:
             self._writer, self._bytes = None, 0
 
     def _begun(self) -> pq.ParquetWriter:
-        path = self._root / self._number.path(DATA_PATH)
+        path = self._root / self.number.path(DATA_PATH)
         path.parent.mkdir(parents=True, exist_ok=True)
         pictures = [f"{field.name}.bytes" for field in self._schema if field.type == IMAGE_TYPE]
         others = [_leaf(field) for field in self._schema if field.type != IMAGE_TYPE]
@@ -167,60 +171,3 @@ class DataFiles:
 def _leaf(field: pa.Field) -> str:
     """A column's name among parquet's: that of a list is its values'."""
     return f"{field.name}.list.element" if pa.types.is_fixed_size_list(field.type) else str(field.name)
-
-
-class PictureSpool:
-    """A file for each column of pictures. Use it as a context manager, and what it gives only within."""
-
-    def __init__(self, folder: Path, columns: int) -> None:
-        """The files are in `folder` as long as the spool is."""
-        self._paths = [folder / f"spool-{number}" for number in range(columns)]
-        self._files: list[BinaryIO] = []
-        self._lengths: list[list[int]] = [[] for _ in self._paths]
-        self._mapped: list[pa.MemoryMappedFile] = []
-
-    def __enter__(self) -> Self:
-        self._files = [path.open("wb") for path in self._paths]
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for file in (*self._files, *self._mapped):
-            with contextlib.suppress(OSError):  # what a full disk could not take
-                file.close()
-        for path in self._paths:
-            path.unlink(missing_ok=True)
-
-    def add(self, pictures: Sequence[bytes]) -> None:
-        """One picture for each column. Raises OSError where the disk is full."""
-        for file, lengths, picture in zip(self._files, self._lengths, pictures, strict=True):
-            file.write(picture)
-            lengths.append(len(picture))
-
-    @property
-    def size_bytes(self) -> int:
-        return sum(map(sum, self._lengths))
-
-    def columns(self) -> list[pa.ChunkedArray]:
-        """The columns (`IMAGE_TYPE`), read from the files as they are used. To be called once, in the end."""
-        columns = []
-        for file, path, lengths in zip(self._files, self._paths, self._lengths, strict=True):
-            file.close()
-            self._mapped.append(pa.memory_map(str(path)))
-            columns.append(_column(self._mapped[-1].read_buffer(), np.array(lengths, np.int64)))
-        return columns
-
-
-def _column(data: pa.Buffer, lengths: np.ndarray[tuple[int], np.dtype[np.int64]]) -> pa.ChunkedArray:
-    ends = np.cumsum(lengths)
-    cuts = np.flatnonzero(np.diff((ends - lengths) // _PART_BYTES)) + 1
-    arrays = []
-    for part in np.split(np.arange(len(lengths)), cuts):
-        start, end = int(ends[part[0]] - lengths[part[0]]), int(ends[part[-1]])
-        offsets = np.concatenate([[0], ends[part] - start]).astype(np.int32)
-        buffers = [None, pa.py_buffer(offsets), data.slice(start, end - start)]
-        pictures = pa.Array.from_buffers(pa.binary(), len(part), buffers)
-        paths = pa.nulls(len(part), pa.string())
-        arrays.append(pa.StructArray.from_arrays([pictures, paths], fields=list(IMAGE_TYPE)))
-    return pa.chunked_array(arrays, IMAGE_TYPE)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
@@ -21,7 +20,7 @@ from common.progress import progress_bar
 from recorder.errors import LogError
 from recorder.lerobot import dataset_format as form
 from recorder.lerobot.dataset_card import CARD_PATH, CardSession, card
-from recorder.lerobot.dataset_files import DatasetFiles, PictureSpool, write_json, write_tasks
+from recorder.lerobot.dataset_files import DatasetFiles, write_json, write_tasks
 from recorder.lerobot.export_plan import ExportPlan, plan_export
 from recorder.lerobot.feature_statistics import (
     DatasetStatistics,
@@ -36,13 +35,13 @@ from recorder.lerobot.video_files import require_av, video_info
 from recorder.log.meant_gaps import NotRecorded
 from recorder.log.reader import Log
 from recorder.log.session_car import CAR_KEY, Car, known_max_steering_deg, metadata_of, stored_car
-from recorder.pictures.decoding import decode_picture
 from recorder.pictures.picture_size import PNG_START
 from recorder.rows.row_quality import States
 from recorder.topics import EVENTS
 
 TASK: Final = "Drive along the road."
 ROBOT: Final = "car"
+_WRITTEN_BYTES: Final = 1 << 26  # so many bytes of pictures wait in memory, and are then a row group
 
 Columns = dict[str, NDArray[Any]]
 
@@ -149,82 +148,81 @@ class _Export:
         pictures: RowPictures,
         left_out: Mapping[int, tuple[float, str]],
     ) -> None:
-        cameras = () if self._files.is_video else self._plan.cameras
-        with PictureSpool(self._files.root, len(cameras)) as spool:
-            kept, of_pictures = self._gather(rows, pictures, spool)
+        is_video = self._files.is_video
+        of_pictures = {camera: PictureStatistics() for camera in self._plan.cameras}
+        sampled_rows = set((sampled(len(rows)) + rows.start).tolist())
+        kept: list[int] = []  # rows whose pictures can be used
+        waiting: list[list[bytes]] = []  # pictures of the last of them, which are not written yet
+        waiting_bytes = 0
+        for number in rows:
+            self._advance()
+            # an episode whose first pictures cannot be used needs a sample, too
+            is_sampled = number in sampled_rows or not kept
+            encoded = pictures.read(number)
+            decoded = pictures.decode(number, encoded) if encoded and (is_video or is_sampled) else []
+            if encoded is None or decoded is None:
+                continue
             if not kept:
-                return
-            states = taken.states.part(kept)
-            numbers = self._numbers(states, taken.previous[kept])
-            statistics = _statistics(numbers, of_pictures)
-            columns: dict[str, pa.Array | pa.ChunkedArray] = {
-                **{name: _arrow(values) for name, values in numbers.items()},
-                form.LOG_FINGERPRINT: pa.array([log.fingerprint] * len(kept)),
-                **dict(zip(map(form.image_key, cameras), spool.columns(), strict=True)),
-            }
-            about = self._about(log, statistics, len(kept))
-            seconds, why = left_out.get(int(states.time_ns[0]), (0.0, ""))
-            about |= {form.LOG_NOT_RECORDED_S: seconds, form.LOG_NOT_RECORDED: why}
-            if taken.split is not None:
-                columns[form.SPLIT] = pa.array(taken.split[kept])
-                about[form.SPLIT] = str(taken.split[kept[0]])
-            self._files.write(columns, spool.size_bytes, about)
-            del columns  # they are views of the spool's files
+                self._files.begin_episode(self._sizes, len(rows), taken.pictures_bytes(rows))
+                self._example = self._example or encoded[0]
+            if is_sampled:
+                for of_camera, picture in zip(of_pictures.values(), decoded, strict=True):
+                    of_camera.add(picture)
+            if is_video:
+                self._files.add_to_videos(decoded)
+            kept.append(number)
+            waiting.append(encoded)
+            waiting_bytes += sum(map(len, encoded))
+            if waiting_bytes >= _WRITTEN_BYTES:
+                self._write(log, taken, kept, waiting)
+                waiting, waiting_bytes = [], 0
+        if not kept:
+            return
+        if waiting:
+            self._write(log, taken, kept, waiting)
+        statistics = _statistics(self._numbers(taken, kept), of_pictures)
+        about = self._about(log, statistics, len(kept))
+        seconds, why = left_out.get(int(taken.states.time_ns[kept[0]]), (0.0, ""))
+        about |= {form.LOG_NOT_RECORDED_S: seconds, form.LOG_NOT_RECORDED: why}
+        if taken.split is not None:
+            about[form.SPLIT] = str(taken.split[kept[0]])
+        self._files.end_episode(about)
         self._statistics.add(statistics)
         self.episodes += 1
         self.frames += len(kept)
 
-    def _gather(
-        self, rows: range, pictures: RowPictures, spool: PictureSpool
-    ) -> tuple[list[int], dict[Camera, PictureStatistics]]:
-        """Bring the pictures of rows to the spool, or to the videos; returns those rows that can be used."""
-        is_video = self._files.is_video
-        statistics = {camera: PictureStatistics() for camera in self._plan.cameras}
-        sampled_rows = set((sampled(len(rows)) + rows.start).tolist())
-        kept: list[int] = []
-        for number in rows:
-            self._advance()
-            encoded = pictures.read(number)
-            if encoded is None:
-                continue
-            # an episode whose first pictures cannot be used needs a sample, too
-            is_sampled = number in sampled_rows or not kept
-            decoded = (
-                [decode_picture(picture, cv2.IMREAD_COLOR) for picture in encoded]
-                if is_video or is_sampled
-                else []
-            )
-            sound = [picture for picture in decoded if picture is not None]
-            if len(sound) != len(decoded):
-                pictures.skip("rows with a picture that does not decode", number)
-                continue
-            if not kept:
-                self._files.begin_episode(self._sizes)
-                self._example = self._example or encoded[0]
-            if is_sampled:
-                for of_camera, picture in zip(statistics.values(), sound, strict=True):
-                    of_camera.add(picture)
-            if is_video:
-                self._files.add_to_videos(sound)
-            else:
-                spool.add(encoded)
-            kept.append(number)
-        return kept, statistics
+    def _write(self, log: Log, taken: LogEpisodes, kept: list[int], pictures: list[list[bytes]]) -> None:
+        """Write the last of an episode's rows, which have these pictures."""
+        count = len(pictures)
+        numbers = self._numbers(taken, kept)
+        columns = {name: _arrow(values[-count:]) for name, values in numbers.items()}
+        columns[form.LOG_FINGERPRINT] = pa.array([log.fingerprint] * count)
+        if not self._files.is_video:
+            of_cameras = zip(*pictures, strict=True)
+            columns |= {
+                form.image_key(camera): pa.StructArray.from_arrays(
+                    [pa.array(of_camera, pa.binary()), pa.nulls(count, pa.string())], fields=list(form.IMAGE_TYPE)
+                )
+                for camera, of_camera in zip(self._plan.cameras, of_cameras, strict=True)
+            }
+        if taken.split is not None:
+            columns[form.SPLIT] = pa.array(taken.split[kept[-count:]])
+        self._files.write(columns)
 
-    def _numbers(self, states: States, previous: NDArray[np.float64]) -> Columns:
-        """The columns of an episode that are numbers; `previous` is that of `LogEpisodes`."""
-        count = len(states.row)
-        frame = np.arange(count)
+    def _numbers(self, taken: LogEpisodes, kept: list[int]) -> Columns:
+        """The columns of an episode's rows that are numbers."""
+        states = taken.states.part(kept)
+        frame = np.arange(len(kept))
         vehicle = np.stack([states.steering, states.throttle, states.brake, states.speed_mph], axis=1)
         speed = [states.speed_mph] if self._plan.has_speed else []
         return {
-            form.STATE: np.column_stack([*speed, previous]).astype(np.float32),
+            form.STATE: np.column_stack([*speed, taken.previous[kept]]).astype(np.float32),
             form.ACTION: vehicle[:, :3].astype(np.float32),
             "timestamp": (frame / self._plan.fps).astype(np.float32),
             "frame_index": frame,
-            "episode_index": np.full(count, self.episodes),
+            "episode_index": np.full(len(kept), self.episodes),
             "index": frame + self.frames,
-            "task_index": np.zeros(count, np.int64),
+            "task_index": np.zeros(len(kept), np.int64),
             form.LOG_TIME: states.time_ns,
             form.LOG_ROW: states.row,
             form.LOG_VEHICLE: vehicle,

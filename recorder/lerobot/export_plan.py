@@ -47,9 +47,10 @@ def plan_export(
     chosen: Mapping[Location, ChosenRows] | None = None,
     wanted: Sequence[Camera] = CAMERAS,
 ) -> ExportPlan:
-    """The plan for the logs at `paths`, or for rows that are `chosen` of each, with pictures of the `wanted`
-    cameras. Raises LogError if one cannot be read, if no camera is in all, or if
-    their wheels turn differently."""
+    """The plan for the logs at `paths`, or for the `chosen` rows of each, with pictures of the `wanted` cameras.
+
+    Raises LogError if a log cannot be read, if no camera is in all logs, or if their steering scales differ.
+    """
     cameras, notices = _cameras(paths, wanted)
     steps, rates, row_count, has_speeds, degrees = [np.zeros(0, np.int64)], {}, 0, [], set[float | None]()
     for path in paths:
@@ -57,10 +58,10 @@ def plan_export(
             taken = log_episodes(log, cameras, Skipped(), None if chosen is None else chosen[path])
             degrees.add(known_max_steering_deg(log))
         row_count += len(taken.states.row)
-        its_steps = taken.steps_ns[taken.steps_ns > 0]
-        if len(its_steps):
-            steps.append(its_steps)
-            rates[path.name] = 1e9 / usual_step(its_steps)
+        log_steps = taken.steps_ns[taken.steps_ns > 0]
+        if len(log_steps):
+            steps.append(log_steps)
+            rates[path.name] = 1e9 / usual_step(log_steps)
         if len(taken.states.row):
             has_speeds.append(bool(np.isfinite(taken.states.speed_mph).all()))
     rate_hz = 1e9 / usual_step(np.concatenate(steps)) if rates else 1.0
@@ -71,8 +72,8 @@ def plan_export(
         )
     if any(has_speeds) and not all(has_speeds):
         notices.append(f"not every row has a speed: it is in {LOG_VEHICLE}, and {STATE} is without it")
-    if len(different := {assumed_deg(each) for each in degrees}) > 1:
-        listed = " and ".join(f"{each:g}" for each in sorted(different))
+    if len(assumed := {assumed_deg(max_deg) for max_deg in degrees}) > 1:
+        listed = " and ".join(f"{max_deg:g}" for max_deg in sorted(assumed))
         raise LogError(
             f"{', '.join(map(str, paths))}: at steering 1, wheels turn by {listed} degrees, but a dataset has one"
             " scale; export them one by one"

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,7 +16,7 @@ from recorder.errors import LogError, damaged_pictures
 from recorder.log.reader import Log
 from recorder.log.tags import EXCLUDE, read_tags
 from recorder.mcap.picture_places import Pictures
-from recorder.pictures.decoding import is_whole_picture
+from recorder.pictures.decoding import decode_picture, is_whole_picture
 from recorder.pictures.picture_size import SizeReader
 from recorder.rows.row_quality import States, drive_numbers, row_flags
 from recorder.topics import camera_topic
@@ -48,6 +49,11 @@ class LogEpisodes:
         """The time from row to row, within the episodes."""
         steps = [np.diff(self.states.time_ns[episode]) for episode in self.episodes]
         return np.concatenate([np.zeros(0, np.int64), *steps])
+
+    def pictures_bytes(self, rows: range) -> int:
+        """The size of all pictures of these rows (positions among those that are taken)."""
+        used = slice(rows.start, rows.stop)
+        return sum(int(stored.length[self.places[camera][used]].sum()) for camera, stored in self.pictures.items())
 
 
 def log_episodes(
@@ -145,20 +151,31 @@ class RowPictures:
             try:
                 picture = self._log.read(offset[number], length[number], chunk[number])
             except LogError:
-                self.skip(damaged_pictures(self._log.path), number)
+                self._skip(damaged_pictures(self._log.path), number)
                 return None
             size = self._size_readers[camera].width_and_height(picture)
             if size is None or not is_whole_picture(picture):
-                self.skip("rows with a picture that is no whole JPEG or PNG", number)
+                self._skip("rows with a picture that is no whole JPEG or PNG", number)
                 return None
             expected = self._sizes.get(camera, size)
             if size != expected:
-                self.skip(f"rows whose {camera} picture is not {expected[0]} x {expected[1]} as the first", number)
+                self._skip(
+                    f"rows whose {camera} picture is not {expected[0]} x {expected[1]} as the first", number
+                )
                 return None
             sizes[camera] = size
             pictures.append(picture)
         self._sizes |= sizes
         return pictures
 
-    def skip(self, reason: str, number: int) -> None:
+    def decode(self, number: int, encoded: Sequence[bytes]) -> list[NDArray[np.uint8]] | None:
+        """The pictures of a row (height, width, 3) BGR; None, and skipped, where one does not decode."""
+        decoded = [decode_picture(picture, cv2.IMREAD_COLOR) for picture in encoded]
+        sound = [picture for picture in decoded if picture is not None]
+        if len(sound) < len(decoded):
+            self._skip("rows with a picture that does not decode", number)
+            return None
+        return sound
+
+    def _skip(self, reason: str, number: int) -> None:
         self._skipped.add(reason, f"{self._log.path.name} row {self._rows[number]}")

@@ -1,8 +1,8 @@
 """The check of a request's `Host` and `Origin`: web pages of other sites may not reach the server.
 
-A page in the user's browser can reach every port of this machine. Its requests hold the page's own address as
-`Origin`, and as `Host` the name by which they got here: its own, where that was made to lead to this machine after
-the page was loaded (DNS rebinding). A numeric address leads nowhere else, and a private name is nobody else's.
+Any page in the user's browser can reach every port of this machine. Its requests have the page's address as
+`Origin`, and as `Host` the name that the browser connected to. After DNS rebinding, this is the attacker's name,
+and it leads to this machine. Numeric addresses and private names cannot be rebound.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ _PRIVATE: Final = (".local", ".internal", ".home.arpa")
 
 
 class AllowedHosts:
-    """Allows loopback names and addresses, and what the server listens on; where that is everywhere (0.0.0.0),
-    every address, and names that only a private network has."""
+    """Allows loopback names and addresses, and the server's own `--host`.
+
+    A server that listens everywhere (0.0.0.0) also allows every address, and names of private networks.
+    """
 
     def __init__(self, host: str) -> None:
         self._host = _normalised(host)
@@ -31,8 +33,8 @@ class AllowedHosts:
         )
 
     def why_refused(self, environ: dict[str, Any]) -> str:
-        """The part of a WSGI request that is not allowed; empty if all of it is. A client that is no browser may
-        leave both headers out."""
+        """The part of a WSGI request that is not allowed; empty if all of it is. Programs other than browsers may
+        leave out both headers."""
         host, origin = environ.get("HTTP_HOST"), environ.get("HTTP_ORIGIN")
         if host is not None and not self._allows_host(_name(f"//{host}")):
             return f"by the name {host}"

@@ -93,8 +93,10 @@ def _shut_down(stream: Any) -> None:
 
 
 def first_bytes_problem(connection: socket.socket) -> str | None:
-    """The notice about a connection that is no HTTP request's: None if it is one, empty if the client just
-    left."""
+    """The notice about a connection that does not begin with an HTTP request.
+
+    None if it does, empty if the client has left.
+    """
     connection.settimeout(REQUEST_S)
     try:
         first = connection.recv(8, socket.MSG_PEEK)

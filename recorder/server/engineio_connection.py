@@ -46,8 +46,7 @@ class Connection(Socket):  # type: ignore[misc]
     """Sends an answer in the green thread that has read the message, and is pinged by the server's tick. Clients
     of Socket.IO 2, such as the real simulator, are served as modern ones are.
 
-    Every further thread that an answer passes may delay it, and one that sleeps until the next ping would outlive
-    the run.
+    More threads would delay the answer. A thread that sleeps until the next ping would outlive the run.
     """
 
     has_sent_message: bool

@@ -1,9 +1,9 @@
-"""The telemetries of one connection that are in flight, counted; and the one that is left unanswered.
+"""Counts the telemetries of a connection that are in flight, and chooses one to leave unanswered.
 
-A simulator sends one telemetry for each command. So a command that answers none keeps one more in flight for
-good, unless all others were lost: every later answer comes later by one telemetry. After such a command the next
-telemetry is held. Where another one comes meanwhile, at least two were in flight: the held one is left unanswered.
-Where none comes, the held one is answered, so that no simulator waits for ever.
+A simulator sends one telemetry for each command. A command that answers no telemetry therefore puts one more in
+flight for good, and every later answer comes one telemetry later. After this command, the next telemetry is held.
+If another one comes, at least two were in flight, and the held one is left unanswered. If none comes, the held one
+is answered, so that the simulator does not wait for ever.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ T = TypeVar("T")
 class RunningClock:
     """Seconds for which this process ran, counted by its ticks.
 
-    A tick comes late where the process was stopped, its machine slept, or others had the processor. Nothing was
-    read meanwhile, so that nobody was silent: it adds no more than one that is almost on time.
+    A tick is late if the process was stopped, the machine slept, or other processes ran. Nothing was read in that
+    time, so it does not count as a client's silence: a late tick adds at most `MAX_TICK_S`.
     """
 
     def __init__(self) -> None:

@@ -38,7 +38,7 @@ _KINDS: Final[dict[type, str]] = {
 
 
 def json_kind(value: object) -> str:
-    """The kind of a value that JSON, or Socket.IO beside it, can hold: "a list"."""
+    """The kind of a value of JSON or Socket.IO in words: "a list"."""
     return _KINDS.get(type(value), "something else")
 
 
@@ -46,7 +46,7 @@ def json_kind(value: object) -> str:
 class World:
     """The checked members of a telemetry's `world`; None for those that were not sent.
 
-    The real simulator sends none of them. Of the pose there is all or nothing, as of the expert.
+    The real simulator sends none of them. The pose is whole or absent, and so is the expert's command.
     """
 
     time_s: float | None = None  # the simulated clock; it may begin anywhere, as Unix time does

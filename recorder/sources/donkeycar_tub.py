@@ -6,8 +6,8 @@ one JSON record a line; pictures in `images/`. Version 1 (donkeycar/parts/datast
 `meta.json`, one `record_N.json` for each record, pictures beside them, and `exclude.json` with the numbers of
 deleted records.
 
-A tub is somebody else's data: of every path only the file's name counts, and no link out of it is followed but
-`images` itself: a tub with a link in its place keeps the pictures elsewhere.
+A tub is untrusted. Only the file name of a path is used. Links out of the tub are not followed, except `images`
+itself: its user may keep the pictures elsewhere.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ def _indexes(values: object) -> frozenset[int] | None:
 
 def _files(place: Path, root: Path, skipped: Skipped) -> dict[str, Path]:
     """The files in `place` by name; a link is taken only if what it names lies in `root`, a path without links."""
-    found: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     with readable(place), os.scandir(place) as entries:
         for entry in entries:
             if entry.name == IMAGES:
@@ -172,8 +172,8 @@ def _files(place: Path, root: Path, skipped: Skipped) -> dict[str, Path]:
             if entry.is_symlink() and not Path(os.path.realpath(entry.path)).is_relative_to(root):
                 skipped.add("links out of the tub", entry.name)
             elif Path(entry.path).is_file():
-                found[entry.name] = Path(entry.path)
-    return found
+                files[entry.name] = Path(entry.path)
+    return files
 
 
 def _lines(path: Path) -> Iterator[tuple[int, bytes]]:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Any, ClassVar, Final
 
 import tyro
 
 from common.errors import UsageError, printable
-from common.output import print_message
 from common.stored_settings import read_toml, settings_from
 
 
@@ -18,22 +16,26 @@ class GymFlags:
     """A Gymnasium environment."""
 
     RARE: ClassVar[str] = "episodes"
-    EARLIER_FLAGS: ClassVar[str] = "gym_args gym_picture gym_action gym_speed gym_rate"
     gym: Annotated[str | None, tyro.conf.arg(metavar="ID|FILE.toml")] = None
     """The environment: CarRacing-v3, MODULE:ID, or a file of its settings."""
     expert: Annotated[str | None, tyro.conf.arg(metavar="MODULE:FUNCTION")] = None
     """Your driver, (env, observation) to action; also FILE.py:FUNCTION."""
     episodes: int = 1
     """Episodes, each with the next seed."""
-    gym_args: str | None = None
-    gym_picture: str | None = None
-    gym_action: str | None = None
-    gym_speed: str | None = None
-    gym_rate: str | None = None
 
 
 GYM_FLAGS: Final = tuple(flag.name for flag in fields(GymFlags) if flag.name != "gym")
 """The flags that mean nothing without `--gym`."""
+REMOVED_GYM_FLAGS: Final = {
+    f"--gym-{name}": f"name a file that has {setting}: --gym FILE.toml"
+    for name, setting in {
+        "args": "args",
+        "picture": "picture",
+        "action": "action",
+        "speed": "speed",
+        "rate": "rate_hz",
+    }.items()
+}
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ def environment_settings(flags: GymFlags) -> EnvironmentSettings:
     name = str(flags.gym)
     stored = _stored(name) if name.endswith(".toml") else {"id": name}
     try:
-        return settings_from(EnvironmentSettings, stored | _earlier(flags))
+        return settings_from(EnvironmentSettings, stored)
     except ValueError as error:
         raise UsageError(f"--gym {printable(name)}: {printable(str(error))}") from None
 
@@ -65,17 +67,3 @@ def _stored(path: str) -> dict[str, Any]:
         raise UsageError(f"--gym {printable(path)}: no such file") from None
     except (OSError, ValueError) as error:
         raise UsageError(f"--gym {printable(path)}: {printable(' '.join(str(error).split()))}") from None
-
-
-def _earlier(flags: GymFlags) -> dict[str, Any]:
-    """Settings by the flags of the version before."""
-    names = {"args": "args", "picture": "picture", "action": "action", "speed": "speed", "rate": "rate_hz"}
-    given = {name: text for name in names if (text := getattr(flags, f"gym_{name}")) is not None}
-    settings: dict[str, Any] = {}
-    for flag, text in given.items():
-        print_message(f"--gym-{flag}: is {names[flag]} in a file for --gym now; the next version knows only that")
-        try:
-            settings[names[flag]] = json.loads(text) if flag in ("args", "rate") else text
-        except (ValueError, RecursionError):
-            raise UsageError(f"--gym-{flag} {printable(text)}: JSON was expected") from None
-    return settings

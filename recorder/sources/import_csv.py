@@ -82,12 +82,12 @@ def has_csv(source: Path) -> bool:
 def _csv(source: Path) -> Path:
     """The csv itself, or the only one in a folder."""
     if source.is_dir():
-        found = sorted(path for path in source.iterdir() if path.suffix.lower() in (".csv", ".tsv", ".txt"))
-        only = [path for path in found if path.suffix.lower() == ".csv"] or found
-        if len(only) != 1:
-            names = ", ".join(path.name for path in only[:10]) or "none"
+        tables = sorted(path for path in source.iterdir() if path.suffix.lower() in (".csv", ".tsv", ".txt"))
+        tables = [path for path in tables if path.suffix.lower() == ".csv"] or tables
+        if len(tables) != 1:
+            names = ", ".join(path.name for path in tables[:10]) or "none"
             raise RecordingError(f"{source}: which csv? Give its path with --from; in it there are: {names}")
-        source = only[0]
+        source = tables[0]
     if not source.is_file():
         raise RecordingError(f"{source}: no such file; give a csv, or the folder that it is in")
     if source.stat().st_size > MAX_CSV_BYTES:
@@ -143,7 +143,7 @@ def _read(path: str) -> bytes | None:
 class PictureFolder:
     """Finds a picture by its path in the folder, by its name, by its name without ending, or by its number.
 
-    A name that several folders have, or a number that several pictures have, is none. Links are not followed.
+    A name or number that several pictures share finds nothing. Links are not followed.
     """
 
     def __init__(self, root: Path) -> None:
@@ -167,7 +167,7 @@ class PictureFolder:
             raise RecordingError(f"{root}: no .jpg, .jpeg or .png in it, nor in the folders in it")
 
     def find(self, named: str) -> str | None:
-        """The path of the picture that a csv calls so; None without one, or if several may be meant."""
+        """The path of the picture with this name in a csv; None if no picture, or several, match."""
         slashed = named.replace("\\", "/").removeprefix("./")
         if slashed in self.paths:
             return self.paths[slashed]

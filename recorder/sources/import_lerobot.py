@@ -205,7 +205,7 @@ def _rows(
 
 
 class _Clock:
-    """Times of episodes that have only seconds since their own beginning, one after the other from 1970 on."""
+    """Gives episodes their times, one after the other from 1970 on: a dataset has only seconds in an episode."""
 
     def __init__(self) -> None:
         self._episode: int | None = None

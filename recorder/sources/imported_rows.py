@@ -38,9 +38,9 @@ class Imported:
 
 
 class SkippedEvents:
-    """Counts what an import leaves out, and makes an event in its log of each as it comes.
+    """Counts what an import leaves out, and writes an event about each to its log.
 
-    What is left out before the first row waits for it, and is only counted where a thousand of its kind wait.
+    Events from before the first row wait for this row. Of more than a thousand of a kind, the rest is counted.
     """
 
     def __init__(self) -> None:
@@ -49,7 +49,7 @@ class SkippedEvents:
         self._time_ns = 0
 
     def at(self, writer: LogWriter, time_ns: int) -> None:
-        """Give the events that follow the time of this row, to which they belong or after which they come."""
+        """Give the following events the time of this row."""
         is_first = self._writer is None
         self._writer, self._time_ns = writer, time_ns
         if is_first:
@@ -73,7 +73,7 @@ class ImportedRow:
 
 
 def recording_metadata(source: str, recording: Path, car: Car | None) -> dict[str, str]:
-    """What the logs of all kinds of recordings say of where they are from."""
+    """The metadata about its origin that every imported log has."""
     return {"source": source, "recording": Path(os.path.realpath(recording)).name} | metadata_of(car)
 
 

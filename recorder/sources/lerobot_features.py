@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -80,9 +79,9 @@ def choose_features(dataset: LeRobotFolder, topics: Topics) -> LeRobotFeatures:
         return LeRobotFeatures(numbers[0], numbers[1], numbers[2], numbers[3], cameras, True)
     chosen = _steering_by_name(dataset) if topics.steering is None else _number(dataset, topics.steering)
     return LeRobotFeatures(
-        FeatureNumber(chosen.feature, chosen.index, chosen.label, topics.steering_scale),
-        _beside(dataset, chosen, _THROTTLE),
-        _beside(dataset, chosen, ("brake",)),
+        replace(chosen, scale=topics.steering_scale),
+        _pedal(dataset, chosen, _THROTTLE),
+        _pedal(dataset, chosen, ("brake",)),
         _speed(dataset),
         cameras,
         LOG_TIME in dataset.features,
@@ -162,8 +161,8 @@ def _all_numbers(dataset: LeRobotFolder) -> list[FeatureNumber]:
     return numbers
 
 
-def _beside(dataset: LeRobotFolder, steering: FeatureNumber, words: tuple[str, ...]) -> FeatureNumber | None:
-    """The number beside the steering, or in an action, that one of the words is in the name of."""
+def _pedal(dataset: LeRobotFolder, steering: FeatureNumber, words: tuple[str, ...]) -> FeatureNumber | None:
+    """The first number of the steering's feature, or of an action, whose name contains one of the words."""
     for prefix in (f"{steering.feature}.", "action"):
         for number in _all_numbers(dataset):
             last = number.label.rpartition(".")[2].lower()
@@ -174,9 +173,9 @@ def _beside(dataset: LeRobotFolder, steering: FeatureNumber, words: tuple[str, .
 
 def _speed(dataset: LeRobotFolder) -> FeatureNumber | None:
     for number in _all_numbers(dataset):
-        scale = _MPH.get(number.label.rpartition(".")[2].lower(), math.nan)
-        if math.isfinite(scale):
-            return FeatureNumber(number.feature, number.index, number.label, scale)
+        scale = _MPH.get(number.label.rpartition(".")[2].lower())
+        if scale is not None:
+            return replace(number, scale=scale)
     return None
 
 

@@ -80,8 +80,8 @@ def decoder_for(schema: Schema | None, channel: Channel) -> Decoder:
             f"{brief(channel.topic)}: the definition of its type cannot be read ({brief(str(error))})"
         ) from None
     if decoder is None:
-        found = "none" if schema is None else brief(schema.encoding)
-        raise RecordingError(f"{brief(channel.topic)}: no definition of its type that can be read (it is {found})")
+        kind = "none" if schema is None else brief(schema.encoding)
+        raise RecordingError(f"{brief(channel.topic)}: no definition of its type that can be read (it is {kind})")
     return decoder
 
 

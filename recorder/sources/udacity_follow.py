@@ -34,11 +34,7 @@ from recorder.sources.udacity_recording import CSV_NAME, MAX_PICTURE_BYTES, Pict
 from simulator.protocol.udacity_writer import CSV_CAMERAS
 
 POLL_S: Final = 0.25
-_PICTURES_A_ROUND: Final = 500  # so that signals, new rows and the status line are not kept waiting
-_SETTLING_S: Final = 2.5  # some file systems give times to 2 s: so long, a changed folder may have changed again
-_RATE_S: Final = 2.0  # over which the rate is measured
-
-_Stamp = tuple[int, int]  # size and modification time of a file
+_PICTURES_A_ROUND: Final = 1000  # are looked for between two looks at signals, new rows and the status line
 
 
 def watch_udacity(
@@ -105,14 +101,9 @@ class _GrowingRecording:
         self._csv = CsvTail(folder / CSV_NAME)
         self._reader = RowReader(self.skipped, rate_hz)
         self._files = PictureFiles(folder, self.skipped)
-        self._scanned: dict[Path, tuple[int, float]] = {}  # a folder's modification time, and when that was new
         self._awaited: dict[str, list[tuple[Camera, int, int]]] = {}  # file name -> camera, sequence, time
-        self._ready: dict[str, str] = {}  # awaited and there: file name -> path; in this order
-        self._incomplete: dict[str, tuple[str, _Stamp | None]] = {}  # the same, but not whole when last read
         self._last_ns = 0
         self._last_s: float | None = None
-        self._rate_from = (time.monotonic(), 0)
-        self._rate = 0.0
 
     def has_csv(self) -> bool:
         return is_udacity(self._folder)
@@ -122,13 +113,8 @@ class _GrowingRecording:
         with contextlib.suppress(OSError):
             check_csv(self._folder)
         self._take_rows(self._new_lines())
-        self._scan_folders(all_folders=False)
-        for name, (path, stamp) in list(self._incomplete.items()):
-            if _stamp(path) != stamp:
-                del self._incomplete[name]
-                self._ready[name] = path
-        self._take_pictures(_PICTURES_A_ROUND)
-        return bool(self._ready) or self._csv.is_behind
+        is_any_new = self._take_pictures(list(islice(self._awaited, _PICTURES_A_ROUND)))
+        return is_any_new or self._csv.is_behind
 
     def finish(self) -> None:
         """Take what is there, and count what never came."""
@@ -136,9 +122,7 @@ class _GrowingRecording:
         while self._csv.is_behind:
             self._take_rows(self._new_lines())
         self._take_rows(self._csv.rest())
-        self._scan_folders(all_folders=True)
-        self._ready |= {name: path for name, (path, _) in self._incomplete.items()}
-        self._take_pictures(len(self._ready))
+        self._take_pictures(list(self._awaited))
         for name, uses in self._awaited.items():
             for _, _, time_ns in uses:
                 self._events.at(self._writer, time_ns)
@@ -155,14 +139,9 @@ class _GrowingRecording:
     def status(self) -> str:
         if not self.rows and not self.has_csv():
             return f"waiting for {self._folder / CSV_NAME}"
-        now_s = time.monotonic()
-        since_s, pictures = self._rate_from
-        if now_s - since_s >= _RATE_S:
-            self._rate = (self.pictures - pictures) / (now_s - since_s)
-            self._rate_from = (now_s, self.pictures)
         return (
             f"{counted(self.rows, 'row')}, {counted(self.pictures, 'picture')},"
-            f" {self._writer.bytes_written / 1e6:,.1f} MB, {self._rate:,.0f} pictures/s, waiting for"
+            f" {self._writer.bytes_written / 1e6:,.1f} MB, waiting for"
             f" {counted(len(self._awaited), 'picture')}, {len(self.skipped):,} skipped"
         )
 
@@ -178,7 +157,6 @@ class _GrowingRecording:
         return []
 
     def _take_rows(self, lines: list[tuple[int, bytes]]) -> None:
-        places = self._places() if lines else []
         for line, content in lines:
             self._last_s = time.monotonic()
             row = self._reader.read(line, content)
@@ -188,52 +166,34 @@ class _GrowingRecording:
             self._events.at(self._writer, row.time_ns)
             self._writer.vehicle(row.time_ns, self.rows, state_of(row, self._car))
             for camera, name in zip(CSV_CAMERAS, row.names, strict=True):
-                if not name:
-                    continue
-                self._awaited.setdefault(name, []).append((camera, self.rows, row.time_ns))
-                self._check_picture(name, places)
+                if name:
+                    self._awaited.setdefault(name, []).append((camera, self.rows, row.time_ns))
             self.rows += 1
-
-    def _check_picture(self, name: str, places: list[Path]) -> None:
-        """Mark an awaited picture as ready, if it is there."""
-        if name not in self._incomplete and (path := self._files.find(name, places)) is not None:
-            self._ready[name] = path
-
-    def _scan_folders(self, all_folders: bool) -> None:
-        now_s = time.monotonic()
-        # A folder that vanishes meanwhile, or cannot be read now, is scanned the next time.
-        with contextlib.suppress(OSError):
-            places = self._files.places()
-            for place in places:
-                changed_ns = place.stat().st_mtime_ns
-                last_ns, since_s = self._scanned.get(place, (None, now_s))
-                if changed_ns != last_ns:
-                    since_s = now_s
-                elif not all_folders and now_s - since_s > _SETTLING_S:
-                    continue
-                for name in self._files.names_in(place):
-                    if name in self._awaited and name not in self._ready:
-                        self._check_picture(name, places)
-                self._scanned[place] = (changed_ns, since_s)
 
     def _places(self) -> list[Path]:
         with contextlib.suppress(OSError):
             return self._files.places()
         return []
 
-    def _take_pictures(self, most: int) -> None:
-        for name in list(islice(self._ready, most)):
-            path = self._ready.pop(name)
-            self._incomplete.pop(name, None)
-            stamp = _stamp(path)
-            jpeg = self._read(path)
+    def _take_pictures(self, names: list[str]) -> bool:
+        """Log those of these awaited pictures that are there and whole. The others go to the end of the queue.
+
+        True if there was one.
+        """
+        places = self._places()
+        pictures = self.pictures
+        for name in names:
+            uses = self._awaited.pop(name)
+            path = self._files.find(name, places)
+            jpeg = None if path is None else self._read(path)
             if jpeg is None or not is_whole_jpeg(jpeg):
-                self._incomplete[name] = path, stamp
+                self._awaited[name] = uses
                 continue
             self._last_s = time.monotonic()
-            for camera, sequence, time_ns in self._awaited.pop(name):
+            for camera, sequence, time_ns in uses:
                 self._writer.picture(camera, time_ns, sequence, jpeg)
                 self.pictures += 1
+        return self.pictures > pictures
 
     def _skip(self, name: str) -> None:
         """Count an awaited picture as skipped, with the reason why it is not in the log."""
@@ -252,11 +212,3 @@ class _GrowingRecording:
             return read_bounded(path, MAX_PICTURE_BYTES)
         except OSError:
             return None
-
-
-def _stamp(path: str) -> _Stamp | None:
-    try:
-        status = os.stat(path)  # noqa: PTH116  (a Path of each would take longer)
-    except OSError:
-        return None
-    return status.st_size, status.st_mtime_ns

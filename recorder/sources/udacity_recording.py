@@ -28,7 +28,7 @@ _BLOCK_BYTES: Final = 1 << 16
 
 
 class PictureFiles:
-    """The JPEG files of a recording: in IMG/ beside the csv, in the csv's folder, in ../IMG; the first wins.
+    """The JPEG files of a recording: in IMG/ next to the csv, in the csv's folder, in ../IMG; the first wins.
 
     Where one of these folders is a link, its user keeps the pictures elsewhere, and it is followed. A picture that
     is a link is followed only within these folders: a recording is somebody else's data.
@@ -138,7 +138,7 @@ class UdacityRecording:
 
         To be called once. At its end raises RecordingError if there was no row, or not a single picture.
         """
-        row_count = found = 0
+        row_count = picture_count = 0
         with readable(self.folder):
             places = self._files.places()
             for place in places:
@@ -150,7 +150,7 @@ class UdacityRecording:
                 continue
             row_count += 1
             paths = tuple(self._files.find(name, places) if name else None for name in row.names)
-            found += sum(path is not None for path in paths)
+            picture_count += sum(path is not None for path in paths)
             yield row, paths
             for name, path in zip(row.names, paths, strict=True):
                 if name and path is None:
@@ -160,7 +160,7 @@ class UdacityRecording:
                 raise RecordingError(f"{self.csv}: an empty file: no drive was recorded")
             raise RecordingError(f"{self.csv}: no usable row{self._skipped.error_suffix()}")
         with readable(self.folder):
-            if not found:
+            if not picture_count:
                 raise RecordingError(f"{self.csv}: none of its pictures is there; {self._files.why_none()}")
             self._files.skip_without_row(self._reader.named)
 

@@ -46,7 +46,7 @@ def open_wheels(project: Path) -> list[OpenWheel]:
 
 
 def new_key() -> str:
-    """A name for a wheel that is in no other's way; later ones sort behind."""
+    """A unique name for a wheel; names sort by time."""
     return f"{time.time_ns() // 1_000_000:013d}-{secrets.token_hex(4)}"
 
 

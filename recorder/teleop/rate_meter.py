@@ -9,7 +9,7 @@ OVER_S: Final = 2.0
 
 
 class RateMeter:
-    """Counts frames, and how fast a simulator's clock goes beside this computer's."""
+    """Measures frames a second, and the pace of a simulator's clock."""
 
     def __init__(self) -> None:
         self._frames: deque[tuple[float, float | None]] = deque()  # this computer's time, the simulator's

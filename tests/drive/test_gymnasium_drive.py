@@ -99,15 +99,21 @@ def test_an_expert_works_the_pedals_where_no_speed_is_told() -> None:
 
 
 def test_a_network_drives_car_racing(capsys: pytest.CaptureFixture[str]) -> None:
-    """By the flags of the version before, which name their successors."""
-    arguments = ["--gym-action", "steering,throttle,brake", "--gym-args", '{"max_episode_steps": 20}']
+    settings = Path("car.toml")
+    settings.write_text(
+        'id = "CarRacing-v3"\naction = "steering,throttle,brake"\nargs = {max_episode_steps = 20}\n'
+    )
     expert = f"{ROOT / 'examples' / 'car_racing_expert.py'}:drive"
-    line = ["first", "--gym", "CarRacing-v3", *arguments, "--expert", expert, *UNSEEN, "--log", "d.mcap"]
+    line = ["first", "--gym", settings, "--expert", expert, *UNSEEN, "--log", "d.mcap"]
     assert call(bc_drive, *line) == 0
-    said = capsys.readouterr()
-    assert "seed 0: 20 steps, reward" in said.out
-    assert "--gym-args: is args in a file for --gym now" in said.err
+    assert "seed 0: 20 steps, reward" in capsys.readouterr().out
     assert len(commands("d.mcap")) == 20
+
+
+@pytest.mark.parametrize("line", [["first"], ["--log", "d.mcap"]])
+def test_the_earlier_flags_name_their_successor(line: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(bc_drive, *line, "--gym", "CarRacing-v3", "--gym-rate", "20") == 2
+    assert "--gym-rate: was removed; name a file that has rate_hz: --gym FILE.toml" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,7 @@ from lerobot_logs import DRIVES, TIMES_NS, jpeg, steering, write_drives
 from places import Place
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
+from recorder.lerobot import export
 from recorder.lerobot.dataset_files import DataFiles
 from recorder.lerobot.export import Exported, export_lerobot
 from recorder.log.tags import Tag, add_tags
@@ -113,6 +114,17 @@ def test_what_tells_of_it_is_as_lerobot_writes_it(tmp_path: Path) -> None:
     ]
     groups = pq.ParquetFile(tmp_path / "out" / DATA).metadata
     assert [groups.row_group(number).num_rows for number in range(groups.num_row_groups)] == [8, 12]
+
+
+def test_an_episode_of_many_pictures_is_several_row_groups(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = write_drives(tmp_path / "two.mcap")
+    export_lerobot([log], tmp_path / "whole")
+    monkeypatch.setattr(export, "_WRITTEN_BYTES", 1)
+    export_lerobot([log], tmp_path / "parts")
+    assert pq.ParquetFile(tmp_path / "parts" / DATA).num_row_groups == 20
+    assert pq.read_table(tmp_path / "parts" / DATA).equals(pq.read_table(tmp_path / "whole" / DATA))
 
 
 def test_statistics_of_several_episodes_are_those_of_all(tmp_path: Path) -> None:
@@ -264,7 +276,11 @@ def test_a_file_ends_before_it_is_larger_than_the_formats_size(tmp_path: Path) -
     schema = pa.schema([("index", pa.int64())])
     files = DataFiles(tmp_path, schema, file_bytes=10_000)
     sizes = [4_000, 4_000, 4_000, 30_000, 100]
-    numbers = [files.write(pa.table({"index": [at]}, schema=schema), size) for at, size in enumerate(sizes)]
+    numbers = []
+    for at, size in enumerate(sizes):
+        files.begin_episode(1, size)
+        files.write({"index": pa.array([at])})
+        numbers.append(files.number)
     files.close()
     assert numbers == [(0, 0), (0, 0), (0, 1), (0, 2), (0, 3)]
     found = [pq.read_table(path)["index"].to_pylist() for path in sorted(tmp_path.rglob("*.parquet"))]
