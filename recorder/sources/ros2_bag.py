@@ -21,6 +21,7 @@ from common import Skipped
 from common.progress import track
 from common.untrusted import read_bounded, real_path
 from recorder.errors import RecordingError
+from recorder.sources.bounded_yaml import yaml_content
 from recorder.sources.mcap_messages import brief, needs_ros
 
 METADATA: Final = "metadata.yaml"
@@ -75,12 +76,14 @@ def bag_files(folder: Path, skipped: Skipped) -> list[Path]:
         text = read_bounded(inside[METADATA], _MAX_METADATA_BYTES)
     except (OSError, KeyError):
         raise RecordingError(f"{folder}: {METADATA} cannot be read; `ros2 bag reindex` writes a new one") from None
-    names, compression = _listed_files(text.decode(errors="replace"))
-    if compression.lower() not in _READABLE:
-        raise RecordingError(f"{folder}: a compressed bag, which is not read; `ros2 bag convert` unpacks it")
-    if not names:
+    metadata = _parse(folder, text)
+    information = metadata.get("rosbag2_bagfile_information") if isinstance(metadata, dict) else None
+    names = information.get("relative_file_paths") if isinstance(information, dict) else None
+    if not isinstance(information, dict) or not isinstance(names, list):
         raise RecordingError(f"{folder}: {METADATA} names no files; `ros2 bag reindex` writes a new one")
-    listed = list(dict.fromkeys(re.split(r"[/\\]", name)[-1] for name in names))
+    if str(information.get("compression_mode")).lower() not in _READABLE:
+        raise RecordingError(f"{folder}: a compressed bag, which is not read; `ros2 bag convert` unpacks it")
+    listed = list(dict.fromkeys(re.split(r"[/\\]", name)[-1] for name in names if isinstance(name, str)))
     files = []
     for name in listed:
         if name in inside and name.endswith((MCAP, SQLITE)):
@@ -179,16 +182,10 @@ class SqliteFile:
         return store.generate_msgdef(kind, ros_version=2)[0] if kind in store.fielddefs else None
 
 
-def _listed_files(metadata: str) -> tuple[list[str], str]:
-    """The file names and the compression mode in a bag's metadata, as rosbag2 writes it: a line for each."""
-    names, compression, is_in_list = [], "", False
-    for line in metadata.splitlines():
-        key, _, rest = line.strip().partition(" ")
-        value = rest.strip().strip("'\"")
-        if key == "-" and is_in_list:
-            names.append(value)
-            continue
-        is_in_list = key == "relative_file_paths:"
-        if key == "compression_mode:":
-            compression = value
-    return names, compression
+def _parse(folder: Path, text: bytes) -> object:
+    try:
+        return yaml_content(text)
+    except ImportError:
+        raise RecordingError(f"{folder}: {needs_ros()}") from None
+    except Exception:  # ruamel raises nearly anything on what is no YAML
+        return None

@@ -31,6 +31,7 @@ from other_logs import CAMERA, ROS_TOPICS, write_bag
 from recorder import Log, LogError, RecordingError, import_udacity
 from recorder.bc_pb2 import VehicleState
 from recorder.pictures.decoding import decodes
+from recorder.sources.bounded_yaml import yaml_content
 from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.import_mcap import import_mcap
 from recorder.sources.mcap_messages import decoder_for
@@ -145,6 +146,39 @@ def test_a_huge_metadata_file_of_a_bag(tmp_path: Path) -> None:
     with_hole(bag / "metadata.yaml")
     with pytest.raises(RecordingError, match=r"metadata\.yaml cannot be read"):
         import_mcap(bag, tmp_path / "log.mcap", ROS_TOPICS)
+
+
+def test_metadata_of_a_bag_that_repeats_itself_without_end(tmp_path: Path) -> None:
+    """Each mapping is merged twice into the next one: the last would have 2 to the power of 60."""
+    merges = "".join(f"a{n + 1}: &a{n + 1} {{<<: [*a{n}, *a{n}], k{n}: 1}}\n" for n in range(60))
+    bag = write_bag(tmp_path / "bag", StoragePlugin.MCAP)
+    text = (bag / "metadata.yaml").read_text()
+    (bag / "metadata.yaml").write_text(f"a0: &a0 {{k: 1}}\n{merges}{text}")
+    assert import_mcap(bag, tmp_path / "log.mcap", ROS_TOPICS).rows
+
+
+def test_yaml_is_what_its_writer_meant(tmp_path: Path) -> None:
+    text = b"a:\n  - b: 'c'\n    d: [1, {e: ~}]\n  - |\n    two\n    lines\nf: &g null\nh: *g\n? [no, key]\n: 1\n"
+    assert yaml_content(text) == {
+        "a": [{"b": "c", "d": ["1", {"e": "~"}]}, "two\nlines\n"],
+        "f": "null",
+        "h": None,
+    }
+    assert yaml_content(b"") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (b"[" * 30 + b"]" * 30, "deeper than 20 levels"),
+        (b"- " * 100_000, "deeper than 20 levels"),
+        (b"[" + b"[],\n" * 26_000 + b"]", "more than 50,000 events"),
+    ],
+    ids=["brackets", "dashes", "many"],
+)
+def test_yaml_is_bounded_in_depth_and_number(text: bytes, why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        yaml_content(text)
 
 
 def test_a_definition_of_thousands_of_fields_is_refused() -> None:

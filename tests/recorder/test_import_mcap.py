@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import math
 import random
 import sqlite3
@@ -423,15 +424,12 @@ def test_a_bag_of_several_files_is_read_in_the_order_that_it_tells(tmp_path: Pat
     (tmp_path / "second" / "metadata.yaml").unlink()
     (bag / f"forgotten{suffix}").write_bytes((bag / f"a{suffix}").read_bytes())
     names = [f"bag/z{suffix}", f"a{suffix}", f"a{suffix}", f"gone{suffix}"]
-    (bag / "metadata.yaml").write_text(metadata_of(names))
+    (bag / "metadata.yaml").write_text(
+        json.dumps({"rosbag2_bagfile_information": {"relative_file_paths": names}})  # JSON is YAML
+    )
     done = imported(bag, ROS_TOPICS)
     assert rows_of(done.path) == ROWS
     assert [name for _, name in done.skipped] == [f"gone{suffix}", f"forgotten{suffix}"]
-
-
-def metadata_of(names: list[str]) -> str:
-    lines = "".join(f"    - {name}\n" for name in names)
-    return f"rosbag2_bagfile_information:\n  version: 5\n  relative_file_paths:\n{lines}  compression_mode: ''\n"
 
 
 def test_pictures_in_a_database_are_taken_by_time(tmp_path: Path) -> None:
@@ -461,7 +459,8 @@ def test_nothing_outside_of_the_bag_is_read(tmp_path: Path, storage: StoragePlug
     bag.mkdir()
     (bag / f"link{secret.suffix}").symlink_to(secret)
     names = [f"../private/{secret.name}", str(secret), f"link{secret.suffix}"]
-    (bag / "metadata.yaml").write_text(metadata_of(names))
+    text = json.dumps({"rosbag2_bagfile_information": {"relative_file_paths": names}})
+    (bag / "metadata.yaml").write_text(text)
     assert "all files that" in error_of(bag, ROS_TOPICS)
 
 
@@ -483,9 +482,10 @@ def test_raw_pictures_of_ros_are_named_by_their_type(tmp_path: Path, storage: St
     assert "are sensor_msgs/msg/Image" in error_of(bag, Topics("/raw", "/raw.width"))
 
 
-def test_what_is_not_installed_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("package", ["mcap_ros2.decoder", "ruamel.yaml"])
+def test_what_is_not_installed_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str) -> None:
     bag = write_bag(tmp_path / "bag", StoragePlugin.MCAP)
-    monkeypatch.setitem(sys.modules, "mcap_ros2.decoder", None)  # Python's own way to say: cannot be imported
+    monkeypatch.setitem(sys.modules, package, None)  # Python's own way to say: cannot be imported
     with pytest.raises(RecordingError, match=r"pip install .*\[ros\]"):
         imported(bag, ROS_TOPICS)
 
