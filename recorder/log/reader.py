@@ -64,7 +64,7 @@ class Message:
 class Log(Closeable):
     """A log, open for reading. Use it as a context manager, or call `close()`.
 
-    `salvages`: with whole chunks that lie elsewhere than they should, for a recovery.
+    `salvages`: with whole chunks that lie elsewhere than they should, or have a damaged header, for a recovery.
     `shows_progress`: with a progress bar while all of it is read, which is when messages are first read.
     Raises LogError where the file is missing, not an MCAP file, or damaged.
     """

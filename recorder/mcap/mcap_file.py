@@ -85,6 +85,7 @@ class Chunk:
     end: int
     compression: str = ""
     is_message: bool = False
+    mended: bytes = b""  # what its first bytes should be, where its header is damaged
     channels: frozenset[int] | None = None  # of its messages, by the summary; None: unknown
     head: bytes = b""  # its header without the CRC, by the summary
 
@@ -231,6 +232,8 @@ class McapFile(Closeable):
 
     def records_in(self, chunk: Chunk, record: bytes) -> bytes:
         """The same of a chunk's `record` that was read already."""
+        if chunk.mended:
+            record = chunk.mended + record[len(chunk.mended) :]
         return record if chunk.is_message else self.unpacked(record, chunk.start)
 
     def unpacked(self, record: bytes, start: int) -> bytes:

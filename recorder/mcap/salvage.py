@@ -1,21 +1,55 @@
 """Finding what is whole in a damaged file, for a recovery.
 
-Readers take the chunks that the summary lists. A recovery takes those whose CRC holds, and walks through the file
-for chunks that are elsewhere.
+Readers take a chunk only with a sound header, and where the summary, or the record before it, has one. Here chunks
+are found too whose header is damaged, or which are elsewhere, if the CRC of their records holds.
 """
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Iterator
+from typing import Final
+
+from mcap.opcode import Opcode
+
 from recorder.errors import LogError
-from recorder.mcap.mcap_file import Chunk, McapFile
-from recorder.mcap.scan import Structure, walk
+from recorder.mcap.mcap_file import CHUNK_HEADER, MAX_CHUNK_BYTES, NOT_UNPACKED, RECORD, Chunk, McapFile, unpack
+from recorder.mcap.scan import Structure, add_definitions, add_record, next_chunk, search_budget, walk
+
+_COMPRESSIONS: Final = (b"", b"zstd", b"lz4")
+_BESIDE_CHUNKS: Final = (
+    Opcode.HEADER,
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.MESSAGE_INDEX,
+    Opcode.METADATA,
+    Opcode.ATTACHMENT,
+)
+_LENGTH: Final = struct.Struct("<I")  # of the compression's name
+_SIZE: Final = struct.Struct("<Q")  # of what is stored
+_LONGEST_HEADER: Final = CHUNK_HEADER.size + _LENGTH.size + max(map(len, _COMPRESSIONS)) + _SIZE.size
 
 
 def salvage(file: McapFile, structure: Structure) -> None:
-    """Leave in the structure of a finished file the chunks whose CRC holds, in the file's order, and list the
-    others in its `lost`. The structure of an unfinished file lists only sound chunks already."""
-    if structure.problem:
-        return
+    """Leave in the structure the chunks whose CRC holds, in the file's order, also those with a damaged header.
+    Put into its `lost` the stretches without one."""
+    stretches = structure.lost if structure.problem else _drop_damaged(file, structure)
+    structure.lost = []
+    search = _Search(file, structure)
+    for start, end in stretches:
+        search.through(start, end)
+    if structure.lost and not structure.problem:  # chunks may have moved
+        walked = walk(file)
+        starts = {chunk.start for chunk in structure.chunks}
+        if moved := [chunk for chunk in walked.chunks if chunk.start not in starts]:
+            structure.chunks += moved
+            structure.lost = walked.lost
+            structure.metadata_at, structure.attachments_at = walked.metadata_at, walked.attachments_at
+    structure.chunks.sort(key=lambda chunk: chunk.start)
+
+
+def _drop_damaged(file: McapFile, structure: Structure) -> list[tuple[int, int]]:
+    """Drop the chunks that are not whole where the summary has them; where they should be."""
     whole, damaged = list[Chunk](), list[tuple[int, int]]()
     for chunk in structure.chunks:
         try:
@@ -24,11 +58,106 @@ def salvage(file: McapFile, structure: Structure) -> None:
             damaged.append((chunk.start, chunk.end))
         else:
             whole.append(chunk)
-    structure.chunks, structure.lost = whole, damaged
-    if damaged:  # chunks may have moved
-        walked = walk(file)
-        starts = {chunk.start for chunk in whole}
-        if moved := [chunk for chunk in walked.chunks if chunk.start not in starts]:
-            structure.chunks = sorted(whole + moved, key=lambda chunk: chunk.start)
-            structure.lost = walked.lost
-            structure.metadata_at, structure.attachments_at = walked.metadata_at, walked.attachments_at
+    structure.chunks = whole
+    return damaged
+
+
+class _Search:
+    """Adds to `found` what is whole in stretches of the file, and what is lost in them."""
+
+    def __init__(self, file: McapFile, structure: Structure) -> None:
+        self._file = file
+        self._structure = structure
+        self._budget = search_budget(file)
+
+    def through(self, start: int, end: int) -> None:
+        start = self._behind_records(start, end)
+        while start < end:
+            chunk = self._chunk_at(start, end)
+            if chunk is not None:
+                self._structure.chunks.append(chunk)
+                start = self._behind_records(chunk.end, end)
+                continue
+            following = min(next_chunk(self._file, start + 1), end) if self._budget > 0 else end
+            if self._structure.lost and self._structure.lost[-1][1] == start:
+                start = self._structure.lost.pop()[0]
+            self._structure.lost.append((start, following))
+            start = following
+
+    def _chunk_at(self, start: int, end: int) -> Chunk | None:
+        for chunk in self._guesses(start, end):
+            try:
+                add_definitions(self._file, self._file.records(chunk), self._structure)
+            except LogError:
+                if self._budget <= 0:
+                    break
+            else:
+                return chunk
+        return None
+
+    def _guesses(self, start: int, end: int) -> Iterator[Chunk]:
+        """Chunks that may begin there: a header has its chunk's length in several ways; one may be damaged."""
+        head = self._file.read(start, min(_LONGEST_HEADER, end - start))
+        for name in _COMPRESSIONS:
+            stored_at = CHUNK_HEADER.size + _LENGTH.size + len(name) + _SIZE.size
+            if len(head) < stored_at:
+                break
+            _, stated_length, _, _, stated_size, crc = CHUNK_HEADER.unpack_from(head)
+            (stored_size,) = _SIZE.unpack_from(head, stored_at - _SIZE.size)
+            lengths = [RECORD.size + stated_length, stored_at + stored_size, end - start]
+            if not name:
+                lengths.append(stored_at + stated_size)
+            for length in dict.fromkeys(lengths):
+                if not stored_at <= length <= min(end - start, MAX_CHUNK_BYTES):
+                    continue
+                for size in self._sizes(start, length, stored_at, name, stated_size):
+                    self._budget -= length + (size if name else 0)
+                    mended = _mended(head, length, name, size, length - stored_at)
+                    if head.startswith(mended):
+                        yield Chunk(start, start + length, name.decode())
+                    elif crc:  # where there is none, anything would do
+                        yield Chunk(start, start + length, name.decode(), mended=mended)
+
+    def _sizes(self, start: int, length: int, stored_at: int, name: bytes, stated: int) -> Iterator[int]:
+        """Sizes that the chunk may unpack to: the stated one, and that which it does unpack to."""
+        if not name:
+            yield length - stored_at
+            return
+        if stated <= MAX_CHUNK_BYTES:
+            yield stated
+        stored = self._file.read(start + stored_at, length - stored_at)
+        try:
+            size = len(unpack(stored, name, MAX_CHUNK_BYTES))
+        except NOT_UNPACKED:
+            return
+        if size != stated:
+            yield size
+
+    def _behind_records(self, start: int, end: int) -> int:
+        """The end of the sound records that lie before the next chunk: indexes, metadata, the file's header."""
+        while end - start >= RECORD.size:
+            opcode, length = RECORD.unpack(self._file.read(start, RECORD.size))
+            following = start + RECORD.size + length
+            if opcode not in _BESIDE_CHUNKS or following > end:
+                break
+            try:
+                add_record(self._file, opcode, start, following, self._structure)
+            except LogError:
+                break
+            start = following
+        return start
+
+
+def _mended(head: bytes, length: int, compression: bytes, size: int, stored_size: int) -> bytes:
+    """The header of a chunk, with times and CRC as they are."""
+    return b"".join(
+        (
+            RECORD.pack(Opcode.CHUNK, length - RECORD.size),
+            head[9:25],
+            _SIZE.pack(size),
+            head[33:37],
+            _LENGTH.pack(len(compression)),
+            compression,
+            _SIZE.pack(stored_size),
+        )
+    )

@@ -117,7 +117,7 @@ def walk_on(file: McapFile, position: int, structure: Structure) -> tuple[int, b
     damaged all over.
     """
     is_there = file.grow()
-    wasted, max_waste = 0, _search_budget(file)
+    wasted, max_waste = 0, search_budget(file)
     while file.size - position >= RECORD.size:
         opcode, length = RECORD.unpack(file.read(position, RECORD.size))
         end = position + RECORD.size + length
@@ -128,12 +128,12 @@ def walk_on(file: McapFile, position: int, structure: Structure) -> tuple[int, b
         try:
             if end > file.size:
                 raise file.damaged("no record")
-            _add_record(file, opcode, position, end, structure)
+            add_record(file, opcode, position, end, structure)
         except LogError:
             wasted += min(end, file.size) - position
             if wasted > max_waste:
                 raise
-            end = _next_chunk(file, position + 1)
+            end = next_chunk(file, position + 1)
             if end == file.size:
                 break  # the next chunk may still come
             structure.lost.append((position, end))
@@ -221,7 +221,7 @@ def _take_chunk_indexes(summary: bytes, chunks: list[Chunk]) -> bytes:
 def walk(file: McapFile) -> Structure:
     """The structure as it is found from the file's start to its end; what makes no sense is in `lost`."""
     structure = Structure(problem=GOES_ON if is_being_written(file.path) else KILLED, has_end=False)
-    position, wasted, max_waste = len(MAGIC), 0, _search_budget(file)
+    position, wasted, max_waste = len(MAGIC), 0, search_budget(file)
     unsure = position  # from here on no CRC has held: a damaged length may have led past whole chunks
     while file.size - position >= RECORD.size:
         opcode, length = RECORD.unpack(file.read(position, RECORD.size))
@@ -233,11 +233,11 @@ def walk(file: McapFile) -> Structure:
                 structure.problem = "its end is damaged"
                 structure.has_end = True
                 break
-            _add_record(file, opcode, position, end, structure)
+            add_record(file, opcode, position, end, structure)
         except LogError:
-            following = _next_chunk(file, unsure + 1) if wasted < max_waste else file.size
+            following = next_chunk(file, unsure + 1) if wasted < max_waste else file.size
             if following == position:
-                following = _next_chunk(file, position + 1)
+                following = next_chunk(file, position + 1)
             wasted += following - unsure + _SEARCH_BYTES + _cost(file, position, end)
             lost_from = position if following > position else unsure
             if structure.lost and structure.lost[-1][1] == lost_from:
@@ -254,10 +254,10 @@ def walk(file: McapFile) -> Structure:
     return structure
 
 
-def _add_record(file: McapFile, opcode: int, start: int, end: int, structure: Structure) -> None:
+def add_record(file: McapFile, opcode: int, start: int, end: int, structure: Structure) -> None:
     """Add to `structure` the record of a data section from `start` to `end`. Raises LogError where it is none."""
     if opcode == Opcode.CHUNK:
-        _add_definitions(file, file.records(Chunk(start, end)), structure)
+        add_definitions(file, file.records(Chunk(start, end)), structure)
         compression = prefixed(file.read(start, CHUNK_HEADER.size + 8), CHUNK_HEADER.size)
         structure.chunks.append(Chunk(start, end, compression.decode()))
     elif opcode == Opcode.MESSAGE and _is_message(file, start, end, structure):
@@ -299,12 +299,12 @@ def _is_index(file: McapFile, start: int, end: int) -> bool:
     return length >= 6 and struct.unpack("<I", file.read(start + RECORD.size + 2, 4))[0] == length - 6
 
 
-def _search_budget(file: McapFile) -> int:
+def search_budget(file: McapFile) -> int:
     """The bytes that a search for what is whole may read or unpack in vain."""
     return _MAX_WASTE * file.size + _MIN_BUDGET
 
 
-def _next_chunk(file: McapFile, position: int) -> int:
+def next_chunk(file: McapFile, position: int) -> int:
     """Offset of the next bytes that look like a chunk; the file's size if there are none."""
     while position < file.size:
         block = file.read(position, min(_SEARCH_BYTES + 64, file.size - position))
@@ -332,7 +332,7 @@ def _add_definition(
         structure.channels.setdefault(record.id, record)
 
 
-def _add_definitions(file: McapFile, records: bytes, structure: Structure) -> None:
+def add_definitions(file: McapFile, records: bytes, structure: Structure) -> None:
     """Add the schemas and channels that are among `records`."""
     for opcode, start, end in file.parts(records).definitions:
         _add_definition(file, opcode, records[start + RECORD.size : end], structure)
