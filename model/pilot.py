@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from common.named_function import in_one_line
 from common.process_settings import keep_freed_memory
@@ -23,6 +24,7 @@ from model.errors import RunError
 from model.evaluation.predict import as_input
 from model.network.faster_layers import pack_weights, sliced_max_pool, swap_layers
 from model.network.picture_network import PictureNetwork
+from model.network.replayed import ROUNDING, Replayed, exactly, replayed_where_the_same
 from model.runs.run_folder import (
     load_network,
     picture_of_run,
@@ -33,7 +35,6 @@ from model.runs.run_folder import (
 )
 
 WARM_UP_PREDICTIONS = 20
-ROUNDING: Final = 0.02  # of bfloat16, added up in another order
 
 _PROCESSOR = torch.device("cpu")
 
@@ -85,6 +86,7 @@ class Pilot:
         network.input_dtype = dtype
         self._network = network.eval().to(device, dtype, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._device = device
+        self._replayed: Replayed | None = None
         if device != _PROCESSOR:
             self._answers(np.zeros(self.picture.shape, np.uint8))  # what does not work fails here, not in a drive
             return
@@ -108,11 +110,16 @@ class Pilot:
     def _answers(self, crop: Image) -> NDArray[np.float32]:
         """(K,) in the units that were learnt."""
         pixels = np.ascontiguousarray(in_channels(crop, self.picture))[None]
-        # on a GPU: the same bits every time, and float32 is not TensorFloat-32
-        with torch.backends.cudnn.flags(enabled=True, benchmark=False, deterministic=True, allow_tf32=False):
-            answers = self._network(as_input(pixels).to(self._device)).flatten().float()
-        values: NDArray[np.float32] = answers.cpu().numpy()
-        return values
+        if self._replayed is not None:
+            return self._replayed(pixels)
+        answers: NDArray[np.float32] = self._calculate(as_input(pixels).to(self._device)).cpu().numpy()
+        return answers
+
+    def _calculate(self, inputs: Tensor) -> Tensor:
+        """The same of a picture (1, 3, height, width) uint8, both on the device."""
+        with exactly(self._device):
+            answers: Tensor = self._network(inputs).flatten().float()
+        return answers
 
     def predict(self, crop: Image) -> float:
         """The steering of `answer`."""
@@ -123,17 +130,19 @@ class Pilot:
 
         From here on it computes on one thread. On two, one picture is a fifth faster, but a busy machine makes
         every layer wait for the slower thread (one answer in a hundred then takes 20 ms), and the number of cores
-        would show in the last bits of a steering.
+        would show in the last bits of a steering. A GPU then replays its work on a picture, if it can.
         """
         keep_freed_memory()
         torch.set_num_threads(1)
         cv2.setNumThreads(1)
+        if self.device == "cuda" and self._replayed is None:
+            self._replayed = replayed_where_the_same(self._calculate, self.picture.shape, self._device)
         for _ in range(WARM_UP_PREDICTIONS):
             self.predict(np.zeros(self.picture.shape, np.uint8))
 
     def _swap_where_the_same(self, swap: Callable[[], Callable[[], None] | None]) -> None:
-        """Replace layers of the network by faster ones, unless its answers change: a user's own code may use its
-        layers in other ways."""
+        """Put faster layers in the place of the network's, unless it answers otherwise with them: one's own code
+        may use its layers in other ways."""
         noise = np.random.default_rng(0).integers(0, 256, self.picture.shape, np.uint8)
         before = self._answers(noise)
         if (undo := swap()) is None:

@@ -1,25 +1,109 @@
-"""A pilot on a GPU: which device is taken, and what it answers there."""
+"""A pilot on a GPU: which device is taken, and the recorded network. Only the recording itself needs a GPU."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 import model.pilot
+from dataset.preprocessing import Image
 from driving import untrained_run
 from model import RunError, load_pilot
 from model.device import choose_device
+from model.network import replayed
+from model.network.replayed import replayed_where_the_same
 
 CPU = torch.device("cpu")
 UNFIT = torch.device("meta")  # PyTorch's device without numbers: a network can be put there, and never answers
+SHAPE = (4, 6, 3)
+WEIGHTS = torch.linspace(-1, 1, 4 * 6 * 3).reshape(1, 3, 4, 6)
+
+Recorded = tuple[Callable[[], None], Tensor]
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return untrained_run(tmp_path_factory.mktemp("runs") / "untrained", seed=3)
+
+
+def calculate(inputs: Tensor) -> Tensor:
+    """Two answers to a picture (1, 3, 4, 6)."""
+    mean = (inputs.float() * WEIGHTS).mean()
+    return torch.stack([mean, -mean])
+
+
+def pictures(count: int) -> Image:
+    return np.random.default_rng(5).integers(0, 256, (count, 1, *SHAPE), np.uint8)
+
+
+def in_place_of_graph(monkeypatch: pytest.MonkeyPatch, wrong: float = 0.0) -> None:
+    """A processor's recording: the calculation is made again, and its answers are put where the first ones are."""
+
+    def record(calculate: Callable[[], Tensor], device: torch.device) -> Recorded:
+        answers = calculate().clone()
+
+        def replay() -> None:
+            answers.copy_(calculate() + wrong)
+
+        return replay, answers
+
+    monkeypatch.setattr(replayed, "record", record)
+
+
+def test_a_recorded_calculation_answers_to_each_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    in_place_of_graph(monkeypatch)
+    recorded = replayed_where_the_same(calculate, SHAPE, CPU)
+    assert recorded is not None
+    with torch.inference_mode():
+        answers = [recorded(each) for each in pictures(5)]
+        expected = [calculate(torch.from_numpy(each).permute(0, 3, 1, 2)).numpy() for each in pictures(5)]
+    np.testing.assert_array_equal(answers, expected)  # none is overwritten by the next one
+    assert len({each[0] for each in answers}) == 5
+
+
+def test_a_recording_that_answers_otherwise_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    in_place_of_graph(monkeypatch, wrong=0.5)
+    assert replayed_where_the_same(calculate, SHAPE, CPU) is None
+
+
+@pytest.mark.parametrize("error", [RuntimeError("operation not permitted when stream is capturing"), TypeError()])
+def test_what_cannot_be_recorded_is_not_replayed(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    def record(calculate: Callable[[], Tensor], device: torch.device) -> Recorded:
+        raise error
+
+    monkeypatch.setattr(replayed, "record", record)
+    assert replayed_where_the_same(calculate, SHAPE, CPU) is None
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_a_pilot_answers_alike_if_recorded(run: Path, monkeypatch: pytest.MonkeyPatch, precision: str) -> None:
+    plain, pilot = (load_pilot(run, precision, "cpu") for _ in range(2))  # type: ignore[arg-type]
+    crops = np.random.default_rng(5).integers(0, 256, (5, *pilot.picture.shape), np.uint8)
+    in_place_of_graph(monkeypatch)
+    pilot.device = "cuda"
+    threads = torch.get_num_threads()
+    try:
+        pilot.warm_up()
+    finally:
+        torch.set_num_threads(threads)
+    assert pilot._replayed is not None
+    assert [pilot.answer(crop) for crop in crops] == [plain.answer(crop) for crop in crops]
+    assert pilot.predict(crops[0][:, ::-1]) == plain.predict(crops[0][:, ::-1])
+
+
+def test_a_pilot_on_the_processor_records_nothing(run: Path) -> None:
+    pilot = load_pilot(run, device="cpu")
+    threads = torch.get_num_threads()
+    try:
+        pilot.warm_up()
+    finally:
+        torch.set_num_threads(threads)
+    assert (pilot.device, pilot._replayed) == ("cpu", None)
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU here")
@@ -54,5 +138,13 @@ def test_a_gpu_answers_nearly_as_the_processor_does(run: Path, precision: str) -
     processor, gpu, again = (load_pilot(run, precision, device) for device in ("cpu", "cuda", "cuda"))  # type: ignore[arg-type]
     crops = np.random.default_rng(5).integers(0, 256, (20, *gpu.picture.shape), np.uint8)
     expected = pytest.approx([processor.predict(crop) for crop in crops], abs=0.02)
+    assert [gpu.predict(crop) for crop in crops] == expected
+    threads = torch.get_num_threads()
+    try:
+        for pilot in (gpu, again):
+            pilot.warm_up()
+            assert pilot._replayed is not None
+    finally:
+        torch.set_num_threads(threads)
     assert [gpu.predict(crop) for crop in crops] == expected
     assert [gpu.predict(crop) for crop in crops] == [again.predict(crop) for crop in crops]

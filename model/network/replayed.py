@@ -1,0 +1,128 @@
+"""A network on a GPU that answers one picture at a time: its work is recorded once, as a CUDA graph, and replayed.
+
+Called layer by layer, the GPU waits for Python: with PyTorch 2.11 on an H200, a picture takes 0.57 ms. The graph
+starts all layers at once: 0.19 ms.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+ROUNDING: Final = 0.02  # of bfloat16, added up in another order
+
+_CALLS_BEFORE: Final = 3  # libraries set themselves up in the first ones
+_CHECKED_PICTURES: Final = 3
+
+_failed: Final[list[torch.cuda.CUDAGraph]] = []
+"""Graphs whose recording failed: PyTorch may go on asking them which memory is theirs."""
+
+
+class Replayed:
+    """A recorded calculation. Pictures and answers go through buffers that stay where they are."""
+
+    def __init__(
+        self, calculate: Callable[[Tensor], Tensor], shape: tuple[int, int, int], device: torch.device
+    ) -> None:
+        """`calculate` makes answers (K,) float32 of one picture (1, 3, height, width) uint8 in channels_last;
+        `shape` is (height, width, 3). Raises what `calculate` does, and RuntimeError if it cannot be recorded."""
+        is_pinned = device.type == "cuda"
+        self._device = device
+        self._host_pixels = torch.zeros((1, *shape), dtype=torch.uint8, pin_memory=is_pinned)
+        self._pixels = self._host_pixels.to(device, copy=True)
+        inputs = self._pixels.permute(0, 3, 1, 2)
+        self._replay, self._answers = record(lambda: calculate(inputs), device)
+        self._host_answers = torch.zeros(self._answers.shape, pin_memory=is_pinned)
+
+    def __call__(self, pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """(K,) for one picture (1, height, width, 3)."""
+        np.copyto(self._host_pixels.numpy(), pixels)
+        self._pixels.copy_(self._host_pixels, non_blocking=True)
+        self._replay()
+        self._host_answers.copy_(self._answers, non_blocking=True)
+        if self._device.type == "cuda":
+            torch.cuda.current_stream(self._device).synchronize()
+        answers: NDArray[np.float32] = self._host_answers.numpy().copy()
+        return answers
+
+
+@torch.inference_mode()
+def replayed_where_the_same(
+    calculate: Callable[[Tensor], Tensor], shape: tuple[int, int, int], device: torch.device
+) -> Replayed | None:
+    """A `Replayed` of a calculation; None if it cannot be recorded, or answers otherwise when it is replayed.
+
+    One's own network cannot, for example, if it looks at numbers while it calculates.
+    """
+    draw = np.random.default_rng(0)
+    pictures = draw.integers(0, 256, (_CHECKED_PICTURES, 1, *shape), np.uint8)
+    try:
+        expected = [
+            calculate(torch.from_numpy(each).permute(0, 3, 1, 2).to(device)).cpu().numpy() for each in pictures
+        ]
+        replayed = Replayed(calculate, shape, device)
+        answers = [replayed(each) for each in pictures[::-1]][::-1]
+    except Exception:
+        return None
+    is_same = np.allclose(answers, expected, rtol=ROUNDING, atol=ROUNDING, equal_nan=True)
+    return replayed if is_same else None
+
+
+def record(calculate: Callable[[], Tensor], device: torch.device) -> tuple[Callable[[], None], Tensor]:
+    """A function that makes a GPU do a calculation again, and the tensor that holds the answers afterwards.
+
+    Raises RuntimeError, or what `calculate` raises, if it cannot be recorded. The GPU can be used afterwards.
+    """
+    graph, pool = torch.cuda.CUDAGraph(), torch.cuda.graph_pool_handle()
+    generator = torch.cuda.default_generators[device.index]
+    random_state = generator.graphsafe_get_state()
+    generator.graphsafe_set_state(generator.clone_state())  # a failed recording leaves it unusable
+    with torch.cuda.device(device):
+        stream = torch.cuda.Stream()  # type: ignore[no-untyped-call]
+        stream.wait_stream(torch.cuda.current_stream())
+        try:
+            with torch.cuda.stream(stream):  # a failed recording leaves its stream the current one
+                with _waiting_raises():
+                    for _ in range(_CALLS_BEFORE):
+                        calculate()
+                with torch.cuda.graph(graph, pool=pool, stream=stream):
+                    answers = calculate()
+        except Exception:
+            _failed.append(graph)
+            with contextlib.suppress(RuntimeError):  # its recording may have ended all the same
+                torch._C._cuda_endAllocateToPool(device.index, pool)
+            raise
+        finally:
+            generator.graphsafe_set_state(random_state)
+            torch.cuda.synchronize()
+    return graph.replay, answers
+
+
+def exactly(device: torch.device) -> contextlib.AbstractContextManager[object]:
+    """On a GPU, cuDNN gives the same bits every time, and float32 is not TensorFloat-32."""
+    if device.type != "cuda":
+        return contextlib.nullcontext()
+    settings: contextlib.AbstractContextManager[object] = torch.backends.cudnn.flags(
+        enabled=True, benchmark=False, deterministic=True, allow_tf32=False
+    )
+    return settings
+
+
+@contextlib.contextmanager
+def _waiting_raises() -> Iterator[None]:
+    """RuntimeError for what waits for the GPU: it cannot be recorded, and failed recordings leave traces."""
+    before = torch.cuda.get_sync_debug_mode()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # PyTorch calls this mode a prototype
+        torch.cuda.set_sync_debug_mode("error")
+        try:
+            yield
+        finally:
+            torch.cuda.set_sync_debug_mode(before)
