@@ -20,12 +20,14 @@ from typing import IO, Any, Final
 
 from repository import HELPERS
 
-# those of the first two lines are read when something is shown, the others set for this process by what a test has
-# called: a server, the viewer, gymnasium, polars
+# No program reads these while it starts. The first two lines matter when something is shown, the third when a command
+# asks for its cache or an object store. The other variables are set for this process by what a test has called: a
+# training, a server, the viewer, gymnasium, polars.
 _UNREAD: Final = (
     *("PYTEST_CURRENT_TEST", "DISPLAY"),
     *("NO_COLOR", "TERM"),
-    *("EVENTLET_NO_GREENDNS", "RUST_LOG"),
+    *("BC_CACHE", "AWS_ENDPOINT_URL_S3", "AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_REGION"),
+    *("THP_MEM_ALLOC_ENABLE", "EVENTLET_NO_GREENDNS", "RUST_LOG"),
     *("PYGAME_HIDE_SUPPORT_PROMPT", "_RJEM_MALLOC_CONF"),
 )
 _LIMITS: Final = ("RLIMIT_AS", "RLIMIT_DATA", "RLIMIT_FSIZE", "RLIMIT_NOFILE")
