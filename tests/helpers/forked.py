@@ -22,12 +22,13 @@ from repository import HELPERS
 
 # No program reads these while it starts. The first two lines matter when something is shown, the third when a
 # command asks for its cache or an object store. The other variables, and those of Ray, are set for this process by
-# what a test has called: a training, PyTorch's exporter, a server, the viewer, gymnasium, polars.
+# what a test has called: a training, MLflow, PyTorch's exporter, a server, the viewer, gymnasium, polars.
 _UNREAD: Final = (
     *("PYTEST_CURRENT_TEST", "DISPLAY"),
     *("NO_COLOR", "TERM"),
     *("BC_CACHE", "AWS_ENDPOINT_URL_S3", "AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_REGION"),
-    *("THP_MEM_ALLOC_ENABLE", "TORCHINDUCTOR_CACHE_DIR", "EVENTLET_NO_GREENDNS", "RUST_LOG"),
+    *("THP_MEM_ALLOC_ENABLE", "TORCHINDUCTOR_CACHE_DIR", "MLFLOW_EXPERIMENT_ID"),
+    *("EVENTLET_NO_GREENDNS", "RUST_LOG"),
     *("PYGAME_HIDE_SUPPORT_PROMPT", "_RJEM_MALLOC_CONF"),
 )
 _LIMITS: Final = ("RLIMIT_AS", "RLIMIT_DATA", "RLIMIT_FSIZE", "RLIMIT_NOFILE")
