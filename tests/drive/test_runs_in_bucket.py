@@ -13,7 +13,6 @@ from common.stored_folder import StoredFolder
 from drive.evaluation.eval_cli import main as bc_eval
 from driving import untrained_run
 from logs import write_log
-from model.export_cli import main as bc_export
 from model.runs.kept_results import kept_results
 from toy import STEERING, road
 from udacity import call
@@ -71,15 +70,3 @@ def test_a_drive_and_its_result_are_kept_in_the_store(
     log = bucket.folder / "drives/night-lake-10mph.mcap"
     assert log.read_bytes() == Path("drives", log.name).read_bytes()
     assert [kept.way for kept in kept_results(bucket.folder / "runs/night")[0]] == ["simulator"]
-
-
-def test_a_run_of_a_store_is_exported_here(bucket: Bucket, tmp_path: Path) -> None:
-    untrained_run(bucket.folder / "runs/night")
-    before = sorted((bucket.folder / "runs/night").iterdir())
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sys.argv", ["bc-train", "export", "night", "--onnx", "--runs", RUNS])
-        with pytest.raises(SystemExit) as end:
-            bc_export()
-    assert end.value.code == 0
-    assert Path("night.onnx").is_file()
-    assert sorted((bucket.folder / "runs/night").iterdir()) == before

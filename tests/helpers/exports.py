@@ -1,12 +1,11 @@
-"""PyTorch's export of a network to ONNX, which takes seconds: made once for equal networks in a test process."""
+"""PyTorch's export of a network to ONNX, which takes seconds: made once for equal layers in a test process."""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from typing import Any
 
-from onnx import ModelProto
+from onnx import ModelProto, numpy_helper
 
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import TargetName
@@ -20,11 +19,16 @@ _made: dict[tuple[Any, ...], bytes] = {}
 def export_once(
     network: PictureNetwork, picture: PictureSpec, targets: Sequence[TargetName], of_camera: bool
 ) -> ModelProto:
-    """As `export`. Networks are equal if their classes, layers and weights are."""
-    weights = hashlib.sha256()
-    for tensor in network.state_dict().values():
-        weights.update(tensor.numpy().tobytes())
-    key = (*map(type, network.modules()), repr(network), picture, *targets, of_camera, weights.digest())
+    """As `export`: an earlier export of the same layers, with this network's weights. The exporter leaves out
+    weights that are all zero."""
+    weights = {f"network.{name}": tensor.numpy() for name, tensor in network.state_dict().items()}
+    written = [name for name, values in weights.items() if values.any()]
+    layers = (*map(type, network.modules()), repr(network), network.natural, *written)
+    key = (layers, picture, *targets, of_camera)
     if key not in _made:
         _made[key] = export(network, picture, targets, of_camera).SerializeToString()
-    return ModelProto.FromString(_made[key])
+    model = ModelProto.FromString(_made[key])
+    for initializer in model.graph.initializer:
+        if initializer.name in weights:
+            initializer.CopyFrom(numpy_helper.from_array(weights[initializer.name], initializer.name))
+    return model

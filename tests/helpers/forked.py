@@ -20,11 +20,14 @@ from typing import IO, Any, Final
 
 from repository import HELPERS
 
-# those of the first two lines are read when something is shown, the others set for this process by what a test has
-# called: a server, the viewer, gymnasium, polars
+# No program reads these while it starts. The first two lines matter when something is shown, the third when a
+# command asks for its cache or an object store. The other variables, and those of Ray, are set for this process by
+# what a test has called: a training, MLflow, PyTorch's exporter, a server, the viewer, gymnasium, polars.
 _UNREAD: Final = (
     *("PYTEST_CURRENT_TEST", "DISPLAY"),
     *("NO_COLOR", "TERM"),
+    *("BC_CACHE", "AWS_ENDPOINT_URL_S3", "AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_REGION"),
+    *("THP_MEM_ALLOC_ENABLE", "TORCHINDUCTOR_CACHE_DIR", "MLFLOW_EXPERIMENT_ID"),
     *("EVENTLET_NO_GREENDNS", "RUST_LOG"),
     *("PYGAME_HIDE_SUPPORT_PROMPT", "_RJEM_MALLOC_CONF"),
 )
@@ -146,5 +149,7 @@ def _inherited(environment: Mapping[str, str]) -> tuple[dict[str, str], list[Any
         return {}, []
     import resource
 
-    kept = {name: value for name, value in environment.items() if name not in _UNREAD}
+    kept = {
+        name: value for name, value in environment.items() if name not in _UNREAD and not name.startswith("RAY_")
+    }
     return kept, [resource.getrlimit(getattr(resource, name)) for name in _LIMITS]

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import onnxruntime
 import pytest
+from onnx import TensorProto, helper
 
 from dataset import decode
 from dataset.picture_spec import PictureSpec
@@ -20,7 +21,7 @@ from driving import PATIENCE_S, environment, road_jpeg, untrained_run
 from model import load_pilot
 from model.cli import main
 from model.network.choice import built_in
-from model.onnx_export import export_onnx
+from model.onnx_export import IR_VERSION, OPSET, export_onnx
 from udacity import call
 
 pytestmark = pytest.mark.usefixtures("exported_once")
@@ -52,6 +53,14 @@ def car(trained: Path) -> Path:
     folder = trained.parent / "car"
     assert call(main, "export", trained, "--donkeycar", folder) == 0
     return folder
+
+
+@pytest.fixture(scope="module")
+def steering_only(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a PilotNet that predicts no throttle."""
+    folder = tmp_path_factory.mktemp("steering")
+    export_onnx(untrained_run(folder / "run", network="pilotnet"), folder / "only.onnx", of_camera=True)
+    return folder / "only.onnx"
 
 
 def part_of(folder: Path) -> Any:
@@ -95,16 +104,22 @@ def test_the_throttle_is_the_networks_unless_one_is_given(
     assert pilot_class(car / "first.onnx", throttle=-0.5).run(road)[1] == -0.5
 
 
-def test_a_network_without_throttle_needs_one(tmp_path: Path, pilot_class: Any) -> None:
-    export_onnx(untrained_run(tmp_path / "only"), tmp_path / "only.onnx", of_camera=True)
+def test_a_network_without_throttle_needs_one(steering_only: Path, pilot_class: Any) -> None:
     with pytest.raises(ValueError, match=r"only\.onnx predicts no throttle: give one, as in OnnxPilot\("):
-        pilot_class(tmp_path / "only.onnx")
+        pilot_class(steering_only)
     with pytest.raises(ValueError, match="throttle 20: expected -1 to 1"):
-        pilot_class(tmp_path / "only.onnx", throttle=20)
+        pilot_class(steering_only, throttle=20)
 
 
-def test_a_file_of_another_export_is_refused(trained: Path, tmp_path: Path, pilot_class: Any) -> None:
-    export_onnx(trained, tmp_path / "plain.onnx")
+def test_a_file_of_another_export_is_refused(tmp_path: Path, pilot_class: Any) -> None:
+    """Its input is "pictures", as test_onnx_export.py shows."""
+    pictures = helper.make_tensor_value_info("pictures", TensorProto.FLOAT, ["N"])
+    steering = helper.make_tensor_value_info("steering", TensorProto.FLOAT, ["N"])
+    graph = helper.make_graph(
+        [helper.make_node("Relu", ["pictures"], ["steering"])], "plain", [pictures], [steering]
+    )
+    plain = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
+    (tmp_path / "plain.onnx").write_bytes(plain.SerializeToString())
     with pytest.raises(ValueError, match="`bc-train export RUN --donkeycar`"):
         pilot_class(tmp_path / "plain.onnx")
 
@@ -113,10 +128,13 @@ OTHERS = [pytest.param(name, marks=pytest.mark.long) for name in ("original", "s
 
 
 @pytest.mark.parametrize("network", ["pilotnet", *OTHERS])
-def test_the_crop_in_the_graph_is_that_of_training(network: str, tmp_path: Path) -> None:
+def test_the_crop_in_the_graph_is_that_of_training(network: str, steering_only: Path, tmp_path: Path) -> None:
     spec: PictureSpec = built_in(network, {}).picture
-    export_onnx(untrained_run(tmp_path / "run", network=network), tmp_path / "run.onnx", of_camera=True)
-    session = onnxruntime.InferenceSession(tmp_path / "run.onnx", providers=["CPUExecutionProvider"])
+    path = steering_only
+    if network != "pilotnet":
+        path = tmp_path / "run.onnx"
+        export_onnx(untrained_run(tmp_path / "run", network=network), path, of_camera=True)
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
     for size in [(160, 320), (120, 160), (480, 640), (7, 9), (1, 1)]:
         picture = np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8)
         (crop,) = session.run(["crop"], {"picture": picture})

@@ -156,8 +156,11 @@ def test_it_can_be_exported_again_and_from_there(exported: Path, tmp_path: Path)
         assert (again / name).read_bytes() == (exported / name).read_bytes()
 
 
-def test_of_a_run_that_says_nothing_the_card_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_of_a_run_that_says_nothing_the_card_says_so(
+    trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run = untrained_run(tmp_path / "runs" / "first")
+    shutil.copy(trained / "model.safetensors", run)  # whose export is made already
     assert call(main, "export", run, "--hub", tmp_path / "hub") == 0
     said, told = capsys.readouterr().err, (tmp_path / "hub" / "README.md").read_text()
     assert "bc-eval" in said

@@ -17,7 +17,9 @@ import onnx
 import onnxruntime
 import pytest
 from safetensors.numpy import load_file, save_file
+from safetensors.torch import load_file as load_tensors
 
+from bucket import Bucket
 from dataset import decode
 from dataset.preprocessing import Image
 from disk import files_of_at_most
@@ -26,6 +28,7 @@ from exports import export
 from model import RunError, load_pilot
 from model.cli import main
 from model.onnx_export import export_onnx
+from model.runs.run_folder import save_weights
 from repository import ROOT
 from udacity import call
 
@@ -37,7 +40,13 @@ HIDDEN = f"import sys; sys.modules.update(dict.fromkeys({['torch', 'onnx', *OURS
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return untrained_run(tmp_path_factory.mktemp("runs") / "first", network="original")
+    run = untrained_run(tmp_path_factory.mktemp("runs") / "first", network="original")
+    weights = load_tensors(run / "model.safetensors")
+    for name, values in weights.items():
+        if name.endswith(".bias"):
+            values.fill_(0.01)  # else the exporter leaves them out, and a run with biases needs another export
+    save_weights(run, weights, epoch=0)
+    return run
 
 
 @pytest.fixture(scope="module")
@@ -221,6 +230,16 @@ def test_a_run_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.Capt
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"bc-train export: {tmp_path / 'nowhere'}: no trained run there")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_of_a_store_is_exported_here(
+    trained: Path, exported: Path, bucket: Bucket, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stored = shutil.copytree(trained, bucket.folder / "runs" / "first")
+    before = sorted(stored.iterdir())
+    assert call(main, "export", "first", "--onnx", "--runs", "s3://logs/runs") == 0
+    assert Path("first.onnx").read_bytes() == exported.read_bytes()
+    assert sorted(stored.iterdir()) == before
 
 
 # Runs that cannot be exported

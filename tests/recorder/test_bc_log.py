@@ -107,12 +107,13 @@ def test_pictures_without_a_row_and_rows_out_of_order_are_found(tmp_path: Path, 
     ]
 
 
-def test_every_flipped_byte_is_found(tmp_path: Path) -> None:
+@pytest.mark.parametrize("every", [17, pytest.param(1, marks=pytest.mark.long)])
+def test_every_flipped_byte_is_found(tmp_path: Path, every: int) -> None:
     """The CRCs of the chunks, of all data and of the summary cover the whole file."""
     whole = write_log(tmp_path / "a.mcap", [0.1], lambda camera, row: camera.encode()).read_bytes()
     path = tmp_path / "flipped.mcap"
     unseen = []
-    for at in range(0, len(whole), 7):
+    for at in range(0, len(whole), every):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x10]) + whole[at + 1 :])
         try:
             is_found = bool(check(path, look=False).findings)

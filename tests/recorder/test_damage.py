@@ -133,7 +133,7 @@ def overwrite(path: Path, position: int, value: int) -> None:
         stream.write(bytes([value]))
 
 
-EVERY = pytest.mark.parametrize("every", [9, pytest.param(1, marks=pytest.mark.long)])  # odd: both MASKS in turn
+EVERY = pytest.mark.parametrize("every", [23, pytest.param(1, marks=pytest.mark.long)])  # odd: both MASKS in turn
 
 
 def complaints_of_flips(path: Path, positions: range, recover_every: int) -> list[str]:
@@ -205,7 +205,7 @@ def test_the_same_holds_for_compressed_logs(tmp_path: Path, compression: Compres
     assert complaints_of_cuts(path, range(0, size, max(every, 5)), recover_every=7) == []
 
 
-@pytest.mark.parametrize("every", [5, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.parametrize("every", [13, pytest.param(1, marks=pytest.mark.long)])
 def test_a_killed_recording_with_any_broken_byte_loses_one_chunk(whole: Path, every: int) -> None:
     """Without an end that tells where the chunks are, those behind the damage are searched for.
 

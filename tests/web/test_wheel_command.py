@@ -68,13 +68,6 @@ def drive(page: WheelPage, rows: int) -> None:
         page.steer(0.0, hold_mph=5)
 
 
-def test_the_page_of_a_recording_knows_where_its_session_is() -> None:
-    with recording() as process:
-        assert 'data-after="/wheel/after/sessions/mine"' in get(process)
-        assert process.end() == 1  # nothing was recorded
-        wait_until(lambda: not is_served(process))
-
-
 def test_the_page_of_a_supervised_drive_knows_its_log_and_its_run(tmp_path: Path) -> None:
     untrained_run(tmp_path / "my" / "runs" / "first")
     flags = ("--runs", "my/runs", "--drives", "my/drives", "--sessions", "my/logs", "--viewer", "off")
@@ -95,7 +88,7 @@ def test_the_page_of_a_supervised_drive_knows_its_log_and_its_run(tmp_path: Path
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds the process of bc-web in /proc")
 def test_a_killed_bc_web_leaves_the_drive_and_its_log_as_they_are() -> None:
     with recording() as process:
-        process.wait_for(ADDRESS)
+        assert 'data-after="/wheel/after/sessions/mine"' in get(process)
         with WheelPage(open_wheels(Path.cwd())[0]) as page:
             drive(page, 3)
             os.kill(child_of(process), signal.SIGKILL)
