@@ -74,7 +74,7 @@ def pages_of(project: ProjectFolders) -> Iterator[Shown]:
             _compare,
         )
     drives = urlencode([("log", key) for key in project.logs("drives")])
-    yield Shown("drives", f"/drives?{drives}", "#list table")
+    yield Shown("drives", f"/drives?{drives}&by=error", "#list table")
     yield Shown("drive", f"/drives/{drive}", "#session[data-course]")
     yield Shown("jobs", "/jobs", "main h1")
     yield Shown("training", "/jobs?start=train", "details[open]")

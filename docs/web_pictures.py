@@ -181,7 +181,7 @@ def runs(shown: Shown) -> None:
 
 
 def drives(shown: Shown) -> None:
-    chosen = urlencode([("log", drive) for drive in shown.config.drives])
+    chosen = urlencode([*(("log", drive) for drive in shown.config.drives), ("by", "error")])
     with shown.page(f"/drives?{chosen}", 960) as page:
         page.wait_for_selector("#list svg polyline", state="attached")
         shown.keep(page, "drives")

@@ -36,7 +36,7 @@ PAGES: Final = {
     "/index": "#list, main img",
     "/runs?run=r": "#plots canvas",
     "/runs/r": "#plots canvas",
-    "/drives?log=d": "circle",
+    "/drives?log=d&by=speed": "circle",
     "/drives/d": "#session[data-course] circle",
     "/runs.compare?a=r&b=other": "form button",
     "/import": "#drop",

@@ -24,14 +24,27 @@ def test_drives_stand_beside_one_another_and_on_one_map(tmp_path: Path) -> None:
         assert bench.get("/drives/one/links").text.strip() == "driven by &lt;b&gt;r"
         assert "<svg" not in text
         assert re.findall(r'<a href="(/drives/one#row=[^"]*)" title="the first one', bench.get("/drives").text)
-        shown = bench.get("/drives.rows?log=one&log=two&log=bad&log=none").text
-        paths = re.findall(r'<polyline class="(drive-\d)" points="([-\d.]+),', shown)
-        assert [begin for _, begin in paths] == ["0.00", "0.00"]
-        assert len({colour for colour, _ in paths}) == 2
-        assert "being read" not in shown
-        assert re.findall(r'<a href="(/drives/\w+#row=\d+)"><circle cx="([\d.]+)"', shown) == [
-            ("/drives/one#row=5", "50.0"),
-            ("/drives/two#row=5", "50.0"),
+        for by in ("drive", "speed", "who+drove", "none"):
+            shown = bench.get(f"/drives.rows?log=one&log=two&log=bad&log=none&by={by}").text
+            assert shown.count("<polyline") == 2
+            assert "being read" not in shown
+            assert re.findall(r'<a href="(/drives/\w+#row=\d+)"><circle cx="([\d.]+)"', shown) == [
+                ("/drives/one#row=5", "50.0"),
+                ("/drives/two#row=5", "50.0"),
+            ]
+
+
+def test_the_map_shows_where_the_steering_was_not_the_experts(tmp_path: Path) -> None:
+    a_drive(tmp_path / "drives" / "one.mcap", "r")
+    with served(tmp_path) as bench:
+        wait_until(lambda: "being read" not in bench.get("/drives").text)
+        shown = bench.get("/drives.rows?log=one&by=error").text
+        # a path's part has the colour of the row that it begins at; the last row begins none
+        assert re.findall(r'<polyline class="([\w-]+)" points="([-\d.]+),', shown) == [
+            ("step-none", "0.00"),
+            ("step-0", "50.00"),
+            ("step-2", "60.00"),
+            ("step-5", "70.00"),
         ]
 
 

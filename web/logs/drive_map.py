@@ -4,17 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from itertools import groupby, pairwise
+from typing import Final, Literal
 
-from web.logs.drive_view import DriveEvent, DriveView
+from web.logs.drive_view import CarPlace, DriveEvent, DriveView
 
+By = Literal["drive", "speed", "error", "driver"]
+WAYS: Final[dict[str, By]] = {"drive": "drive", "speed": "speed", "error": "error", "who drove": "driver"}
+DRIVERS: Final = {0: "unknown", 1: "pilot", 2: "human", 3: "expert", 4: "brake"}
+STEPS: Final = 6  # classes between none and the most, of speeds and errors
+MAX_ERROR_DEG: Final = 12.0  # of steering; the last class has what is beyond, too
 _MARGIN: Final = 0.04
 
 
 @dataclass(frozen=True)
-class EventPlace:
-    """Where an intervention was, in the coordinates of the map."""
+class Stroke:
+    """A part of a path in one colour: the class of the style sheet, and its points."""
 
+    style: str
+    points: str
+
+
+@dataclass(frozen=True)
+class EventPlace:
     x: float
     y: float
     event: DriveEvent
@@ -22,17 +34,16 @@ class EventPlace:
 
 @dataclass(frozen=True)
 class DriveMap:
-    """A map of several drives; `paths` and `interventions` have an entry for each drive."""
-
     box: str  # the SVG's viewBox
     size: float  # the longer side in metres
-    paths: list[str]  # the points of a polyline
-    interventions: list[list[EventPlace]]
+    strokes: list[list[Stroke]]  # of each drive
+    places: list[list[EventPlace]]  # of each drive's interventions
+    fastest_mph: float
 
 
-def drive_map(drives: Sequence[DriveView]) -> DriveMap | None:
-    """Returns None if no drive has poses."""
-    points = [(place.x_m, -place.y_m) for drive in drives for place in drive.path]
+def drive_map(drives: Sequence[DriveView], colours: Sequence[int], by: By) -> DriveMap | None:
+    """None where none of them has poses; `colours` are the drives', in their order."""
+    points = [(x, -y) for drive in drives for _, x, y, *_ in drive.path]
     if not points:
         return None
     xs, ys = zip(*points, strict=True)
@@ -40,15 +51,39 @@ def drive_map(drives: Sequence[DriveView]) -> DriveMap | None:
     edge = size * _MARGIN
     width, height = max(xs) - min(xs) + 2 * edge, max(ys) - min(ys) + 2 * edge
     box = f"{min(xs) - edge:.2f} {min(ys) - edge:.2f} {width:.2f} {height:.2f}"
-    paths = [" ".join(f"{place.x_m:.2f},{-place.y_m:.2f}" for place in drive.path) for drive in drives]
-    return DriveMap(box, size, paths, [_interventions(drive) for drive in drives])
+    fastest = max([1.0, *(place.mph for drive in drives for place in drive.path)])
+    strokes = [_strokes(drive, colour, by, fastest) for drive, colour in zip(drives, colours, strict=True)]
+    return DriveMap(box, size, strokes, [_places(drive) for drive in drives], fastest)
 
 
-def _interventions(drive: DriveView) -> list[EventPlace]:
-    """The interventions of a drive, each at the last point of the path that is not after it."""
-    places = []
+def _strokes(drive: DriveView, colour: int, by: By, fastest: float) -> list[Stroke]:
+    """Parts of one colour, each beginning where the one before ends."""
+
+    def style(place: CarPlace) -> str:
+        if by == "speed":
+            return f"step-{_step(place.mph, fastest)}"
+        if by == "error":
+            return "step-none" if place.error_deg is None else f"step-{_step(place.error_deg, MAX_ERROR_DEG)}"
+        return f"by-{DRIVERS.get(place.driver, 'unknown')}" if by == "driver" else f"drive-{colour}"
+
+    found = []
+    for name, part in groupby(pairwise(drive.path), key=lambda pair: style(pair[0])):
+        pairs = list(part)
+        places = [pairs[0][0], *(pair[1] for pair in pairs)]
+        points = " ".join(f"{place.x_m:.2f},{-place.y_m:.2f}" for place in places)
+        found.append(Stroke(name, points))
+    return found
+
+
+def _step(value: float, most: float) -> int:
+    return min(STEPS - 1, int(STEPS * max(0.0, value) / most))
+
+
+def _places(drive: DriveView) -> list[EventPlace]:
+    """The places of interventions: for each, the last point of the path that is not after it."""
+    found = []
     for event in drive.events:
         before = [place for place in drive.path if place.row <= event.row] or drive.path[:1]
         if event.is_intervention and before:
-            places.append(EventPlace(before[-1].x_m, -before[-1].y_m, event))
-    return places
+            found.append(EventPlace(before[-1].x_m, -before[-1].y_m, event))
+    return found

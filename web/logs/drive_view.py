@@ -1,5 +1,5 @@
-"""Summaries of drives: the results of `bc-drive`, the events and the car's path. A thread reads the logs. The
-cache keeps the summaries."""
+"""Drives in short: what `bc-drive` has counted, their events, and where the car was; read on a thread, kept in the
+cache."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from common.errors import printable
 from common.location import Location, absolute
 from drive.control.takeover import TAKES_OVER
 from recorder import Log, topics
+from recorder.bc_pb2 import PilotCommand
 from recorder.log.meant_gaps import HUMAN_DRIVES
+from recorder.log.session_car import max_steering_deg_of
 from web.folders.background import Background
 from web.folders.cache_folder import CacheFolder
 from web.folders.project_folders import ProjectFolders
@@ -42,10 +44,14 @@ class CarPlace(NamedTuple):
     row: int
     x_m: float
     y_m: float
+    mph: float
+    driver: int  # bc.PilotCommand.Driver
+    error_deg: float | None
+    """The steering sent minus that of the simulator's expert; None where there was no expert."""
 
 
 class DriveView(msgspec.Struct, frozen=True):
-    """A drive as the list of drives shows it. `path` has at most `_MAX_POINTS` places; none without poses."""
+    """A drive as its page shows it. `path` has a limited number of rows; none where the log has no poses."""
 
     counted: dict[str, str]
     events: list[DriveEvent]
@@ -73,19 +79,35 @@ class DriveViews:
             self._folders.refuse_unanswered(log)
             return _read(log)
 
-        return self._cache.struct(f"drive 4 {absolute(log)} {version}", DriveView, read)
+        return self._cache.struct(f"drive 3 {absolute(log)} {version}", DriveView, read)
 
 
 def _read(path: Location) -> DriveView:
     with Log(path) as log:
         states = log.vehicle()
-        events = drive_events(log, states["row"].to_numpy(), states["log_time_ns"].to_numpy())
+        rows, time_ns, mph = (states[name].to_numpy() for name in ("row", "log_time_ns", "speed_mph"))
+        events = drive_events(log, rows, time_ns)
+        sent: dict[int, tuple[int, float | None]] = {}
+        if topics.PILOT_COMMAND in log.counts:
+            full_deg = max_steering_deg_of(log)
+            sent = {
+                message.sequence: (command.driver, _error_deg(command, full_deg))
+                for message, command in log.commands()
+            }
+        speeds = dict(zip(rows.tolist(), mph.tolist(), strict=True))
         path_of_car: list[CarPlace] = []
-        step = log.counts.get(topics.POSE, 0) // _MAX_POINTS + 1
-        for message, pose in islice(log.decoded(topics.POSE), 0, None, step):
-            place = pose.pose.position
-            if abs(place.x) < 1e6 and abs(place.y) < 1e6:
-                path_of_car.append(CarPlace(message.sequence, round(place.x, 2), round(place.y, 2)))
+        if count := log.counts.get(topics.POSE, 0):
+            step = count // _MAX_POINTS + 1
+            for number, (message, found) in enumerate(log.decoded(topics.POSE)):
+                place = found.pose.position
+                if number % step == 0 and abs(place.x) < 1e6 and abs(place.y) < 1e6:
+                    row = message.sequence
+                    speed = speeds.get(row, 0.0)
+                    speed = speed if abs(speed) < 1000 else 0.0
+                    driver, error_deg = sent.get(row, (0, None))
+                    path_of_car.append(
+                        CarPlace(row, round(place.x, 2), round(place.y, 2), speed, driver, error_deg)
+                    )
         counted = {
             printable(name): printable(value) for name, value in log.read_metadata(topics.DRIVE_METADATA).items()
         }
@@ -103,3 +125,10 @@ def drive_events(log: Log, rows: NDArray[np.int64], time_ns: NDArray[np.int64]) 
         seconds = float(time_ns[at] - time_ns[0]) / 1e9
         events.append(DriveEvent(int(rows[at]), seconds, text, text.startswith(_INTERVENTIONS)))
     return events
+
+
+def _error_deg(command: PilotCommand, full_deg: float) -> float | None:
+    if not command.HasField("expert_steering"):
+        return None
+    error_deg = abs(command.steering - command.expert_steering) * full_deg
+    return round(error_deg, 2) if error_deg <= 2 * full_deg else None  # False for NaN

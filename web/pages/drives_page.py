@@ -13,7 +13,7 @@ from starlette.routing import Route
 from common import UserError
 from common.errors import printable
 from web.folders.project_folders import key_of
-from web.logs.drive_map import drive_map
+from web.logs.drive_map import MAX_ERROR_DEG, WAYS, drive_map
 from web.logs.drive_view import DriveView
 from web.pages.changes import drives_version
 from web.pages.workbench import Workbench
@@ -29,18 +29,19 @@ def drive_routes(bench: Workbench) -> list[Route]:
         return page("drives.html", live=drives_version(bench), **_context(request))
 
     def _context(request: Request) -> dict[str, Any]:
-        logs = bench.folders.logs("drives")
-        keys = dict.fromkeys(request.query_params.getlist("log"))
-        chosen = [key for key in keys if key in logs][:MAX_CHOSEN]
-        views = bench.drives.views(logs.values(), _PATIENCE_S)
+        query = request.query_params
+        by = query.get("by", "drive") if query.get("by") in WAYS else "drive"
+        there = bench.folders.logs("drives")
+        chosen = [key for key in dict.fromkeys(query.getlist("log")) if key in there][:MAX_CHOSEN]
+        views = bench.drives.views(there.values(), _PATIENCE_S)
         cards = bench.cards.cards("drives", _PATIENCE_S)
         runs = bench.folders.run_folders()
         shown: list[dict[str, Any]] = []
         problems = list(filter(None, [bench.folders.problem("drives")]))
         for card in sorted(cards, key=lambda card: card.info.start if card.info else "", reverse=True):
-            result = views.get(card.path)
-            view = result if isinstance(result, DriveView) and card.info else None
-            problem = card.problem or (printable(str(result)) if isinstance(result, UserError) else "")
+            found = views.get(card.path)
+            view = found if isinstance(found, DriveView) and card.info else None
+            problem = card.problem or (printable(str(found)) if isinstance(found, UserError) else "")
             run = card.info.session.get("run", "") if card.info else ""
             key = key_of(bench.folders.runs / run) if run else ""
             shown.append(
@@ -54,16 +55,20 @@ def drive_routes(bench: Workbench) -> list[Route]:
             )
         by_key = {drive["card"].key: drive for drive in shown}
         on_map = [by_key[key] for key in chosen if key in by_key and by_key[key]["view"]]
-        paths = drive_map([drive["view"] for drive in on_map])
-        if on_map and paths is None:
+        colours = _colours(on_map)
+        on_one_map = drive_map([drive["view"] for drive in on_map], colours, WAYS[by])
+        if on_map and on_one_map is None:
             problems.append("none of these drives has poses: their simulator does not report where the car is")
         return {
             "drives": shown,
             "chosen": chosen,
             "on_map": on_map,
-            "colours": _colours(on_map),
-            "map": paths,
+            "colours": colours,
+            "map": on_one_map,
+            "most_error_deg": MAX_ERROR_DEG,
             "reading": sum(not (drive["view"] or drive["problem"]) for drive in shown),
+            "by": by,
+            "ways": list(WAYS),
             "problems": problems,
             "folder": printable(str(bench.folders.drives)),
         }
