@@ -247,12 +247,27 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
             "the side cameras are left out",
             "bc-index --cameras center left right && bc-train",
         ),
+        (
+            numbers(
+                epochs=[
+                    replace(
+                        each,
+                        answers=AnswerScale(0.5),
+                        learnt=each.measures.network,
+                        learnt_driving_error=each.measures.driving_error - 0.02,
+                    )
+                    for each in [epoch(number, 0.05) for number in range(1, 11)]
+                ]
+            ),
+            "a driving error of 0.15 is small enough to try",
+            "bc-eval first --simulator lake mountain",
+        ),
         (numbers(), "nothing in its numbers stands out", "bc-record more --track random:2"),
     ],
     ids=[
         "being trained", "contradicting", "constant", "unfinished", "natural answers", "natural and better",
         "interventions", "still improving", "few epochs", "few turns", "one session", "one side",
-        "one side mirrored", "side cameras", "nothing",
+        "one side mirrored", "side cameras", "answers hardly worse", "nothing",
     ],
 )  # fmt: skip
 def test_each_rule_names_its_numbers_and_a_command(of: RunNumbers, why: str, command: str) -> None:
