@@ -16,8 +16,9 @@ def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 def consecutive(numbers: Sequence[int]) -> list[tuple[int, int]]:
     """First and last of every run of consecutive whole numbers, which ascend."""
-    cuts = np.flatnonzero(np.diff(numbers) != 1) + 1
-    return [(int(run[0]), int(run[-1])) for run in np.split(np.array(numbers, np.int64), cuts) if len(run)]
+    values = np.array(numbers, np.int64)
+    cuts = np.flatnonzero(np.diff(values) != 1) + 1
+    return [(int(run[0]), int(run[-1])) for run in np.split(values, cuts) if len(run)]
 
 
 def stretches_within(mask: NDArray[np.bool_], part: NDArray[np.int64]) -> list[tuple[int, int]]:

@@ -291,7 +291,9 @@ def open_logs(index: Location, sources: Mapping[str, IndexedLog]) -> dict[str, L
     allow_open_files(len(sources))
     folder_of = cache(short_path)  # asks the disk about each folder in the path
 
-    def opened(session: str, place: Location) -> Log:
+    logs: dict[str, Log] = {}
+
+    def open_log(session: str, place: Location) -> None:
         if isinstance(place, Path):
             place = folder_of(place.parent) / place.name  # also where the index is a passing one
             if not place.is_file():
@@ -299,22 +301,19 @@ def open_logs(index: Location, sources: Mapping[str, IndexedLog]) -> dict[str, L
                     f"{place}: the log of session {session} is gone; put it back or run `bc-index` again"
                 )
         try:
-            log = Log(place)
+            log = logs[session] = Log(place)
         except (LogError, OSError) as error:
             raise DatasetError(f"{error} (session {session} of the index; without it: `bc-index`)") from None
         if log.file_fingerprint != sources[session].file:
-            log.close()
             raise DatasetError(
                 f"{place}: has changed since it was indexed as session {session}; run `bc-index` again"
             )
-        return log
 
     places = [(session, log_place(source.path, index)) for session, source in sources.items()]
     tasks = in_threads if any(isinstance(place, Url) for _, place in places) else one_by_one
-    logs: dict[str, Log] = {}
     try:
-        for number, log in tasks(opened, places):
-            logs[places[number][0]] = log
+        for _ in tasks(open_log, places):
+            pass
     except BaseException:
         for log in logs.values():
             log.close()

@@ -33,7 +33,7 @@ def parse_epoch(line: bytes) -> Epoch:
         raise TypeError("no object")
     answers, learnt = values.get("answers"), values.get("learnt")  # earlier versions have neither
     return Epoch(
-        _count(values["epoch"]),
+        _count(values["epoch"], least=1),
         _number(values["training_loss"]),
         _number(values["validation_loss"]),
         parse_measures(values, "validation"),
@@ -60,7 +60,7 @@ def parse_measures(values: Any, network: str) -> Measures:
 
 def parse_step(line: bytes) -> Step:
     step = _part(Step, json.loads(line))
-    if not step.epoch or not 1 <= step.batch <= step.batches:
+    if not (step.epoch and step.samples and 1 <= step.batch <= step.batches):
         raise ValueError("no batch of an epoch")
     return step
 
@@ -79,7 +79,7 @@ def parse_worst_pictures(line: bytes) -> WorstPictures:
         if not may_be_crop(jpeg):
             raise ValueError("no crop that a network sees")
         decode(jpeg)  # raises ValueError if it is no picture
-    return WorstPictures(_count(values["epoch"]), frames, jpegs, _max_deg(values))
+    return WorstPictures(_count(values["epoch"], least=1), frames, jpegs, _max_deg(values))
 
 
 def _max_deg(values: Any) -> float | None:
@@ -96,8 +96,8 @@ def _part(kind: type[Part], values: Mapping[str, Any]) -> Part:
     return kind(**{field.name: _CHECKS[str(field.type)](values[field.name]) for field in fields(kind)})
 
 
-def _count(value: Any) -> int:
-    if type(value) is not int or not 0 <= value <= _LARGEST_COUNT:
+def _count(value: Any, least: int = 0) -> int:
+    if type(value) is not int or not least <= value <= _LARGEST_COUNT:
         raise ValueError("not a count")
     return value
 
