@@ -26,11 +26,11 @@ def quick_types() -> Iterator[None]:
         if is_sentinel(value):
             return False
         if isinstance(typ, UnionType):
-            return any(answer(each, value) for each in get_args(typ))
+            return any(answer(member, value) for member in get_args(typ))
         if get_origin(typ) is tuple and not isinstance(value, tuple):
             return False
         if get_origin(typ) is tuple and get_args(typ)[1:] == (Ellipsis,):
-            return all(answer(get_args(typ)[0], each) for each in value)
+            return all(answer(get_args(typ)[0], item) for item in value)
         return is_instance(typ, value)
 
     _resolver.is_instance = answer

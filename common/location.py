@@ -97,7 +97,7 @@ def location(text: str | Location) -> Location:
     if scheme == "file":
         return Path(unquote(urlsplit(text).path))
     if scheme not in SCHEMES:
-        kinds = ", ".join(f"{each}://" for each in SCHEMES)
+        kinds = ", ".join(f"{known}://" for known in SCHEMES)
         raise UsageError(f"{text}: not a path, nor a URL that begins with {kinds} or file://")
     bucket, _, key = rest.partition("/")
     if not bucket:

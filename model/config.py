@@ -108,7 +108,7 @@ class TrainConfig:
                 flag = name.replace("_", "-")
                 raise ValueError(f"--{flag} {value}: a whole number from {least:,} to {most:,} was expected")
         check_network_name(self.network)
-        if bad := [each for each in self.network_args if not each.partition("=")[0].isidentifier()]:
+        if bad := [argument for argument in self.network_args if not argument.partition("=")[0].isidentifier()]:
             raise ValueError(f"--network-args {bad[0]}: NAME=VALUE was expected")
         try:
             check_targets(self.targets)
@@ -116,10 +116,10 @@ class TrainConfig:
             raise ValueError(f"--{error}") from None
         if self.target_weights and len(self.target_weights) != len(self.targets):
             raise ValueError(
-                f"--target-weights {' '.join(f'{each:g}' for each in self.target_weights)}: one for each of"
+                f"--target-weights {' '.join(f'{weight:g}' for weight in self.target_weights)}: one for each of"
                 f" {', '.join(self.targets)} was expected"
             )
-        if not all(0 <= each < math.inf for each in self.target_weights) or sum(self.target_weights or (1,)) <= 0:
+        if not all(0 <= weight < math.inf for weight in self.target_weights) or sum(self.target_weights or (1,)) <= 0:
             raise ValueError("--target-weights: numbers of 0 or more, not all 0, were expected")
         if self.keep == "last" and self.patience:
             raise ValueError(

@@ -72,7 +72,7 @@ class Stats:
             from common.object_store import list_objects  # an extra
 
             objects = list_objects(place.parent)
-            self._listed[place.parent] = {each.url: (each.size, each.version) for each in objects}
+            self._listed[place.parent] = {entry.url: (entry.size, entry.version) for entry in objects}
         return self._listed[place.parent].get(place)
 
 

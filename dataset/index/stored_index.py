@@ -61,7 +61,7 @@ def frames_here(index: Location) -> Path:
     from common.stored_folder import StoredFolder
 
     objects = list_below(index)
-    names = [each.url.name_in(index) for each in objects]
+    names = [entry.url.name_in(index) for entry in objects]
     with StoredFolder(index, waits=True) as folder:
         folder.bring(objects=objects, wanted=[name for name in names if name.startswith(f"{FRAMES_FOLDER}/")])
         return folder.here / FRAMES_FOLDER

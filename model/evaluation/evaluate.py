@@ -204,7 +204,7 @@ def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Locatio
         if session not in evaluations[0].sessions
     ]
     remarks = tuple(indexed.remarks)
-    return [replace(each, logs=paths, notices=tuple(notices), remarks=remarks) for each in evaluations]
+    return [replace(measured, logs=paths, notices=tuple(notices), remarks=remarks) for measured in evaluations]
 
 
 def _evaluate(runs: Sequence[Path], samples: Samples, view: pa.Table) -> list[Evaluation]:

@@ -58,7 +58,7 @@ class Comparison:
     @cached_property
     def answers_apart_deg(self) -> float:
         """Root of the mean square of B's answers minus A's, in degrees: 0 for the same network."""
-        a, b = (each.frames["predicted"].to_numpy() for each in (self.a, self.b))
+        a, b = (run.frames["predicted"].to_numpy() for run in (self.a, self.b))
         return assumed_deg(self.a.max_deg) * float(np.sqrt(np.square(b - a).mean()))
 
     @cached_property
@@ -68,11 +68,11 @@ class Comparison:
         a, b = (
             np.hstack(
                 [
-                    sums_of_blocks(each.frames, self.unit, each.max_deg),
-                    *_sums_of_targets(each.frames, self.unit, targets),
+                    sums_of_blocks(run.frames, self.unit, run.max_deg),
+                    *_sums_of_targets(run.frames, self.unit, targets),
                 ]
             )
-            for each in (self.a, self.b)
+            for run in (self.a, self.b)
         )
         return compare_sums(a, b, measures, measures_of_sums, self.tolerance)
 
@@ -88,7 +88,7 @@ class Comparison:
             "tolerance": self.tolerance,
             "answers_apart_deg": self.answers_apart_deg,
             **({"max_deg": None} if self.a.max_deg is None else {}),
-            "measures": {each.measure.name: each.as_dict() for each in self.differences},
+            "measures": {difference.measure.name: difference.as_dict() for difference in self.differences},
             "verdict": overall(self.differences),
         }
 

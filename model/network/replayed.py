@@ -65,10 +65,10 @@ def replayed_where_the_same(
     pictures = draw.integers(0, 256, (_CHECKED_PICTURES, 1, *shape), np.uint8)
     try:
         expected = [
-            calculate(torch.from_numpy(each).permute(0, 3, 1, 2).to(device)).cpu().numpy() for each in pictures
+            calculate(torch.from_numpy(batch).permute(0, 3, 1, 2).to(device)).cpu().numpy() for batch in pictures
         ]
         replayed = Replayed(calculate, shape, device)
-        answers = [replayed(each) for each in pictures[::-1]][::-1]
+        answers = [replayed(batch) for batch in pictures[::-1]][::-1]
     except Exception:
         return None
     is_same = np.allclose(answers, expected, rtol=ROUNDING, atol=ROUNDING, equal_nan=True)

@@ -139,7 +139,7 @@ def is_still_improving(numbers: RunNumbers) -> Advice | None:
         return Advice(f"{counted(len(epochs), 'epoch')}: {why}", more)
     if not is_best:
         return None
-    last, before = (each.measures.driving_error for each in (epochs[-1], epochs[-2]))
+    last, before = (epoch.measures.driving_error for epoch in (epochs[-1], epochs[-2]))
     if before - last > STILL_IMPROVING * before:
         return Advice(f"its driving error still fell in epoch {len(epochs):,} ({before:.2f} to {last:.2f})", more)
     return None

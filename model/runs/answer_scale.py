@@ -57,7 +57,7 @@ class AnswerScale:
         line, bend, wanted = (values - values.mean() for values in (learnt, learnt * np.abs(learnt), steering))
         candidates = [*_inside(line, bend, wanted), *_at_edges(line, bend, wanted)]
         scale, curve = min(
-            candidates, key=lambda each: float(np.sum((wanted - each[0] * line - each[1] * bend) ** 2))
+            candidates, key=lambda fit: float(np.sum((wanted - fit[0] * line - fit[1] * bend) ** 2))
         )
         offset = np.mean(steering - cls(scale, 0.0, curve).natural(learnt))
         return cls(scale, float(np.clip(offset, -MAX_OFFSET, MAX_OFFSET)), curve)

@@ -53,7 +53,7 @@ class Centreline:
         # Lists, because `at` and `project` are called many times a step, and an element of an array takes longer.
         columns = (*self.points_m.T, self.heading_rad, self.curvature_per_m, self.slope)
         self._points: list[tuple[float, ...]] = list(zip(*(column.tolist() for column in columns), strict=True))
-        self._directions = [(float(np.cos(each)), float(np.sin(each))) for each in self.heading_rad]
+        self._directions = [(float(np.cos(heading)), float(np.sin(heading))) for heading in self.heading_rad]
         self._reach = round(_NEAR_M / self.step_m)
         # (2, N + 2 reach), with the points before the first and behind the last: those near a place are a slice
         self._around_m = self.points_m[np.arange(-self._reach, count + self._reach + 1) % count, :2].T.copy()

@@ -79,5 +79,5 @@ class LiveMessageSender:
         if topic == CENTER and not self._has_size:
             self._has_size = True
             self._drawing.picture_size = frame_size(pictures[0].data) or self._drawing.picture_size
-        columns = picture_columns([each.data for each in pictures], [each.format for each in pictures])
+        columns = picture_columns([picture.data for picture in pictures], [picture.format for picture in pictures])
         self._recording.send_columns(topic, self._clock(time_ns), columns)

@@ -142,7 +142,7 @@ def _columns(by_topic: Mapping[str, Sequence[tuple[int, CompressedImage]]], cloc
         yield Chunk.from_columns(
             rr.new_entity_path(topic.strip("/").split("/")),
             clock(np.array(times, np.int64)),
-            picture_columns([each.data for each in pictures], [each.format for each in pictures]),
+            picture_columns([picture.data for picture in pictures], [picture.format for picture in pictures]),
         )
 
 
