@@ -119,7 +119,8 @@ class TrainConfig:
                 f"--target-weights {' '.join(f'{weight:g}' for weight in self.target_weights)}: one for each of"
                 f" {', '.join(self.targets)} was expected"
             )
-        if not all(0 <= weight < math.inf for weight in self.target_weights) or sum(self.target_weights or (1,)) <= 0:
+        weights = self.target_weights or (1,)
+        if not all(0 <= weight < math.inf for weight in weights) or sum(weights) <= 0:
             raise ValueError("--target-weights: numbers of 0 or more, not all 0, were expected")
         if self.keep == "last" and self.patience:
             raise ValueError(

@@ -31,7 +31,7 @@ def find_logs(sessions: Sequence[Location | str], folder: Location | str) -> lis
         if isinstance(folder, Path) and folder.is_file():
             raise DatasetError(f"{folder} is a file: give the folder of the logs, such as sessions")
         raise DatasetError(f"{folder}: no logs in it; record one with `bc-record NAME`")
-    logs: list[Location] = []
+    chosen: list[Location] = []
     listed: dict[Url, set[Url]] = {}
     for given in map(str, sessions):
         log = location(given) if given.endswith((".mcap", ".part")) else folder / f"{given}.mcap"
@@ -45,8 +45,8 @@ def find_logs(sessions: Sequence[Location | str], folder: Location | str) -> lis
             raise DatasetError(f"{_expected(given, log)}: no such log; {_hint(given, folder)}")
         if problem := name_problem(log):
             raise DatasetError(problem)
-        logs.append(log)
-    return list(by_session_name(logs).values())
+        chosen.append(log)
+    return list(by_session_name(chosen).values())
 
 
 def find_unchanged_log(session: Location | str, folder: Location | str, fingerprint: str) -> Location:
