@@ -1,13 +1,13 @@
 """Do alterations drawn anew in every epoch help? One person out: trained on some people, measured on the others.
 
 python studies/alterations.py FOLDER sessions/*.mcap [--network small] [--recipes people all] [--seeds 0 1 2]
-    [--parts one three drive] [--table]
+    [--parts one three drive] [--table] [--together]
 
 "one": a network of each person alone, measured on all the others. "three": a network of all but one, measured on
 that one, without the frames of crashes. Errors are shares of those of always predicting the mean of these frames.
 "drive": a network of half a lap of both built-in tracks by the simulated keyboard driver drives full laps. Each
 result is a file in FOLDER/results: what is there is not made again, and a training that was stopped goes on.
---table only prints.
+--table only prints. --together measures the networks of all seeds of "three" as one that answers their mean.
 """
 
 from __future__ import annotations
@@ -23,13 +23,16 @@ from itertools import product
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+import pyarrow as pa
+
 from dataset import IndexConfig, build_index
 from dataset.config import EPOCH_ALTERATIONS
 from drive.config import DriveConfig
 from drive.evaluation.closed_loop import evaluate as drive
 from drive.evaluation.simulator_process import BuiltInSimulator
 from model import TrainConfig, load_pilot, train
-from model.evaluation.evaluate import evaluate_sessions
+from model.evaluation.evaluate import Evaluation, evaluate_runs_on_sessions, evaluate_sessions
 from model.training.trainer import Trained
 
 PEOPLE: Final = TrainConfig.of("people")
@@ -59,6 +62,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--parts", nargs="+", default=["one", "three"], choices=["one", "three", "drive"])
     parser.add_argument("--table", action="store_true")
+    parser.add_argument("--together", action="store_true")
     chosen = parser.parse_args()
     logs = [log.resolve() for log in chosen.logs]
     if not chosen.table:
@@ -73,6 +77,8 @@ def main() -> None:
             print_drives(chosen.folder, chosen.network, chosen.recipes, chosen.seeds)
         else:
             print_table(chosen.folder, chosen.network, kind, logs, chosen.recipes, chosen.seeds)
+    if chosen.together:
+        print_together(chosen.folder, chosen.network, logs, chosen.recipes, chosen.seeds)
 
 
 def parts(logs: Sequence[Path], kind: str) -> list[list[Path]]:
@@ -91,15 +97,19 @@ def measure(
     print(result.stem, file=sys.stderr, flush=True)
     trained = trained_on(folder, network, recipe, seed, learnt)
     evaluation = evaluate_sessions(trained.run, [log for log in logs if log not in learnt])
-    values = {
+    keep(result, {"best_epoch": trained.best_epoch, "sessions": values_of(evaluation)})
+
+
+def values_of(evaluation: Evaluation) -> dict[str, dict[str, float]]:
+    """The `MEASURES` of each session."""
+    return {
         session: {
-            "RMSE": of.network.rmse_deg / of.mean.rmse_deg,
-            "error on turns": of.network.turning_mae_deg / of.mean.turning_mae_deg,
-            "correlation": of.network.correlation,
+            "RMSE": measures.network.rmse_deg / measures.mean.rmse_deg,
+            "error on turns": measures.network.turning_mae_deg / measures.mean.turning_mae_deg,
+            "correlation": measures.network.correlation,
         }
-        for session, of in evaluation.driving.sessions.items()
+        for session, measures in evaluation.driving.sessions.items()
     }
-    keep(result, {"best_epoch": trained.best_epoch, "sessions": values})
 
 
 def trained_on(folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path]) -> Trained:
@@ -107,7 +117,7 @@ def trained_on(folder: Path, network: str, recipe: str, seed: int, learnt: Seque
     index = folder / "indexes" / "-".join(log.stem for log in learnt)
     if not index.exists():
         build_index(list(learnt), index, IndexConfig(validation_share=0.1))
-    run = folder / "runs" / file_of(folder, network, recipe, seed, learnt).stem
+    run = run_of(folder, network, recipe, seed, learnt)
     config = replace(RECIPES[recipe], network=network, seed=seed, threads=1)
     return train(index, run, config, resume=run.exists(), show_progress=False)
 
@@ -162,6 +172,27 @@ def keep(result: Path, kept: Mapping[str, object]) -> None:
 def file_of(folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path]) -> Path:
     named = "-".join([network, recipe.replace(" ", "-"), *(log.stem for log in learnt)])
     return folder / "results" / f"{named}-{seed}.json"
+
+
+def run_of(folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path]) -> Path:
+    return folder / "runs" / file_of(folder, network, recipe, seed, learnt).stem
+
+
+def print_together(
+    folder: Path, network: str, logs: Sequence[Path], recipes: Sequence[str], seeds: Sequence[int]
+) -> None:
+    """For each recipe: the measures of the mean of all seeds' answers, as means over the people."""
+    for recipe in recipes:
+        values: list[dict[str, float]] = []
+        for learnt in parts(logs, "three"):
+            runs = [run_of(folder, network, recipe, seed, learnt) for seed in seeds]
+            evaluations = evaluate_runs_on_sessions(runs, [log for log in logs if log not in learnt])
+            answers = np.mean([evaluation.frames["predicted"].to_numpy() for evaluation in evaluations], axis=0)
+            column = evaluations[0].frames.column_names.index("predicted")
+            frames = evaluations[0].frames.set_column(column, "predicted", pa.array(answers))
+            values += values_of(replace(evaluations[0], frames=frames)).values()
+        means = (statistics.fmean(measures[name] for measures in values) for name in MEASURES)
+        print(f"{recipe}, mean of {len(seeds)} networks: {', '.join(f'{mean:.3f}' for mean in means)}")
 
 
 def print_table(
