@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import json
-import math
 import re
-import statistics
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from histories import epoch_line, write_lines
 from model.cli import main
-from model.metrics import measure
 from model.runs.history import read_history
 from model.runs.training_outcome import outcome_lines
 from toy import toy_index
@@ -54,14 +50,6 @@ def test_why_the_kept_epoch_is_not_that_of_the_least_rmse(tmp_path: Path) -> Non
 def test_without_frames_held_out_nothing_is_said(tmp_path: Path) -> None:
     assert told(tmp_path / "nothing held out", 1, epoch_line(1, frames=0)) == []
     assert told(tmp_path / "none", 0, line(1, 2.0, 3.0)) == []
-
-
-def test_the_mean_has_its_balanced_error_too() -> None:
-    """Two bins, of 8 and 2 frames: those of the mean are off by what they are from it."""
-    recorded = [0.0] * 8 + [0.5] * 2
-    found = measure(np.zeros(10), np.array(recorded))
-    mean = statistics.fmean(recorded)
-    assert found.mean_balanced_rmse_deg == pytest.approx(25 * math.sqrt((mean**2 + (0.5 - mean) ** 2) / 2))
 
 
 def test_the_command_ends_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
