@@ -35,9 +35,18 @@ from toy import STEERING, TINY, road, toy_index
 from udacity import call
 from waiting import wait_until
 
-# 5 batches an epoch: dropout, the mean of the weights and the scale of the answers must go on as well
+# 5 batches an epoch: dropout, alterations, the mean of the weights and the scale of the answers must go on as well
 NETWORK = f"{HELPERS / 'dropout_network.py'}:DropoutNetwork"
-CONFIG = replace(TINY, network=NETWORK, epochs=2, batch=6, dropout=0.5, average_steps=5, answers="natural")
+CONFIG = replace(
+    TINY,
+    network=NETWORK,
+    epochs=2,
+    batch=6,
+    dropout=0.5,
+    alter_each_epoch=("all",),
+    average_steps=5,
+    answers="natural",
+)
 STEP_BATCHES = "model.training.loop.STEP_BATCHES", 3  # an epoch is told of in its middle, too
 
 
@@ -77,7 +86,7 @@ def steps(run: Path) -> list[tuple[int, int, int, float]]:
 def assert_same(run: Path, other: Path) -> None:
     """To the last bit: the best weights, the last ones, Adam's moments, and all that was measured."""
     assert (run / "model.safetensors").read_bytes() == (other / "model.safetensors").read_bytes()
-    left, right = (load_file(each / "last" / "checkpoint.safetensors") for each in (run, other))
+    left, right = (load_file(folder / "last" / "checkpoint.safetensors") for folder in (run, other))
     assert left.keys() == right.keys()
     assert all((left[name] == right[name]).all() for name in left)
     assert metrics(run) == metrics(other)
