@@ -22,6 +22,8 @@ from recorder.log.session_car import Car, known_max_steering_deg, metadata_of
 from recorder.log_cli import main as bc_log
 from udacity import call
 
+pytestmark = pytest.mark.usefixtures("exported_once")
+
 ROWS = 40
 SMALL = ("--network", "small", "--epochs", 1, "--batch", 32, "--threads", 1)
 
@@ -38,14 +40,14 @@ def record(name: str, source: str, car: Car | None = None) -> Path:
     return path
 
 
-@pytest.mark.parametrize("source", ["donkeycar", "csv", "mcap", "ros2 bag", "lerobot", "gymnasium"])
 def test_recordings_of_others_have_no_angle_unless_their_car_is_given(
-    source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name, car, expected in (("without", None, None), ("with", Car(max_steering_deg=22.0), 22.0)):
-        with Log(record(name, source, car)) as log:
-            assert known_max_steering_deg(log) == expected
+    for source in ("donkeycar", "csv", "mcap", "ros2 bag", "lerobot", "gymnasium"):
+        for name, car, expected in (("without", None, None), ("with", Car(max_steering_deg=22.0), 22.0)):
+            with Log(record(f"{name} {source}", source, car)) as log:
+                assert known_max_steering_deg(log) == expected, source
     with Log(record("udacity", "udacity")) as log:
         assert known_max_steering_deg(log) == 25
 
