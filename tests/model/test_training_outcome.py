@@ -61,7 +61,7 @@ def test_the_command_ends_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[
     )
     *_, of_scale, _, verdict, advice = capsys.readouterr().out.splitlines()
     epochs = [
-        json.loads(each) for each in (tmp_path / "runs" / "first" / "metrics.jsonl").read_text().splitlines()
+        json.loads(line) for line in (tmp_path / "runs" / "first" / "metrics.jsonl").read_text().splitlines()
     ]
     best = min(epochs, key=driving_error)
     assert f"on turns ({best['validation']['turning_mae_deg']:.2f} against" in verdict
