@@ -97,6 +97,23 @@ def browser() -> Iterator[Browser]:
         yield found
 
 
+@pytest.fixture(scope="session")
+def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The index of toy.py's road; its log lies beside it. It is for reading alone."""
+    from toy import toy_index  # PyTorch
+
+    return toy_index(tmp_path_factory.mktemp("toy"))
+
+
+@pytest.fixture(scope="session")
+def trained(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of one epoch on that index, named `first`, alone in its folder. It is for reading alone."""
+    from model import train  # PyTorch
+    from toy import ONE
+
+    return train(index, tmp_path_factory.mktemp("runs") / "first", ONE, show_progress=False).run
+
+
 @pytest.fixture(scope="module")
 def exported_once() -> Iterator[None]:
     """What is made of an ONNX export is tested, and not the export itself."""

@@ -16,15 +16,10 @@ from model import RunError, TrainConfig, train
 from model.cli import main
 from model.evaluation.evaluate import evaluate
 from model.runs.history import read_epochs
-from toy import SMALL, toy_index
+from toy import SMALL
 from udacity import call
 
 CONFIG = replace(SMALL, epochs=2, batch=6, keep="last", alter_each_epoch=("all",))
-
-
-@pytest.fixture(scope="module")
-def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return toy_index(tmp_path_factory.mktemp("toy"))
 
 
 @pytest.fixture(scope="module")

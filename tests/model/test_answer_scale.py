@@ -24,27 +24,21 @@ from model.runs.checksums import save_checksummed
 from model.runs.history import read_history
 from model.runs.run_folder import load_answer_scale
 from model.training.natural_frequency import NaturalFrames
-from toy import SMALL, STEERING, road, toy_index
+from toy import SMALL, STEERING, road
 
 NEARLY_A_QUARTER = 1 / (1 + 3**0.75)  # of two kinds of frames, one thrice as many: three quarters of the way
 NATURAL = replace(SMALL, epochs=2, answers="natural")
 
 
 @pytest.fixture(scope="module")
-def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return toy_index(tmp_path_factory.mktemp("toy"))
+def natural(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return train(index, tmp_path_factory.mktemp("runs") / "natural", NATURAL).run
 
 
 @pytest.fixture(scope="module")
-def natural(index: Path) -> Path:
-    train(index, index.parent / "natural", NATURAL)
-    return index.parent / "natural"
-
-
-@pytest.fixture(scope="module")
-def as_learnt(index: Path) -> Path:
-    train(index, index.parent / "as-learnt", replace(NATURAL, answers="as-learnt"))
-    return index.parent / "as-learnt"
+def as_learnt(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run = tmp_path_factory.mktemp("runs") / "as-learnt"
+    return train(index, run, replace(NATURAL, answers="as-learnt")).run
 
 
 def test_the_fit_is_that_of_least_squares() -> None:

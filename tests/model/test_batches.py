@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -19,7 +18,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from common.car import CAMERAS, Camera
 from dataset import IndexConfig, Loader, build_index, decode, load, preprocess
 from dataset.augment import ALTERATIONS, alter
 from dataset.config import EPOCH_ALTERATIONS
@@ -27,20 +25,12 @@ from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
 from logs import write_log
 from model.training.batches import Batches, DeviceBatches, HostBatches, PinnedBatches, make_batches, needed_bytes
+from udacity import scene
 
 CPU = torch.device("cpu")
 STEERING = [round(-0.6 + 0.1 * row, 2) for row in range(12)]
 BATCH = 32
 MAKERS: list[Callable[[Loader, torch.device], Batches]] = [DeviceBatches, PinnedBatches]
-
-
-def scene(camera: Camera, row: int) -> bytes:
-    """A picture of its own for every camera and row: coloured patches without symmetry."""
-    random = np.random.default_rng((row, CAMERAS.index(camera)))
-    picture = cv2.resize(random.integers(0, 256, (6, 9, 3), dtype=np.uint8), (320, 160))
-    ok, encoded = cv2.imencode(".jpg", picture)
-    assert ok
-    return encoded.tobytes()
 
 
 @pytest.fixture(autouse=True)

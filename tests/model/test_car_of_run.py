@@ -14,13 +14,12 @@ from dataset.cli import main as bc_index
 from drive.driven_car import driven_car
 from drive.evaluation.eval_cli import main as bc_eval
 from driving import one_line_in, road_jpeg
-from logs import START_NS
+from logs import write_log
 from model.cli import main as bc_train
 from model.runs.car_of_run import max_steering_deg_of_run
 from model.runs.history import read_history
-from recorder import Log, LogWriter
-from recorder.bc_pb2 import VehicleState
-from recorder.log.session_car import Car, metadata_of
+from recorder import Log
+from recorder.log.session_car import Car
 from udacity import call
 
 ROWS = 40
@@ -30,14 +29,11 @@ SMALL = ("--network", "small", "--epochs", 1, "--batch", 32, "--threads", 1)
 
 
 def record(name: str, car: Car | None, first: int) -> Path:
+    steering = [math.sin(row / 5) for row in range(ROWS)]
     path = Path("sessions") / f"{name}.mcap"
-    with LogWriter(path, {"source": "udacity"} | metadata_of(car)) as writer:
-        for row in range(ROWS):
-            time_ns = START_NS + row * 100_000_000
-            writer.picture("center", time_ns, row, road_jpeg(first + row))
-            state = VehicleState(steering=math.sin(row / 5), throttle=0.5, brake=0.0, speed_mph=9.0)
-            writer.vehicle(time_ns, row, state)
-    return path
+    return write_log(
+        path, steering, lambda _, row: road_jpeg(first + row), cameras=["center"], source="udacity", car=car
+    )
 
 
 def index(name: str) -> int:

@@ -20,21 +20,7 @@ from safetensors.numpy import load_file, save_file
 from model import RunError, load_pilot, predict_log, train
 from model.evaluation.evaluate import evaluate, evaluate_sessions
 from model.onnx_export import export_onnx
-from toy import SMALL, toy_index
-
-ONE = replace(SMALL, epochs=1, batch=8)
-
-
-@pytest.fixture(scope="module")
-def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return toy_index(tmp_path_factory.mktemp("toy"))
-
-
-@pytest.fixture(scope="module")
-def trained(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    run = tmp_path_factory.mktemp("runs") / "first"
-    train(index, run, ONE)
-    return run
+from toy import ONE
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from torch import Tensor
@@ -25,7 +24,7 @@ from model.evaluation.evaluate import evaluate_runs_on_sessions
 from model.evaluation.run_comparison import Comparison
 from model.runs.run_folder import load_network, save_weights
 from toy import SMALL
-from udacity import call
+from udacity import call, encode
 
 LEARNT = [round(0.8 * math.sin(row / 3), 3) for row in range(60)]
 STEERING = [round(0.7 * math.sin(row / 2 + 1), 3) for row in range(60)]
@@ -47,9 +46,7 @@ def posts(steering: list[float], shift_px: float = 0.0) -> Callable[[Camera, int
         for side, colour in ((1, (0, 40, 255)), (-1, (255, 40, 0))):
             middle = round(160 + 140 * side * steering[row] + shift_px)
             shown[:, max(0, middle - 20) : middle + 20] += np.array(colour, np.uint8)
-        ok, encoded = cv2.imencode(".jpg", shown)
-        assert ok
-        return encoded.tobytes()
+        return encode(shown)
 
     return picture
 

@@ -26,7 +26,7 @@ from model.network.choice import choose_network
 from model.network.original import SteeringNetwork
 from model.network.visual_backprop import visual_backprop
 from model.runs.run_folder import load_network
-from toy import TINY, road, toy_index
+from toy import TINY, road
 from udacity import call
 
 SIZES = {"pilotnet": None, "small": None, "resnet18": (64, 48)}
@@ -45,18 +45,13 @@ def settings(name: str) -> TrainConfig:
     )
 
 
-@pytest.fixture(scope="module")
-def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return toy_index(tmp_path_factory.mktemp("toy"))
-
-
 @pytest.fixture(
     scope="module",
     params=["small", *(pytest.param(name, marks=pytest.mark.long) for name in ("pilotnet", "resnet18"))],
 )
-def run(request: pytest.FixtureRequest, index: Path) -> Path:
+def run(request: pytest.FixtureRequest, index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Trained for an epoch, and then for another."""
-    run: Path = index.parent / "runs" / request.param
+    run: Path = tmp_path_factory.mktemp("runs") / request.param
     whole = settings(request.param)
     train(index, run, replace(whole, epochs=1))
     train(index, run, whole, resume=True)
@@ -157,8 +152,8 @@ def test_networks_of_different_pictures_are_measured_on_the_same_frames(index: P
     original = untrained_run(tmp_path / "original", network="original")
     small = train(index, tmp_path / "small", replace(settings("small"), epochs=1)).run
     together = evaluate_runs([original, small], index)
-    for run, found in zip((original, small), together, strict=True):
-        assert found.measures.network == evaluate(run, index).measures.network
+    for run, evaluation in zip((original, small), together, strict=True):
+        assert evaluation.measures.network == evaluate(run, index).measures.network
     log = write_log(tmp_path / "log.mcap", [0.0, 0.1], lambda _, row: road_jpeg(row), cameras=["center"])
     found_in_log = predict_log(log, [original, small])
     for run in (original, small):

@@ -31,7 +31,7 @@ from model.network.choice import choose_network
 from model.runs.training_progress import Step
 from recorder.upkeep.edit import rewrite
 from repository import HELPERS
-from toy import STEERING, TINY, road, toy_index
+from toy import STEERING, TINY, road
 from udacity import call
 from waiting import wait_until
 
@@ -55,11 +55,6 @@ def steps_are_told_often() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(*STEP_BATCHES)
         yield
-
-
-@pytest.fixture(scope="module")
-def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return toy_index(tmp_path_factory.mktemp("toy"))
 
 
 @pytest.fixture(scope="module")
@@ -345,7 +340,6 @@ def edited(change: Callable[[dict[str, Any], dict[str, str]], object]) -> Callab
         (edited(lambda tensors, stored: stored.update(format="3")), "of format 3, .* update the toolkit"),
         (edited(lambda tensors, stored: stored.pop("position")), "cannot be read"),
         (edited(lambda tensors, stored: stored.update(position='{"epoch": -1}')), "cannot be read"),
-        (edited(lambda tensors, stored: stored.update(position='{"exec": "x"}')), "cannot be read"),
         (edited(lambda tensors, stored: stored.update(position='{"batch": 99}')), "batch 99"),
         (edited(lambda tensors, stored: tensors.popitem()), "another network"),
         (edited(lambda tensors, stored: tensors.update({"exp_avg.head.6.bias": np.zeros(2)})), "another network"),

@@ -15,31 +15,14 @@ from driving import one_line_in
 from model import find_run
 from model.cli import main
 from model.training.trainer import train
-from toy import SMALL, toy_index
+from toy import SMALL
 from udacity import call
 
 RUNS = "s3://logs/runs"
 RUN = f"{RUNS}/mine"
-FLAGS = (
-    "--recipe",
-    "original",
-    "--network",
-    "small",
-    "--batch",
-    "4",
-    "--rate",
-    "2e-4",
-    "--dropout",
-    "0",
-    "--seed",
-    "1",
-)
+NETWORK = ("--recipe", "original", "--network", "small", "--dropout", "0")
+FLAGS = (*NETWORK, "--batch", "4", "--rate", "2e-4", "--seed", "1")
 PRECISION = ("--precision", "float32", "--threads", "1")
-
-
-@pytest.fixture(scope="module")
-def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return toy_index(tmp_path_factory.mktemp("toy"))
 
 
 @pytest.fixture

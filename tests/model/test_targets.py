@@ -9,7 +9,6 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -35,6 +34,7 @@ from model.training.step import training_step
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from toy import TINY
+from udacity import encode
 
 ROWS = 160
 STEP_S = 0.1
@@ -59,9 +59,7 @@ def road(camera: Camera, row: int) -> bytes:
     picture = np.full((160, 320, 3), round(6 * speed_mph(row * STEP_S + 1.0)), np.uint8)
     middle = round(160 + 130 * steering(row))
     picture[:, middle - 20 : middle + 20] = 255
-    ok, encoded = cv2.imencode(".jpg", picture)
-    assert ok
-    return encoded.tobytes()
+    return encode(picture)
 
 
 def write_drive(log: Path, *, start_ns: int = START_NS, knows_speed: bool = True) -> Path:

@@ -23,15 +23,10 @@ from model.cli import main
 from model.network.choice import built_in
 from recorder import Log
 from repository import HELPERS
-from toy import SMALL, STEERING, road, toy_index
+from toy import SMALL, STEERING, road
 from udacity import call
 
 SETTINGS = replace(SMALL, rate=1e-3)  # the original's millions of weights: test_bc_train_builds_the_index_...
-
-
-@pytest.fixture(scope="module")
-def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return toy_index(tmp_path_factory.mktemp("toy"))
 
 
 @pytest.fixture(scope="module")
@@ -72,16 +67,6 @@ def test_the_run_says_where_it_comes_from(trained: tuple[Path, list[Epoch]], ind
     assert not list(run.glob("*.part"))
 
 
-def test_metrics_are_one_line_an_epoch(trained: tuple[Path, list[Epoch]]) -> None:
-    run, history = trained
-    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
-    assert [line["epoch"] for line in lines] == [1, 2, 3, 4]
-    assert [line["training_loss"] for line in lines] == [epoch.training_loss for epoch in history]
-    assert [line["validation"]["rmse_deg"] for line in lines] == [
-        epoch.measures.network.rmse_deg for epoch in history
-    ]
-
-
 def test_an_epoch_of_many_batches_has_no_more_steps_than_readers_take(
     index: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -113,8 +98,8 @@ def test_other_data_has_another_fingerprint(
     trained: tuple[Path, list[Epoch]], index: Path, tmp_path: Path
 ) -> None:
     def fingerprint(run: Path) -> str:
-        found: str = json.loads((run / "config.json").read_text())["data"]["fingerprint"]
-        return found
+        data: dict[str, str] = json.loads((run / "config.json").read_text())["data"]
+        return data["fingerprint"]
 
     log = write_log(tmp_path / "toy.mcap", STEERING[:4], road, cameras=["center"])
     other = build_index([log], tmp_path / "index", IndexConfig(flip=False, max_uses=1, validation_share=0.0)).path

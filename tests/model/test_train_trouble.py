@@ -22,22 +22,8 @@ from disk import files_of_at_most
 from logs import write_log
 from model import RunError, load_pilot, train
 from model.cli import main
-from toy import SMALL, STEERING, road, toy_index
+from toy import ONE, SMALL, STEERING, road
 from udacity import call
-
-ONE = replace(SMALL, epochs=1, batch=8)
-
-
-@pytest.fixture(scope="module")
-def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return toy_index(tmp_path_factory.mktemp("toy"))
-
-
-@pytest.fixture(scope="module")
-def trained(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    run = tmp_path_factory.mktemp("runs") / "good"
-    train(index, run, ONE)
-    return run
 
 
 def test_an_infinite_loss_ends_the_training_and_names_the_way_out(index: Path, tmp_path: Path) -> None:
@@ -119,10 +105,10 @@ def test_a_run_starts_from_the_weights_of_another(index: Path, trained: Path, tm
     run = tmp_path / "run"
     train(index, run, frozen, init=trained)
     assert load_pilot(run).weights_sha256
-    ours, theirs = (load_file(each / "model.safetensors") for each in (run, trained))
+    ours, theirs = (load_file(folder / "model.safetensors") for folder in (run, trained))
     assert all(np.abs(ours[name] - theirs[name]).max() < 1e-20 for name in theirs)
     told = json.loads((run / "config.json").read_text())["init"]
-    assert told["run"] == "good"
+    assert told["run"] == "first"
     assert told["weights_sha256"] == load_pilot(trained).weights_sha256
     assert told["data"][0]["fingerprint"]
 
@@ -134,14 +120,14 @@ def test_that_the_run_it_starts_from_knows_what_is_held_out_is_said(
     log = index.parent / "toy.mcap"
     other = build_index([log], tmp_path / "index", IndexConfig(flip=False, block_s=0.5, gap_s=0, seed=9)).path
     [notice] = train(other, tmp_path / "other", ONE, init=trained).notices
-    assert "good has learnt from" in notice
+    assert "first has learnt from" in notice
 
 
 def test_the_last_epoch_can_be_asked_for_instead_of_the_best(trained: Path) -> None:
     last, best = load_pilot(trained / "last"), load_pilot(trained)
     picture = best.crop(np.zeros((160, 320, 3), np.uint8))
     assert last.predict(picture) == best.predict(picture)
-    assert (best.run, last.run) == ("good", "good-last")
+    assert (best.run, last.run) == ("first", "first-last")
     assert last.weights_sha256 != best.weights_sha256  # of the file
 
 

@@ -13,12 +13,11 @@ from dataset.cli import main as bc_index
 from drive.driven_car import other_steering
 from drive.evaluation.eval_cli import main as bc_eval
 from driving import road_jpeg
-from logs import START_NS
+from logs import write_log
 from model.cli import main as bc_train
 from model.runs.history import read_history
-from recorder import Log, LogWriter
-from recorder.bc_pb2 import VehicleState
-from recorder.log.session_car import Car, known_max_steering_deg, metadata_of
+from recorder import Log
+from recorder.log.session_car import Car, known_max_steering_deg
 from recorder.log_cli import main as bc_log
 from udacity import call
 
@@ -29,15 +28,9 @@ SMALL = ("--network", "small", "--epochs", 1, "--batch", 32, "--threads", 1)
 
 
 def record(name: str, source: str, car: Car | None = None) -> Path:
+    steering = [math.sin(row / 5) for row in range(ROWS)]
     path = Path("sessions") / f"{name}.mcap"
-    with LogWriter(path, {"source": source} | metadata_of(car)) as writer:
-        for row in range(ROWS):
-            time_ns = START_NS + row * 100_000_000
-            writer.picture("center", time_ns, row, road_jpeg(row))
-            writer.vehicle(
-                time_ns, row, VehicleState(steering=math.sin(row / 5), throttle=0.5, brake=0.0, speed_mph=9.0)
-            )
-    return path
+    return write_log(path, steering, lambda _, row: road_jpeg(row), cameras=["center"], source=source, car=car)
 
 
 def test_recordings_of_others_have_no_angle_unless_their_car_is_given(
