@@ -129,16 +129,16 @@ def test_a_csv_without_line_ends_takes_little_memory(tmp_path: Path) -> None:
 
 
 def test_huge_files_of_a_tub(tmp_path: Path) -> None:
-    one = write_tub_1(tmp_path / "one", {number: record_1(number) for number in range(4)})
-    with_hole(one / "record_1.json")
-    with_hole(one / "2_cam-image_array_.jpg")
-    done = import_tub(one, tmp_path / "one.mcap")
+    first = write_tub_1(tmp_path / "one", {number: record_1(number) for number in range(4)})
+    with_hole(first / "record_1.json")
+    with_hole(first / "2_cam-image_array_.jpg")
+    done = import_tub(first, tmp_path / "one.mcap")
     assert done.rows == 2
     assert [name for _, name in done.skipped] == ["record_1.json", "record_2.json", "1_cam-image_array_.jpg"]
-    two = write_tub_2(tmp_path / "two", map(record_2, range(4)))
-    with_hole(two / "manifest.json")
+    second = write_tub_2(tmp_path / "two", map(record_2, range(4)))
+    with_hole(second / "manifest.json")
     with pytest.raises(RecordingError, match=r"manifest\.json: cannot be read \(larger than 17 MB\)"):
-        import_tub(two, tmp_path / "two.mcap")
+        import_tub(second, tmp_path / "two.mcap")
 
 
 def test_a_huge_metadata_file_of_a_bag(tmp_path: Path) -> None:
@@ -415,5 +415,5 @@ def test_a_folder_and_pictures_whose_names_are_not_utf_8(tmp_path: Path) -> None
         done = run("bc-record", name, "--from", folder, *flags, cwd=tmp_path)
         assert done.returncode == 3, done.stderr
         assert done.stderr.splitlines()[0] == r"skipped pictures without a row: 1 (\udce9.jpg)"
-        found = read_messages(tmp_path / "sessions" / f"{name}.mcap")
-        assert (len(found["/vehicle"]), len(found["/camera/left"]), len(found["/events"])) == (2, 2, 1)
+        messages = read_messages(tmp_path / "sessions" / f"{name}.mcap")
+        assert (len(messages["/vehicle"]), len(messages["/camera/left"]), len(messages["/events"])) == (2, 2, 1)

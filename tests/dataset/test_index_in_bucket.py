@@ -58,12 +58,12 @@ def sessions(place: str = INDEX) -> list[str]:
 
 
 def files(bucket: Bucket) -> dict[str, bytes]:
-    found = {}
+    contents = {}
     for path in (bucket.folder / "index").rglob("*"):
         with contextlib.suppress(FileNotFoundError):  # a part of one that the server is just writing
             if path.is_file():
-                found[path.relative_to(bucket.folder / "index").as_posix()] = path.read_bytes()
-    return found
+                contents[path.relative_to(bucket.folder / "index").as_posix()] = path.read_bytes()
+    return contents
 
 
 def test_the_index_in_a_bucket_is_that_on_a_disk(bucket: Bucket, capsys: pytest.CaptureFixture[str]) -> None:
@@ -73,8 +73,8 @@ def test_the_index_in_a_bucket_is_that_on_a_disk(bucket: Bucket, capsys: pytest.
     assert capsys.readouterr().out.replace(INDEX, "disk") == told.out
     for name in ("samples.parquet", "frames/0.parquet"):
         assert files(bucket)[name] == (Path("disk") / name).read_bytes()
-    with Samples(INDEX) as there, Samples("disk") as here:
-        assert there.fingerprint == here.fingerprint
+    with Samples(INDEX) as stored, Samples("disk") as local:
+        assert stored.fingerprint == local.fingerprint
 
 
 def test_another_machine_reads_only_what_is_new(bucket: Bucket, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -211,4 +211,4 @@ def test_what_lies_behind_the_end_of_an_object_is_nothing_as_on_a_disk(bucket: B
     for place in (bucket.url("x"), bucket.folder / "x"):
         with contextlib.closing(open_for_reading(place)) as file:
             assert [len(file.read(at, 9)) for at in (size - 4, size, size + 4)] == [4, 0, 0]
-            assert [len(found) for found in file.read_many([(9, size), (size + 4, 9)])] == [size - 9, 0]
+            assert [len(data) for data in file.read_many([(9, size), (size + 4, 9)])] == [size - 9, 0]

@@ -20,7 +20,7 @@ STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s
 
 
 @pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def cwd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -23,7 +23,6 @@ from dataset import DatasetError, IndexConfig, build_index
 from dataset.cli import main
 from dataset.frames.split import near_validation
 from dataset.index.leaks import find_leaks
-from dataset.samples.balance import balance
 from dataset.samples.filter import Condition
 from logs import write_log
 from recorder import Log
@@ -41,22 +40,6 @@ def log_of(path: Path, steering: list[float] = STEERING) -> Path:
 
 
 # Balance
-
-
-@given(
-    st.lists(st.integers(0, 6), min_size=1, max_size=200),
-    st.sampled_from(["mean", "median", 1, 7, 50]),
-    st.integers(1, 9),
-)
-def test_bins_are_brought_to_the_mean_the_median_or_a_number(bins: list[int], per_bin: object, cap: int) -> None:
-    counts = Counter(bins)
-    balanced = balance(np.array(bins), 7, cap, np.random.default_rng(0), per_bin)  # type: ignore[arg-type]
-    told = {"mean": round(np.mean(list(counts.values()))), "median": round(np.median(list(counts.values())))}
-    target = told.get(per_bin, per_bin)  # type: ignore[call-overload]
-    after = Counter(np.array(bins)[balanced.chosen].tolist())
-    assert after == {number: min(target, count * cap) for number, count in counts.items()}
-    assert balanced.per_bin == target
-    assert max(Counter(balanced.chosen.tolist()).values()) <= cap
 
 
 def test_without_balance_every_frame_is_a_sample_once(tmp_path: Path) -> None:
@@ -78,10 +61,7 @@ def test_without_balance_every_frame_is_a_sample_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("where", "rows"),
     [
-        ("steering > 0.2", {row for row in range(300) if STEERING[row] > 0.2}),
-        ("abs(steering) < 0.1 and row % 2 = 0", {row for row in range(0, 300, 2) if abs(STEERING[row]) < 0.1}),
         ("'recovery' in tags", set(range(50, 80))),
-        ("camera = 'left' and row < 10", set(range(10))),
         ("row < 20 -- the first two seconds", set(range(20))),
     ],
 )
@@ -97,9 +77,9 @@ def test_a_condition_chooses_frames(tmp_path: Path, where: str, rows: set[int]) 
     assert indexed.counts["a"].not_asked_for == 900 - len(indexed.samples) // 2
 
 
-@pytest.mark.parametrize(
-    "where",
-    [
+def test_what_is_no_condition_is_an_error_that_names_the_columns(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "a.mcap")
+    for where in (
         "speed >",
         "nonsense = 1",
         "1) or (1",
@@ -108,11 +88,9 @@ def test_a_condition_chooses_frames(tmp_path: Path, where: str, rows: set[int]) 
         "1=1) union all select 1 from (select 1",
         "row = 1; drop table frames",
         "row = 1 limit 3",
-    ],
-)
-def test_what_is_no_condition_is_an_error_that_names_the_columns(tmp_path: Path, where: str) -> None:
-    with pytest.raises(DatasetError, match=r"--where .*columns are session, row, camera"):
-        build_index([log_of(tmp_path / "a.mcap")], tmp_path / "index", IndexConfig(where=where))
+    ):
+        with pytest.raises(DatasetError, match=r"--where .*columns are session, row, camera"):
+            build_index([log], tmp_path / "index", IndexConfig(where=where))
 
 
 def test_a_condition_reads_no_file(tmp_path: Path) -> None:
@@ -131,9 +109,11 @@ def test_an_index_of_nothing_says_what_became_of_the_frames(tmp_path: Path) -> N
         "no frame can be used: 11 not of a camera left or not what --where chooses, 3 with a picture that is not"
         " whole, or steering beyond -1..1"
     )
-    empty = write_log(tmp_path / "empty.mcap", [0.0] * 4, cameras=[])
-    with pytest.raises(DatasetError, match="no frame can be used: no session has a picture"):
-        build_index([empty], tmp_path / "index")
+    for steering in ([0.0] * 4, []):
+        empty = write_log(tmp_path / "empty.mcap", steering, cameras=[], overwrite=True)
+        with pytest.raises(DatasetError, match="no frame can be used: no session has a picture"):
+            build_index([empty], tmp_path / "index")
+    assert not (tmp_path / "index" / "samples.parquet").exists()
 
 
 def test_a_condition_that_nothing_meets_is_an_error(tmp_path: Path) -> None:
@@ -182,9 +162,9 @@ def test_the_gap_is_what_lies_near_a_held_out_row_along_the_recording(
     steps_ns = [int(step * 1e9) for step, _ in rows]
     held_out = np.array([flag for _, flag in rows], np.bool_)
 
-    def apart_ns(one: int, other: int) -> int:
+    def apart_ns(first: int, second: int) -> int:
         """Also where the clock was set back between the two."""
-        low, high = sorted((one, other))
+        low, high = sorted((first, second))
         return sum(map(abs, steps_ns[low + 1 : high + 1]))
 
     expected = [
@@ -276,16 +256,16 @@ def test_an_unchanged_index_is_not_even_opened(tmp_path: Path, monkeypatch: pyte
     assert again.samples.equals(first.samples)
 
 
-@pytest.mark.parametrize("what", ["state.json", "samples.parquet", "frames/a.parquet"])
-@pytest.mark.parametrize("content", [None, b"", b"garbage", b"[]", b'{"logs": 1}'])
-def test_what_is_damaged_or_gone_is_made_anew(tmp_path: Path, what: str, content: bytes | None) -> None:
+@pytest.mark.parametrize("name", ["state.json", "samples.parquet", "frames/a.parquet"])
+def test_what_is_damaged_or_gone_is_made_anew(tmp_path: Path, name: str) -> None:
     log = log_of(tmp_path / "a.mcap")
     samples = build_index([log], tmp_path / "index").samples
-    path = tmp_path / "index" / what
-    path.unlink()
-    if content is not None:
-        path.write_bytes(content)
-    assert build_index([log], tmp_path / "index").samples.equals(samples)
+    path = tmp_path / "index" / name
+    for content in (None, b"", b"garbage", b"[]", b'{"logs": 1}'):
+        path.unlink()
+        if content is not None:
+            path.write_bytes(content)
+        assert build_index([log], tmp_path / "index").samples.equals(samples)
 
 
 def test_a_log_that_was_touched_is_looked_at_and_left(tmp_path: Path) -> None:

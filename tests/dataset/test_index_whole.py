@@ -170,22 +170,22 @@ def test_an_index_is_that_of_the_logs_that_can_be_read(
     for step in steps:
         for log, how in zip(logs, step, strict=True):
             change(log, how)
-        there = [log for log, how in zip(logs, step, strict=True) if how in INDEXED]
-        found = find_logs((), folder / "sessions") if any((folder / "sessions").glob("*.mcap")) else logs
-        if not there:
+        readable = [log for log, how in zip(logs, step, strict=True) if how in INDEXED]
+        logs_given = find_logs((), folder / "sessions") if any((folder / "sessions").glob("*.mcap")) else logs
+        if not readable:
             before = files_of(folder / "index") if (folder / "index").exists() else {}
             with pytest.raises(LogError):
-                build_index(found, folder / "index", leave_out_unreadable=True)
+                build_index(logs_given, folder / "index", leave_out_unreadable=True)
             assert files_of(folder / "index") == before
             continue
-        indexed = build_index(found, folder / "index", leave_out_unreadable=True)
-        assert indexed.sessions == [log.stem for log in there]
+        indexed = build_index(logs_given, folder / "index", leave_out_unreadable=True)
+        assert indexed.sessions == [log.stem for log in readable]
         left_out = [notice for notice in indexed.notices if notice.endswith("left out")]
-        assert len(left_out) == len(found) - len(there)
-        fresh = build_index(there, folder / "fresh").path
+        assert len(left_out) == len(logs_given) - len(readable)
+        fresh = build_index(readable, folder / "fresh").path
         assert files_of(folder / "index") == files_of(fresh)
         shutil.rmtree(fresh)
-        again = build_index(found, folder / "index", leave_out_unreadable=True)
+        again = build_index(logs_given, folder / "index", leave_out_unreadable=True)
         assert (again.read, again.sessions, again.notices) == ([], indexed.sessions, indexed.notices)
 
 
@@ -201,8 +201,8 @@ def test_what_breaks_a_log_that_nobody_named_breaks_no_other(
     for flags in ([], ["--look"]):
         assert call(main, *flags) == 3
         said = capsys.readouterr().err
-        for what in ("flipped.mcap: damaged", "folder.mcap", "needs a name"):
-            assert what in said
+        for named in ("flipped.mcap: damaged", "folder.mcap", "needs a name"):
+            assert named in said
         assert said.count("left out") == 3
         assert sessions_of(tmp_path / "index") == ({"lake"}, {"lake"})
     assert call(main, "flipped", "lake") == 1
@@ -237,8 +237,8 @@ class Moments:
         self._at: tuple[Path, Callable[[], None]] | None = None
         sys.addaudithook(self._hear)  # there for good: it has to be quiet again
 
-    def each(self, folder: Path, what: Callable[[], None]) -> None:
-        self._at = folder, what
+    def call_at_each(self, folder: Path, action: Callable[[], None]) -> None:
+        self._at = folder, action
 
     def over(self) -> None:
         self._at = None
@@ -246,11 +246,11 @@ class Moments:
     def _hear(self, event: str, arguments: tuple[object, ...]) -> None:
         if self._at is None or event not in ("open", "os.rename", "os.mkdir", "os.remove", "os.rmdir"):
             return
-        folder, what = self._at
+        folder, action = self._at
         if str(arguments[0]).startswith(str(folder)):
             self._at = None
-            what()
-            self._at = folder, what
+            action()
+            self._at = folder, action
 
 
 MOMENTS = Moments()
@@ -287,7 +287,7 @@ def test_a_build_that_is_killed_leaves_one_index_and_the_next_one_ends_it(
             states.append(state)
             left.append(shutil.copytree(index, tmp_path / f"killed{len(left)}"))
 
-    moments.each(index, kill)
+    moments.call_at_each(index, kill)
     build_index(logs, index)
     moments.over()
     assert files_of(index) == new
@@ -316,7 +316,7 @@ def test_a_build_that_is_stopped_leaves_the_old_index_or_the_new_one(
     tmp_path: Path, moments: Moments, every: int
 ) -> None:
     logs, before, old, new = changed_sessions(tmp_path)
-    found = []
+    contents = []
     for number in itertools.count(0, every):
         index = shutil.copytree(before, tmp_path / f"index{number}")
         countdown = itertools.count(-number)
@@ -325,19 +325,19 @@ def test_a_build_that_is_stopped_leaves_the_old_index_or_the_new_one(
             if next(countdown) == 0:
                 signal.raise_signal(signal.SIGINT)
 
-        moments.each(index, stop)
+        moments.call_at_each(index, stop)
         try:
             build_index(logs, index)
             is_stopped = False
         except KeyboardInterrupt:
             is_stopped = True
         moments.over()
-        found.append(files_of(index))
-        assert found[-1] in (old, new)
+        contents.append(files_of(index))
+        assert contents[-1] in (old, new)
         if not is_stopped:
             break
-    assert old in found
-    assert len(found) * every > 20
+    assert old in contents
+    assert len(contents) * every > 20
 
 
 def test_a_full_disk_names_the_file_and_leaves_the_index(tmp_path: Path) -> None:

@@ -138,7 +138,7 @@ def test_the_index_reads_a_hundredth_of_a_log_and_no_picture(
     plan = metadata(indexed(tmp_path, log))["labels"]["a"]["plan"]
     assert plan["shift_s"] == pytest.approx(0.2 if is_old else 0.6, abs=0.051)
     assert 0 < count_bytes(read) < 0.03 * log.stat().st_size
-    assert not [one for one in read if any(start < one[1] and one[0] < end for start, end in pictures)]
+    assert not [part for part in read if any(start < part[1] and part[0] < end for start, end in pictures)]
 
 
 def test_the_index_of_a_bucket_moves_a_hundredth_of_its_logs(bucket: Bucket) -> None:
@@ -164,13 +164,13 @@ def test_a_lag_that_is_measured_later_is_gone_by(tmp_path: Path, capsys: pytest.
     log = without_lag(write_drive(folder / "a.mcap", views(ROWS), lambda at_s: pressed(at_s - 0.3)))
     settings = ("--sessions", folder, "--index", tmp_path / "index")
     assert call(main, *settings) == 0
-    out, said = (" ".join(each.split()) for each in capsys.readouterr())
+    out, said = (" ".join(text.split()) for text in capsys.readouterr())
     assert "lag not measured" in out
     assert f"`bc-log check {log}`" in said
     assert call(bc_log, "check", log) == 0
     capsys.readouterr()
     assert call(main, *settings) == 0
-    out, said = (" ".join(each.split()) for each in capsys.readouterr())
+    out, said = (" ".join(text.split()) for text in capsys.readouterr())
     assert "is 0.4 s late" in out
     assert "bc-log check" not in said
 
@@ -289,7 +289,7 @@ def test_nothing_comes_out_of_no_steering(tmp_path: Path) -> None:
     index = indexed(tmp_path, *logs)
     label, recorded = label_and_recorded(index)
     assert label.tolist() == recorded.tolist()
-    kinds = {name: of["habits"]["kind"] for name, of in metadata(index)["labels"].items()}
+    kinds = {name: labels["habits"]["kind"] for name, labels in metadata(index)["labels"].items()}
     assert kinds == {"never": "none", "constant": "constant", "tiny": "other scale", "degrees": "other scale"}
 
 

@@ -73,11 +73,11 @@ def test_the_same_pose_gives_the_same_bytes(mountain_world: WorldMaps) -> None:
 
 def test_the_sky_is_above_and_the_bonnet_below(flat: Track, flat_world: WorldMaps) -> None:
     renderer = Renderer(flat_world)
-    here, there = (renderer.render(on_road(flat, flat_world, arc)) for arc in (20.0, 190.0))
-    top = here[:5].reshape(-1, 3).mean(axis=0)
+    first, second = (renderer.render(on_road(flat, flat_world, arc)) for arc in (20.0, 190.0))
+    top = first[:5].reshape(-1, 3).mean(axis=0)
     assert top[0] > top[2] + 30  # blue
-    assert np.array_equal(here[155:, 120:200], there[155:, 120:200])  # the bonnet goes with the car
-    assert not np.array_equal(here[120:125], there[120:125])
+    assert np.array_equal(first[155:, 120:200], second[155:, 120:200])  # the bonnet goes with the car
+    assert not np.array_equal(first[120:125], second[120:125])
 
 
 def test_every_pixel_is_sky_or_ground_or_stands_on_it(mountain_world: WorldMaps) -> None:
