@@ -244,31 +244,30 @@ def test_what_is_said_and_logged_beside_a_bar_is_a_line_above_it(tmp_path: Path)
 
 
 def test_trainings_log_lines_are_messages_in_commands_that_load_a_run(
-    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    trained: Path, cwd: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A run of an earlier version, whose name nobody would give."""
-    index = toy_index(tmp_path)
-    run = tmp_path / "runs" / "a\x1b[2Jb\nc"
+    index = toy_index(cwd)
+    run = cwd / "runs" / "a\x1b[2Jb\nc"
     shutil.copytree(trained, run)
     weights = run / "model.safetensors"
     with safe_open(weights, framework="np") as file:
         stored = {name: value for name, value in file.metadata().items() if name != "sha256"}
     save_file(load_file(weights), weights, stored)
     settings = ("--network", "small", "--epochs", 1, "--batch", 8, "--threads", 1)
-    flags = ("--index", index, "--runs", tmp_path / "runs", *settings)
+    flags = ("--index", index, "--runs", cwd / "runs", *settings)
     commands: list[tuple[Callable[[], None], tuple[object, ...]]] = [
         (bc_eval, ("RUN", "--index", index)),
-        (bc_play, (tmp_path / "toy.mcap", "--run", "RUN", "--write", tmp_path / "said.mcap")),
+        (bc_play, (cwd / "toy.mcap", "--run", "RUN", "--write", cwd / "said.mcap")),
         (bc_train, ("--name", "next", "--init", "RUN", *flags)),
-        (bc_drive, ("RUN", "--log", tmp_path / "drive.mcap", "--port", 0, "--viewer", "nowhere")),
+        (bc_drive, ("RUN", "--log", cwd / "drive.mcap", "--port", 0, "--viewer", "nowhere")),
     ]
-    monkeypatch.chdir(tmp_path)
     threads = torch.get_num_threads()
     for number, (main, line) in enumerate(commands):
         run = run.rename(f"{run}{number}")  # of each, it is said once in a process
         call(main, *(run if word == "RUN" else word for word in line))
         said = capsys.readouterr().err
-        notice = f"{tmp_path}/runs/{run.name}: of an earlier version, without checksums: "
+        notice = f"{cwd}/runs/{run.name}: of an earlier version, without checksums: "
         notice = notice.replace("\x1b", "\\x1b").replace("\n", "\\n")
         assert [line.startswith(notice) for line in said.splitlines()].count(True) == 1, said
         assert not CONTROL.search(said)

@@ -140,12 +140,9 @@ def test_an_unfinished_log_is_indexed_as_far_as_it_goes_and_said_so(
     assert 0 < len(set(frames["row"].to_pylist())) <= recovered.rows < 120
 
 
-def test_a_recording_that_was_killed_is_pointed_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    write_log(tmp_path / "sessions" / "lake.mcap", STEERING)
-    killed = tmp_path / "sessions" / "jungle.mcap.0a1b2c.part"
+def test_a_recording_that_was_killed_is_pointed_out(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_log(cwd / "sessions" / "lake.mcap", STEERING)
+    killed = cwd / "sessions" / "jungle.mcap.0a1b2c.part"
     killed.write_bytes(b"\x89MCAP0\r\n")
     assert call(main) == 3
     assert "jungle.mcap.0a1b2c.part: not indexed" in capsys.readouterr().err
@@ -153,20 +150,19 @@ def test_a_recording_that_was_killed_is_pointed_out(
 
 
 def test_one_log_that_cannot_be_read_is_left_out_and_named(
-    tmp_path: Path, place: Place, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    cwd: Path, place: Place, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    write_log(tmp_path / "sessions" / "lake.mcap", STEERING)
-    (tmp_path / "sessions" / "bad.mcap").write_bytes(b"no log")
-    assert call(main, "--sessions", place(tmp_path / "sessions")) == 3
+    write_log(cwd / "sessions" / "lake.mcap", STEERING)
+    (cwd / "sessions" / "bad.mcap").write_bytes(b"no log")
+    assert call(main, "--sessions", place(cwd / "sessions")) == 3
     said = capsys.readouterr()
     assert "bad.mcap: not an MCAP log" in said.err
     assert set(pq.read_table("index/samples.parquet")["session"].to_pylist()) == {"lake"}
     assert (
-        call(main, "lake", "bad", "--sessions", place(tmp_path / "sessions")) == 1
+        call(main, "lake", "bad", "--sessions", place(cwd / "sessions")) == 1
     )  # asked for by name, it is an error
-    (tmp_path / "sessions" / "lake.mcap").unlink()
-    assert call(main, "--sessions", place(tmp_path / "sessions")) == 1
+    (cwd / "sessions" / "lake.mcap").unlink()
+    assert call(main, "--sessions", place(cwd / "sessions")) == 1
 
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])

@@ -16,10 +16,9 @@ ROWS = 660  # over a minute: of less, no lag is measured when it is written
 
 
 @pytest.fixture
-def sessions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    write_drive(tmp_path / "sessions" / "lake.mcap", views(ROWS))
-    return tmp_path / "sessions"
+def sessions(cwd: Path) -> Path:
+    write_drive(cwd / "sessions" / "lake.mcap", views(ROWS))
+    return cwd / "sessions"
 
 
 def indexed_sessions() -> set[str]:

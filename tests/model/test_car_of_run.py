@@ -40,10 +40,7 @@ def index(name: str) -> int:
     return call(bc_index, name, "--index", f"index-{name}", "--block-s", 1, "--gap-s", 0, "--no-balance")
 
 
-def test_a_run_has_the_steering_and_the_car_of_its_sessions(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_a_run_has_the_steering_and_the_car_of_its_sessions(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record("own", OWN, 0)
     record("plain", None, 100)
     record("known", Car(), 200)
@@ -81,15 +78,12 @@ def test_a_run_has_the_steering_and_the_car_of_its_sessions(
     assert not Path("runs/both").exists()
 
 
-def test_an_index_is_made_anew_where_a_session_tells_another_car(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_index_is_made_anew_where_a_session_tells_another_car(cwd: Path) -> None:
     """The rows are the same, and the log is as long: only what it says of its car has changed."""
-    monkeypatch.chdir(tmp_path)
     labels = []
     for wheelbase_m in (2.4, 2.0, 2.4):
         record("own", Car(wheelbase_m=wheelbase_m), 0).touch()
         assert call(bc_index, "--block-s", 1, "--gap-s", 0) == 0
-        labels.append((tmp_path / "index" / "samples.parquet").read_bytes())
+        labels.append((cwd / "index" / "samples.parquet").read_bytes())
         Path("sessions/own.mcap").unlink()
     assert labels[0] == labels[2] != labels[1]

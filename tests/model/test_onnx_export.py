@@ -162,14 +162,9 @@ def test_the_same_run_gives_the_same_bytes_wherever_it_lies(
 
 
 def test_without_a_name_the_file_lies_in_the_run_and_the_python_runs_it(
-    trained: Path,
-    exported: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    trained: Path, exported: Path, cwd: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    copy = shutil.copytree(trained, tmp_path / "runs" / "first")
-    monkeypatch.chdir(tmp_path)
+    copy = shutil.copytree(trained, cwd / "runs" / "first")
     assert call(main, "export", "--onnx", "first") == 0  # the flag may stand before the run
     said = capsys.readouterr()
     written, taken = said.out.splitlines()
@@ -177,7 +172,7 @@ def test_without_a_name_the_file_lies_in_the_run_and_the_python_runs_it(
     assert float(written.rpartition("largest difference ")[2]) < 1e-4
     assert taken == "input pictures: uint8 (N, 128, 128, 3), BGR, 0..255, cropped and resized"
     assert (copy / "first.onnx").read_bytes() == exported.read_bytes()
-    picture = pictures(tmp_path)[-1]
+    picture = pictures(cwd)[-1]
     heading, *code, step = said.err.splitlines()
     assert step.startswith("next: `python -m pip install onnxruntime opencv-python-headless`")
     shown = textwrap.dedent("\n".join(code)).replace("picture.jpg", picture.as_posix())

@@ -37,9 +37,8 @@ def supervised_drive(path: Path, first: int = 1000) -> Path:
 
 
 @pytest.fixture
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def project(cwd: Path) -> Path:
     """Two sessions that differ, and no index."""
-    monkeypatch.chdir(tmp_path)
     for name, first in (("lake", 0), ("other", 500)):
         pictures = [road_jpeg(first + row) for row in range(100)]
 
@@ -48,7 +47,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
         steering = [0.3 * math.sin(row / 5) for row in range(100)]
         write_log(Path("sessions") / f"{name}.mcap", steering, picture, step_ns=5 * STEP_NS)
-    return tmp_path
+    return cwd
 
 
 def sessions_in(index: str) -> dict[str, set[int]]:

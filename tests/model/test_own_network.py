@@ -252,12 +252,11 @@ def test_a_picture_that_is_none_is_one_line(tmp_path: Path) -> None:
         chosen_picture(ONE, choose_network(replace(ONE, network=f"{path}:Net")))
 
 
-def test_what_is_not_there_is_told_with_what_was_meant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_what_is_not_there_is_told_with_what_was_meant(cwd: Path) -> None:
     with pytest.raises(RunError, match=r"--network no\.such\.module:Net: .* cannot be imported"):
         load_code("no.such.module:Net")
     with pytest.raises(RunError, match=r"cannot be read .* give FILE\.py:CLASS, the file by its path"):
         load_code("my_net.py:Net")
-    (tmp_path / "my_nets.py").write_text(PLAIN)
+    (cwd / "my_nets.py").write_text(PLAIN)
     with pytest.raises(RunError, match=r"did you mean my_nets\.py\?"):
         load_code("my_net.py:Net")

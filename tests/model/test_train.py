@@ -155,10 +155,9 @@ def test_driving_sees_the_same_pixels_as_training(trained: tuple[Path, list[Epoc
 
 
 def test_an_index_of_bc_train_leaves_out_unreadable_logs_and_names_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    cwd: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Exactly as `bc-index` does."""
-    monkeypatch.chdir(tmp_path)
     Path("sessions").mkdir()
     write_log(Path("sessions") / "good.mcap", STEERING, road, cameras=["center"])
     Path("sessions/bad.mcap").write_bytes(b"no log")
@@ -176,11 +175,10 @@ def test_an_index_of_bc_train_leaves_out_unreadable_logs_and_names_them(
 
 
 def test_an_index_that_is_built_again_for_like_tells_of_unfinished_logs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    cwd: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     Path("sessions").mkdir()
-    whole = write_log(tmp_path / "whole.mcap", STEERING, road, cameras=["center"])
+    whole = write_log(cwd / "whole.mcap", STEERING, road, cameras=["center"])
     log = Path("sessions/cut.mcap")
     log.write_bytes(whole.read_bytes()[:-40])  # its end
     assert call(bc_index, "--block-s", 0.5, "--gap-s", 0) == 3

@@ -33,10 +33,7 @@ def record(name: str, source: str, car: Car | None = None) -> Path:
     return write_log(path, steering, lambda _, row: road_jpeg(row), cameras=["center"], source=source, car=car)
 
 
-def test_recordings_of_others_have_no_angle_unless_their_car_is_given(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_recordings_of_others_have_no_angle_unless_their_car_is_given(cwd: Path) -> None:
     for source in ("donkeycar", "csv", "mcap", "ros2 bag", "lerobot", "gymnasium"):
         for name, car, expected in (("without", None, None), ("with", Car(max_steering_deg=22.0), 22.0)):
             with Log(record(f"{name} {source}", source, car)) as log:
