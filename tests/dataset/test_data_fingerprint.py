@@ -10,21 +10,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from common.car import Camera
 from dataset import DatasetError, IndexConfig, Samples, build_index
-from logs import write_log
+from logs import write_session
 from recorder import Log
 from recorder.log.tags import Tag, add_tags
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(80)]
 CONFIG = IndexConfig(block_s=1.0, gap_s=0.2)
-
-
-def session(path: Path, steering: list[float] = STEERING) -> Path:
-    def picture(camera: Camera, row: int) -> bytes:
-        return f"{path.stem} {camera} {row}".encode()
-
-    return write_log(path, steering, picture)
 
 
 def fingerprint(index: Path) -> str:
@@ -37,8 +29,8 @@ def folder(tmp_path: Path) -> Path:
     """A folder with two logs, and with `index` of the first one."""
     folder = tmp_path / "here"
     folder.mkdir()
-    session(folder / "b.mcap", [-value for value in STEERING])
-    build_index([session(folder / "a.mcap")], folder / "index", CONFIG)
+    write_session(folder / "b.mcap", [-value for value in STEERING])
+    build_index([write_session(folder / "a.mcap", STEERING)], folder / "index", CONFIG)
     return folder
 
 

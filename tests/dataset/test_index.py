@@ -19,7 +19,7 @@ from dataset.cli import main
 from dataset.frames.split import block_numbers, validation_blocks
 from dataset.samples.balance import balance
 from dataset.steering_bins import bin_of
-from logs import START_NS, STEP_NS, plain_read, write_log
+from logs import START_NS, STEP_NS, plain_read, write_log, write_session
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.rows.row_quality import drive_numbers
@@ -30,11 +30,6 @@ BLOCKS = IndexConfig(block_s=2.0)
 
 distributions = st.lists(st.floats(-1, 1), min_size=1, max_size=300)
 bins_from_1 = st.integers(1, 40)
-
-
-def write_session(path: Path, steering: list[float]) -> Path:
-    """A log whose pictures are no other session's."""
-    return write_log(path, steering, lambda camera, row: f"{path.stem} {camera} {row}".encode(), overwrite=True)
 
 
 def index_of(folder: Path, config: IndexConfig = BLOCKS, **sessions: list[float]) -> Indexed:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from bucket import Bucket, serving_bucket
+from bucket import Bucket
 from common.location import Url
 from common.random_access import open_for_reading
 from common.store_record import Copy, StoreRecord, write_record
@@ -24,12 +23,11 @@ INDEX = "s3://logs/index"
 
 
 @pytest.fixture
-def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bucket]:
-    monkeypatch.chdir(tmp_path)
+def bucket(bucket: Bucket, monkeypatch: pytest.MonkeyPatch) -> Bucket:
+    """With session 0."""
     use_machine("one", monkeypatch)
-    with serving_bucket(tmp_path / "server", monkeypatch) as served:
-        drive(served, 0)
-        yield served
+    drive(bucket, 0)
+    return bucket
 
 
 def use_machine(name: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from bucket import Bucket, serving_bucket
+from bucket import Bucket
 from common.errors import StoreError, UserError
 from dataset import DatasetError, IndexConfig, Samples, build_index
 from dataset.loader.loader import Loader, load
@@ -21,13 +20,6 @@ from recorder.log.kept_logs import bring_here
 from toy import SMALL, STEERING, road
 
 CONFIG = IndexConfig(flip=False, max_uses=1, block_s=0.5, gap_s=0)
-
-
-@pytest.fixture
-def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bucket]:
-    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
-    with serving_bucket(tmp_path / "server", monkeypatch) as served:
-        yield served
 
 
 @pytest.fixture

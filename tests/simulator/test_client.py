@@ -28,11 +28,16 @@ from simulator.protocol.replay import replay
 from udacity import call
 
 
-def serve_for_ever(wire: Wire) -> None:
-    """Two telemetries come unasked, and then one for each steer."""
+def begin(wire: Wire) -> None:
+    """Two telemetries come unasked."""
     wire.say(OPEN)
     wire.hear_telemetry()
     wire.hear_telemetry()
+
+
+def serve_for_ever(wire: Wire) -> None:
+    """One telemetry comes for each steer."""
+    begin(wire)
     while True:
         wire.say(steer())
         wire.hear_telemetry()
@@ -52,9 +57,7 @@ def telling(
 
 def test_it_announces_no_connection_and_sends_two_telemetries_first() -> None:
     def serve(wire: Wire) -> None:
-        wire.say(OPEN)
-        wire.hear_telemetry()
-        wire.hear_telemetry()
+        begin(wire)
         wire.say(steer())
         wire.hear_telemetry()
         wire.say(steer("-0.5000", "-1.0000"))
@@ -145,9 +148,7 @@ def test_a_servers_ping_is_answered() -> None:
     heard: list[str] = []
 
     def serve(wire: Wire) -> None:
-        wire.say(OPEN)
-        wire.hear_telemetry()
-        wire.hear_telemetry()
+        begin(wire)
         wire.say("2")
         heard.append(next(message for message in iter(wire.hear, "") if message != "2"))
         wire.say(steer())
@@ -173,9 +174,7 @@ def test_a_command_that_it_cannot_read_costs_a_telemetry_and_is_counted() -> Non
     ]
 
     def serve(wire: Wire) -> None:
-        wire.say(OPEN)
-        wire.hear_telemetry()
-        wire.hear_telemetry()
+        begin(wire)
         for message in nonsense:  # nothing comes of it
             wire.say(message)
         wire.say(steer("0.5", "0.5"))
@@ -194,9 +193,7 @@ def test_what_is_no_command_is_ignored() -> None:
     deep = f"42{'[' * 9_999}"
 
     def serve(wire: Wire) -> None:
-        wire.say(OPEN)
-        wire.hear_telemetry()
-        wire.hear_telemetry()
+        begin(wire)
         for message in ("40", '40{"sid":"x"}', "43[]", "6", '42["other",{}]', "42[]", "42{", "42", deep):
             wire.say(message)
         wire.say("42" + json.dumps(["manual", {}]))
@@ -214,9 +211,7 @@ def test_what_is_no_command_is_ignored() -> None:
 
 def test_it_connects_again_when_the_server_dies_in_the_middle() -> None:
     def die_after_three(wire: Wire) -> None:
-        wire.say(OPEN)
-        wire.hear_telemetry()
-        wire.hear_telemetry()
+        begin(wire)
         wire.say(steer())
         wire.hear_telemetry()
 

@@ -165,7 +165,7 @@ def test_what_is_recorded_ends_with_the_laps_asked_for() -> None:
 
 def test_the_share_of_recoveries_is_the_one_asked_for() -> None:
     for share in (0.2, 0.5):
-        steps = record(OVAL, laps=2, share=share)
+        steps = record(OVAL, laps=1.5, share=share)
         assert np.mean([step.recovering for step in steps]) == pytest.approx(share, abs=0.06)
     assert not any(step.recovering or step.after_gap for step in record(OVAL, share=0.0))
 

@@ -90,18 +90,17 @@ def test_every_pixel_is_sky_or_ground_or_stands_on_it(mountain_world: WorldMaps)
 
 
 @pytest.mark.parametrize(("camera", "mount_left_m"), [("center", 0.0), ("left", 0.9), ("right", -0.9)])
-@pytest.mark.parametrize("ahead_m", [5.0, 8.0, 14.0])
-@pytest.mark.parametrize("line_left_m", [3.5, -3.5])
 def test_a_line_is_where_a_pinhole_camera_sees_it(
-    flat: Track, flat_world: WorldMaps, camera: Camera, mount_left_m: float, ahead_m: float, line_left_m: float
+    flat: Track, flat_world: WorldMaps, camera: Camera, mount_left_m: float
 ) -> None:
-    row, column = pixel(ahead_m, line_left_m - mount_left_m)
-    if not 8 < column < 312:
-        pytest.skip("outside the picture")
     picture = Renderer(flat_world).render(on_road(flat, flat_world, 20.0), camera)
-    around = picture[round(row - 0.5), int(column) - 8 : int(column) + 9].mean(axis=1)
-    assert around.max() > np.median(around) + 30
-    assert abs(int(np.argmax(around)) - 8) <= 2
+    places = [pixel(ahead, left - mount_left_m) for ahead in (5.0, 8.0, 14.0) for left in (3.5, -3.5)]
+    in_picture = [(row, column) for row, column in places if 8 < column < 312]
+    assert len(in_picture) >= 4
+    for row, column in in_picture:
+        around = picture[round(row - 0.5), int(column) - 8 : int(column) + 9].mean(axis=1)
+        assert around.max() > np.median(around) + 30
+        assert abs(int(np.argmax(around)) - 8) <= 2
 
 
 def test_far_ground_is_where_a_pinhole_camera_sees_it(flat_world: WorldMaps) -> None:
