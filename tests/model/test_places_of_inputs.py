@@ -17,14 +17,7 @@ from model.runs.run_folder import weights_checksum
 from model.runs.run_inputs import allowed_index_of, init_of, sessions_of
 from toy import SMALL, toy_index
 
-
-@pytest.fixture(autouse=True)
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The project of somebody who has an empty cache."""
-    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
-    (tmp_path / "project").mkdir()
-    monkeypatch.chdir(tmp_path / "project")
-    return tmp_path / "project"
+pytestmark = pytest.mark.usefixtures("project")
 
 
 def run_that_names(project: Path, index: str, **values: object) -> Path:

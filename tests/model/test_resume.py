@@ -144,7 +144,7 @@ def train_killed(
         assert training.join() == -signal.SIGKILL, "\n".join(training.stderr)
 
 
-@pytest.mark.long  # killed once: test_a_fine_tuned_run_that_is_killed_...
+@pytest.mark.long  # killed once: test_a_killed_fine_tuning_resumes_...
 def test_a_training_killed_again_and_again_ends_as_if_it_never_was(
     index: Path, whole: Path, tmp_path: Path
 ) -> None:
@@ -243,8 +243,14 @@ def test_a_run_without_its_checkpoint_is_not_begun_again(index: Path, stopped: P
 
 
 def test_a_run_goes_on_with_its_own_settings_only(index: Path, stopped: Path) -> None:
-    with pytest.raises(RunError, match=r"begun with --rate 0\.0002 .* --init \S*/stopped$"):
-        train(index, stopped, replace(CONFIG, rate=0.1, epochs=9), resume=True)
+    others: dict[str, dict[str, Any]] = {
+        r"rate 0\.0002": {"rate": 0.1},
+        r"network \S+:DropoutNetwork": {"network": "original"},
+        "crop-rows None": {"crop_rows": (40, 20)},
+    }
+    for begun_with, changed in others.items():
+        with pytest.raises(RunError, match=rf"begun with --{begun_with} .* --init \S*/stopped$"):
+            train(index, stopped, replace(CONFIG, epochs=9, **changed), resume=True)
 
 
 def test_fewer_epochs_than_were_learnt_are_refused_and_change_nothing(index: Path, stopped: Path) -> None:

@@ -82,16 +82,13 @@ def numbers(config: dict[str, Any] | None = None, epochs: list[Epoch] = WEAK, **
 
 def test_the_two_lines_of_a_good_network() -> None:
     verdict, errors = verdict_of(numbers(epochs=ENDED)), measured(0.1)
-    assert verdict.summary == (
-        "better than always predicting the mean:"
-        f" on turns (2.50 against {errors.mean.turning_mae_deg:.2f} degrees),"
-        f" driving error ({errors.driving_error:.2f} against 2.00); perhaps enough to drive: 30 of 30 networks"
-        " with such an error stayed on built-in roads (89 to 100 %), but their errors are on drives new to them"
+    turns = f"on turns (2.50 against {errors.mean.turning_mae_deg:.2f} degrees)"
+    driving = f"driving error ({errors.driving_error:.2f} against 2.00)"
+    assert verdict.summary.startswith(
+        f"better than always predicting the mean: {turns}, {driving}; perhaps enough"
     )
-    assert verdict.lines[1] == (
-        f"next: `bc-eval first --simulator lake mountain`: a driving error of {errors.driving_error:.2f} is small"
-        " enough to try"
-    )
+    assert "30 of 30 networks" in verdict.summary
+    assert verdict.lines[1].startswith("next: `bc-eval first --simulator lake mountain`: a driving error of ")
     assert [error.ratio for error in verdict.beside_mean] == pytest.approx(
         [
             measured(0.1).network.turning_mae_deg / measured(0.1).mean.turning_mae_deg,
