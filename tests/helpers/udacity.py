@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,7 +23,7 @@ def jpeg(level: int, number: int = 0) -> bytes:
     return encode(picture)
 
 
-def encode(picture: NDArray[np.uint8], kind: str = ".jpg") -> bytes:
+def encode(picture: NDArray[Any], kind: str = ".jpg") -> bytes:
     ok, encoded = cv2.imencode(kind, picture)
     assert ok
     return encoded.tobytes()
@@ -31,7 +32,7 @@ def encode(picture: NDArray[np.uint8], kind: str = ".jpg") -> bytes:
 def scene(camera: Camera, row: int) -> bytes:
     """A 320x160 picture of its own for every camera and row: coloured patches without symmetry."""
     random = np.random.default_rng((row, CAMERAS.index(camera)))
-    return encode(cv2.resize(random.integers(0, 256, (6, 9, 3), dtype=np.uint8), (320, 160)))  # type: ignore[arg-type]
+    return encode(cv2.resize(random.integers(0, 256, (6, 9, 3), dtype=np.uint8), (320, 160)))
 
 
 def picture_name(camera: Camera, number: int) -> str:

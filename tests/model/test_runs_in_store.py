@@ -70,12 +70,12 @@ def test_runs_are_listed_without_their_weights_and_nothing_comes_twice(
     assert requests <= 1 + len(runs) * 4
     assert size < 30_000 < (runs[0] / "model.safetensors").stat().st_size
     assert stored.keys() == local.keys()
-    for name, run in local.items():
-        del run["folder"]
+    for name, run_here in local.items():
+        del run_here["folder"]
         assert stored[name].pop("folder") == f"{RUNS}/{name}"
-        verdicts = [listing.pop("verdict") for listing in (run, stored[name])]  # their advice names the run
+        verdicts = [listing.pop("verdict") for listing in (run_here, stored[name])]  # their advice names the run
         assert verdicts[0]["beside_mean"] == verdicts[1]["beside_mean"]
-        assert stored[name] == run
+        assert stored[name] == run_here
 
     listed(RUNS, capsys)
     assert moved(bucket)[0] == 1
