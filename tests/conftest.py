@@ -97,6 +97,39 @@ def browser() -> Iterator[Browser]:
         yield found
 
 
+@pytest.fixture
+def cwd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder, in which the test works."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The project of somebody who has an empty cache: a folder, in which the test works."""
+    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "project").mkdir()
+    monkeypatch.chdir(tmp_path / "project")
+    return tmp_path / "project"
+
+
+@pytest.fixture(scope="session")
+def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The index of toy.py's road; its log lies beside it. It is for reading alone."""
+    from toy import toy_index  # PyTorch
+
+    return toy_index(tmp_path_factory.mktemp("toy"))
+
+
+@pytest.fixture(scope="session")
+def trained(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of one epoch on that index, named `first`, alone in its folder. It is for reading alone."""
+    from model import train  # PyTorch
+    from toy import ONE
+
+    return train(index, tmp_path_factory.mktemp("runs") / "first", ONE, show_progress=False).run
+
+
 @pytest.fixture(scope="module")
 def exported_once() -> Iterator[None]:
     """What is made of an ONNX export is tested, and not the export itself."""

@@ -27,7 +27,6 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
         (bc_log, [*TRIM, "--rows", "3"], "bc-log: --rows 3: expected two whole numbers"),
         (bc_log, [*TRIM, "--rows", "a", "b", "--force"], "bc-log: --rows a b: expected two whole numbers"),
         (bc_index, ["--labels", "raw", "--look"], "bc-index: --labels raw: expected one of as-recorded, auto"),
-        (bc_record, ["a", "--driver", "exprt"], "bc-record: --driver exprt: expected one of expert, keyboard, me"),
     ],
 )
 def test_what_a_flag_takes_is_said_in_words(

@@ -7,10 +7,10 @@ import os
 import pty
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -25,10 +25,9 @@ from drive.cli import main as bc_drive
 from drive.evaluation.eval_cli import main as bc_eval
 from driving import command, environment, started_to
 from logs import write_log
-from model import train
 from model.cli import main as bc_train
 from repository import ROOT
-from toy import SMALL, road, toy_index
+from toy import road, toy_index
 from udacity import call
 from viz.cli import main as bc_play
 
@@ -39,7 +38,7 @@ PRINTING = {"print", "Console", "sys.stdout", "sys.stderr", "sys.__stdout__", "s
 
 def printed_by_itself(tree: ast.Module) -> list[str]:
     """Where a module prints, or gets hold of what prints."""
-    found = []
+    lines = []
     for node in ast.walk(tree):
         names = []
         if isinstance(node, ast.Call):
@@ -48,8 +47,8 @@ def printed_by_itself(tree: ast.Module) -> list[str]:
             names = [ast.unparse(node)]
         elif isinstance(node, ast.ImportFrom):
             names = [alias.name for alias in node.names]
-        found += [f"line {getattr(node, 'lineno', 0)}: {name}" for name in names if name in PRINTING]
-    return found
+        lines += [f"line {getattr(node, 'lineno', 0)}: {name}" for name in names if name in PRINTING]
+    return lines
 
 
 @pytest.mark.parametrize("room", sorted(MAY_IMPORT.keys() - {"common"}))
@@ -245,44 +244,31 @@ def test_what_is_said_and_logged_beside_a_bar_is_a_line_above_it(tmp_path: Path)
 
 
 def test_trainings_log_lines_are_messages_in_commands_that_load_a_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    trained: Path, cwd: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A run of an earlier version, whose name nobody would give."""
-    index = toy_index(tmp_path)
-    run = tmp_path / "runs" / "a\x1b[2Jb\nc"
-    train(index, run, replace(SMALL, epochs=1, batch=8), show_progress=False)
+    index = toy_index(cwd)
+    run = cwd / "runs" / "a\x1b[2Jb\nc"
+    shutil.copytree(trained, run)
     weights = run / "model.safetensors"
     with safe_open(weights, framework="np") as file:
         stored = {name: value for name, value in file.metadata().items() if name != "sha256"}
     save_file(load_file(weights), weights, stored)
-    flags = (
-        "--index",
-        index,
-        "--runs",
-        tmp_path / "runs",
-        "--network",
-        "small",
-        "--epochs",
-        1,
-        "--batch",
-        8,
-        "--threads",
-        1,
-    )
+    settings = ("--network", "small", "--epochs", 1, "--batch", 8, "--threads", 1)
+    flags = ("--index", index, "--runs", cwd / "runs", *settings)
     commands: list[tuple[Callable[[], None], tuple[object, ...]]] = [
         (bc_eval, ("RUN", "--index", index)),
-        (bc_play, (tmp_path / "toy.mcap", "--run", "RUN", "--write", tmp_path / "said.mcap")),
+        (bc_play, (cwd / "toy.mcap", "--run", "RUN", "--write", cwd / "said.mcap")),
         (bc_train, ("--name", "next", "--init", "RUN", *flags)),
-        (bc_drive, ("RUN", "--log", tmp_path / "drive.mcap", "--port", 0, "--viewer", "nowhere")),
+        (bc_drive, ("RUN", "--log", cwd / "drive.mcap", "--port", 0, "--viewer", "nowhere")),
     ]
-    monkeypatch.chdir(tmp_path)
     threads = torch.get_num_threads()
     for number, (main, line) in enumerate(commands):
         run = run.rename(f"{run}{number}")  # of each, it is said once in a process
         call(main, *(run if word == "RUN" else word for word in line))
         said = capsys.readouterr().err
-        told = f"{tmp_path}/runs/{run.name}: of an earlier version, without checksums: "
-        told = told.replace("\x1b", "\\x1b").replace("\n", "\\n")
-        assert len([each for each in said.splitlines() if each.startswith(told)]) == 1, said
+        notice = f"{cwd}/runs/{run.name}: of an earlier version, without checksums: "
+        notice = notice.replace("\x1b", "\\x1b").replace("\n", "\\n")
+        assert [line.startswith(notice) for line in said.splitlines()].count(True) == 1, said
         assert not CONTROL.search(said)
     torch.set_num_threads(threads)

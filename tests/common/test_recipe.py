@@ -45,8 +45,8 @@ def test_other_flags_change_what_they_name(tmp_path: Path) -> None:
     flags = ["--sessions", tmp_path, "--index", tmp_path / "index", "--recipe=original", "--labels", "auto"]
     assert call(bc_index, *flags) in (0, 3)
     with Samples(tmp_path / "index") as samples:
-        found = samples.metadata["settings"]
-    assert (found["recipe"], found["labels"], found["bins"]) == ("original", "auto", 25)
+        stored = samples.metadata["settings"]
+    assert (stored["recipe"], stored["labels"], stored["bins"]) == ("original", "auto", 25)
 
 
 def test_settings_of_earlier_versions_are_those_of_the_original_project() -> None:

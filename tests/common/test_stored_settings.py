@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, replace
+import shutil
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from common.stored_settings import settings_from
 from dataset import IndexConfig
 from model import RunError, TrainConfig, load_pilot, train
 from model.cli import main
-from toy import SMALL, toy_index
+from toy import ONE
 from udacity import call
 
 
@@ -70,12 +71,10 @@ def test_what_is_no_setting_is_refused(kind: type[TrainConfig | IndexConfig], st
         settings_from(kind, stored)
 
 
-def test_a_fine_tuned_run_is_repeated_from_its_initial_weights(tmp_path: Path) -> None:
-    index = toy_index(tmp_path)
-    one = replace(SMALL, epochs=1, batch=8)
-    train(index, tmp_path / "base", one)
-    train(index, tmp_path / "tuned", one, init=tmp_path / "base")
-    places = ["--index", index, "--sessions", tmp_path, "--runs", tmp_path]
+def test_a_fine_tuned_run_is_repeated_from_its_initial_weights(index: Path, trained: Path, tmp_path: Path) -> None:
+    shutil.copytree(trained, tmp_path / "base")
+    train(index, tmp_path / "tuned", ONE, init=tmp_path / "base")
+    places = ["--index", index, "--sessions", index.parent, "--runs", tmp_path]
     assert call(main, "--name", "again", "--like", "tuned", *places) == 0
     tuned, again = load_pilot(tmp_path / "tuned"), load_pilot(tmp_path / "again")
     assert tuned.weights_sha256 == again.weights_sha256

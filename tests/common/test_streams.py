@@ -241,8 +241,8 @@ def test_results_wait_for_a_slow_reader_and_none_is_lost() -> None:
         lines = [line] * (MAX_QUEUED + 2000)  # a pipe holds fewer than 2,000 of them
 
         def put_all() -> None:
-            for each in lines:
-                outlet.put(each, is_result=True)
+            for result in lines:
+                outlet.put(result, is_result=True)
 
         printing = threading.Thread(target=put_all)
         printing.start()

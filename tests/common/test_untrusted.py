@@ -11,7 +11,7 @@ import struct
 import subprocess
 import tracemalloc
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -34,6 +34,7 @@ from recorder.pictures.decoding import decodes
 from recorder.sources.bounded_yaml import yaml_content
 from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.import_mcap import import_mcap
+from recorder.sources.imported_rows import Imported
 from recorder.sources.mcap_messages import decoder_for
 from recorder.sources.udacity_follow import watch_udacity
 from recorder.sources.udacity_recording import UdacityRecording
@@ -46,6 +47,12 @@ from waiting import PATIENCE_S, wait_until
 MEMORY_BYTES = 1 << 30
 HOLE_BYTES = 1 << 42  # of a file without content: it takes no place on the disk
 CSV = f"{paths(0)},0,0,0,1\n{paths(1)},0,0,0,1\n"
+
+
+def recorded(folder: Path) -> Iterator[Imported]:
+    """The recording in `folder`/drive, imported, and followed as it is written."""
+    yield import_udacity(folder / "drive", folder / "imported.mcap")
+    yield watch_udacity(folder / "drive", folder / "followed.mcap", idle_s=0)
 
 
 def with_hole(path: Path) -> Path:
@@ -86,8 +93,7 @@ def test_pipes_among_a_recordings_pictures_are_missing(tmp_path: Path, pipe: Pat
     broken = tmp_path / "drive" / "IMG" / picture_name("left", 1)
     broken.unlink()
     pipe.rename(broken)
-    for record in (import_udacity, lambda folder, log: watch_udacity(folder, log, idle_s=0)):
-        done = record(tmp_path / "drive", tmp_path / f"{len(os.listdir(tmp_path))}.mcap")  # noqa: PTH208
+    for done in recorded(tmp_path):
         assert (done.rows, done.pictures) == (2, 5)
         assert [name for _, name in done.skipped] == [broken.name]
 
@@ -105,8 +111,7 @@ def test_a_pipe_in_the_place_of_a_csv(tmp_path: Path, pipe: Path) -> None:
 def test_a_huge_picture_is_left_out_and_named(tmp_path: Path) -> None:
     make_recording(tmp_path / "drive", CSV, [0, 1])
     huge = with_hole(tmp_path / "drive" / "IMG" / picture_name("center", 0))
-    for record in (import_udacity, lambda folder, log: watch_udacity(folder, log, idle_s=0)):
-        done = record(tmp_path / "drive", tmp_path / f"{len(os.listdir(tmp_path))}.mcap")  # noqa: PTH208
+    for done in recorded(tmp_path):
         assert (done.rows, done.pictures) == (2, 5)
         assert list(done.skipped) == [("pictures that cannot be read", huge.name)]
 
@@ -123,22 +128,21 @@ def test_a_csv_without_line_ends_takes_little_memory(tmp_path: Path) -> None:
     make_recording(tmp_path / "drive", CSV, [0, 1])
     with (tmp_path / "drive" / "driving_log.csv").open("ab") as csv:
         csv.write(b"x" * 5_000_000)
-    for record in (import_udacity, lambda folder, log: watch_udacity(folder, log, idle_s=0)):
-        done = record(tmp_path / "drive", tmp_path / f"{len(os.listdir(tmp_path))}.mcap")  # noqa: PTH208
+    for done in recorded(tmp_path):
         assert list(done.skipped) == [("rows with more than 65,536 bytes", "line 3")]
 
 
 def test_huge_files_of_a_tub(tmp_path: Path) -> None:
-    one = write_tub_1(tmp_path / "one", {number: record_1(number) for number in range(4)})
-    with_hole(one / "record_1.json")
-    with_hole(one / "2_cam-image_array_.jpg")
-    done = import_tub(one, tmp_path / "one.mcap")
+    first = write_tub_1(tmp_path / "one", {number: record_1(number) for number in range(4)})
+    with_hole(first / "record_1.json")
+    with_hole(first / "2_cam-image_array_.jpg")
+    done = import_tub(first, tmp_path / "one.mcap")
     assert done.rows == 2
     assert [name for _, name in done.skipped] == ["record_1.json", "record_2.json", "1_cam-image_array_.jpg"]
-    two = write_tub_2(tmp_path / "two", map(record_2, range(4)))
-    with_hole(two / "manifest.json")
+    second = write_tub_2(tmp_path / "two", map(record_2, range(4)))
+    with_hole(second / "manifest.json")
     with pytest.raises(RecordingError, match=r"manifest\.json: cannot be read \(larger than 17 MB\)"):
-        import_tub(two, tmp_path / "two.mcap")
+        import_tub(second, tmp_path / "two.mcap")
 
 
 def test_a_huge_metadata_file_of_a_bag(tmp_path: Path) -> None:
@@ -415,5 +419,5 @@ def test_a_folder_and_pictures_whose_names_are_not_utf_8(tmp_path: Path) -> None
         done = run("bc-record", name, "--from", folder, *flags, cwd=tmp_path)
         assert done.returncode == 3, done.stderr
         assert done.stderr.splitlines()[0] == r"skipped pictures without a row: 1 (\udce9.jpg)"
-        found = read_messages(tmp_path / "sessions" / f"{name}.mcap")
-        assert (len(found["/vehicle"]), len(found["/camera/left"]), len(found["/events"])) == (2, 2, 1)
+        messages = read_messages(tmp_path / "sessions" / f"{name}.mcap")
+        assert (len(messages["/vehicle"]), len(messages["/camera/left"]), len(messages["/events"])) == (2, 2, 1)

@@ -172,46 +172,37 @@ def test_within_a_shadow_every_level_and_colour_has_the_same_factor() -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "seed", "expected"),
+    ("names", "expected"),
     [
-        ("blur", 0, (123.2, 120, 150)),
-        ("brightness", 0, (142.8, 140, 255)),
-        ("shadow", 0, (93.3, 67, 250)),
-        ("blur+brightness+shadow", 0, (74.2, 55, 109)),
-        ("blur+shadow+brightness", 0, (117.2, 88, 171)),
-        ("brightness+blur+shadow", 0, (127.9, 98, 172)),
-        ("brightness+shadow+blur", 0, (108.0, 70, 198)),
-        ("shadow+blur+brightness", 0, (147.0, 106, 255)),
-        ("shadow+brightness+blur", 0, (148.1, 107, 204)),
-        ("blur", 1, (123.2, 120, 169)),
-        ("brightness", 1, (125.2, 122, 254)),
-        ("shadow", 1, (102.0, 68, 250)),
-        ("blur+brightness+shadow", 1, (162.0, 105, 255)),
-        ("blur+shadow+brightness", 1, (137.7, 82, 220)),
-        ("brightness+blur+shadow", 1, (112.4, 89, 153)),
-        ("brightness+shadow+blur", 1, (111.9, 89, 153)),
-        ("shadow+blur+brightness", 1, (72.8, 49, 107)),
-        ("shadow+brightness+blur", 1, (65.5, 44, 101)),
+        ("blur", (123.2, 120, 150)),
+        ("brightness", (142.8, 140, 255)),
+        ("shadow", (93.3, 67, 250)),
+        ("blur+brightness+shadow", (74.2, 55, 109)),
+        ("blur+shadow+brightness", (117.2, 88, 171)),
+        ("brightness+blur+shadow", (127.9, 98, 172)),
+        ("brightness+shadow+blur", (108.0, 70, 198)),
+        ("shadow+blur+brightness", (147.0, 106, 255)),
+        ("shadow+brightness+blur", (148.1, 107, 204)),
     ],
 )
-def test_an_index_means_the_same_pictures_as_ever(names: str, seed: int, expected: tuple[float, int, int]) -> None:
+def test_an_index_means_the_same_pictures_as_ever(names: str, expected: tuple[float, int, int]) -> None:
     """Mean, least and most level, noted when the first index was built: another order of draws changes them."""
     picture = grey(120, 41, 41)
     picture[:, 20] = 250
-    altered = alter(picture, names, seed)
+    altered = alter(picture, names, 0)
     assert (altered.mean(), altered.min(), altered.max()) == pytest.approx(expected, abs=1)
 
 
 @pytest.mark.parametrize("change", ALTERATIONS.values(), ids=ALTERATIONS.keys())
-@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 2), (3, 500)])
-def test_the_smallest_pictures_are_altered_too(change: Change, shape: tuple[int, int]) -> None:
-    picture = grey(100, *shape)
-    for seed in range(20):
-        changed = drawn(change, picture, seed)
-        assert changed.shape == picture.shape
-        assert changed.dtype == np.uint8
-        assert changed.min() >= 40
-        assert changed.max() <= 160
+def test_the_smallest_pictures_are_altered_too(change: Change) -> None:
+    for height, width in [(1, 1), (1, 9), (9, 1), (2, 2), (3, 500)]:
+        picture = grey(100, height, width)
+        for seed in range(20):
+            changed = drawn(change, picture, seed)
+            assert changed.shape == picture.shape
+            assert changed.dtype == np.uint8
+            assert changed.min() >= 40
+            assert changed.max() <= 160
 
 
 @pytest.mark.parametrize("names", ["blur", "brightness", "shadow", "blur+brightness", "blur+brightness+shadow"])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -20,6 +19,7 @@ from model.evaluation.predict import predict
 from model.network.original import SteeringNetwork
 from model.training.batches import DeviceBatches
 from plain_mcap import contents
+from udacity import encode
 
 STEERING = [round(-0.6 + 0.05 * row, 2) for row in range(24)]
 BROKEN: dict[tuple[Camera, int], bytes] = {
@@ -38,9 +38,7 @@ def shade(camera: Camera, row: int) -> int:
 def picture(camera: Camera, row: int) -> bytes:
     if (camera, row) in BROKEN:
         return BROKEN[camera, row]
-    ok, encoded = cv2.imencode(".jpg", np.full((160, 320, 3), shade(camera, row), np.uint8))
-    assert ok
-    return encoded.tobytes()
+    return encode(np.full((160, 320, 3), shade(camera, row), np.uint8))
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +127,11 @@ def test_pictures_of_a_damaged_chunk_are_left_out_and_named_and_no_others(
     build_index([log], tmp_path / "index", IndexConfig(validation_share=0.0, balance=False))
     place = log.read_bytes().index(b"this is no picture")
     chunk = next(chunk for chunk in contents(log).chunks if chunk.start < place < chunk.end)
-    lost = {(each.topic.rpartition("/")[2], each.sequence) for each in chunk.messages if "camera" in each.topic}
+    lost = {
+        (message.topic.rpartition("/")[2], message.sequence)
+        for message in chunk.messages
+        if "camera" in message.topic
+    }
     assert 3 < len(lost) < 30
     with log.open("rb+") as stream:
         stream.seek(place)

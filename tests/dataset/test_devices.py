@@ -11,8 +11,7 @@ import pytest
 
 from dataset import build_index
 from logs import START_NS, STEP_NS
-from recorder import Log
-from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.bc_pb2 import VehicleState
 from recorder.log.writer import LogWriter
 from recorder.upkeep.log_info import describe
 
@@ -86,17 +85,3 @@ def test_a_device_of_a_later_version_is_unknown(tmp_path: Path) -> None:
     build_index([log], tmp_path / "index")
     assert pq.read_table(tmp_path / "index" / "frames" / "a.parquet")["device"].to_pylist() == [""] * 3
     assert describe(log).driver == "human"
-
-
-def test_a_persons_takeover_is_learnt_as_it_was_commanded(tmp_path: Path) -> None:
-    with LogWriter(tmp_path / "a.mcap", {"source": "drive"}) as writer:
-        for row, driver in enumerate([PilotCommand.PILOT, PilotCommand.HUMAN]):
-            time_ns = START_NS + row * STEP_NS
-            writer.picture("center", time_ns, row, f"{row}".encode())
-            writer.vehicle(time_ns, row, VehicleState(steering=0.1, throttle=0.5, speed_mph=9.0))
-            writer.command(time_ns, row, PilotCommand(steering=0.6, driver=driver))
-    build_index([tmp_path / "a.mcap"], tmp_path / "index")
-    frames = pq.read_table(tmp_path / "index" / "frames" / "a.parquet")
-    assert frames["steering"].to_pylist() == [0.1, 0.6]
-    with Log(tmp_path / "a.mcap") as log:
-        assert log.vehicle()["steering"].to_pylist() == [0.1, 0.1]

@@ -5,31 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from common.car import CAMERAS, Camera
 from dataset import IndexConfig, Loader, build_index, load
 from dataset.config import EPOCH_ALTERATIONS, EpochAlteration
 from dataset.epoch_alterations import EpochAlterations
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image, in_channels
 from logs import write_log
+from udacity import scene
 
 STEERING = [round(-0.6 + 0.1 * row, 2) for row in range(12)]
 COUNT = 300
 SAMPLES = np.arange(COUNT)
 HEIGHT, WIDTH = 64, 128
-
-
-def scene(camera: Camera, row: int) -> bytes:
-    random = np.random.default_rng((row, CAMERAS.index(camera)))
-    picture = cv2.resize(random.integers(0, 256, (6, 9, 3), dtype=np.uint8), (320, 160))
-    ok, encoded = cv2.imencode(".jpg", picture)
-    assert ok
-    return encoded.tobytes()
 
 
 @pytest.fixture(scope="module")
@@ -40,14 +31,14 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build_index([log], folder / "index", config).path
 
 
-def of(*names: EpochAlteration, seed: int = 0, side_correction: float = 0.2) -> EpochAlterations:
+def alterations_of(*names: EpochAlteration, seed: int = 0, side_correction: float = 0.2) -> EpochAlterations:
     return EpochAlterations(names, seed, side_correction)
 
 
 def altered(picture: Image, *names: EpochAlteration, epoch: int = 1) -> Image:
     """The picture as each of the samples shows it (COUNT, height, width, 3)."""
     pictures = np.repeat(picture[None], COUNT, axis=0)
-    of(*names).alter(epoch, pictures, SAMPLES)
+    alterations_of(*names).alter(epoch, pictures, SAMPLES)
     return pictures
 
 
@@ -81,11 +72,11 @@ def batches(loader: Loader, epoch: int, start: int = 0) -> list[tuple[bytes, lis
 def by_sample(index: Path, epoch: int = 1, **settings: Any) -> dict[int, tuple[bytes, float]]:
     """What each sample shows in an epoch."""
     with load(index, alter_each_epoch=EPOCH_ALTERATIONS, **settings) as loader:
-        found = {}
+        shown = {}
         for part, batch in zip(loader.parts(epoch), loader.epoch(epoch), strict=True):
             for sample, picture, steering in zip(part, batch.pictures, batch.steering, strict=True):
-                found[int(sample)] = picture.tobytes(), float(steering)
-        return found
+                shown[int(sample)] = picture.tobytes(), float(steering)
+        return shown
 
 
 def test_threads_batches_and_memory_do_not_matter(index: Path) -> None:
@@ -105,7 +96,10 @@ def test_another_epoch_or_seed_changes_every_sample(index: Path) -> None:
 
 def test_an_alteration_is_drawn_the_same_whichever_others_there_are() -> None:
     assert (altered(spot(), "move", "box", "noise") != altered(spot(), "move")).any()
-    alone, together = of("move").draw(2, SAMPLES, 64, 64), of("noise", "move", "shadow").draw(2, SAMPLES, 64, 64)
+    alone, together = (
+        alterations_of("move").draw(2, SAMPLES, 64, 64),
+        alterations_of("noise", "move", "shadow").draw(2, SAMPLES, 64, 64),
+    )
     assert alone.matrix is not None
     assert together.matrix is not None
     assert (alone.matrix == together.matrix).all()
@@ -119,7 +113,7 @@ def test_draws_are_those_of_splitmix64() -> None:
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB), (31, 1)):
         mixed = (mixed ^ (mixed >> shift)) * factor % 2**64
     columns = 8 * ((mixed >> 11) / 2**52 - 1)
-    [label] = of("move", seed=seed).labels(np.zeros(1, np.float32), epoch, np.array([sample]))
+    [label] = alterations_of("move", seed=seed).labels(np.zeros(1, np.float32), epoch, np.array([sample]))
     assert label == pytest.approx(0.0075 * columns, abs=1e-7)
 
 
@@ -146,7 +140,7 @@ def test_own_pictures_are_altered_before_their_colours_change(index: Path, spec:
     with load(index, seen=bgr) as plain, load(index, seen=spec, alter_each_epoch=EPOCH_ALTERATIONS) as loader:
         order = plain.order(5)
         pictures = np.concatenate([batch.pictures for batch in plain.epoch(5)])
-        of(*EPOCH_ALTERATIONS).alter(5, pictures, order)
+        alterations_of(*EPOCH_ALTERATIONS).alter(5, pictures, order)
         expected = [in_channels(picture, spec) for picture in pictures]
         assert (np.concatenate([batch.pictures for batch in loader.epoch(5)]) == expected).all()
 
@@ -159,32 +153,32 @@ def test_a_move_is_up_to_8_columns_each_0_0075_of_steering() -> None:
     assert -8 <= moved[:, 0].min() < -7
     assert 7 < moved[:, 0].max() <= 8
     assert np.abs(moved[:, 1]).max() == pytest.approx(5 * HEIGHT / 128, abs=0.2)
-    labels = of("move").labels(np.full(COUNT, 0.1, np.float32), 1, SAMPLES)
+    labels = alterations_of("move").labels(np.full(COUNT, 0.1, np.float32), 1, SAMPLES)
     np.testing.assert_allclose(labels - 0.1, 0.0075 * moved[:, 0], atol=0.0075 * 0.1)
 
 
 def test_another_size_moves_by_its_share_steering_by_side_correction() -> None:
-    narrow = of("move").draw(1, SAMPLES, 32, 64).matrix
-    wide = of("move").draw(1, SAMPLES, 64, 128).matrix
+    narrow = alterations_of("move").draw(1, SAMPLES, 32, 64).matrix
+    wide = alterations_of("move").draw(1, SAMPLES, 64, 128).matrix
     assert narrow is not None
     assert wide is not None
     np.testing.assert_allclose(2 * narrow[:, :, 2], wide[:, :, 2])
     none = np.zeros(COUNT, np.float32)
-    of_side = {size: of("move", side_correction=size).labels(none, 1, SAMPLES) for size in (0.1, 0.2)}
+    of_side = {size: alterations_of("move", side_correction=size).labels(none, 1, SAMPLES) for size in (0.1, 0.2)}
     np.testing.assert_allclose(2 * of_side[0.1], of_side[0.2], rtol=1e-5)
 
 
 def test_the_loader_takes_the_side_correction_of_its_index(index: Path) -> None:
     with load(index, batch=1000, alter_each_epoch=("move",)) as loader:
         order, labels = loader.order(1), next(loader.epoch(1)).labels
-        expected = of("move", side_correction=0.1).labels(loader.rows.label[order], 1, order)
+        expected = alterations_of("move", side_correction=0.1).labels(loader.rows.label[order], 1, order)
         assert (labels == expected).all()
         assert np.abs(labels - loader.rows.label[order]).max() > 0.02
 
 
 def test_of_several_targets_only_steering_moves_up_to_full_lock() -> None:
     before = np.stack([np.linspace(-1, 1, COUNT), np.full(COUNT, np.nan)], axis=1).astype(np.float32)
-    labels = of("move").labels(before, 1, SAMPLES)
+    labels = alterations_of("move").labels(before, 1, SAMPLES)
     assert np.isnan(labels[:, 1]).all()
     assert np.abs(labels[:, 0]).max() == 1
     assert (labels[:, 0] != before[:, 0]).mean() > 0.9
@@ -194,7 +188,7 @@ def test_of_several_targets_only_steering_moves_up_to_full_lock() -> None:
 @pytest.mark.parametrize("name", [name for name in EPOCH_ALTERATIONS if name != "move"])
 def test_no_other_alteration_changes_a_label(name: EpochAlteration) -> None:
     labels = np.linspace(-1, 1, COUNT, dtype=np.float32)
-    assert of(name).labels(labels, 1, SAMPLES) is labels
+    assert alterations_of(name).labels(labels, 1, SAMPLES) is labels
 
 
 # What each does

@@ -8,17 +8,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-import dataset
 from dataset import IndexConfig, Indexed, build_index
 from dataset.cli import main
 from dataset.frames.drivers import DRIVERS
 from dataset.frames.frames_table import is_for_training
 from dataset.index.leaks import find_leaks
-from driving import one_line_in, road_jpeg
+from driving import one_line_in
 from logs import START_NS, write_log
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
@@ -166,14 +164,14 @@ def split_by_stretch(indexed: Indexed, rows: Sequence[Row]) -> list[set[str]]:
     split = {frame["row"]: frame["split"] for frame in rows_of(indexed, "frames/drive")}
     is_taken = [row.driver in (H, X) for row in rows]
     starts = [i for i, taken in enumerate(is_taken) if taken and (i == 0 or not is_taken[i - 1])]
-    found = []
+    sides = []
     for start in starts:
         end = next((i for i in range(start, len(rows)) if not is_taken[i]), len(rows))
-        found.append({split[i] for i in range(start, end)})
-    return found
+        sides.append({split[i] for i in range(start, end)})
+    return sides
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_the_only_takeover_of_a_drive_is_for_training(tmp_path: Path, seed: int) -> None:
     rows = driven((P, 1000 + 50 * seed), (X, 100), (P, 1000))  # 4 s of 80; blocks are of 10 s
     indexed = index_of(tmp_path, rows, replace(TAKEOVERS, seed=seed, gap_s=1.0))
@@ -181,19 +179,22 @@ def test_the_only_takeover_of_a_drive_is_for_training(tmp_path: Path, seed: int)
     assert (counts.training, counts.validation, counts.gap) == (100, 0, 0)
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_a_short_takeover_is_on_one_side_and_both_sides_have_some(tmp_path: Path, seed: int) -> None:
+def test_a_short_takeover_is_on_one_side_and_both_sides_have_some(tmp_path: Path) -> None:
     rows = driven(*[(P, 330), (X, 110)] * 5, (P, 100))
-    sides = split_by_stretch(index_of(tmp_path, rows, replace(TAKEOVERS, seed=seed)), rows)
-    assert sorted(map(sorted, sides)) == [["train"]] * 4 + [["validation"]]  # a fifth of five
+    path = write_drive(tmp_path / "drive.mcap", rows)
+    for seed in range(8):
+        sides = split_by_stretch(build_index([path], tmp_path / "index", replace(TAKEOVERS, seed=seed)), rows)
+        assert sorted(map(sorted, sides)) == [["train"]] * 4 + [["validation"]]  # a fifth of five
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_chance_never_holds_out_most_of_what_was_taken_over(tmp_path: Path, seed: int) -> None:
-    rows = driven((P, 330), (X, 200), (P, 300), (X, 30), (P, 100), (H, 20), (P, 100))
-    counts = index_of(tmp_path, rows, replace(TAKEOVERS, seed=seed)).counts["drive"]
-    assert counts.training >= 200
-    assert counts.validation >= 20
+def test_chance_never_holds_out_most_of_what_was_taken_over(tmp_path: Path) -> None:
+    path = write_drive(
+        tmp_path / "drive.mcap", driven((P, 330), (X, 200), (P, 300), (X, 30), (P, 100), (H, 20), (P, 100))
+    )
+    for seed in range(6):
+        counts = build_index([path], tmp_path / "index", replace(TAKEOVERS, seed=seed)).counts["drive"]
+        assert counts.training >= 200
+        assert counts.validation >= 20
 
 
 def test_a_long_takeover_is_blocks_like_any_session(tmp_path: Path) -> None:
@@ -246,7 +247,7 @@ def test_a_shifted_label_is_of_the_same_takeover_or_none(tmp_path: Path) -> None
 # Bad input, and what is said
 
 
-@pytest.mark.parametrize("commanded", [math.nan, math.inf, 1.5, -7.0])
+@pytest.mark.parametrize("commanded", [math.nan, -7.0])
 def test_a_command_that_is_no_steering_is_no_label(tmp_path: Path, commanded: float) -> None:
     rows = driven((P, 50), (X, 50))
     rows[70] = replace(rows[70], sent=commanded)
@@ -289,13 +290,3 @@ def test_an_index_of_one_choice_is_built_again_for_the_other(tmp_path: Path) -> 
         assert rows_of(built[1], name) == rows_of(fresh, name)
     again = build_index([path], tmp_path / "index", TAKEOVERS)
     assert (again.read, again.counts) == ([], built[1].counts)
-
-
-def test_what_was_taken_over_is_loaded_for_training(tmp_path: Path) -> None:
-    path = write_drive(tmp_path / "drive.mcap", driven((P, 20), (X, 40), (P, 20)), jpeg=road_jpeg(3))
-    build_index([path], tmp_path / "index", TAKEOVERS)
-    with dataset.load(tmp_path / "index", batch=16) as loader:
-        batches = list(loader.epoch(0))
-    assert sum(len(batch.steering) for batch in batches) == 40
-    assert all(batch.pictures.shape[1:] == (128, 128, 3) for batch in batches)
-    assert not any(np.isnan(batch.steering).any() for batch in batches)

@@ -116,15 +116,17 @@ def test_the_example_of_each_library_gives_the_answer(library: str, folder: Path
         pytest.skip(f"{library} is not installed: its example was not tried")
     (code,) = (block for block in BLOCKS if f"import {library}" in block)
     assert len(code.splitlines()) == 3
-    found = run_block(code, folder, AS_ROWS[library])
+    answer = run_block(code, folder, AS_ROWS[library])
     rows = pq.read_table(folder / "index" / "frames" / "lake.parquet").to_pylist()
     by_split = {
         split: [abs(ROWS[row["row"]][0]) for row in rows if row["split"] == split]
         for split in ("gap", "train", "validation")
     }
-    assert [[split, frames] for split, frames, _ in found] == [[split, len(of)] for split, of in by_split.items()]
-    assert [turned for *_, turned in found] == pytest.approx([fmean(of) for of in by_split.values()])
-    assert sum(frames for _, frames, _ in found) == 3 * len(ROWS)
+    assert [[split, frames] for split, frames, _ in answer] == [
+        [split, len(steering)] for split, steering in by_split.items()
+    ]
+    assert [turned for *_, turned in answer] == pytest.approx([fmean(steering) for steering in by_split.values()])
+    assert sum(frames for _, frames, _ in answer) == 3 * len(ROWS)
 
 
 def test_the_example_for_a_picture_gives_its_bytes(folder: Path) -> None:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from bucket import Bucket, serving_bucket
+from bucket import Bucket
 from common.location import Url
 from common.random_access import open_for_reading
 from common.store_record import Copy, StoreRecord, write_record
@@ -24,12 +23,11 @@ INDEX = "s3://logs/index"
 
 
 @pytest.fixture
-def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bucket]:
-    monkeypatch.chdir(tmp_path)
+def bucket(bucket: Bucket, monkeypatch: pytest.MonkeyPatch) -> Bucket:
+    """With session 0."""
     use_machine("one", monkeypatch)
-    with serving_bucket(tmp_path / "server", monkeypatch) as served:
-        drive(served, 0)
-        yield served
+    drive(bucket, 0)
+    return bucket
 
 
 def use_machine(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -58,12 +56,12 @@ def sessions(place: str = INDEX) -> list[str]:
 
 
 def files(bucket: Bucket) -> dict[str, bytes]:
-    found = {}
+    contents = {}
     for path in (bucket.folder / "index").rglob("*"):
         with contextlib.suppress(FileNotFoundError):  # a part of one that the server is just writing
             if path.is_file():
-                found[path.relative_to(bucket.folder / "index").as_posix()] = path.read_bytes()
-    return found
+                contents[path.relative_to(bucket.folder / "index").as_posix()] = path.read_bytes()
+    return contents
 
 
 def test_the_index_in_a_bucket_is_that_on_a_disk(bucket: Bucket, capsys: pytest.CaptureFixture[str]) -> None:
@@ -73,8 +71,8 @@ def test_the_index_in_a_bucket_is_that_on_a_disk(bucket: Bucket, capsys: pytest.
     assert capsys.readouterr().out.replace(INDEX, "disk") == told.out
     for name in ("samples.parquet", "frames/0.parquet"):
         assert files(bucket)[name] == (Path("disk") / name).read_bytes()
-    with Samples(INDEX) as there, Samples("disk") as here:
-        assert there.fingerprint == here.fingerprint
+    with Samples(INDEX) as stored, Samples("disk") as local:
+        assert stored.fingerprint == local.fingerprint
 
 
 def test_another_machine_reads_only_what_is_new(bucket: Bucket, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -211,4 +209,4 @@ def test_what_lies_behind_the_end_of_an_object_is_nothing_as_on_a_disk(bucket: B
     for place in (bucket.url("x"), bucket.folder / "x"):
         with contextlib.closing(open_for_reading(place)) as file:
             assert [len(file.read(at, 9)) for at in (size - 4, size, size + 4)] == [4, 0, 0]
-            assert [len(found) for found in file.read_many([(9, size), (size + 4, 9)])] == [size - 9, 0]
+            assert [len(data) for data in file.read_many([(9, size), (size + 4, 9)])] == [size - 9, 0]

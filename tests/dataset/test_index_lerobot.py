@@ -101,16 +101,16 @@ def test_it_comes_back_as_a_log(tmp_path: Path) -> None:
 
 
 def test_logs_of_a_bucket_are_exported_as_those_of_a_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    _, here = exported(indexed(tmp_path))
+    _, local = exported(indexed(tmp_path))
     with serving_bucket(tmp_path, monkeypatch) as bucket:
         shutil.copy(tmp_path / "one.mcap", bucket.folder)
         index = build_index([bucket.url("one.mcap")], tmp_path / "far" / "index", HALVES).path
-        _, there = exported(index)
-        assert there == here
+        _, stored = exported(index)
+        assert stored == local
         monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
         shutil.copytree(index, bucket.folder / "index")
         done = export_index(bucket.url("index"), tmp_path / "third")
-        assert pq.read_table(done.folder / "data").to_pydict() == here
+        assert pq.read_table(done.folder / "data").to_pydict() == local
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

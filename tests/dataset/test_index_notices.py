@@ -16,13 +16,9 @@ from dataset.cli import main
 from logs import write_log
 from udacity import call
 
+pytestmark = pytest.mark.usefixtures("cwd")
+
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s
-
-
-@pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def log_of(name: str, width: int = 0, height: int = 0) -> Path:

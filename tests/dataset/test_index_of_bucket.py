@@ -115,15 +115,15 @@ def test_a_store_that_does_not_answer_changes_no_index(bucket: Bucket, capsys: p
 def test_two_machines_may_index_one_bucket_at_once(bucket: Bucket, tmp_path: Path) -> None:
     for number in range(2):
         drive(bucket.folder / f"{number}.mcap", number)
-    there = {path.name: path.read_bytes() for path in bucket.folder.iterdir()}
+    before = {path.name: path.read_bytes() for path in bucket.folder.iterdir()}
     settings = IndexConfig(labels="as-recorded", block_s=1, gap_s=0)
     logs = [bucket.url("0.mcap"), bucket.url("1.mcap")]
     bucket.delay_s = 0.02
     with ThreadPoolExecutor() as machines:
         made = list(machines.map(lambda name: build_index(logs, tmp_path / name, settings).path, ("one", "two")))
-    one, two = (pq.read_table(index / "samples.parquet") for index in made)
-    assert one.equals(two)
-    assert {path.name: path.read_bytes() for path in bucket.folder.iterdir()} == there
+    first, second = (pq.read_table(index / "samples.parquet") for index in made)
+    assert first.equals(second)
+    assert {path.name: path.read_bytes() for path in bucket.folder.iterdir()} == before
 
 
 def test_an_old_log_costs_all_of_it_and_says_so(bucket: Bucket, capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,7 +20,7 @@ from dataset import DatasetError, IndexConfig, build_index, find_logs
 from dataset.cli import main
 from disk import files_of_at_most
 from layouts import Layout, mixed, two_kinds
-from logs import write_log
+from logs import write_log, write_session
 from recorder import Log, LogError
 from recorder.upkeep.recover import recover
 from udacity import call, jpeg
@@ -29,10 +29,7 @@ STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(40)]  # 4 s
 
 
 def log_of(path: Path, content: str = "") -> Path:
-    """A log whose pictures are no other session's; another `content` gives others of the same sizes."""
-    return write_log(
-        path, STEERING, lambda camera, row: f"{path.stem}{content:.<9} {camera} {row}".encode(), overwrite=True
-    )
+    return write_session(path, STEERING, f"{content:.<9}")  # of the same sizes
 
 
 def flip(log: Path, position: int) -> None:
@@ -170,30 +167,29 @@ def test_an_index_is_that_of_the_logs_that_can_be_read(
     for step in steps:
         for log, how in zip(logs, step, strict=True):
             change(log, how)
-        there = [log for log, how in zip(logs, step, strict=True) if how in INDEXED]
-        found = find_logs((), folder / "sessions") if any((folder / "sessions").glob("*.mcap")) else logs
-        if not there:
+        readable = [log for log, how in zip(logs, step, strict=True) if how in INDEXED]
+        logs_given = find_logs((), folder / "sessions") if any((folder / "sessions").glob("*.mcap")) else logs
+        if not readable:
             before = files_of(folder / "index") if (folder / "index").exists() else {}
             with pytest.raises(LogError):
-                build_index(found, folder / "index", leave_out_unreadable=True)
+                build_index(logs_given, folder / "index", leave_out_unreadable=True)
             assert files_of(folder / "index") == before
             continue
-        indexed = build_index(found, folder / "index", leave_out_unreadable=True)
-        assert indexed.sessions == [log.stem for log in there]
+        indexed = build_index(logs_given, folder / "index", leave_out_unreadable=True)
+        assert indexed.sessions == [log.stem for log in readable]
         left_out = [notice for notice in indexed.notices if notice.endswith("left out")]
-        assert len(left_out) == len(found) - len(there)
-        fresh = build_index(there, folder / "fresh").path
+        assert len(left_out) == len(logs_given) - len(readable)
+        fresh = build_index(readable, folder / "fresh").path
         assert files_of(folder / "index") == files_of(fresh)
         shutil.rmtree(fresh)
-        again = build_index(found, folder / "index", leave_out_unreadable=True)
+        again = build_index(logs_given, folder / "index", leave_out_unreadable=True)
         assert (again.read, again.sessions, again.notices) == ([], indexed.sessions, indexed.notices)
 
 
 def test_what_breaks_a_log_that_nobody_named_breaks_no_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    cwd: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    sessions = tmp_path / "sessions"
+    sessions = cwd / "sessions"
     damaged(sessions / "flipped.mcap")
     unreadable(sessions / "folder.mcap")
     write_log(sessions / "lake.mcap", STEERING, lambda camera, row: jpeg(60 + row))
@@ -201,10 +197,10 @@ def test_what_breaks_a_log_that_nobody_named_breaks_no_other(
     for flags in ([], ["--look"]):
         assert call(main, *flags) == 3
         said = capsys.readouterr().err
-        for what in ("flipped.mcap: damaged", "folder.mcap", "needs a name"):
-            assert what in said
+        for named in ("flipped.mcap: damaged", "folder.mcap", "needs a name"):
+            assert named in said
         assert said.count("left out") == 3
-        assert sessions_of(tmp_path / "index") == ({"lake"}, {"lake"})
+        assert sessions_of(cwd / "index") == ({"lake"}, {"lake"})
     assert call(main, "flipped", "lake") == 1
 
 
@@ -237,8 +233,8 @@ class Moments:
         self._at: tuple[Path, Callable[[], None]] | None = None
         sys.addaudithook(self._hear)  # there for good: it has to be quiet again
 
-    def each(self, folder: Path, what: Callable[[], None]) -> None:
-        self._at = folder, what
+    def call_at_each(self, folder: Path, action: Callable[[], None]) -> None:
+        self._at = folder, action
 
     def over(self) -> None:
         self._at = None
@@ -246,11 +242,11 @@ class Moments:
     def _hear(self, event: str, arguments: tuple[object, ...]) -> None:
         if self._at is None or event not in ("open", "os.rename", "os.mkdir", "os.remove", "os.rmdir"):
             return
-        folder, what = self._at
+        folder, action = self._at
         if str(arguments[0]).startswith(str(folder)):
             self._at = None
-            what()
-            self._at = folder, what
+            action()
+            self._at = folder, action
 
 
 MOMENTS = Moments()
@@ -287,7 +283,7 @@ def test_a_build_that_is_killed_leaves_one_index_and_the_next_one_ends_it(
             states.append(state)
             left.append(shutil.copytree(index, tmp_path / f"killed{len(left)}"))
 
-    moments.each(index, kill)
+    moments.call_at_each(index, kill)
     build_index(logs, index)
     moments.over()
     assert files_of(index) == new
@@ -316,7 +312,7 @@ def test_a_build_that_is_stopped_leaves_the_old_index_or_the_new_one(
     tmp_path: Path, moments: Moments, every: int
 ) -> None:
     logs, before, old, new = changed_sessions(tmp_path)
-    found = []
+    contents = []
     for number in itertools.count(0, every):
         index = shutil.copytree(before, tmp_path / f"index{number}")
         countdown = itertools.count(-number)
@@ -325,19 +321,19 @@ def test_a_build_that_is_stopped_leaves_the_old_index_or_the_new_one(
             if next(countdown) == 0:
                 signal.raise_signal(signal.SIGINT)
 
-        moments.each(index, stop)
+        moments.call_at_each(index, stop)
         try:
             build_index(logs, index)
             is_stopped = False
         except KeyboardInterrupt:
             is_stopped = True
         moments.over()
-        found.append(files_of(index))
-        assert found[-1] in (old, new)
+        contents.append(files_of(index))
+        assert contents[-1] in (old, new)
         if not is_stopped:
             break
-    assert old in found
-    assert len(found) * every > 20
+    assert old in contents
+    assert len(contents) * every > 20
 
 
 def test_a_full_disk_names_the_file_and_leaves_the_index(tmp_path: Path) -> None:
@@ -355,20 +351,17 @@ def test_a_full_disk_names_the_file_and_leaves_the_index(tmp_path: Path) -> None
         assert files_of(index) == old
 
 
-def test_a_refused_build_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    log = log_of(tmp_path / "sessions" / "x.mcap")
+def test_a_refused_build_leaves_nothing(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = log_of(cwd / "sessions" / "x.mcap")
     assert call(main, "--validation-share", 0) == 0
-    old = files_of(tmp_path / "index")
-    recover(log, tmp_path / "sessions" / "x.recovered.mcap")
+    old = files_of(cwd / "index")
+    recover(log, cwd / "sessions" / "x.recovered.mcap")
     assert call(main, "--validation-share", 0) == 1
     assert "the same picture in both" in capsys.readouterr().err
-    assert files_of(tmp_path / "index") == old
+    assert files_of(cwd / "index") == old
     assert call(main, "--validation-share", 0, "--index", "other") == 1
-    assert files_of(tmp_path / "other") == {}
-    assert not (tmp_path / "other" / "frames").exists()
+    assert files_of(cwd / "other") == {}
+    assert not (cwd / "other" / "frames").exists()
 
 
 def test_frames_that_an_older_version_left_vanish(tmp_path: Path) -> None:
@@ -389,17 +382,12 @@ def test_frames_that_an_older_version_left_vanish(tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_is_said_before_anything_is_read(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    flags: list[str],
-    said: str,
+    cwd: Path, capsys: pytest.CaptureFixture[str], flags: list[str], said: str
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    log_of(tmp_path / "sessions" / "a.mcap")
+    log_of(cwd / "sessions" / "a.mcap")
     assert call(main, "--look", *flags) == (2 if "--where" in flags else 1)
     assert said in capsys.readouterr().err
-    assert not (tmp_path / "index").exists()
+    assert not (cwd / "index").exists()
 
 
 def test_what_is_not_installed_is_said_before_anything_is_read(
@@ -413,19 +401,16 @@ def test_what_is_not_installed_is_said_before_anything_is_read(
     assert not (tmp_path / "index").exists()
 
 
-def test_nothing_stays_of_an_index_that_was_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    log_of(tmp_path / "sessions" / "a.mcap")
-    (tmp_path / "sessions" / "bad.mcap").write_bytes(b"no log")
-    (tmp_path / "mine").mkdir()
-    before = sorted(tmp_path.rglob("*"))
+def test_nothing_stays_of_an_index_that_was_refused(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log_of(cwd / "sessions" / "a.mcap")
+    (cwd / "sessions" / "bad.mcap").write_bytes(b"no log")
+    (cwd / "mine").mkdir()
+    before = sorted(cwd.rglob("*"))
     for index in ("index", "far/away/index", "mine"):
         assert call(main, "a", "bad", "--index", index) == 1  # named, a log that cannot be read is an error
         assert call(main, "--where", "row < 0", "--index", index) == 1
     assert "no frame can be used" in capsys.readouterr().err
-    assert sorted(tmp_path.rglob("*")) == before
+    assert sorted(cwd.rglob("*")) == before
     assert call(main, "a", "--index", "mine", "--validation-share", 0) == 0
 
 

@@ -91,7 +91,7 @@ def test_a_smooth_hand_is_learnt_as_recorded_whatever_pictures_show(late_s: floa
     assert np.array_equal(label, recorded)
 
 
-@pytest.mark.parametrize(("late_s", "shift_s"), [(0.0, 0.2), (0.3, 0.6), (-0.3, 0.2), (-0.7, 0.2), (0.7, 0.2)])
+@pytest.mark.parametrize(("late_s", "shift_s"), [(0.0, 0.2), (0.3, 0.6), (-0.7, 0.2), (0.7, 0.2)])
 def test_presses_are_shifted_more_where_their_record_is_late(
     late_s: float, shift_s: float, tmp_path: Path
 ) -> None:
@@ -124,21 +124,18 @@ def test_the_built_in_expert_is_learnt_as_recorded_without_pictures(
     assert metadata(as_recorded)["balance"] == stored["balance"]
 
 
-@pytest.mark.parametrize("is_old", [False, True])
 def test_the_index_reads_a_hundredth_of_a_log_and_no_picture(
-    is_old: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log = write_drive(tmp_path / "a.mcap", of_size(views(ROWS), 15_000), lambda at_s: pressed(at_s - 0.3))
-    if is_old:
-        without_lag(log)
     with Log(log) as opened:
         images = {number for number, channel in opened.channels.items() if channel.topic.startswith("/camera/")}
         pictures = [(chunk.start, chunk.end) for chunk in opened.chunks if (chunk.channels or set()) & images]
     read = note_reads(monkeypatch)
     plan = metadata(indexed(tmp_path, log))["labels"]["a"]["plan"]
-    assert plan["shift_s"] == pytest.approx(0.2 if is_old else 0.6, abs=0.051)
+    assert plan["shift_s"] == pytest.approx(0.6, abs=0.051)
     assert 0 < count_bytes(read) < 0.03 * log.stat().st_size
-    assert not [one for one in read if any(start < one[1] and one[0] < end for start, end in pictures)]
+    assert not [part for part in read if any(start < part[1] and part[0] < end for start, end in pictures)]
 
 
 def test_the_index_of_a_bucket_moves_a_hundredth_of_its_logs(bucket: Bucket) -> None:
@@ -164,13 +161,13 @@ def test_a_lag_that_is_measured_later_is_gone_by(tmp_path: Path, capsys: pytest.
     log = without_lag(write_drive(folder / "a.mcap", views(ROWS), lambda at_s: pressed(at_s - 0.3)))
     settings = ("--sessions", folder, "--index", tmp_path / "index")
     assert call(main, *settings) == 0
-    out, said = (" ".join(each.split()) for each in capsys.readouterr())
+    out, said = (" ".join(text.split()) for text in capsys.readouterr())
     assert "lag not measured" in out
     assert f"`bc-log check {log}`" in said
     assert call(bc_log, "check", log) == 0
     capsys.readouterr()
     assert call(main, *settings) == 0
-    out, said = (" ".join(each.split()) for each in capsys.readouterr())
+    out, said = (" ".join(text.split()) for text in capsys.readouterr())
     assert "is 0.4 s late" in out
     assert "bc-log check" not in said
 
@@ -289,7 +286,7 @@ def test_nothing_comes_out_of_no_steering(tmp_path: Path) -> None:
     index = indexed(tmp_path, *logs)
     label, recorded = label_and_recorded(index)
     assert label.tolist() == recorded.tolist()
-    kinds = {name: of["habits"]["kind"] for name, of in metadata(index)["labels"].items()}
+    kinds = {name: labels["habits"]["kind"] for name, labels in metadata(index)["labels"].items()}
     assert kinds == {"never": "none", "constant": "constant", "tiny": "other scale", "degrees": "other scale"}
 
 

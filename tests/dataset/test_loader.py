@@ -3,6 +3,7 @@ and what happens when the index or its logs are not what they were."""
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 import json
@@ -182,10 +183,10 @@ def test_a_part_of_a_batch_outlives_it(index: Path) -> None:
 
 
 def test_pictures_at_the_same_place_of_two_logs_are_not_mixed_up(tmp_path: Path, place: Place) -> None:
-    one, other = next(
+    first, second = next(
         pair for pair in itertools.combinations(map(jpeg, range(256)), 2) if len(pair[0]) == len(pair[1])
     )
-    for name, picture in (("lake", one), ("jungle", other)):
+    for name, picture in (("lake", first), ("jungle", second)):
         write_log(tmp_path / f"{name}.mcap", [0.0], functools.partial(itself, picture))
     build_index([tmp_path / "lake.mcap", tmp_path / "jungle.mcap"], tmp_path / "index", IndexConfig(flip=False))
     rows = rows_of(tmp_path / "index")
@@ -207,23 +208,6 @@ def test_the_driving_view_is_what_the_car_sees(index: Path) -> None:
     assert batch.steering.tolist() == np.array([row["recorded"] for row in expected], np.float32).tolist()
     for picture, row in zip(batch.pictures, expected, strict=True):
         assert (picture == shown(index, row)).all()
-
-
-def test_the_driving_view_tells_what_was_driven_whatever_is_learnt(own: Path) -> None:
-    def relabelled(table: pa.Table) -> pa.Table:
-        return table.set_column(table.schema.get_field_index("label"), "label", pa.array([0.5] * len(table)))
-
-    edited(own, relabelled)
-    with load(own) as loader:
-        assert {float(value) for batch in loader.in_order() for value in batch.steering} == {0.5}
-    with load(own, driving_view=True) as loader:
-        [batch] = loader.in_order()
-    expected = [
-        np.float32(row["recorded"])
-        for row in rows_of(own)
-        if row["camera"] == "center" and not row["flip"] and not row["copy"]
-    ]
-    assert batch.steering.tolist() == expected
 
 
 @pytest.mark.parametrize("value", [None, 1.5, float("nan")])
@@ -291,7 +275,7 @@ def test_a_start_beyond_the_epoch_is_refused(index: Path, start: int) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:This DataLoader will create 2 worker processes")  # on one processor
-@pytest.mark.parametrize("workers", [None, "fork", "spawn"])
+@pytest.mark.parametrize("workers", [None, "fork", pytest.param("spawn", marks=pytest.mark.long)])
 def test_pytorchs_data_loader_gets_the_same_samples(index: Path, workers: str | None) -> None:
     expected = rows_of(index)
     dataset = SamplesDataset(index)
@@ -311,6 +295,15 @@ def test_pytorchs_data_loader_gets_the_same_samples(index: Path, workers: str | 
     assert steering.tolist() == [np.float32(row["label"]) for row in expected]
     for picture, row in zip(pictures, expected, strict=True):
         assert (picture == shown(index, row)).all()
+
+
+def test_a_dataset_is_pickled_for_a_worker_that_is_spawned(index: Path) -> None:
+    with contextlib.closing(SamplesDataset(index)) as dataset:
+        expected = dataset[5]
+        with contextlib.closing(pickle.loads(pickle.dumps(dataset))) as sent:
+            assert len(sent) == len(dataset)
+            assert (sent[5][0] == expected[0]).all()
+            assert sent[5][1] == expected[1]
 
 
 def test_a_dataset_is_a_sequence(index: Path) -> None:
@@ -474,9 +467,9 @@ def test_a_cut_or_garbled_index_is_refused_or_read_as_it_was(own: Path) -> None:
     path = own / "samples.parquet"
     data, expected = path.read_bytes(), read()
     random = np.random.default_rng(5)
-    damaged = [data[:size] for size in random.integers(0, len(data), 20)]
+    damaged = [data[:size] for size in random.integers(0, len(data), 10)]
     end = len(data) - 8 - int.from_bytes(data[-8:-4], "little")  # of the rows, which checksums protect
-    for at in random.integers(0, end, 80).tolist():
+    for at in random.integers(0, end, 40).tolist():
         damaged.append(data[:at] + bytes([data[at] ^ int(random.integers(1, 256))]) + data[at + 1 :])
     said = []
     for content in damaged:
@@ -485,7 +478,8 @@ def test_a_cut_or_garbled_index_is_refused_or_read_as_it_was(own: Path) -> None:
             assert read() == expected
         except DatasetError as error:
             said.append(str(error))
-    assert len(said) > 60
+    assert len(said) > 30
+    assert all("samples.parquet: damaged" in line and "`bc-index`" in line for line in said)
     assert not any("\n" in line for line in said)
 
 

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
 
 from dataset.cli import main as bc_index
 from model.cli import main as bc_train
-from toy import toy_index
 from udacity import call
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def cwd(index: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with an index, its log, and a file that is neither."""
     monkeypatch.chdir(tmp_path)
-    toy_index(tmp_path)
+    shutil.copytree(index.parent, tmp_path, dirs_exist_ok=True)
     Path("plain").write_text("no index")
     return tmp_path
 
 
 @pytest.mark.parametrize(
-    ("index", "told"),
+    ("name", "told"),
     [
         ("indx", "bc-train: indx: no index; did you mean index? build it with `bc-index --index indx`"),
         ("of people", "of people: no index; these are: index; build it with `bc-index --index 'of people'`"),
@@ -31,38 +32,36 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ],
 )
 def test_training_builds_no_index_of_a_misspelt_name(
-    here: Path, capsys: pytest.CaptureFixture[str], index: str, told: str
+    cwd: Path, capsys: pytest.CaptureFixture[str], name: str, told: str
 ) -> None:
-    before = sorted(here.iterdir())
-    assert call(bc_train, "--index", index, "--network", "small", "--epochs", 1, "--threads", 1) == 1
+    before = sorted(cwd.iterdir())
+    assert call(bc_train, "--index", name, "--network", "small", "--epochs", 1, "--threads", 1) == 1
     said = capsys.readouterr()
     assert (told in said.err, said.out) == (True, "")
-    assert sorted(here.iterdir()) == before
+    assert sorted(cwd.iterdir()) == before
 
 
-def test_a_file_is_no_place_for_an_index(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(bc_index, "--sessions", here, "--index", "plain") == 1
+def test_a_file_is_no_place_for_an_index(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(bc_index, "--sessions", cwd, "--index", "plain") == 1
     assert "plain: a file; a folder was expected" in capsys.readouterr().err
     assert Path("plain").read_text() == "no index"
 
 
-def test_a_run_or_a_folder_of_logs_is_no_place_for_an_index(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    logs, run = here / "logs", here / "run"
+def test_a_run_or_a_folder_of_logs_is_no_place_for_an_index(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    logs, run = cwd / "logs", cwd / "run"
     run.mkdir()
     (run / "config.json").write_text("{}")
     logs.mkdir()
-    next(here.rglob("*.mcap")).rename(logs / "a.mcap")
-    for folder, what in (("run", "a run"), ("logs", "a folder of logs")):
-        before = sorted((here / folder).iterdir())
+    next(cwd.rglob("*.mcap")).rename(logs / "a.mcap")
+    for folder, content in (("run", "a run"), ("logs", "a folder of logs")):
+        before = sorted((cwd / folder).iterdir())
         assert call(bc_index, "--sessions", logs, "--index", folder) == 1
-        assert f"{folder}: {what}; an index needs a folder of its own" in capsys.readouterr().err
+        assert f"{folder}: {content}; an index needs a folder of its own" in capsys.readouterr().err
         assert call(bc_train, "--index", folder, "--network", "small", "--epochs", 1, "--threads", 1) == 1
-        assert f"{folder}: {what}, no index; `bc-index --index FOLDER` builds one" in capsys.readouterr().err
-        assert sorted((here / folder).iterdir()) == before
+        assert f"{folder}: {content}, no index; `bc-index --index FOLDER` builds one" in capsys.readouterr().err
+        assert sorted((cwd / folder).iterdir()) == before
 
 
-def test_a_file_is_no_folder_of_sessions(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_is_no_folder_of_sessions(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(bc_index, "--sessions", "plain") == 1
     assert "plain is a file: give the folder of the logs" in capsys.readouterr().err

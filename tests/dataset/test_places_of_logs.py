@@ -19,6 +19,8 @@ from driving import one_line_of, run, run_code
 from toy import toy_index
 from workbench import served
 
+pytestmark = pytest.mark.usefixtures("project")
+
 KEY = b"bc.index"
 
 
@@ -45,15 +47,6 @@ OPENED = Opened()
 def opened() -> Iterator[Opened]:
     yield OPENED
     OPENED.watch(None)
-
-
-@pytest.fixture(autouse=True)
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The project of somebody who has an empty cache."""
-    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
-    (tmp_path / "project").mkdir()
-    monkeypatch.chdir(tmp_path / "project")
-    return tmp_path / "project"
 
 
 def name_log(index: Path, name: str) -> None:

@@ -26,7 +26,7 @@ from forked import Forked, ForkServer
 from model.network.choice import built_in
 from model.runs.run_folder import create_run, save_weights
 from repository import ROOT
-from udacity import call
+from udacity import call, encode
 from waiting import PATIENCE_S as PATIENCE_S
 
 COMMANDS = (
@@ -173,9 +173,7 @@ def road_jpeg(number: int) -> bytes:
     road = np.array([(40, 159), (280, 159), (far + 12, 60), (far - 12, 60)], np.int32)
     cv2.fillPoly(picture, [road], (90, 90, 90))
     cv2.circle(picture, (number * 37 % 320, 70 + number * 11 % 60), 8, (30, 200, 250), -1)
-    ok, encoded = cv2.imencode(".jpg", picture)
-    assert ok
-    return encoded.tobytes()
+    return encode(picture)
 
 
 def untrained_run(

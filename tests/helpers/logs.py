@@ -47,6 +47,12 @@ def write_log(
     return path
 
 
+def write_session(path: Path, steering: Sequence[float], content: str = "") -> Path:
+    """The same with pictures that are no other session's; another `content` gives others."""
+    name = f"{path.stem}{content}"
+    return write_log(path, steering, lambda camera, row: f"{name} {camera} {row}".encode(), overwrite=True)
+
+
 def read_messages(path: Path) -> dict[str, list[tuple[Message, Any]]]:
     """Messages and their decoded contents by topic, in the order of the file, every CRC checked."""
     found: dict[str, list[tuple[Message, Any]]] = defaultdict(list)

@@ -10,7 +10,7 @@ from driving import untrained_run
 from histories import epoch_line, step_lines, write_lines
 
 
-def a_run(runs: Path, name: str, rmse_deg: float, **training: Any) -> Path:
+def a_run(runs: Path, name: str, rmse_deg: float = 2.0, **training: Any) -> Path:
     """A run of two epochs, of which the first one was kept."""
     run = untrained_run(runs / name)
     config = json.loads((run / "config.json").read_text())

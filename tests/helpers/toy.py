@@ -6,13 +6,13 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from common.car import Camera
 from dataset import IndexConfig, build_index
 from logs import write_log
 from model import TrainConfig
+from udacity import encode
 
 TINY = replace(
     TrainConfig.of("original"),
@@ -27,6 +27,8 @@ TINY = replace(
 SMALL = replace(TINY, network="small")
 """A tenth of the time, most of which the original's 5 million weights take, which are saved and read again: for
 all that is the same whatever the network."""
+ONE = replace(SMALL, epochs=1, batch=8)
+"""An epoch of it."""
 STEERING = [round(0.8 * math.sin(row / 3), 3) for row in range(40)]
 
 
@@ -34,9 +36,7 @@ def road(camera: Camera, row: int) -> bytes:
     picture = np.zeros((160, 320, 3), np.uint8)
     middle = round(160 + 140 * STEERING[row])
     picture[:, middle - 20 : middle + 20] = 255
-    ok, encoded = cv2.imencode(".jpg", picture)
-    assert ok
-    return encoded.tobytes()
+    return encode(picture)
 
 
 def toy_index(folder: Path) -> Path:

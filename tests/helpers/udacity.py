@@ -5,10 +5,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from common.car import CAMERAS, Camera
 
@@ -18,9 +20,19 @@ def jpeg(level: int, number: int = 0) -> bytes:
     picture = np.full((160, 320, 3), level, np.uint8)
     if number:
         cv2.putText(picture, str(number), (100, 100), cv2.FONT_HERSHEY_SIMPLEX, 2.0, (0, 200, 255), 3)
-    ok, encoded = cv2.imencode(".jpg", picture)
+    return encode(picture)
+
+
+def encode(picture: NDArray[Any], kind: str = ".jpg") -> bytes:
+    ok, encoded = cv2.imencode(kind, picture)
     assert ok
     return encoded.tobytes()
+
+
+def scene(camera: Camera, row: int) -> bytes:
+    """A 320x160 picture of its own for every camera and row: coloured patches without symmetry."""
+    random = np.random.default_rng((row, CAMERAS.index(camera)))
+    return encode(cv2.resize(random.integers(0, 256, (6, 9, 3), dtype=np.uint8), (320, 160)))
 
 
 def picture_name(camera: Camera, number: int) -> str:

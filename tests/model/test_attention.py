@@ -64,14 +64,14 @@ def test_the_map_is_that_of_the_paper() -> None:
     first, second = nn.Conv2d(3, 4, 3), nn.Conv2d(4, 5, 3, stride=2)
     inputs = torch.randn(2, 3, 17, 21)
     _, maps = visual_backprop(nn.Sequential(first, nn.MaxPool2d(2), nn.ReLU(), second, nn.ReLU()), inputs)
-    for picture, found in zip(inputs.numpy().astype(np.float64), maps.numpy(), strict=True):
+    for picture, shown in zip(inputs.numpy().astype(np.float64), maps.numpy(), strict=True):
         convolved_once = convolved(picture, first)  # 15 x 19: one row and one column too many to pool
         after_first = pooled(convolved_once)
         after_second = convolved(after_first, second)
         relevance = spread(after_second.mean(axis=0), (7, 9), kernel=3, stride=2) * after_first.mean(axis=0)
         relevance = spread(spread(relevance, (15, 19), kernel=2, stride=2), (17, 21), kernel=3, stride=1)
         expected = (relevance - relevance.min()) / (relevance.max() - relevance.min())
-        np.testing.assert_allclose(found, expected, atol=1e-5)
+        np.testing.assert_allclose(shown, expected, atol=1e-5)
 
 
 def crops(numbers: list[int]) -> NDArray[np.uint8]:
@@ -138,10 +138,10 @@ def test_the_viewer_gets_it_as_jpegs_at_the_times_of_the_frames(tmp_path: Path, 
     log = write_log(tmp_path / "a.mcap", [0.0] * rows, lambda camera, row: road_jpeg(row), cameras=["center"])
     assert call(main, log, "--run", run, "--attention", "--save", tmp_path / "a.rrd") == 0
     assert "where some run looks" in view_names(tmp_path / "a.rrd")
-    found = contents(tmp_path / "a.rrd")["/attention/some\\ run"]
-    assert found["message_log_time"] == [START_NS + row * STEP_NS for row in range(rows)]
-    assert found["EncodedImage:media_type"] == [["image/jpeg"]] * rows
-    jpegs = [bytes(blob[0]) for blob in found["EncodedImage:blob"]]
+    chunk = contents(tmp_path / "a.rrd")["/attention/some\\ run"]
+    assert chunk["message_log_time"] == [START_NS + row * STEP_NS for row in range(rows)]
+    assert chunk["EncodedImage:media_type"] == [["image/jpeg"]] * rows
+    jpegs = [bytes(blob[0]) for blob in chunk["EncodedImage:blob"]]
     assert max(map(len, jpegs)) < 15_000
     for row in (0, 69):
         shown = decode(jpegs[row])

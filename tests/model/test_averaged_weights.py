@@ -35,10 +35,6 @@ def test_it_is_the_exponential_mean() -> None:
     assert abs(bias_after(values, 20) - expected) < 1e-5
 
 
-def test_it_forgets_the_random_weights_of_the_beginning() -> None:
-    assert abs(bias_after([0.0] * 50 + [1.0] * 200, 1000) - 1) < 0.01
-
-
 def test_over_one_step_it_is_the_network_itself() -> None:
     network = SteeringNetwork()
     assert AveragedWeights(network, 1).network is network

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -19,28 +18,19 @@ import pytest
 import torch
 from torch import Tensor
 
-from common.car import CAMERAS, Camera
 from dataset import IndexConfig, Loader, build_index, decode, load, preprocess
 from dataset.augment import ALTERATIONS, alter
-from dataset.config import EPOCH_ALTERATIONS, EpochAlteration
+from dataset.config import EPOCH_ALTERATIONS
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
 from logs import write_log
 from model.training.batches import Batches, DeviceBatches, HostBatches, PinnedBatches, make_batches, needed_bytes
+from udacity import scene
 
 CPU = torch.device("cpu")
 STEERING = [round(-0.6 + 0.1 * row, 2) for row in range(12)]
 BATCH = 32
 MAKERS: list[Callable[[Loader, torch.device], Batches]] = [DeviceBatches, PinnedBatches]
-
-
-def scene(camera: Camera, row: int) -> bytes:
-    """A picture of its own for every camera and row: coloured patches without symmetry."""
-    random = np.random.default_rng((row, CAMERAS.index(camera)))
-    picture = cv2.resize(random.integers(0, 256, (6, 9, 3), dtype=np.uint8), (320, 160))
-    ok, encoded = cv2.imencode(".jpg", picture)
-    assert ok
-    return encoded.tobytes()
 
 
 @pytest.fixture(autouse=True)
@@ -66,17 +56,20 @@ def rows_of(index: Path) -> list[dict[str, Any]]:
 
 def pixels(pictures: Tensor) -> Image:
     """(N, 3, 128, 128) as (N, 128, 128, 3)."""
-    found: Image = pictures.permute(0, 2, 3, 1).numpy()
-    return found
+    images: Image = pictures.permute(0, 2, 3, 1).numpy()
+    return images
 
 
 # The same as the loader gives
 
 
-def test_on_a_cpu_nothing_is_copied(index: Path) -> None:
+@pytest.mark.parametrize(("make", "kind"), [(make_batches, HostBatches), (PinnedBatches, PinnedBatches)])
+def test_batches_for_a_cpu_and_copied_ones_are_those_of_the_loader(
+    index: Path, make: Callable[[Loader, torch.device], Batches], kind: type[Batches]
+) -> None:
     with load(index, batch=BATCH) as loader:
-        batches = make_batches(loader, CPU)
-        assert isinstance(batches, HostBatches)
+        batches = make(loader, CPU)
+        assert type(batches) is kind
         for batch, (pictures, steering) in zip(loader.epoch(2), batches.epoch(2), strict=True):
             assert pictures.is_contiguous(memory_format=torch.channels_last)
             assert (pixels(pictures) == batch.pictures).all()
@@ -96,15 +89,6 @@ def test_crops_on_the_device_give_the_batches_of_the_loader(index: Path) -> None
                 assert pictures.is_contiguous(memory_format=torch.channels_last)
                 assert steering.tolist() == [np.float32(rows[sample]["label"]) for sample in part]
                 assert (pixels(pictures) == batch.pictures).all()
-
-
-def test_copied_batches_are_those_of_the_loader(index: Path) -> None:
-    with load(index, batch=BATCH) as loader:
-        batches = PinnedBatches(loader, CPU)
-        for batch, (pictures, steering) in zip(loader.epoch(1), batches.epoch(1), strict=True):
-            assert pictures.is_contiguous(memory_format=torch.channels_last)
-            assert (pixels(pictures) == batch.pictures).all()
-            assert steering.tolist() == batch.steering.tolist()
 
 
 @pytest.mark.parametrize("make", MAKERS)
@@ -127,12 +111,12 @@ def test_a_batch_is_its_own_and_stays_what_it_is(
 def test_every_picture_is_reported_once(index: Path) -> None:
     """Mirror images and copies show the same picture."""
     pictures = len({(row["offset"], row["camera"]) for row in rows_of(index)})
-    told: list[int] = []
+    reported: list[int] = []
     with load(index, batch=8) as loader:
         assert loader.pictures == pictures < len(loader) / 2
-        batches = DeviceBatches(loader, CPU, told.append)
-        assert sum(told) == pictures
-        assert max(told) <= 8  # reported as it goes
+        batches = DeviceBatches(loader, CPU, reported.append)
+        assert sum(reported) == pictures
+        assert max(reported) <= 8  # reported as it goes
         (index.parent / "lake.mcap").rename(index.parent / "away.mcap")  # nothing is opened again
         assert sum(len(steering) for _, steering in batches.epoch(1)) == len(loader)
         (index.parent / "away.mcap").rename(index.parent / "lake.mcap")
@@ -174,8 +158,8 @@ def test_alterations_come_in_the_order_of_the_index_whatever_it_is(index: Path, 
     rows = rows_of(tmp_path / "index")
     with load(tmp_path / "index", batch=BATCH, threads=1) as loader:
         order = loader.order(1)
-        found = np.concatenate([pixels(pictures) for pictures, _ in DeviceBatches(loader, CPU).epoch(1)])
-    for sample, picture in zip(order, found, strict=True):
+        shown = np.concatenate([pixels(pictures) for pictures, _ in DeviceBatches(loader, CPU).epoch(1)])
+    for sample, picture in zip(order, shown, strict=True):
         row = rows[sample]
         crop = preprocess(decode(scene(row["camera"], row["row"])))
         mirrored = np.ascontiguousarray(crop[:, ::-1]) if row["flip"] else crop
@@ -185,10 +169,9 @@ def test_alterations_come_in_the_order_of_the_index_whatever_it_is(index: Path, 
 # Altered in every epoch
 
 
-@pytest.mark.parametrize("names", [EPOCH_ALTERATIONS, *((name,) for name in EPOCH_ALTERATIONS)], ids="+".join)
-def test_a_device_alters_as_the_loader_does(index: Path, names: tuple[EpochAlteration, ...]) -> None:
+def test_a_device_alters_as_the_loader_does(index: Path) -> None:
     """But for rounding, and for pixels at the edge of a shadow."""
-    with load(index, batch=BATCH, alter_each_epoch=names) as loader:
+    with load(index, batch=BATCH, alter_each_epoch=EPOCH_ALTERATIONS) as loader:
         device = DeviceBatches(loader, CPU)
         for start in (0, 2):
             pairs = zip(loader.epoch(2, start), device.epoch(2, start), strict=True)

@@ -14,13 +14,12 @@ from dataset.cli import main as bc_index
 from drive.driven_car import driven_car
 from drive.evaluation.eval_cli import main as bc_eval
 from driving import one_line_in, road_jpeg
-from logs import START_NS
+from logs import write_log
 from model.cli import main as bc_train
 from model.runs.car_of_run import max_steering_deg_of_run
 from model.runs.history import read_history
-from recorder import Log, LogWriter
-from recorder.bc_pb2 import VehicleState
-from recorder.log.session_car import Car, metadata_of
+from recorder import Log
+from recorder.log.session_car import Car
 from udacity import call
 
 ROWS = 40
@@ -30,24 +29,18 @@ SMALL = ("--network", "small", "--epochs", 1, "--batch", 32, "--threads", 1)
 
 
 def record(name: str, car: Car | None, first: int) -> Path:
+    steering = [math.sin(row / 5) for row in range(ROWS)]
     path = Path("sessions") / f"{name}.mcap"
-    with LogWriter(path, {"source": "udacity"} | metadata_of(car)) as writer:
-        for row in range(ROWS):
-            time_ns = START_NS + row * 100_000_000
-            writer.picture("center", time_ns, row, road_jpeg(first + row))
-            state = VehicleState(steering=math.sin(row / 5), throttle=0.5, brake=0.0, speed_mph=9.0)
-            writer.vehicle(time_ns, row, state)
-    return path
+    return write_log(
+        path, steering, lambda _, row: road_jpeg(first + row), cameras=["center"], source="udacity", car=car
+    )
 
 
 def index(name: str) -> int:
     return call(bc_index, name, "--index", f"index-{name}", "--block-s", 1, "--gap-s", 0, "--no-balance")
 
 
-def test_a_run_has_the_steering_and_the_car_of_its_sessions(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_a_run_has_the_steering_and_the_car_of_its_sessions(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record("own", OWN, 0)
     record("plain", None, 100)
     record("known", Car(), 200)
@@ -85,15 +78,12 @@ def test_a_run_has_the_steering_and_the_car_of_its_sessions(
     assert not Path("runs/both").exists()
 
 
-def test_an_index_is_made_anew_where_a_session_tells_another_car(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_index_is_made_anew_where_a_session_tells_another_car(cwd: Path) -> None:
     """The rows are the same, and the log is as long: only what it says of its car has changed."""
-    monkeypatch.chdir(tmp_path)
     labels = []
     for wheelbase_m in (2.4, 2.0, 2.4):
         record("own", Car(wheelbase_m=wheelbase_m), 0).touch()
         assert call(bc_index, "--block-s", 1, "--gap-s", 0) == 0
-        labels.append((tmp_path / "index" / "samples.parquet").read_bytes())
+        labels.append((cwd / "index" / "samples.parquet").read_bytes())
         Path("sessions/own.mcap").unlink()
     assert labels[0] == labels[2] != labels[1]

@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from torch import Tensor
@@ -25,7 +24,7 @@ from model.evaluation.evaluate import evaluate_runs_on_sessions
 from model.evaluation.run_comparison import Comparison
 from model.runs.run_folder import load_network, save_weights
 from toy import SMALL
-from udacity import call
+from udacity import call, encode
 
 LEARNT = [round(0.8 * math.sin(row / 3), 3) for row in range(60)]
 STEERING = [round(0.7 * math.sin(row / 2 + 1), 3) for row in range(60)]
@@ -43,13 +42,11 @@ def posts(steering: list[float], shift_px: float = 0.0) -> Callable[[Camera, int
     """A red post where the steering is, and a blue one where its mirror image is."""
 
     def picture(camera: Camera, row: int) -> bytes:
-        found = np.zeros((160, 320, 3), np.uint8)
+        shown = np.zeros((160, 320, 3), np.uint8)
         for side, colour in ((1, (0, 40, 255)), (-1, (255, 40, 0))):
             middle = round(160 + 140 * side * steering[row] + shift_px)
-            found[:, max(0, middle - 20) : middle + 20] += np.array(colour, np.uint8)
-        ok, encoded = cv2.imencode(".jpg", found)
-        assert ok
-        return encoded.tobytes()
+            shown[:, max(0, middle - 20) : middle + 20] += np.array(colour, np.uint8)
+        return encode(shown)
 
     return picture
 
@@ -72,7 +69,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def here(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def cwd(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(folder)
     monkeypatch.setenv("COLUMNS", "80")
     return folder
@@ -103,19 +100,19 @@ def compared(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[in
     code = call(main, "--compare", *arguments, "--json")
     told = capsys.readouterr()
     (line,) = told.out.splitlines()
-    found: Json = json.loads(line, parse_constant=pytest.fail)
-    return code, found, told.err.splitlines()
+    result: Json = json.loads(line, parse_constant=pytest.fail)
+    return code, result, told.err.splitlines()
 
 
-def test_a_run_is_no_worse_than_itself(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, found, told = compared(capsys, "good", "good", "--session", "new")
-    assert (code, found["verdict"]) == (0, "not told apart")
+def test_a_run_is_no_worse_than_itself(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, result, told = compared(capsys, "good", "good", "--session", "new")
+    assert (code, result["verdict"]) == (0, "not told apart")
     assert told == [SAME]
-    assert (found["frames"], found["blocks"]) == (len(STEERING), 12)
-    for measure in found["measures"].values():
+    assert (result["frames"], result["blocks"]) == (len(STEERING), 12)
+    for measure in result["measures"].values():
         assert measure["a"] == measure["b"]
         assert (measure["low"], measure["high"]) == (0, 0)
-    assert found["answers_apart_deg"] == 0
+    assert result["answers_apart_deg"] == 0
 
 
 @pytest.mark.parametrize(
@@ -127,27 +124,27 @@ def test_a_run_is_no_worse_than_itself(here: Path, capsys: pytest.CaptureFixture
     ],
 )
 def test_a_planted_regression_fails_and_the_way_back_is_better(
-    here: Path, capsys: pytest.CaptureFixture[str], plant: Callable[[Path], str]
+    cwd: Path, capsys: pytest.CaptureFixture[str], plant: Callable[[Path], str]
 ) -> None:
-    name = plant(here)
-    code, found, _ = compared(capsys, "good", name, "--session", "new", "--gate")
-    assert (code, found["verdict"]) == (1, "worse")
-    error = found["measures"]["rmse_deg"]
+    name = plant(cwd)
+    code, result, _ = compared(capsys, "good", name, "--session", "new", "--gate")
+    assert (code, result["verdict"]) == (1, "worse")
+    error = result["measures"]["rmse_deg"]
     assert error["verdict"] == "worse"
     assert error["a"] < 3 < 25 * np.std(STEERING) / 3  # a third of that of always the mean: something to lose
-    assert abs(error["difference"]) < found["answers_apart_deg"]  # as far as any answers can be from the recorded
-    code, found, _ = compared(capsys, name, "good", "--session", "new", "--gate")
-    assert (code, found["verdict"]) == (0, "better")
+    assert abs(error["difference"]) < result["answers_apart_deg"]  # as far as any answers can be from the recorded
+    code, result, _ = compared(capsys, name, "good", "--session", "new", "--gate")
+    assert (code, result["verdict"]) == (0, "better")
 
 
-def test_the_measures_are_those_of_each_run_alone(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    _, found, _ = compared(capsys, "good", "shifted", "--session", "new")
+def test_the_measures_are_those_of_each_run_alone(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _, result, _ = compared(capsys, "good", "shifted", "--session", "new")
     for side, run in (("a", "good"), ("b", "shifted")):
         assert call(main, run, "--session", "new", "--json") == 0
         alone = json.loads(capsys.readouterr().out)
         expected = {**alone["network"], "balanced_rmse_deg": alone["balanced_rmse_deg"]}
-        assert found[side] == run
-        for name, measure in found["measures"].items():
+        assert result[side] == run
+        for name, measure in result["measures"].items():
             assert measure[side] == pytest.approx(expected[name], rel=1e-6), name
             assert measure["low"] <= measure["difference"] <= measure["high"]
 
@@ -156,39 +153,38 @@ def test_a_tolerance_lets_a_small_regression_pass(folder: Path) -> None:
     a, b = evaluate_runs_on_sessions(
         [folder / "runs" / name for name in ("good", "shifted")], [folder / "sessions" / "new.mcap"]
     )
-    worst = max(each.low / each.a for each in Comparison(a, b).differences if each.measure.scale is None)
+    in_degrees = [difference for difference in Comparison(a, b).differences if difference.measure.scale is None]
+    worst = max(difference.low / difference.a for difference in in_degrees)
     for tolerance, verdict in ((0.0, "worse"), (0.99 * worst, "worse"), (1.01 * worst, "not told apart")):
         assert overall(Comparison(a, b, tolerance).differences) == verdict
 
 
 def test_of_too_few_blocks_nothing_is_said_but_that(
-    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    cwd: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = write_log(tmp_path / "short.mcap", STEERING[:25], posts(STEERING), cameras=["center"], step_ns=STEP_NS)
-    code, found, _ = compared(capsys, "good", "shifted", "--session", log)
-    assert (code, found["verdict"], found["blocks"]) == (3, "unknown", 5)
-    assert found["measures"]["rmse_deg"]["low"] is None
+    code, result, _ = compared(capsys, "good", "shifted", "--session", log)
+    assert (code, result["verdict"], result["blocks"]) == (3, "unknown", 5)
+    assert result["measures"]["rmse_deg"]["low"] is None
     assert call(main, "--compare", "good", "shifted", "--session", log) == 3
     assert "at least 6 blocks" in capsys.readouterr().err
     assert compared(capsys, "good", "good", "--session", log)[0] == 0  # the same answers are no worse
 
 
-def test_the_frames_are_those_that_the_index_of_a_holds_out(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_frames_are_those_that_the_index_of_a_holds_out(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """And a run that has learnt from some of them is named: here from pictures of its own index."""
-    code, found, told = compared(capsys, "good", "good")
-    assert (code, found["index"], found["split"], told) == (0, "index-good", "validation", [SAME])
-    assert found["learnt"] == {"a": 0, "b": 0}
-    code, found, told = compared(capsys, "good", "shifted", "--index", "index-shifted", "--split", "train")
-    assert found["learnt"] == {"a": 0, "b": found["frames"]}
-    code, found, told = compared(capsys, "good", "good", "--session", "good.mcap")
+    code, result, told = compared(capsys, "good", "good")
+    assert (code, result["index"], result["split"], told) == (0, "index-good", "validation", [SAME])
+    assert result["learnt"] == {"a": 0, "b": 0}
+    code, result, told = compared(capsys, "good", "shifted", "--index", "index-shifted", "--split", "train")
+    assert result["learnt"] == {"a": 0, "b": result["frames"]}
+    code, result, told = compared(capsys, "good", "good", "--session", "good.mcap")
     assert code == 3
-    assert [line.split(" of these")[0] for line in told[1:]] == [f"good has learnt from {found['learnt']['a']}"]
+    assert [line.split(" of these")[0] for line in told[1:]] == [f"good has learnt from {result['learnt']['a']}"]
 
 
-def test_the_table_tells_what_the_json_does(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    _, found, _ = compared(capsys, "good", "shifted", "--session", "new")
+def test_the_table_tells_what_the_json_does(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _, result, _ = compared(capsys, "good", "shifted", "--session", "new")
     assert call(main, "--compare", "good", "shifted", "--session", "new") == 0  # compared; only a gate fails
     shown = capsys.readouterr()
     assert "bc-eval --compare good shifted --simulator lake`" in shown.err.splitlines()[-1]
@@ -196,7 +192,7 @@ def test_the_table_tells_what_the_json_does(here: Path, capsys: pytest.CaptureFi
     assert max(map(len, lines)) <= 80
     assert [line.rstrip() for line in lines[:2]] == ["A: good", "B: shifted"]
     assert lines[2].startswith("60 frames in 12 blocks of 5 s")
-    error = found["measures"]["rmse_deg"]
+    error = result["measures"]["rmse_deg"]
     (row,) = (line.split() for line in lines if line.startswith("RMSE"))
     assert row[1:] == [
         f"{error['a']:.2f}",
@@ -219,7 +215,7 @@ def test_the_table_tells_what_the_json_does(here: Path, capsys: pytest.CaptureFi
     ],
 )
 def test_what_cannot_be_compared_is_one_line(
-    here: Path, capsys: pytest.CaptureFixture[str], flags: list[object], says: str
+    cwd: Path, capsys: pytest.CaptureFixture[str], flags: list[object], says: str
 ) -> None:
     assert call(main, *flags) == (1 if "shiftde" in flags else 2)
     told = capsys.readouterr()

@@ -23,9 +23,7 @@ BEGUN = {"device": "cpu", "arithmetic": "float32", "micro_batch": 7, "threads": 
         ({"avx2": True, "avx512_f": True, "amx_bf16": True, "avx512_bf16": True}, "bfloat16", 128),  # Xeon, 2023
         ({"avx2": True, "avx512_f": True, "amx_bf16": False, "avx512_bf16": True}, "bfloat16", 64),  # EPYC, 2022
         ({"avx2": True, "avx512_f": True, "amx_bf16": False, "avx512_bf16": False}, "float32", 64),  # Xeon, 2017
-        ({"avx2": True}, "float32", 64),
         ({"neon": True, "bf16": True}, "bfloat16", 64),
-        ({"neon": True, "bf16": False}, "float32", 64),
         ({}, "float32", 64),  # one that PyTorch knows nothing of
     ],
 )

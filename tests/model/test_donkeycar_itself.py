@@ -92,10 +92,10 @@ def test_it_drives_the_simulator_of_donkeycar_in_a_thread_of_its_own(tmp_path: P
     network, _ = export_to_donkeycar(run, tmp_path / "car")
     np.savez(tmp_path / "frames.npz", pictures=pictures)
     run_donkeycar(tmp_path, PROGRAM, "simulator", tmp_path / "frames.npz", network, tmp_path / "answers.npz")
-    with np.load(tmp_path / "answers.npz") as found:
-        actions, steering = found["actions"], found["steering"]
+    with np.load(tmp_path / "answers.npz") as answers:
+        actions, steering = answers["actions"], answers["steering"]
     np.testing.assert_allclose(steering, steered(run, pictures), atol=0.02)
-    assert {tuple(action) for action in actions} <= {(0, 0, 0), *((each, 0.3, 0) for each in steering)}
+    assert {tuple(action) for action in actions} <= {(0, 0, 0), *((value, 0.3, 0) for value in steering)}
     assert set(steering) <= set(actions[:, 0])
 
 

@@ -45,7 +45,9 @@ def road() -> Any:
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return untrained_run(tmp_path_factory.mktemp("runs") / "first", targets=("steering", "throttle"))
+    """A run that predicts a throttle, and whose crop is in other colours than the camera's picture."""
+    runs = tmp_path_factory.mktemp("runs")
+    return untrained_run(runs / "first", targets=("steering", "throttle"), network="pilotnet")
 
 
 @pytest.fixture(scope="module")
@@ -55,12 +57,13 @@ def car(trained: Path) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def steering_only(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The file of a PilotNet that predicts no throttle."""
-    folder = tmp_path_factory.mktemp("steering")
-    export_onnx(untrained_run(folder / "run", network="pilotnet"), folder / "only.onnx", of_camera=True)
-    return folder / "only.onnx"
+def write_onnx(path: Path, taken: str) -> Path:
+    """A network whose only input has this name, and which answers nothing but steering."""
+    values = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["N"]) for name in (taken, "steering")]
+    graph = helper.make_graph([helper.make_node("Relu", [taken], ["steering"])], "steers", values[:1], values[1:])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
+    path.write_bytes(model.SerializeToString())
+    return path
 
 
 def part_of(folder: Path) -> Any:
@@ -80,9 +83,9 @@ def pilot_class(car: Path) -> Any:
 def answers(run: Path, picture: Any) -> list[float]:
     """Steering and throttle of the toolkit's own pilot, between -1 and 1."""
     pilot = load_pilot(run, "float32")
-    found = pilot.answer(pilot.crop(np.ascontiguousarray(picture[..., ::-1])))
-    assert found.throttle is not None
-    return [max(-1.0, min(each, 1.0)) for each in (found.steering, found.throttle)]
+    answer = pilot.answer(pilot.crop(np.ascontiguousarray(picture[..., ::-1])))
+    assert answer.throttle is not None
+    return [max(-1.0, min(value, 1.0)) for value in (answer.steering, answer.throttle)]
 
 
 def test_it_drives_as_the_pilot_with_only_numpy_and_onnx_runtime(
@@ -104,7 +107,8 @@ def test_the_throttle_is_the_networks_unless_one_is_given(
     assert pilot_class(car / "first.onnx", throttle=-0.5).run(road)[1] == -0.5
 
 
-def test_a_network_without_throttle_needs_one(steering_only: Path, pilot_class: Any) -> None:
+def test_a_network_without_throttle_needs_one(tmp_path: Path, pilot_class: Any) -> None:
+    steering_only = write_onnx(tmp_path / "only.onnx", "picture")
     with pytest.raises(ValueError, match=r"only\.onnx predicts no throttle: give one, as in OnnxPilot\("):
         pilot_class(steering_only)
     with pytest.raises(ValueError, match="throttle 20: expected -1 to 1"):
@@ -113,24 +117,17 @@ def test_a_network_without_throttle_needs_one(steering_only: Path, pilot_class: 
 
 def test_a_file_of_another_export_is_refused(tmp_path: Path, pilot_class: Any) -> None:
     """Its input is "pictures", as test_onnx_export.py shows."""
-    pictures = helper.make_tensor_value_info("pictures", TensorProto.FLOAT, ["N"])
-    steering = helper.make_tensor_value_info("steering", TensorProto.FLOAT, ["N"])
-    graph = helper.make_graph(
-        [helper.make_node("Relu", ["pictures"], ["steering"])], "plain", [pictures], [steering]
-    )
-    plain = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
-    (tmp_path / "plain.onnx").write_bytes(plain.SerializeToString())
     with pytest.raises(ValueError, match="`bc-train export RUN --donkeycar`"):
-        pilot_class(tmp_path / "plain.onnx")
+        pilot_class(write_onnx(tmp_path / "plain.onnx", "pictures"))
 
 
 OTHERS = [pytest.param(name, marks=pytest.mark.long) for name in ("original", "small", "resnet18")]
 
 
 @pytest.mark.parametrize("network", ["pilotnet", *OTHERS])
-def test_the_crop_in_the_graph_is_that_of_training(network: str, steering_only: Path, tmp_path: Path) -> None:
+def test_the_crop_in_the_graph_is_that_of_training(network: str, car: Path, tmp_path: Path) -> None:
     spec: PictureSpec = built_in(network, {}).picture
-    path = steering_only
+    path = car / "first.onnx"
     if network != "pilotnet":
         path = tmp_path / "run.onnx"
         export_onnx(untrained_run(tmp_path / "run", network=network), path, of_camera=True)

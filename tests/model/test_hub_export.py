@@ -66,8 +66,8 @@ def exported(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def front_matter(folder: Path) -> dict[str, Any]:
     before, yaml, _ = (folder / "README.md").read_text(encoding="utf-8").split("---\n", 2)
     assert before == ""
-    found: dict[str, Any] = YAML(typ="safe").load(yaml)
-    return found
+    content: dict[str, Any] = YAML(typ="safe").load(yaml)
+    return content
 
 
 def section(folder: Path, title: str) -> str:
@@ -105,12 +105,12 @@ def test_it_loads_by_its_card_with_the_toolkit_and_without(trained: Path, export
 
 
 def test_the_hub_is_told_licence_tags_and_measures(trained: Path, exported: Path) -> None:
-    found = front_matter(exported)
+    content = front_matter(exported)
     last = [json.loads(line) for line in (trained / "metrics.jsonl").read_text().splitlines()]
     best = next(epoch for epoch in reversed(last) if epoch["is_best"])
-    assert found["license"] == "cc-by-4.0"
-    assert {"imitation-learning", "self-driving", "onnx"} <= set(found["tags"])
-    (results,) = found["model-index"][0]["results"]
+    assert content["license"] == "cc-by-4.0"
+    assert {"imitation-learning", "self-driving", "onnx"} <= set(content["tags"])
+    (results,) = content["model-index"][0]["results"]
     values = {metric["name"]: metric["value"] for metric in results["metrics"]}
     assert values["RMSE of the steering in degrees"] == pytest.approx(best["validation"]["rmse_deg"], abs=1e-4)
     assert set(values) == {  # all of this network: that of always predicting the mean is in the text

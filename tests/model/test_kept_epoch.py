@@ -10,12 +10,7 @@ import pytest
 
 from model import Epoch, TrainConfig, train
 from model.config import Keep
-from toy import SMALL, toy_index
-
-
-@pytest.fixture(scope="module")
-def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return toy_index(tmp_path_factory.mktemp("toy"))
+from toy import SMALL
 
 
 @pytest.mark.parametrize("seed", [3, 7])  # of the one, driving-error is least in another epoch; of the other, rmse

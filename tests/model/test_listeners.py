@@ -11,7 +11,6 @@ import pytest
 from driving import one_line_in
 from model.cli import main
 from repository import ROOT
-from toy import toy_index
 from udacity import call
 
 LISTENER = """
@@ -47,11 +46,6 @@ def fails(run, config):
 """
 
 
-@pytest.fixture(scope="module")
-def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return toy_index(tmp_path_factory.mktemp("toy"))
-
-
 @pytest.fixture
 def flags(index: Path, tmp_path: Path) -> tuple[object, ...]:
     """Those of a short training, and a file with listeners, whose class is to follow."""
@@ -69,9 +63,11 @@ def test_code_that_is_named_is_told_of_every_step_and_epoch(flags: tuple[object,
     first, *told = lines(tmp_path / "notes.jsonl")
     assert first == {"run": "first", "epochs": 2}
     epochs = lines(tmp_path / "runs" / "first" / "metrics.jsonl")
-    assert [each["loss/validation"] for each in told if "epoch" in each] == [e["validation_loss"] for e in epochs]
+    assert [point["loss/validation"] for point in told if "epoch" in point] == [
+        e["validation_loss"] for e in epochs
+    ]
     steps = lines(tmp_path / "runs" / "first" / "steps.jsonl")
-    assert [each["loss/steps"] for each in told if "loss/steps" in each] == [e["training_loss"] for e in steps]
+    assert [point["loss/steps"] for point in told if "loss/steps" in point] == [e["training_loss"] for e in steps]
 
 
 def test_one_that_fails_is_said_and_the_training_goes_on(
@@ -121,13 +117,13 @@ def test_mlflow_has_the_settings_and_every_point(
     client = mlflow.MlflowClient()
     experiment = client.get_experiment_by_name("driving")
     assert experiment is not None
-    (found,) = client.search_runs([experiment.experiment_id])
-    assert found.info.run_name == "first"
-    assert found.info.status == "FINISHED"
-    assert (found.data.params["epochs"], found.data.params["network"]) == ("2", "small")
+    (run,) = client.search_runs([experiment.experiment_id])
+    assert run.info.run_name == "first"
+    assert run.info.status == "FINISHED"
+    assert (run.data.params["epochs"], run.data.params["network"]) == ("2", "small")
     epochs = lines(tmp_path / "runs" / "first" / "metrics.jsonl")
-    history = client.get_metric_history(found.info.run_id, "loss/validation")
+    history = client.get_metric_history(run.info.run_id, "loss/validation")
     assert [point.value for point in history] == [epoch["validation_loss"] for epoch in epochs]
     steps = lines(tmp_path / "runs" / "first" / "steps.jsonl")
-    kept = client.get_metric_history(found.info.run_id, "loss/steps")
+    kept = client.get_metric_history(run.info.run_id, "loss/steps")
     assert [(point.step, point.value) for point in kept] == [(e["samples"], e["training_loss"]) for e in steps]

@@ -24,7 +24,7 @@ from model.network.choice import choose_network, chosen_picture
 from model.network.own_code import load_code
 from model.network.visual_backprop import visual_backprop
 from model.runs.run_folder import load_answer_scale, load_network
-from toy import TINY, toy_index
+from toy import TINY
 from udacity import call
 
 ONE = replace(TINY, epochs=1, batch=8)
@@ -58,11 +58,6 @@ class Net(nn.Module):
         x = (x * torch.linspace(-4, 4, x.shape[3]).to(x)).mean((2, 3))  # where the road is, from left to right
         return torch.tanh(self.act(x if x.sum() > 0 else x * 2))[:, 0]
 """
-
-
-@pytest.fixture(scope="module")
-def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return toy_index(tmp_path_factory.mktemp("toy"))
 
 
 def written(folder: Path, source: str, name: str = "net.py") -> Path:
@@ -257,19 +252,11 @@ def test_a_picture_that_is_none_is_one_line(tmp_path: Path) -> None:
         chosen_picture(ONE, choose_network(replace(ONE, network=f"{path}:Net")))
 
 
-@pytest.mark.parametrize("name", ["nowhere.py:Net", "no.such.module:Net"])
-def test_what_is_not_there_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(RunError, match=rf"--network {name}: .* cannot be (read|imported)"):
-        load_code(name)
-
-
-def test_a_file_that_is_not_there_is_told_with_what_was_meant(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(RunError, match=r"give FILE\.py:CLASS, the file by its path from this folder"):
+def test_what_is_not_there_is_told_with_what_was_meant(cwd: Path) -> None:
+    with pytest.raises(RunError, match=r"--network no\.such\.module:Net: .* cannot be imported"):
+        load_code("no.such.module:Net")
+    with pytest.raises(RunError, match=r"cannot be read .* give FILE\.py:CLASS, the file by its path"):
         load_code("my_net.py:Net")
-    (tmp_path / "my_nets.py").write_text(PLAIN)
+    (cwd / "my_nets.py").write_text(PLAIN)
     with pytest.raises(RunError, match=r"did you mean my_nets\.py\?"):
         load_code("my_net.py:Net")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import platform
 import sys
@@ -68,6 +69,12 @@ def test_the_same_picture_always_gives_the_same_number(run: Path, crops: list[Im
     assert len(set(said[0])) == len(crops)
 
 
+def test_a_pilot_names_its_run_and_weights(run: Path) -> None:
+    pilot = load_pilot(run)
+    assert pilot.run == "untrained"
+    assert pilot.weights_sha256 == hashlib.sha256((run / "model.safetensors").read_bytes()).hexdigest()
+
+
 def test_a_crop_may_be_a_view_of_another_picture(run: Path, crops: list[Image]) -> None:
     pilot = load_pilot(run)
     mirrored = crops[0][:, ::-1]
@@ -77,10 +84,12 @@ def test_a_crop_may_be_a_view_of_another_picture(run: Path, crops: list[Image]) 
 @pytest.mark.skipif(
     platform.machine() not in ("x86_64", "AMD64"), reason="needs a processor that can hide bfloat16"
 )
-def test_without_packed_weights_it_drives_all_the_same(run: Path, crops: list[Image]) -> None:
+def test_without_packed_weights_it_drives_all_the_same(tmp_path: Path) -> None:
     """oneDNN is told to go by an older processor, which has no bfloat16: it refuses to pack the weights."""
+    run = untrained_run(tmp_path / "run")
     pilot = load_pilot(run, "bfloat16")
-    np.save(run.parent / "crop.npy", crops[0])
+    crop = pilot.crop(decode(road_jpeg(0)))
+    np.save(tmp_path / "crop.npy", crop)
     program = """
 import os, pathlib, sys
 os.environ["ONEDNN_MAX_CPU_ISA"] = "AVX2"  # read when oneDNN is first asked for something
@@ -93,10 +102,10 @@ run, crop = map(pathlib.Path, sys.argv[1:])
 assert not pack_weights(load_network(run).bfloat16().head)
 print(load_pilot(run, "bfloat16").predict(np.load(crop)))
 """
-    line = [sys.executable, "-c", program, str(run), str(run.parent / "crop.npy")]
-    with Process(line, loads_pytorch=True) as told:
-        assert told.join() == 0, told.stderr
-    assert float(told.stdout) == pytest.approx(pilot.predict(crops[0]), abs=0.01)
+    line = [sys.executable, "-c", program, str(run), str(tmp_path / "crop.npy")]
+    with Process(line, loads_pytorch=True) as older:
+        assert older.join() == 0, older.stderr
+    assert float(older.stdout) == pytest.approx(pilot.predict(crop), abs=0.01)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])

@@ -60,10 +60,10 @@ def test_a_recorded_calculation_answers_to_each_picture(monkeypatch: pytest.Monk
     recorded = replayed_where_the_same(calculate, SHAPE, CPU)
     assert recorded is not None
     with torch.inference_mode():
-        answers = [recorded(each) for each in pictures(5)]
-        expected = [calculate(torch.from_numpy(each).permute(0, 3, 1, 2)).numpy() for each in pictures(5)]
+        answers = [recorded(picture) for picture in pictures(5)]
+        expected = [calculate(torch.from_numpy(picture).permute(0, 3, 1, 2)).numpy() for picture in pictures(5)]
     np.testing.assert_array_equal(answers, expected)  # none is overwritten by the next one
-    assert len({each[0] for each in answers}) == 5
+    assert len({answer[0] for answer in answers}) == 5
 
 
 def test_a_recording_that_answers_otherwise_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:

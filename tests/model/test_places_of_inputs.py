@@ -17,14 +17,7 @@ from model.runs.run_folder import weights_checksum
 from model.runs.run_inputs import allowed_index_of, init_of, sessions_of
 from toy import SMALL, toy_index
 
-
-@pytest.fixture(autouse=True)
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The project of somebody who has an empty cache."""
-    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
-    (tmp_path / "project").mkdir()
-    monkeypatch.chdir(tmp_path / "project")
-    return tmp_path / "project"
+pytestmark = pytest.mark.usefixtures("project")
 
 
 def run_that_names(project: Path, index: str, **values: object) -> Path:
@@ -69,11 +62,11 @@ def test_initial_weights_outside_the_project_are_found_by_name_in_runs(project: 
     ours = shutil.copytree(private, project / "runs" / "first")
     init = {"run": "first", "place": "../../../private/first", "weights_sha256": weights_checksum(private)}
     made = run_that_names(project, "../../index", init=init)
-    found = init_of(made, project / "runs")
-    assert found is not None
-    assert found.resolve() == ours
+    first = init_of(made, project / "runs")
+    assert first is not None
+    assert first.resolve() == ours
     away = {**init, "place": str(Url("s3", "private", "first"))}
-    assert init_of(run_that_names(project.parent / "second", "../../index", init=away), project / "runs") == found
+    assert init_of(run_that_names(project.parent / "second", "../../index", init=away), project / "runs") == first
 
 
 def test_a_run_that_was_trained_here_on_an_index_elsewhere_is_measured(project: Path) -> None:

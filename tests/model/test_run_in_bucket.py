@@ -4,51 +4,32 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from bucket import Bucket, serving_bucket
+from bucket import Bucket
 from driving import one_line_in
 from model import find_run
 from model.cli import main
 from model.training.trainer import train
-from toy import SMALL, toy_index
+from toy import SMALL
 from udacity import call
 
 RUNS = "s3://logs/runs"
 RUN = f"{RUNS}/mine"
-FLAGS = (
-    "--recipe",
-    "original",
-    "--network",
-    "small",
-    "--batch",
-    "4",
-    "--rate",
-    "2e-4",
-    "--dropout",
-    "0",
-    "--seed",
-    "1",
-)
+NETWORK = ("--recipe", "original", "--network", "small", "--dropout", "0")
+FLAGS = (*NETWORK, "--batch", "4", "--rate", "2e-4", "--seed", "1")
 PRECISION = ("--precision", "float32", "--threads", "1")
 
 
-@pytest.fixture(scope="module")
-def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return toy_index(tmp_path_factory.mktemp("toy"))
-
-
 @pytest.fixture
-def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bucket]:
+def bucket(bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bucket:
+    """For a machine of its own."""
     (tmp_path / "one").mkdir()
     monkeypatch.chdir(tmp_path / "one")
-    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
-    with serving_bucket(tmp_path / "server", monkeypatch) as served:
-        yield served
+    return bucket
 
 
 def begin(index: Path, *flags: str, name: str = "mine", to: str = "--copy-to") -> int:

@@ -61,19 +61,21 @@ def test_runs_are_listed_without_their_weights_and_nothing_comes_twice(
 ) -> None:
     runs = [a_run(tmp_path / "here" / name, seed) for seed, name in enumerate(("first", "second", "third"))]
     keep_result(runs[0], "simulator", LAKE)
-    here = {run["name"]: run for run in listed(tmp_path / "here", capsys)}
+    local = {run["name"]: run for run in listed(tmp_path / "here", capsys)}
     for run in runs:
         sent(bucket, run)
     moved(bucket)
-    there = {run["name"]: run for run in listed(RUNS, capsys)}
+    stored = {run["name"]: run for run in listed(RUNS, capsys)}
     requests, size = moved(bucket)
     assert requests <= 1 + len(runs) * 4
     assert size < 30_000 < (runs[0] / "model.safetensors").stat().st_size
-    for name, found in there.items():
-        assert found.pop("folder") == f"{RUNS}/{name}"
-        verdict, verdict_here = found.pop("verdict"), here[name].pop("verdict")  # their advice names the run
-        assert verdict["beside_mean"] == verdict_here["beside_mean"]
-        assert found == {each: value for each, value in here[name].items() if each != "folder"}
+    assert stored.keys() == local.keys()
+    for name, run_here in local.items():
+        del run_here["folder"]
+        assert stored[name].pop("folder") == f"{RUNS}/{name}"
+        verdicts = [listing.pop("verdict") for listing in (run_here, stored[name])]  # their advice names the run
+        assert verdicts[0]["beside_mean"] == verdicts[1]["beside_mean"]
+        assert stored[name] == run_here
 
     listed(RUNS, capsys)
     assert moved(bucket)[0] == 1
@@ -107,10 +109,10 @@ def test_a_run_that_other_programs_have_copied_there_is_listed_alike(
     shutil.copytree(run, bucket.folder / "runs/night")
     (bucket.folder / "runs/notes").mkdir()
     (bucket.folder / "runs/notes/note.txt").write_text("no run")
-    (found,) = listed(RUNS, capsys)
-    assert [kept["result"] for kept in found["results"]] == [LAKE]
+    (shown,) = listed(RUNS, capsys)
+    assert [kept["result"] for kept in shown["results"]] == [LAKE]
     moved(bucket)
-    assert listed(RUNS, capsys) == [found]
+    assert listed(RUNS, capsys) == [shown]
     assert moved(bucket)[0] == 1
 
 
@@ -133,11 +135,11 @@ def test_a_run_is_found_by_name_or_is_the_newest(place: Place, tmp_path: Path) -
     (tmp_path / "runs/begun").mkdir()
     (tmp_path / "runs/begun/config.json").write_text("{}")
     runs = place(tmp_path / "runs")
-    for given, found in ((None, "newer"), ("older", "older"), ("older/last", "older/last")):
-        of_run = tmp_path / "runs" / found
+    for given, name in ((None, "newer"), ("older", "older"), ("older/last", "older/last")):
+        folder = tmp_path / "runs" / name
         files = {path.name: path.read_bytes() for path in find_run(given, runs).iterdir() if path.is_file()}
-        ours = {path.name: path.read_bytes() for path in of_run.iterdir() if path.is_file()}
-        assert {name: data for name, data in files.items() if not name.startswith(".")} == ours
+        ours = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+        assert {file: data for file, data in files.items() if not file.startswith(".")} == ours
     for wrong, told in (
         ("oldr", "no .*run there .*; did you mean older?"),
         ("begun", "its first epoch is not finished; `bc-train --resume"),

@@ -9,7 +9,6 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -35,6 +34,7 @@ from model.training.step import training_step
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from toy import TINY
+from udacity import encode
 
 ROWS = 160
 STEP_S = 0.1
@@ -59,9 +59,7 @@ def road(camera: Camera, row: int) -> bytes:
     picture = np.full((160, 320, 3), round(6 * speed_mph(row * STEP_S + 1.0)), np.uint8)
     middle = round(160 + 130 * steering(row))
     picture[:, middle - 20 : middle + 20] = 255
-    ok, encoded = cv2.imencode(".jpg", picture)
-    assert ok
-    return encoded.tobytes()
+    return encode(picture)
 
 
 def write_drive(log: Path, *, start_ns: int = START_NS, knows_speed: bool = True) -> Path:
@@ -82,10 +80,10 @@ SETTINGS = IndexConfig(
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`index` of a drive; a run of all targets on it, `run`, and as it was after two epochs, `stopped`."""
+    """`index` of a drive; a run of all targets on it, `run`, and as it was after an epoch, `stopped`."""
     folder = tmp_path_factory.mktemp("targets")
     build_index([write_drive(folder / "drive.mcap")], folder / "index", SETTINGS)
-    train(folder / "index", folder / "run", replace(QUICK, epochs=2))
+    train(folder / "index", folder / "run", replace(QUICK, epochs=1))
     shutil.copytree(folder / "run", folder / "stopped")
     train(folder / "index", folder / "run", QUICK, resume=True)
     return folder
@@ -98,16 +96,16 @@ def test_the_speed_to_learn_is_a_seconds_later_in_the_same_stretch(folder: Path)
     rows = pq.read_table(folder / "index" / "samples.parquet").to_pylist()
     frames = pq.read_table(folder / "index" / "frames" / "drive.parquet").to_pylist()
     split = [frame["split"] for frame in frames]
-    known = 0
+    rows_with_speed = 0
     for row in rows:
         at = row["row"]
         if split[at : at + 11] == [split[at]] * 11:
-            known += 1
+            rows_with_speed += 1
             assert row["later_speed_mph"] == pytest.approx(speed_mph(at * STEP_S + 1.0))
         else:
             assert row["later_speed_mph"] is None
         assert row["throttle"] == 0.5 - 0.25 * (at % 2)
-    assert 0 < known < len(rows)
+    assert 0 < rows_with_speed < len(rows)
 
 
 def test_labels_come_in_the_order_of_the_targets_and_in_their_units(folder: Path) -> None:
@@ -167,10 +165,10 @@ def test_an_unknown_label_changes_nothing_and_each_target_has_its_weight() -> No
     (expected / 4).backward()  # type: ignore[no-untyped-call]
 
     optimizer = Adam(network.parameters(), 0.0)
-    found = training_step(
+    error = training_step(
         network, optimizer, pictures, labels, dtype=torch.float32, micro_batch=3, weights=torch.tensor([1.0, 0.25])
     )
-    assert found.item() == pytest.approx(expected.item())
+    assert error.item() == pytest.approx(expected.item())
     for ours, theirs in zip(network.parameters(), (weight, bias), strict=True):
         assert ours.grad is not None
         assert theirs.grad is not None
@@ -188,7 +186,7 @@ def test_speed_is_learnt_and_stands_beside_the_mean(folder: Path) -> None:
 
 
 def test_a_run_of_targets_that_was_stopped_goes_on_to_the_same_weights(folder: Path) -> None:
-    longer = replace(QUICK, epochs=3)
+    longer = replace(QUICK, epochs=2)
     train(folder / "index", folder / "stopped", longer, resume=True)
     train(folder / "index", folder / "at-once", longer)
     ours, theirs = (load_file(folder / name / "model.safetensors") for name in ("stopped", "at-once"))
@@ -232,8 +230,8 @@ def test_it_is_measured_compared_exported_and_drives_by_the_same_answers(folder:
     run = folder / "run"
     pilot = load_pilot(run, "float32")
     assert (pilot.targets, pilot.speed_ahead_s) == (ALL, 1.0)
-    (found,) = evaluate_runs([run], folder / "index")
-    row = found.frames.to_pylist()[0]
+    (evaluation,) = evaluate_runs([run], folder / "index")
+    row = evaluation.frames.to_pylist()[0]
     crop = pilot.crop(decode(road("center", row["row"])))
     answer = pilot.answer(crop)
     assert answer.steering == pilot.predict(crop) == pytest.approx(row["predicted"], abs=1e-5)
@@ -241,12 +239,12 @@ def test_it_is_measured_compared_exported_and_drives_by_the_same_answers(folder:
     assert answer.throttle == pytest.approx(row["predicted_throttle"], abs=1e-5)
 
     errors = np.array(
-        [each["predicted_speed_mph"] - each["recorded_speed_mph"] for each in found.frames.to_pylist()]
+        [frame["predicted_speed_mph"] - frame["recorded_speed_mph"] for frame in evaluation.frames.to_pylist()]
     )
-    speed = found.other_targets[0]
+    speed = evaluation.other_targets[0]
     assert speed.rmse == pytest.approx(math.sqrt(np.nanmean(errors**2)))
-    assert found.as_dict()["targets"][0]["rmse"] == speed.rmse
-    names = [each.measure.name for each in Comparison(found, found).differences]
+    assert evaluation.as_dict()["targets"][0]["rmse"] == speed.rmse
+    names = [difference.measure.name for difference in Comparison(evaluation, evaluation).differences]
     assert names[-2:] == ["speed_mph_rmse", "throttle_rmse"]
     played = predict_log(folder / "drive.mcap", [run])
     assert played.predicted["run"][row["row"]] == pytest.approx(row["predicted"], abs=1e-6)
@@ -256,7 +254,7 @@ def test_it_is_measured_compared_exported_and_drives_by_the_same_answers(folder:
     assert export_onnx(run, folder / "run.onnx") < 1e-4
     session = onnxruntime.InferenceSession((folder / "run.onnx").read_bytes(), providers=["CPUExecutionProvider"])
     outputs = session.run(["steering", "speed_mph", "throttle"], {"pictures": crop[None]})
-    assert [float(each[0]) for each in outputs] == pytest.approx(list(answer), abs=1e-3)
+    assert [float(values[0]) for values in outputs] == pytest.approx(list(answer), abs=1e-3)
 
 
 def test_a_worse_speed_makes_a_run_worse(folder: Path) -> None:
@@ -267,20 +265,19 @@ def test_a_worse_speed_makes_a_run_worse(folder: Path) -> None:
         "predicted_speed_mph",
         [[value - 5.0 for value in frames["predicted_speed_mph"].to_pylist()]],
     )
-    verdicts = {
-        each.measure.name: each.b - each.a for each in Comparison(good, replace(good, frames=slow)).differences
-    }
-    assert verdicts["rmse_deg"] == 0
-    assert verdicts["speed_mph_rmse"] > 2
+    differences = Comparison(good, replace(good, frames=slow)).differences
+    worse_by = {difference.measure.name: difference.b - difference.a for difference in differences}
+    assert worse_by["rmse_deg"] == 0
+    assert worse_by["speed_mph_rmse"] > 2
 
 
 def test_the_speed_of_another_time_is_not_measured_and_that_is_said(folder: Path, tmp_path: Path) -> None:
     """An index, or a run that is compared with it, may have the speed of another time; its run answers that of a
     second later."""
     build_index([folder / "drive.mcap"], tmp_path / "index", replace(SETTINGS, speed_ahead_s=0.5))
-    (found,) = evaluate_runs([folder / "run"], tmp_path / "index")
-    assert [of.target for of in found.other_targets] == ["throttle"]
-    (notice,) = found.notices
+    (evaluation,) = evaluate_runs([folder / "run"], tmp_path / "index")
+    assert [errors.target for errors in evaluation.other_targets] == ["throttle"]
+    (notice,) = evaluation.notices
     assert "answers the speed of 1 s later, and the labels are of 0.5 s later" in notice
 
     half = replace(QUICK, targets=("steering", "speed"), epochs=1)
@@ -292,8 +289,8 @@ def test_the_speed_of_another_time_is_not_measured_and_that_is_said(folder: Path
     runs = [tmp_path / "alone", tmp_path / "half", folder / "run"]
     _, second, third = evaluate_runs_on_sessions(runs, [folder / "drive.mcap"])
     assert second.other_targets == by_itself.other_targets
-    assert [of.target for of in third.other_targets] == ["throttle"]
-    assert sum("answers the speed of 1 s later" in each for each in third.notices) == 1
+    assert [errors.target for errors in third.other_targets] == ["throttle"]
+    assert sum("answers the speed of 1 s later" in notice for notice in third.notices) == 1
 
 
 # What goes on from it
@@ -372,12 +369,12 @@ def test_a_session_without_speed_is_learnt_for_its_steering_and_named(folder: Pa
     silent = write_drive(tmp_path / "silent.mcap", knows_speed=False)
     told = write_drive(tmp_path / "told.mcap", start_ns=START_NS + 3600 * 10**9)
     build_index([silent, told], tmp_path / "index", SETTINGS)
-    one = replace(QUICK, targets=("steering", "speed"), epochs=1)
-    trained = train(tmp_path / "index", tmp_path / "run", one)
-    assert any("no speed in silent: steering only are learnt there" in each for each in trained.notices)
+    settings = replace(QUICK, targets=("steering", "speed"), epochs=1)
+    trained = train(tmp_path / "index", tmp_path / "run", settings)
+    assert any("no speed in silent: steering only are learnt there" in notice for notice in trained.notices)
     build_index([silent], tmp_path / "index", SETTINGS)
     with pytest.raises(RunError, match="no session has a speed"):
-        train(tmp_path / "index", tmp_path / "none", one)
+        train(tmp_path / "index", tmp_path / "none", settings)
     assert not (tmp_path / "none").exists()
 
 
@@ -437,6 +434,6 @@ def test_ones_own_network_is_told_how_many_answers_are_wanted(tmp_path: Path) ->
     assert told.try_out(told.picture, torch.device("cpu")) == 3 * (3 * 128 * 128 + 1)
     asks = choose_network(replace(QUICK, network=f"{tmp_path / 'own.py'}:Asks", targets=("steering",)))
     assert asks.try_out(asks.picture, torch.device("cpu")) == 3 * 128 * 128 + 1
-    one = choose_network(replace(QUICK, network=f"{tmp_path / 'own.py'}:One"))
+    steers = choose_network(replace(QUICK, network=f"{tmp_path / 'own.py'}:One"))
     with pytest.raises(RunError, match=r"one number for each and each target was expected, \(2, 3\)"):
-        one.try_out(one.picture, torch.device("cpu"))
+        steers.try_out(steers.picture, torch.device("cpu"))

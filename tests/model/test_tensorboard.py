@@ -106,14 +106,6 @@ def test_asked_for_when_a_training_is_resumed_it_gets_what_was_before(tmp_path: 
     assert len(points(run, "loss/steps")) == 9
 
 
-def test_what_a_later_version_has_written_besides_does_not_stop_it(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "first", 2, later=10**40)
-    board = TensorBoard(run)
-    board.epoch(read_history(run)[0].epochs[-1])
-    board.close()
-    assert [value for _, value in points(run, "epoch")] == [1, 2]
-
-
 def test_without_held_out_frames_there_is_the_loss_alone(tmp_path: Path) -> None:
     run, board = tmp_path / "first", TensorBoard(tmp_path / "first")
     train(run, [1], board, frames=0)

@@ -8,13 +8,10 @@ import shutil
 import statistics
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
-import numpy as np
 import pytest
 import torch
-from safetensors import safe_open
 
 from common.stored_settings import settings_from
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index, decode
@@ -26,15 +23,10 @@ from model.cli import main
 from model.network.choice import built_in
 from recorder import Log
 from repository import HELPERS
-from toy import SMALL, STEERING, road, toy_index
+from toy import SMALL, STEERING, road
 from udacity import call
 
 SETTINGS = replace(SMALL, rate=1e-3)  # the original's millions of weights: test_bc_train_builds_the_index_...
-
-
-@pytest.fixture(scope="module")
-def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return toy_index(tmp_path_factory.mktemp("toy"))
 
 
 @pytest.fixture(scope="module")
@@ -52,14 +44,6 @@ def test_the_loss_falls_and_beats_knowing_nothing(trained: tuple[Path, list[Epoc
     assert [epoch.epoch for epoch in history] == [1, 2, 3, 4]
     assert history[-1].training_loss < 0.8 * history[0].training_loss
     assert history[-1].training_loss < statistics.pvariance(STEERING)
-
-
-def test_the_weights_can_be_read_by_safetensors_alone(trained: tuple[Path, list[Epoch]]) -> None:
-    with safe_open(trained[0] / "model.safetensors", framework="np") as weights:
-        tensors = {name: weights.get_tensor(name) for name in weights.keys()}  # noqa: SIM118
-    assert sum(tensor.size for tensor in tensors.values()) == 81_929
-    assert {tensor.dtype for tensor in tensors.values()} == {np.dtype(np.float32)}
-    assert all(np.isfinite(tensor).all() for tensor in tensors.values())
 
 
 def test_the_run_says_where_it_comes_from(trained: tuple[Path, list[Epoch]], index: Path) -> None:
@@ -81,35 +65,6 @@ def test_the_run_says_where_it_comes_from(trained: tuple[Path, list[Epoch]], ind
     assert config["data"]["settings"]["seed"] == 0
     assert {path.name for path in run.iterdir()} >= {"config.json", "metrics.jsonl", "model.safetensors"}
     assert not list(run.glob("*.part"))
-
-
-def test_metrics_are_one_line_an_epoch(trained: tuple[Path, list[Epoch]]) -> None:
-    run, history = trained
-    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
-    assert [line["epoch"] for line in lines] == [1, 2, 3, 4]
-    assert [line["training_loss"] for line in lines] == [epoch.training_loss for epoch in history]
-    assert [line["validation"]["rmse_deg"] for line in lines] == [
-        epoch.measures.network.rmse_deg for epoch in history
-    ]
-
-
-def test_validation_is_of_the_pictures_that_were_held_out(trained: tuple[Path, list[Epoch]], index: Path) -> None:
-    """Recomputed from the files: weights, JPEGs and labels."""
-    run, history = trained
-    pilot = load_pilot(run, "float32")
-    samples = Samples(index)
-    samples.close()
-    held_out = [row for row in samples.table.to_pylist() if row["split"] == "validation"]
-    assert held_out
-    off = [
-        25 * (pilot.predict(pilot.crop(decode(road("center", row["row"])))) - STEERING[row["row"]])
-        for row in held_out
-    ]
-    [*_, best] = [epoch for epoch in history if epoch.is_best]
-    assert best.measures.network.mae_deg == pytest.approx(statistics.fmean(map(abs, off)), rel=1e-3)
-    recorded = [STEERING[row["row"]] for row in held_out]
-    assert best.measures.mean.rmse_deg == pytest.approx(25 * statistics.pstdev(recorded))
-    assert best.measures.zero.mae_deg == pytest.approx(25 * statistics.fmean(map(abs, recorded)))
 
 
 def test_an_epoch_of_many_batches_has_no_more_steps_than_readers_take(
@@ -143,8 +98,8 @@ def test_other_data_has_another_fingerprint(
     trained: tuple[Path, list[Epoch]], index: Path, tmp_path: Path
 ) -> None:
     def fingerprint(run: Path) -> str:
-        found: str = json.loads((run / "config.json").read_text())["data"]["fingerprint"]
-        return found
+        data: dict[str, str] = json.loads((run / "config.json").read_text())["data"]
+        return data["fingerprint"]
 
     log = write_log(tmp_path / "toy.mcap", STEERING[:4], road, cameras=["center"])
     other = build_index([log], tmp_path / "index", IndexConfig(flip=False, max_uses=1, validation_share=0.0)).path
@@ -185,14 +140,6 @@ def test_bc_train_builds_the_index_and_prints_each_epoch(
     assert "first: exists already" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "bad", [{"epochs": 0}, {"batch": 0}, {"rate": 0.0}, {"rate": math.nan}, {"dropout": 1.0}, {"seed": -1}]
-)
-def test_settings_that_make_no_sense_are_refused(bad: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match=next(iter(bad))):
-        TrainConfig(**bad)
-
-
 def test_driving_sees_the_same_pixels_as_training(trained: tuple[Path, list[Epoch]], index: Path) -> None:
     pilot = load_pilot(trained[0], "float32")
     samples = Samples(index)
@@ -208,10 +155,9 @@ def test_driving_sees_the_same_pixels_as_training(trained: tuple[Path, list[Epoc
 
 
 def test_an_index_of_bc_train_leaves_out_unreadable_logs_and_names_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    cwd: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Exactly as `bc-index` does."""
-    monkeypatch.chdir(tmp_path)
     Path("sessions").mkdir()
     write_log(Path("sessions") / "good.mcap", STEERING, road, cameras=["center"])
     Path("sessions/bad.mcap").write_bytes(b"no log")
@@ -229,11 +175,10 @@ def test_an_index_of_bc_train_leaves_out_unreadable_logs_and_names_them(
 
 
 def test_an_index_that_is_built_again_for_like_tells_of_unfinished_logs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    cwd: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     Path("sessions").mkdir()
-    whole = write_log(tmp_path / "whole.mcap", STEERING, road, cameras=["center"])
+    whole = write_log(cwd / "whole.mcap", STEERING, road, cameras=["center"])
     log = Path("sessions/cut.mcap")
     log.write_bytes(whole.read_bytes()[:-40])  # its end
     assert call(bc_index, "--block-s", 0.5, "--gap-s", 0) == 3

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import json
-import math
 import re
-import statistics
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from histories import epoch_line, write_lines
 from model.cli import main
-from model.metrics import measure
 from model.runs.history import read_history
 from model.runs.training_outcome import outcome_lines
 from toy import toy_index
@@ -56,14 +52,6 @@ def test_without_frames_held_out_nothing_is_said(tmp_path: Path) -> None:
     assert told(tmp_path / "none", 0, line(1, 2.0, 3.0)) == []
 
 
-def test_the_mean_has_its_balanced_error_too() -> None:
-    """Two bins, of 8 and 2 frames: those of the mean are off by what they are from it."""
-    recorded = [0.0] * 8 + [0.5] * 2
-    found = measure(np.zeros(10), np.array(recorded))
-    mean = statistics.fmean(recorded)
-    assert found.mean_balanced_rmse_deg == pytest.approx(25 * math.sqrt((mean**2 + (0.5 - mean) ** 2) / 2))
-
-
 def test_the_command_ends_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     index = toy_index(tmp_path)
     places = ["--index", index, "--sessions", tmp_path, "--runs", tmp_path / "runs"]
@@ -73,7 +61,7 @@ def test_the_command_ends_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[
     )
     *_, of_scale, _, verdict, advice = capsys.readouterr().out.splitlines()
     epochs = [
-        json.loads(each) for each in (tmp_path / "runs" / "first" / "metrics.jsonl").read_text().splitlines()
+        json.loads(line) for line in (tmp_path / "runs" / "first" / "metrics.jsonl").read_text().splitlines()
     ]
     best = min(epochs, key=driving_error)
     assert f"on turns ({best['validation']['turning_mae_deg']:.2f} against" in verdict

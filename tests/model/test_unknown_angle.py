@@ -13,39 +13,31 @@ from dataset.cli import main as bc_index
 from drive.driven_car import other_steering
 from drive.evaluation.eval_cli import main as bc_eval
 from driving import road_jpeg
-from logs import START_NS
+from logs import write_log
 from model.cli import main as bc_train
 from model.runs.history import read_history
-from recorder import Log, LogWriter
-from recorder.bc_pb2 import VehicleState
-from recorder.log.session_car import Car, known_max_steering_deg, metadata_of
+from recorder import Log
+from recorder.log.session_car import Car, known_max_steering_deg
 from recorder.log_cli import main as bc_log
 from udacity import call
+
+pytestmark = pytest.mark.usefixtures("exported_once")
 
 ROWS = 40
 SMALL = ("--network", "small", "--epochs", 1, "--batch", 32, "--threads", 1)
 
 
 def record(name: str, source: str, car: Car | None = None) -> Path:
+    steering = [math.sin(row / 5) for row in range(ROWS)]
     path = Path("sessions") / f"{name}.mcap"
-    with LogWriter(path, {"source": source} | metadata_of(car)) as writer:
-        for row in range(ROWS):
-            time_ns = START_NS + row * 100_000_000
-            writer.picture("center", time_ns, row, road_jpeg(row))
-            writer.vehicle(
-                time_ns, row, VehicleState(steering=math.sin(row / 5), throttle=0.5, brake=0.0, speed_mph=9.0)
-            )
-    return path
+    return write_log(path, steering, lambda _, row: road_jpeg(row), cameras=["center"], source=source, car=car)
 
 
-@pytest.mark.parametrize("source", ["donkeycar", "csv", "mcap", "ros2 bag", "lerobot", "gymnasium"])
-def test_recordings_of_others_have_no_angle_unless_their_car_is_given(
-    source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for name, car, expected in (("without", None, None), ("with", Car(max_steering_deg=22.0), 22.0)):
-        with Log(record(name, source, car)) as log:
-            assert known_max_steering_deg(log) == expected
+def test_recordings_of_others_have_no_angle_unless_their_car_is_given(cwd: Path) -> None:
+    for source in ("donkeycar", "csv", "mcap", "ros2 bag", "lerobot", "gymnasium"):
+        for name, car, expected in (("without", None, None), ("with", Car(max_steering_deg=22.0), 22.0)):
+            with Log(record(f"{name} {source}", source, car)) as log:
+                assert known_max_steering_deg(log) == expected, source
     with Log(record("udacity", "udacity")) as log:
         assert known_max_steering_deg(log) == 25
 

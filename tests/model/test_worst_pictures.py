@@ -25,14 +25,15 @@ SEEN = built_in("small", {}).picture
 
 
 @pytest.fixture(scope="module")
-def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`run`, which was trained on `index`."""
     folder = tmp_path_factory.mktemp("worst")
     train(toy_index(folder), folder / "run", CONFIG, show_progress=False)
     return folder
 
 
-def held_out(here: Path) -> list[int]:
-    samples = Samples(here / "index")
+def held_out(folder: Path) -> list[int]:
+    samples = Samples(folder / "index")
     samples.close()
     return [row["row"] for row in samples.table.to_pylist() if row["split"] == "validation"]
 
@@ -41,20 +42,20 @@ def lines(run: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (run / "worst.jsonl").read_text().splitlines()]
 
 
-def test_each_epoch_has_its_worst_frames_of_those_held_out(here: Path) -> None:
-    for line, epoch in zip(lines(here / "run"), read_history(here / "run")[0].epochs, strict=True):
+def test_each_epoch_has_its_worst_frames_of_those_held_out(folder: Path) -> None:
+    for line, epoch in zip(lines(folder / "run"), read_history(folder / "run")[0].epochs, strict=True):
         assert line["epoch"] == epoch.epoch
         errors = [abs(frame["error_deg"]) for frame in line["frames"]]
         assert errors == sorted(errors, reverse=True)
         assert errors[0] >= epoch.measures.network.rmse_deg
         for frame in line["frames"]:
-            assert frame["row"] in held_out(here)
+            assert frame["row"] in held_out(folder)
             assert frame["recorded_deg"] == pytest.approx(25 * STEERING[frame["row"]])
             assert frame["log_time_ns"] == START_NS + frame["row"] * STEP_NS
 
 
-def test_the_pictures_are_what_the_network_saw_there(here: Path) -> None:
-    history, skipped = read_history(here / "run")
+def test_the_pictures_are_what_the_network_saw_there(folder: Path) -> None:
+    history, skipped = read_history(folder / "run")
     assert len(skipped) == 0
     assert len(history.worst) == CONFIG.epochs
     for worst in history.worst:
@@ -75,9 +76,9 @@ def test_a_picture_that_does_not_decode_moves_no_other_picture(
     (tmp_path / "toy.mcap").unlink()
     monkeypatch.setattr("toy.road", picture)
     train(toy_index(tmp_path), tmp_path / "run", CONFIG, show_progress=False)
-    found = read_history(tmp_path / "run")[0].worst
-    assert [len(worst.frames) > 0 for worst in found] == [True] * CONFIG.epochs
-    for worst in found:
+    worst_of_epochs = read_history(tmp_path / "run")[0].worst
+    assert [len(worst.frames) > 0 for worst in worst_of_epochs] == [True] * CONFIG.epochs
+    for worst in worst_of_epochs:
         for frame, jpeg in zip(worst.frames, worst.jpegs, strict=True):
             assert frame.row != broken
             seen = preprocess(decode(road("center", frame.row)), SEEN)
@@ -106,12 +107,12 @@ def test_of_a_very_long_training_the_last_epochs_are_kept(tmp_path: Path, monkey
     assert (tmp_path / "run" / "worst.jsonl").stat().st_size < 2 * 10_000
 
 
-def test_lines_that_no_training_writes_are_skipped_and_named(here: Path, tmp_path: Path) -> None:
+def test_lines_that_no_training_writes_are_skipped_and_named(folder: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     run.mkdir()
     for name in ("metrics.jsonl", "steps.jsonl"):
-        (run / name).write_bytes((here / "run" / name).read_bytes())
-    good = lines(here / "run")
+        (run / name).write_bytes((folder / "run" / name).read_bytes())
+    good = lines(folder / "run")
     frame = good[1]["frames"][0]
     _, bomb = cv2.imencode(".png", np.zeros((5000, 5000), np.uint8))  # few bytes, many pixels
     wrong = (
@@ -131,9 +132,9 @@ def test_lines_that_no_training_writes_are_skipped_and_named(here: Path, tmp_pat
     assert [name for _, name in skipped] == [f"worst.jsonl line {2 + number}" for number in range(len(wrong))]
 
 
-def test_a_run_of_before_is_shown_without(here: Path, tmp_path: Path) -> None:
+def test_a_run_of_before_is_shown_without(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "metrics.jsonl").write_bytes((here / "run" / "metrics.jsonl").read_bytes())
+    (tmp_path / "run" / "metrics.jsonl").write_bytes((folder / "run" / "metrics.jsonl").read_bytes())
     history, _ = read_history(tmp_path / "run")
     assert history.worst == ()
     assert all(isinstance(epoch, Epoch) for epoch in history.epochs)

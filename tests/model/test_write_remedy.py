@@ -16,8 +16,6 @@ from model.runs.run_files import run_write_errors
     ("number", "remedy"),
     [
         (errno.ENOSPC, "make room"),
-        (errno.EFBIG, "make room"),
-        (errno.EACCES, "choose a folder that you may write to"),
         (errno.EROFS, "choose a folder that you may write to"),
         (errno.EISDIR, "look at what is there"),
     ],

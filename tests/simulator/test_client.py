@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from bare_server import OPEN, BareServer, Wire, steer
-from driving import road_jpeg, run
+from driving import road_jpeg
 from simulator.cli import main as sim_main
 from simulator.protocol.client import (
     FRAME_BYTES,
@@ -28,11 +28,16 @@ from simulator.protocol.replay import replay
 from udacity import call
 
 
-def serve_for_ever(wire: Wire) -> None:
-    """Two telemetries come unasked, and then one for each steer."""
+def begin(wire: Wire) -> None:
+    """Two telemetries come unasked."""
     wire.say(OPEN)
     wire.hear_telemetry()
     wire.hear_telemetry()
+
+
+def serve_for_ever(wire: Wire) -> None:
+    """One telemetry comes for each steer."""
+    begin(wire)
     while True:
         wire.say(steer())
         wire.hear_telemetry()
@@ -52,9 +57,7 @@ def telling(
 
 def test_it_announces_no_connection_and_sends_two_telemetries_first() -> None:
     def serve(wire: Wire) -> None:
-        wire.say(OPEN)
-        wire.hear_telemetry()
-        wire.hear_telemetry()
+        begin(wire)
         wire.say(steer())
         wire.hear_telemetry()
         wire.say(steer("-0.5000", "-1.0000"))
@@ -126,14 +129,14 @@ def test_nagles_algorithm_is_on_as_in_the_real_one() -> None:
     options: list[int] = []
 
     def next_telemetry(answer: ServerCommand) -> SimulatorMessage:
-        for found in gc.get_objects():
-            if issubclass(type(found), socket.socket) and found.fileno() >= 0 and found.family == socket.AF_INET:
+        for open_socket in (thing for thing in gc.get_objects() if issubclass(type(thing), socket.socket)):
+            if open_socket.fileno() >= 0 and open_socket.family == socket.AF_INET:
                 try:
-                    port = found.getpeername()[1]
+                    port = open_socket.getpeername()[1]
                 except OSError:  # not connected
                     continue
                 if port == server.port:
-                    options.append(found.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+                    options.append(open_socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
         return None
 
     with BareServer(serve_for_ever) as server:
@@ -145,9 +148,7 @@ def test_a_servers_ping_is_answered() -> None:
     heard: list[str] = []
 
     def serve(wire: Wire) -> None:
-        wire.say(OPEN)
-        wire.hear_telemetry()
-        wire.hear_telemetry()
+        begin(wire)
         wire.say("2")
         heard.append(next(message for message in iter(wire.hear, "") if message != "2"))
         wire.say(steer())
@@ -158,9 +159,8 @@ def test_a_servers_ping_is_answered() -> None:
     assert heard == ["3"]
 
 
-@pytest.mark.parametrize(
-    "nonsense",
-    [
+def test_a_command_that_it_cannot_read_costs_a_telemetry_and_is_counted() -> None:
+    nonsense = [
         steer(0.1, 0.2),
         steer("", "0.2"),
         steer("nan", "0.2"),
@@ -171,14 +171,12 @@ def test_a_servers_ping_is_answered() -> None:
         '42["steer",{}]',
         '42["steer",null]',
         '42["steer"]',
-    ],
-)
-def test_a_command_that_it_cannot_read_costs_a_telemetry_and_is_counted(nonsense: str) -> None:
+    ]
+
     def serve(wire: Wire) -> None:
-        wire.say(OPEN)
-        wire.hear_telemetry()
-        wire.hear_telemetry()
-        wire.say(nonsense)  # nothing comes of it
+        begin(wire)
+        for message in nonsense:  # nothing comes of it
+            wire.say(message)
         wire.say(steer("0.5", "0.5"))
         while True:
             wire.hear()
@@ -188,18 +186,16 @@ def test_a_command_that_it_cannot_read_costs_a_telemetry_and_is_counted(nonsense
         client = SimulatorClient(port=server.port)
         client.run(telling([SimulatorTelemetry(0, 0, 0, b"\xff")] * 2, answers))
     assert answers == [None, None, SteerCommand(0.5, 0.5)]
-    assert (client.steers, client.bad_steers, client.telemetries) == (1, 1, 2)
+    assert (client.steers, client.bad_steers, client.telemetries) == (1, len(nonsense), 2)
 
 
-@pytest.mark.parametrize(
-    "ignored", ["40", '40{"sid":"x"}', "43[]", "6", '42["other",{}]', "42[]", "42{", "42", f"42{'[' * 9_999}"]
-)
-def test_what_is_no_command_is_ignored(ignored: str) -> None:
+def test_what_is_no_command_is_ignored() -> None:
+    deep = f"42{'[' * 9_999}"
+
     def serve(wire: Wire) -> None:
-        wire.say(OPEN)
-        wire.hear_telemetry()
-        wire.hear_telemetry()
-        wire.say(ignored)
+        begin(wire)
+        for message in ("40", '40{"sid":"x"}', "43[]", "6", '42["other",{}]', "42[]", "42{", "42", deep):
+            wire.say(message)
         wire.say("42" + json.dumps(["manual", {}]))
         while True:
             wire.hear()
@@ -215,9 +211,7 @@ def test_what_is_no_command_is_ignored(ignored: str) -> None:
 
 def test_it_connects_again_when_the_server_dies_in_the_middle() -> None:
     def die_after_three(wire: Wire) -> None:
-        wire.say(OPEN)
-        wire.hear_telemetry()
-        wire.hear_telemetry()
+        begin(wire)
         wire.say(steer())
         wire.hear_telemetry()
 
@@ -271,10 +265,10 @@ def test_what_is_no_machine_is_named_at_once(
     host: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Also what would pass for one in the middle of an address: a slash ends the host there."""
-    known = socket.getaddrinfo
+    resolve = socket.getaddrinfo
 
     def numbers_only(name: str, *more: Any, **flags: Any) -> Any:
-        return known(name, *more, **{**flags, "flags": socket.AI_NUMERICHOST})  # no resolver is asked
+        return resolve(name, *more, **{**flags, "flags": socket.AI_NUMERICHOST})  # no resolver is asked
 
     monkeypatch.setattr(socket, "getaddrinfo", numbers_only)
     assert call(sim_main, f"--host={host}", "--wait", 1e9, "--laps", 0.001) == 1
@@ -288,10 +282,11 @@ def test_an_address_in_brackets_is_one_as_well() -> None:
 
 
 @pytest.mark.parametrize(("flag", "is_told"), [("", True), ("--real-time", False), ("--tell-world", False)])
-def test_the_built_in_simulator_says_where_its_time_is_not_the_clocks(flag: str, is_told: bool) -> None:
+def test_the_built_in_simulator_says_where_its_time_is_not_the_clocks(
+    flag: str, is_told: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
     with socket.socket() as nobody:
         nobody.bind(("127.0.0.1", 0))
         flags = [flag] if flag else []
-        done = run("bc-sim", "--port", nobody.getsockname()[1], "--wait", 0, *flags)
-    assert done.returncode == 1
-    assert ("distances and times in its log" in done.stderr) == is_told
+        assert call(sim_main, "--port", nobody.getsockname()[1], "--wait", 0, *flags) == 1
+    assert ("distances and times in its log" in capsys.readouterr().err) == is_told

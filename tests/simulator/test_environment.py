@@ -26,6 +26,12 @@ LEFT_LOCK = np.array([-1.0, 0.5], np.float32)
 NOTHING = np.zeros(2, np.float32)
 
 
+@pytest.fixture(scope="module")
+def lake() -> gymnasium.Env[Any, Any]:
+    """One for all that begin with a reset: to build it takes half a second."""
+    return gymnasium.make(LAKE)
+
+
 def drive(
     env: gymnasium.Env[Any, Any], action: NDArray[np.float32] | None = None
 ) -> tuple[float, int, dict[str, Any]]:
@@ -65,8 +71,8 @@ def test_the_reward_is_the_road_driven_and_the_end_a_success() -> None:
     assert abs(info["offset"]) < 0.5
 
 
-def test_leaving_the_road_ends_the_episode_without_success() -> None:
-    _, _, info = drive(gymnasium.make(LAKE), LEFT_LOCK)
+def test_leaving_the_road_ends_the_episode_without_success(lake: gymnasium.Env[Any, Any]) -> None:
+    _, _, info = drive(lake, LEFT_LOCK)
     assert info["offset"] > 1.0  # on the left
     assert not info["success"]
 
@@ -83,14 +89,13 @@ def test_the_steps_of_an_episode_are_limited() -> None:
     assert gymnasium.spec("bc/Lake-v0").max_episode_steps == 3000
 
 
-def test_a_seed_is_a_place_on_the_road_and_options_name_one() -> None:
-    env = gymnasium.make(LAKE)
-    first, again, other = (env.reset(seed=seed)[0]["center"] for seed in (1, 1, 2))
+def test_a_seed_is_a_place_on_the_road_and_options_name_one(lake: gymnasium.Env[Any, Any]) -> None:
+    first, again, other = (lake.reset(seed=seed)[0]["center"] for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert (first != other).any()
     place = load_track("lake").line.at(100.0)
-    env.reset(options={"start_m": 100.0})
-    driving = env.unwrapped
+    lake.reset(options={"start_m": 100.0})
+    driving = lake.unwrapped
     assert isinstance(driving, DrivingEnv)
     car = driving.course.vehicle
     assert math.hypot(car.x_m - place.x_m, car.y_m - place.y_m) < 0.01
@@ -118,7 +123,7 @@ def test_it_shows_the_cameras_that_were_asked_for() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-def test_many_at_once_do_what_one_does() -> None:
+def test_many_at_once_do_what_one_does(lake: gymnasium.Env[Any, Any]) -> None:
     """In this process and in processes of their own."""
     actions = np.array([[0.0, 1.0], [0.5, 0.2]], np.float32)
     seen = []
@@ -128,9 +133,8 @@ def test_many_at_once_do_what_one_does() -> None:
         seen.append(envs.step(actions))
         envs.close()
     for number in range(2):
-        env = gymnasium.make(LAKE)
-        env.reset(seed=5 + number)
-        observation, reward, *_, info = env.step(actions[number])
+        lake.reset(seed=5 + number)
+        observation, reward, *_, info = lake.step(actions[number])
         for observations, rewards, _, _, infos in seen:
             np.testing.assert_array_equal(observations["center"][number], observation["center"])
             np.testing.assert_array_equal(observations["speed_mph"][number], observation["speed_mph"])
@@ -152,12 +156,11 @@ def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any], expec
         DrivingEnv("lake", **settings)
 
 
-@pytest.mark.parametrize("action", [[math.nan, 0.0], [0.0], [0.0, 0.0, 0.0], [math.inf, 0.0]])
-def test_an_action_that_is_none_is_refused(action: list[float]) -> None:
-    env = gymnasium.make(LAKE)
-    env.reset()
-    with pytest.raises(ValueError, match="two finite numbers"):
-        env.step(np.array(action, np.float32))
+def test_an_action_that_is_none_is_refused(lake: gymnasium.Env[Any, Any]) -> None:
+    lake.reset()
+    for action in ([math.nan, 0.0], [0.0], [0.0, 0.0, 0.0], [math.inf, 0.0]):
+        with pytest.raises(ValueError, match="two finite numbers"):
+            lake.step(np.array(action, np.float32))
 
 
 def test_a_start_that_is_none_and_a_step_before_a_reset_are_refused() -> None:
@@ -181,13 +184,10 @@ def test_the_names_are_known_however_the_two_are_imported() -> None:
         assert (done.stdout, done.stderr) == ("{'track': 'mountain'}\n", "")
 
 
-def test_the_example_of_an_environment_drives(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_example_of_an_environment_drives(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """With a network that has learnt nothing, which soon leaves the road."""
     code = (ROOT / "examples" / "drive_environment.py").read_text(encoding="utf-8")
     assert len(code.splitlines()) <= 30
-    untrained_run(tmp_path / "runs" / "first")
-    monkeypatch.chdir(tmp_path)
+    untrained_run(cwd / "runs" / "first")
     exec(code, {})
     assert re.fullmatch(r"-?\d+ m in \d+ steps, -?0\.\d+ laps, success: False\n", capsys.readouterr().out)

@@ -48,8 +48,8 @@ def degrees(steps: list[DriveStep]) -> NDArray[np.float64]:
 
 def stretches(steering: NDArray[np.float64]) -> tuple[list[int], list[int]]:
     """The numbers of rows of each stretch to one side, and of each straight ahead."""
-    found = [(side, len(list(rows))) for side, rows in itertools.groupby(np.sign(steering).tolist())]
-    return [rows for side, rows in found if side], [rows for side, rows in found if not side]
+    runs_of_rows = [(side, len(list(rows))) for side, rows in itertools.groupby(np.sign(steering).tolist())]
+    return [rows for side, rows in runs_of_rows if side], [rows for side, rows in runs_of_rows if not side]
 
 
 @pytest.mark.parametrize("track", TRACKS)
@@ -86,14 +86,14 @@ HABITS = {
 def test_it_steers_as_often_and_as_long_as_people_do(name: DriverName, track: str) -> None:
     steering = degrees(drive(name, track, laps=1.0))
     presses, straights = stretches(steering)
-    found = {
+    habits = {
         "zeros": np.mean(steering == 0.0),
         "a minute": len(presses) / (len(steering) * 0.1 / 60),
         "press": np.median(presses) * 0.1,
         "straight": np.median(straights) * 0.1,
     }
-    for what, (least, most) in HABITS[name].items():
-        assert least <= round(float(found[what]), 6) <= most, (what, found[what])
+    for name_of_habit, (least, most) in HABITS[name].items():
+        assert least <= round(float(habits[name_of_habit]), 6) <= most, (name_of_habit, habits[name_of_habit])
     assert 4.0 < steering.std() < 10.4
     assert len(np.unique(steering)) > 150
 

@@ -73,11 +73,11 @@ def test_the_same_pose_gives_the_same_bytes(mountain_world: WorldMaps) -> None:
 
 def test_the_sky_is_above_and_the_bonnet_below(flat: Track, flat_world: WorldMaps) -> None:
     renderer = Renderer(flat_world)
-    here, there = (renderer.render(on_road(flat, flat_world, arc)) for arc in (20.0, 190.0))
-    top = here[:5].reshape(-1, 3).mean(axis=0)
+    first, second = (renderer.render(on_road(flat, flat_world, arc)) for arc in (20.0, 190.0))
+    top = first[:5].reshape(-1, 3).mean(axis=0)
     assert top[0] > top[2] + 30  # blue
-    assert np.array_equal(here[155:, 120:200], there[155:, 120:200])  # the bonnet goes with the car
-    assert not np.array_equal(here[120:125], there[120:125])
+    assert np.array_equal(first[155:, 120:200], second[155:, 120:200])  # the bonnet goes with the car
+    assert not np.array_equal(first[120:125], second[120:125])
 
 
 def test_every_pixel_is_sky_or_ground_or_stands_on_it(mountain_world: WorldMaps) -> None:
@@ -90,18 +90,17 @@ def test_every_pixel_is_sky_or_ground_or_stands_on_it(mountain_world: WorldMaps)
 
 
 @pytest.mark.parametrize(("camera", "mount_left_m"), [("center", 0.0), ("left", 0.9), ("right", -0.9)])
-@pytest.mark.parametrize("ahead_m", [5.0, 8.0, 14.0])
-@pytest.mark.parametrize("line_left_m", [3.5, -3.5])
 def test_a_line_is_where_a_pinhole_camera_sees_it(
-    flat: Track, flat_world: WorldMaps, camera: Camera, mount_left_m: float, ahead_m: float, line_left_m: float
+    flat: Track, flat_world: WorldMaps, camera: Camera, mount_left_m: float
 ) -> None:
-    row, column = pixel(ahead_m, line_left_m - mount_left_m)
-    if not 8 < column < 312:
-        pytest.skip("outside the picture")
     picture = Renderer(flat_world).render(on_road(flat, flat_world, 20.0), camera)
-    around = picture[round(row - 0.5), int(column) - 8 : int(column) + 9].mean(axis=1)
-    assert around.max() > np.median(around) + 30
-    assert abs(int(np.argmax(around)) - 8) <= 2
+    places = [pixel(ahead, left - mount_left_m) for ahead in (5.0, 8.0, 14.0) for left in (3.5, -3.5)]
+    in_picture = [(row, column) for row, column in places if 8 < column < 312]
+    assert len(in_picture) >= 4
+    for row, column in in_picture:
+        around = picture[round(row - 0.5), int(column) - 8 : int(column) + 9].mean(axis=1)
+        assert around.max() > np.median(around) + 30
+        assert abs(int(np.argmax(around)) - 8) <= 2
 
 
 def test_far_ground_is_where_a_pinhole_camera_sees_it(flat_world: WorldMaps) -> None:
