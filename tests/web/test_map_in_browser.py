@@ -308,4 +308,4 @@ def test_a_session_that_has_changed_since_is_left_out(bench: Served) -> None:
     finally:
         path.write_bytes(before)
     assert len(found["notes"]) == 1
-    assert "day.mcap: it has changed since" in found["notes"][0]
+    assert "day.mcap: the log has changed" in found["notes"][0]

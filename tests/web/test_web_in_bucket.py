@@ -298,7 +298,7 @@ def test_logs_are_tagged_and_made_there(bucket: Bucket, serve: Callable[[], Serv
     assert bench.get(f"{at}/tags").json["tags"] == []
     tags.unlink()
     refused = bench.get(f"{at}/make/trim/command?first=0&last=1").text
-    assert refused.endswith("`bc-log copy s3://logs/sessions/third.mcap FOLDER` brings it here")
+    assert refused.endswith("copy it first: `bc-log copy s3://logs/sessions/third.mcap FOLDER`")
     assert bench.get(f"{at}/make/check/command").text == "bc-log check s3://logs/sessions/third.mcap"
     assert "/make/check" in read(bench, at)
     assert "/make/trim" not in read(bench, at)
