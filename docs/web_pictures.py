@@ -87,7 +87,7 @@ def imports(shown: Shown) -> None:
     """A recording is sent, and removed again."""
     with shown.page("/import", 420) as page:
         page.set_input_files("#folder", shown.config.recording)
-        page.wait_for_selector(".found")
+        page.wait_for_selector(".recording")
         shown.keep(page, "import")
         page.click("text=Remove")
 

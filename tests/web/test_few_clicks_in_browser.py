@@ -74,7 +74,7 @@ def test_five_clicks_and_a_drop_import_train_and_drive(
         page.wait_for_selector("#drop")
         page.wait_for_load_state()  # with its scripts
         drop(page, tmp_path / "mine" / "lake")
-        page.click(".found button")
+        page.click(".recording button")
         open_session(page)
         page.click("text=Train on it")
         page.click("text=Let it drive: lake")  # as soon as it has learnt

@@ -230,7 +230,7 @@ def test_of_more_pictures_than_are_shown_each_stands_for_some(
     monkeypatch.setattr(picture_maps, "MAX_POINTS", 40)
     with opened_page(browser, f"{bench.address}/map?of=sessions/scenes&run=pixels") as page:
         shown(page)
-        assert "Of 3 pictures, one is shown" in page.inner_text("#status")
+        assert "One of 3 pictures is shown" in page.inner_text("#status")
         found = columns(bench, "of=sessions/scenes&run=pixels")
         assert sorted(found["row"]) == list(range(0, ROWS, 3))
         page.click("#lonely")

@@ -306,4 +306,5 @@ def test_logs_are_tagged_and_made_there(bucket: Bucket, serve: Callable[[], Serv
     assert record == "bc-record new --copy-to=s3://logs/sessions"
     evaluate = bench.get("/jobs.command?form=evaluate&run=good&session=first").text
     assert evaluate == "bc-eval good --session first --runs=s3://logs/runs --sessions=s3://logs/sessions"
-    assert "--sessions" not in bench.get("/jobs.command?form=evaluate&run=good").text
+    evaluate = bench.get("/jobs.command?form=evaluate&run=good").text
+    assert evaluate == "bc-eval good --runs=s3://logs/runs --sessions=s3://logs/sessions"

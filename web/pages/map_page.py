@@ -54,7 +54,10 @@ def map_routes(bench: Workbench) -> list[Route]:
 
     def stop(request: Request) -> Response:
         """Stop the work for all pages that wait for it."""
-        bench.maps.work.stop(request.query_params.get("key", ""))
+        key = request.query_params.get("key", "")
+        if bench.maps.work.requested(key) is None:
+            raise WebError("this map is not being made", 404)
+        bench.maps.work.stop(key)
         return Response(status_code=204)
 
     def points(request: Request) -> Response:
