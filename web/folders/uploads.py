@@ -48,7 +48,7 @@ class Upload:
     def __init__(self, folder: Path, manifest_bytes: int, total_bytes: int) -> None:
         """`folder` has all uploads. Raises WebError if this one is too large."""
         if not 0 < manifest_bytes <= min(_MAX_MANIFEST_BYTES, total_bytes) or total_bytes > MAX_UPLOAD_BYTES:
-            raise WebError(f"an upload of {total_bytes:,} bytes: at most {MAX_UPLOAD_BYTES:,} are taken", 413)
+            raise WebError(f"an upload of {total_bytes:,} bytes: at most {MAX_UPLOAD_BYTES:,} are allowed", 413)
         self._parent = folder
         self._above: list[Path] = []
         self._name = "recording"
@@ -181,7 +181,7 @@ def unpack(archive: Path, folder: Path) -> None:
 def _unpack(archive: zipfile.ZipFile, folder: Path) -> None:
     members = archive.infolist()
     if len(members) > MAX_FILES:
-        raise WebError(f"the zip has {counted(len(members), 'file')}: at most {MAX_FILES:,} are taken", 413)
+        raise WebError(f"the zip has {counted(len(members), 'file')}: at most {MAX_FILES:,} are allowed", 413)
     left = MAX_UPLOAD_BYTES
     refuse_full(folder, sum(member.file_size for member in members))
     for member in members:

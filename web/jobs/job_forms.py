@@ -52,7 +52,7 @@ class Field:
         parts = value.split() if self.is_several else [value]
         for part in parts:
             if part.startswith("-"):
-                raise WebError(f"{self.label}: {part!r} would be taken for a flag", 422)
+                raise WebError(f"{self.label}: a command would take {part!r} for a flag", 422)
         return [*([flag] if flag else []), *parts]
 
 

@@ -16,7 +16,7 @@ _KEPT: Final = 10_000  # logs
 
 
 @dataclass(frozen=True)
-class TagsBeside:
+class FileTags:
     """The contents of a log's file of tags."""
 
     version: str  # of the file
@@ -30,16 +30,16 @@ class LogTags:
     def __init__(self, folders: ProjectFolders, cache: CacheFolder) -> None:
         self._folders = folders
         self._cache = cache
-        self._tags = Newest[Location, TagsBeside](_KEPT)
+        self._tags = Newest[Location, FileTags](_KEPT)
 
-    def read(self, path: Location, fingerprint: str) -> TagsBeside:
+    def read(self, path: Location, fingerprint: str) -> FileTags:
         """The tags of this content of a log. Raises LogError for a damaged file, StoreError."""
         version = self._folders.version_of(tags_path(path))
 
-        def parse() -> TagsBeside:
+        def parse() -> FileTags:
             by_content = self._by_content(path, version)
             tags = sorted(by_content.pop(fingerprint, ()))
-            return TagsBeside(version, tags, sum(map(len, by_content.values())))
+            return FileTags(version, tags, sum(map(len, by_content.values())))
 
         return self._tags.get(path, f"{version} {fingerprint}", parse)
 

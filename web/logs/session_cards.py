@@ -31,7 +31,7 @@ from web.folders.background import Background
 from web.folders.cache_folder import CacheFolder
 from web.folders.file_versions import version_of
 from web.folders.project_folders import PLACES, Place, ProjectFolders, is_recording, key_of, shown_name
-from web.logs.log_tags import LogTags, TagsBeside
+from web.logs.log_tags import FileTags, LogTags
 
 TagRows = tuple[str, int, int]
 """A tag as an index keeps it: its name, its first and its last row."""
@@ -156,7 +156,7 @@ class SessionCards:
         is_measured_since = info.lacks_lag and self._folders.stat(lag_path(path)) is not None
         return describe(path, with_tags=False) if is_measured_since else info
 
-    def tags(self, path: Location, fingerprint: str) -> TagsBeside:
+    def tags(self, path: Location, fingerprint: str) -> FileTags:
         """The tags of the log. Raises LogError for a damaged file, StoreError."""
         return self._tags.read(path, fingerprint)
 

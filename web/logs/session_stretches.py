@@ -50,18 +50,18 @@ def shown_stretches(log: Log, states: States, findings: ImageFindings | None) ->
     A gap is a stretch of two rows: the last row before it and the first row after it. Gaps that the recorder made
     on purpose are left out.
     """
-    found = []
+    result = []
     for odd in odd_stretches(states):
         first, last = (int(np.flatnonzero(states.row == row)[0]) for row in (odd.first_row, odd.last_row))
-        found.append(ShownStretch(odd.kind, first, last, printable(odd.cause), odd.is_sure))
+        result.append(ShownStretch(odd.kind, first, last, printable(odd.cause), odd.is_sure))
     gaps = row_flags(states)["gap"] & ~np.isin(states.row, meant_rows(log.read_metadata(QUALITY_METADATA)))
-    found += [ShownStretch("gap", max(at - 1, 0), at, "", False) for at in np.flatnonzero(gaps).tolist()]
-    found += [
+    result += [ShownStretch("gap", max(at - 1, 0), at, "", False) for at in np.flatnonzero(gaps).tolist()]
+    result += [
         ShownStretch(flag, first, last, "", flag in _SURE)
         for flag, mask in _of_pictures(log, states, findings).items()
         for first, last in stretches(mask)
     ]
-    return sorted(found, key=lambda stretch: (stretch.first, stretch.last, stretch.kind))
+    return sorted(result, key=lambda stretch: (stretch.first, stretch.last, stretch.kind))
 
 
 def flag_stretches(states: States) -> dict[str, list[tuple[int, int]]]:

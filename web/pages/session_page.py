@@ -96,11 +96,11 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         """All tags as [first row, last row, number of the name], and the names."""
         path = path_of(request)
         with bench.logs.open(path) as opened:
-            beside = bench.cards.tags(path, opened.log.fingerprint)
-        names = sorted({tag.name for tag in beside.tags} | {EXCLUDE})
+            file_tags = bench.cards.tags(path, opened.log.fingerprint)
+        names = sorted({tag.name for tag in file_tags.tags} | {EXCLUDE})
         number = {name: at for at, name in enumerate(names)}
-        rows = [(tag.first_row, tag.last_row, number[tag.name]) for tag in beside.tags]
-        return JSONResponse({"version": beside.version, "names": names, "tags": rows, "stale": beside.stale})
+        rows = [(tag.first_row, tag.last_row, number[tag.name]) for tag in file_tags.tags]
+        return JSONResponse({"version": file_tags.version, "names": names, "tags": rows, "stale": file_tags.stale})
 
     def check_pictures(request: Request) -> Response:
         """The state of the check of all pictures. POST starts the check."""
@@ -133,7 +133,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
 
 
 def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
-    """The data of a log besides its rows. `course` is None for a log without commands and poses."""
+    """The data of a log file_tagss its rows. `course` is None for a log without commands and poses."""
     log, states = opened.log, opened.states
     findings = bench.checks.findings(log)
     has_course = is_driven(log.counts)

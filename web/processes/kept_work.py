@@ -42,7 +42,7 @@ class Work:
     total: int  # pictures
     pictures: int = 0
     stage: str = ""  # if it has several; each has its own total
-    is_begun: bool = False  # else it waits for the work before it
+    is_begun: bool = False  # else it waits for other work
     is_done: bool = False
     is_stopped: bool = False
     problem: str = ""
