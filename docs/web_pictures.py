@@ -87,7 +87,7 @@ def imports(shown: Shown) -> None:
     """A recording is sent, and removed again."""
     with shown.page("/import", 420) as page:
         page.set_input_files("#folder", shown.config.recording)
-        page.wait_for_selector(".found")
+        page.wait_for_selector(".recording")
         shown.keep(page, "import")
         page.click("text=Remove")
 
@@ -162,7 +162,7 @@ def index(shown: Shown) -> None:
         page.fill("input[name=bins]", "15")
         page.fill("input[name=validation_share]", "0.3")
         page.click("text=See what would change")
-        page.click("text=what it has made")  # once the job has ended
+        page.click("text=the result")  # once the job has ended
         shown.keep(page, "index")
     with shown.page("/index", 900) as page:
         page.click("text=Show samples as training sees them")
@@ -223,7 +223,7 @@ def jobs(shown: Shown) -> None:
         for name, value in (("name", "another"), ("track", "mountain"), ("laps", "0.03")):
             page.fill(f"details[open] input[name={name}]", value)
         page.click("details[open] button")
-        page.click("text=what it has made")  # once the job has ended
+        page.click("text=the result")  # once the job has ended
     Path("sessions/another.mcap").unlink()
     with shown.page("/jobs?start=train", 760) as page:
         page.fill("details[open] input[name=name]", "first")

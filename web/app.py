@@ -1,4 +1,4 @@
-"""The workbench as an ASGI app: pages, static files, and the checks of requests."""
+"""The workbench as an ASGI app: pages, static files, and access control."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from web.server.memory import TrimmedApp
 from web.server.request_guard import RequestGuard
 from web.server.static_files import STATIC, PageFiles
 
-_NOT_COMPRESSED: Final = (  # compressed already, or sent in small parts
+_NOT_COMPRESSED: Final = (  # already compressed, or sent in small parts
     *DEFAULT_EXCLUDED_CONTENT_TYPES,
     "application/wasm",
     "application/x-ndjson",

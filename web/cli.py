@@ -1,4 +1,4 @@
-"""`bc-web`: the workbench, sessions, runs and drives in the browser."""
+"""`bc-web`: the workbench in the browser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Errors of the workbench that a page shows."""
+"""Errors that pages show."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from common import UserError
 
 
 class WebError(UserError):
-    """A request that cannot be answered, with its HTTP status."""
+    """Why a request failed, and the HTTP status."""
 
     def __init__(self, text: str, status: int = 400) -> None:
         super().__init__(text)
@@ -16,6 +16,6 @@ class WebError(UserError):
 
 
 def report_bug(error: Exception, title: str = "a bug") -> str:
-    """The line that a page shows for a bug of ours; its traceback goes to the terminal."""
+    """Print the traceback of a bug. Return the line for the page."""
     traceback.print_exception(error)
-    return f"{title} ({type(error).__name__}); more is in the terminal of bc-web"
+    return f"{title} ({type(error).__name__}); details are in the terminal of bc-web"

@@ -1,4 +1,4 @@
-"""`bc-web` as `common.wheel_page` starts it: it shows one wheel, and ends with the process that started it."""
+"""The page of one wheel. `common.wheel_page` starts it, and it ends with the process that started it."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ def _show(config: WheelPage) -> int:
         raise UserError(f"{error}; start `bc-web` in this folder, and open its page Drive") from None
 
 
-def _free_port(wanted: int) -> int:
-    """The wanted port, or another one if that is taken."""
-    for port in (wanted, 0):
+def _free_port(preferred: int) -> int:
+    """The preferred port, or another one if that is taken."""
+    for port in (preferred, 0):
         with socket.socket() as probe:
-            if sys.platform != "win32":  # as the server does: a port whose last connection has just ended is free
+            if sys.platform != "win32":  # like the server: a port whose last connection has just ended is free
                 probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 probe.bind(("127.0.0.1", port))
@@ -62,7 +62,7 @@ def _free_port(wanted: int) -> int:
                 continue
             free: int = probe.getsockname()[1]
             return free
-    return wanted
+    return preferred
 
 
 def main() -> None:

@@ -108,7 +108,7 @@ def test_the_button_is_the_command(tmp_path: Path) -> None:
         assert (answer.status, answer.headers["location"]) == (303, compared)
         wait_until(lambda: "running" not in bench.get(compared).text)
         shown = plain(bench.get(compared).text)
-        assert "Their answers are 0.00 degrees apart" in shown
+        assert "The predictions of A and B differ by 0.00 degrees" in shown
         assert "300 frames, in 6 blocks" in shown  # 30 s
         assert f"bc-eval --compare a b --json --session s --runs={tmp_path / 'runs'}" in shown
         assert bench.get("/runs.compare?a=a&b=b&session=none").status == 404

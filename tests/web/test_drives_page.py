@@ -23,7 +23,8 @@ def test_drives_stand_beside_one_another_and_on_one_map(tmp_path: Path) -> None:
         assert "<b>r" not in text
         assert bench.get("/drives/one/links").text.strip() == "driven by &lt;b&gt;r"
         assert "<svg" not in text
-        assert re.findall(r'<a href="(/drives/one#row=[^"]*)" title="the first one', bench.get("/drives").text)
+        link = r'<a href="(/drives/one#row=[^"]*)" title="the first intervention'
+        assert re.findall(link, bench.get("/drives").text)
         for by in ("drive", "speed", "who+drove", "none"):
             shown = bench.get(f"/drives.rows?log=one&log=two&log=bad&log=none&by={by}").text
             assert shown.count("<polyline") == 2

@@ -50,9 +50,9 @@ def test_three_clicks_show_why_a_drive_left_the_road(browser: Browser, tmp_path:
     a_drive(tmp_path / "drives" / "d.mcap", "r", road_jpeg)
     write_log(tmp_path / "sessions" / "a.mcap", [0.1] * 5)
     with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/sessions") as page:
-        wait_until(lambda: "the first one" in bench.get("/drives").text)
+        wait_until(lambda: "the first intervention" in bench.get("/drives").text)
         page.click("nav >> text=Drives")
-        page.click("td a[title^='the first one']")
+        page.click("td a[title^='the first intervention']")
         page.wait_for_selector("#session[data-run=r]")  # what the network steers
         wait_until(lambda: page.get_attribute("#curves", "aria-valuenow") == "5")  # where it was put back
         page.wait_for_selector("#session[data-course] #course-map circle", state="attached")
@@ -74,7 +74,7 @@ def test_five_clicks_and_a_drop_import_train_and_drive(
         page.wait_for_selector("#drop")
         page.wait_for_load_state()  # with its scripts
         drop(page, tmp_path / "mine" / "lake")
-        page.click(".found button")
+        page.click(".recording button")
         open_session(page)
         page.click("text=Train on it")
         page.click("text=Let it drive: lake")  # as soon as it has learnt

@@ -54,7 +54,7 @@ def test_a_folder_and_a_zip_are_dropped(browser: Browser, tmp_path: Path) -> Non
         drop(page, tmp_path / "second.zip")
         page.wait_for_selector("text=none of its pictures is there")
         page.click("text=Remove")
-        page.wait_for_selector("text=Sent before")
+        page.wait_for_selector("text=Uploaded before")
         assert not (tmp_path / "recordings" / "second").exists()
 
 

@@ -161,10 +161,10 @@ def test_other_settings_are_tried_before_they_are_written(changed_bench: Served)
         ({"format": 99}, "of format 99, not 5"),
         ({"format": "<b>x"}, "of format <b>x"),
         ({"format": None}, "of format None"),
-        ({"balance": {}}, "not as this version writes it"),
-        ({"balance": {"before": [], "after": [], "per_bin": 0, "short": {}}}, "not as this version writes it"),
-        ({"counts": {"a": 3}}, "not as this version writes it"),
-        ({"settings": None}, "not as this version writes it"),
+        ({"balance": {}}, "invalid metadata"),
+        ({"balance": {"before": [], "after": [], "per_bin": 0, "short": {}}}, "invalid metadata"),
+        ({"counts": {"a": 3}}, "invalid metadata"),
+        ({"settings": None}, "invalid metadata"),
     ],
 )
 def test_an_index_of_another_version_or_hand_is_told(

@@ -187,7 +187,7 @@ def test_what_cannot_be_a_command_is_not_started(bench: Served, values: dict[str
     answer = post(bench, "/jobs", **values)
     assert answer.status in (404, 422)
     assert answer.json["error"]
-    assert "Nothing was started here yet" in bench.get("/jobs").text
+    assert "No jobs yet" in bench.get("/jobs").text
 
 
 def test_only_our_own_pages_start_jobs(bench: Served) -> None:
@@ -197,7 +197,7 @@ def test_only_our_own_pages_start_jobs(bench: Served) -> None:
     assert bench.ask("POST", "/jobs", body, Content_Type="text/plain").status == 415
     assert bench.get("/jobs/none").status == 404
     assert bench.get("/jobs/..%2f..").status == 404
-    assert "Nothing was started here yet" in bench.get("/jobs").text
+    assert "No jobs yet" in bench.get("/jobs").text
 
 
 def test_a_job_that_was_killed_or_damaged_is_told(bench: Served) -> None:
@@ -206,7 +206,7 @@ def test_a_job_that_was_killed_or_damaged_is_told(bench: Served) -> None:
     wait_until(lambda: "running" not in text(bench, f"{job}/body"))
     (there,) = folder.glob("*/*")
     (there / "exit").unlink()
-    assert "ended without a word" in text(bench, job)
+    assert "killed, or the computer was switched off" in text(bench, job)
     about = json.loads((there / "job.json").read_text())
     (there / "job.json").write_text(json.dumps({**about, "words": ["<b>bc-x</b>"]}))
     assert "<b>bc-x" not in bench.get("/jobs").text

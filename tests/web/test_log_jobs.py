@@ -73,7 +73,7 @@ def test_a_selected_stretch_becomes_a_log_that_the_job_links_to(browser: Browser
         page.fill("#make-trim [name=new]", "bend")
         wait_until(lambda: page.inner_text("#command-trim").endswith("/bend.mcap"))
         page.click("#make-trim button")
-        page.click("text=what it has made")
+        page.click("text=the result")
         open_session(page)
         assert page.inner_text("h1") == "bend"
     assert rows(bench.folder / "sessions" / "bend.mcap") == [5, 6, 7, 8, 9]
@@ -116,7 +116,7 @@ def test_what_cannot_be_done_is_told_and_not_started(bench: Served) -> None:
         answer = post(bench, job, **values)
         assert answer.status in (404, 409, 422)
         assert why in answer.json["error"]
-    assert "Nothing was started here yet" in bench.get("/jobs").text
+    assert "No jobs yet" in bench.get("/jobs").text
 
 
 def test_a_log_that_is_recorded_or_deleted_meanwhile_is_left_alone(bench: Served) -> None:

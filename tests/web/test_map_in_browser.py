@@ -230,7 +230,7 @@ def test_of_more_pictures_than_are_shown_each_stands_for_some(
     monkeypatch.setattr(picture_maps, "MAX_POINTS", 40)
     with opened_page(browser, f"{bench.address}/map?of=sessions/scenes&run=pixels") as page:
         shown(page)
-        assert "Of 3 pictures, one is shown" in page.inner_text("#status")
+        assert "One of 3 pictures is shown" in page.inner_text("#status")
         found = columns(bench, "of=sessions/scenes&run=pixels")
         assert sorted(found["row"]) == list(range(0, ROWS, 3))
         page.click("#lonely")
@@ -308,4 +308,4 @@ def test_a_session_that_has_changed_since_is_left_out(bench: Served) -> None:
     finally:
         path.write_bytes(before)
     assert len(found["notes"]) == 1
-    assert "day.mcap: it has changed since" in found["notes"][0]
+    assert "day.mcap: the log has changed" in found["notes"][0]

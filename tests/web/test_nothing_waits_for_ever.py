@@ -33,7 +33,7 @@ def test_a_prediction_without_room_for_temporary_files(tmp_path: Path) -> None:
     assert asked is not None
     wait_until(lambda: asked.is_done)
     predictions.work.close()
-    assert asked.problem == "it cannot be started: No such file or directory"
+    assert asked.problem == "the process does not start: No such file or directory"
 
 
 @pytest.mark.usefixtures("no_room")
@@ -49,7 +49,7 @@ def test_a_bug_in_a_process_is_said(tmp_path: Path) -> None:
     assert requested is not None
     wait_until(lambda: requested.is_done)
     work.close()
-    assert requested.problem == "the process at work ended with 1; try it again"
+    assert requested.problem == "the process ended with exit code 1; try again"
 
 
 def test_a_log_that_is_deleted_before_its_pictures_are_checked(tmp_path: Path) -> None:

@@ -137,7 +137,7 @@ def test_planted_faults_are_found_and_removed(
         page.wait_for_selector("#look", state="hidden")
         for number in range(4):
             page.keyboard.press("j")
-            wait_until(lambda: f"; {4 - number} of 4 odd stretches" in page.inner_text("#status"))  # noqa: B023
+            wait_until(lambda: f"; {4 - number} of 4 stretches" in page.inner_text("#status"))  # noqa: B023
             selected.append(selected_rows(page))
             page.keyboard.press("x")
             page.wait_for_selector(f"#session[data-tags='{number + 1}']")

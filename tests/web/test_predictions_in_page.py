@@ -151,7 +151,7 @@ def test_a_prediction_is_stopped_also_one_that_waits(bench: Served, hold: Callab
     assert told("second")["is_begun"] is False
     for run in ("second", "first"):
         ask(f"{run}/stop")
-        assert "was stopped; choose the run again" in told(run)["problem"]
+        assert "stopped; choose the run again" in told(run)["problem"]
     wait_until(lambda: predicting() == [])
     assert told("first")["about"] is None
     ask("second")  # begins anew

@@ -149,7 +149,7 @@ def test_a_run_without_an_epoch_tells_how_to_go_on(tmp_path: Path) -> None:
     (run / "metrics.jsonl").unlink()
     with served(tmp_path) as bench:
         wait_until(lambda: "no epoch yet" in bench.get("/runs/killed/top").text)
-        assert "not measured before the first epoch is finished; bc-train --resume killed" in page(bench, "killed")
+        assert "measured after the first epoch; bc-train --resume killed" in page(bench, "killed")
 
 
 def test_worst_frames_are_a_gallery(tmp_path: Path) -> None:

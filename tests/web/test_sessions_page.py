@@ -109,7 +109,7 @@ def test_the_condition_of_bc_index_finds_rows(bench: Served) -> None:
     duckdb = pytest.importorskip("duckdb", reason="DuckDB is not installed: conditions were not tried")
     assert duckdb
     where = "steering > 0.25 and row < 20"
-    wait_until(lambda: "4 logs asked" in bench.get(f"/sessions.rows?{urlencode({'where': where})}").text)
+    wait_until(lambda: "4 logs searched" in bench.get(f"/sessions.rows?{urlencode({'where': where})}").text)
     found = rows(bench, where=where)
     assert list(found) == ["stuck"]
     assert "20 rows where" in found["stuck"]

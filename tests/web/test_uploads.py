@@ -203,6 +203,6 @@ def test_a_full_disk_refuses_before_anything_is_written(bench: Served, monkeypat
 def test_two_uploads_of_one_name_do_not_mix(bench: Served) -> None:
     pages = [upload(bench, {"lake/a": b"1"}).json["page"] for _ in range(2)]
     assert pages == ["/import/lake", "/import/lake-2"]
-    assert "No recording is in it" in bench.get(pages[1]).text
+    assert "There is no recording in it" in bench.get(pages[1]).text
     for name in ("none", "..", "%2e%2e", "lake.0a1b2c.part"):
         assert bench.get(f"/import/{name}").status == 404

@@ -298,7 +298,7 @@ def test_logs_are_tagged_and_made_there(bucket: Bucket, serve: Callable[[], Serv
     assert bench.get(f"{at}/tags").json["tags"] == []
     tags.unlink()
     refused = bench.get(f"{at}/make/trim/command?first=0&last=1").text
-    assert refused.endswith("`bc-log copy s3://logs/sessions/third.mcap FOLDER` brings it here")
+    assert refused.endswith("copy it first: `bc-log copy s3://logs/sessions/third.mcap FOLDER`")
     assert bench.get(f"{at}/make/check/command").text == "bc-log check s3://logs/sessions/third.mcap"
     assert "/make/check" in read(bench, at)
     assert "/make/trim" not in read(bench, at)
@@ -306,4 +306,5 @@ def test_logs_are_tagged_and_made_there(bucket: Bucket, serve: Callable[[], Serv
     assert record == "bc-record new --copy-to=s3://logs/sessions"
     evaluate = bench.get("/jobs.command?form=evaluate&run=good&session=first").text
     assert evaluate == "bc-eval good --session first --runs=s3://logs/runs --sessions=s3://logs/sessions"
-    assert "--sessions" not in bench.get("/jobs.command?form=evaluate&run=good").text
+    evaluate = bench.get("/jobs.command?form=evaluate&run=good").text
+    assert evaluate == "bc-eval good --runs=s3://logs/runs --sessions=s3://logs/sessions"

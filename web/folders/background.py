@@ -29,7 +29,7 @@ class _Task(NamedTuple, Generic[Result]):
     version: str
     future: Future[_Made[Result]]
 
-    def is_of(self, version: str) -> bool:
+    def is_for(self, version: str) -> bool:
         """Whether the task is for `version`. If a store did not answer, it counts for `AGAIN_S` only."""
         if self.version != version:
             return False
@@ -60,7 +60,7 @@ class Background(Generic[Place, Result]):
             before, self._tasks = self._tasks, {}
             for path, version in versions:
                 task = before.pop(path, None)
-                if task is None or not task.is_of(version):
+                if task is None or not task.is_for(version):
                     if task is not None:
                         task.future.cancel()
                     task = _Task(version, self._pool.submit(self._run, path, version))
@@ -84,7 +84,7 @@ class Background(Generic[Place, Result]):
             return self._make(path, version)
         except UserError as error:
             return error
-        except OSError as error:  # deleted since, or not readable
+        except OSError as error:  # deleted meanwhile, or not readable
             return UserError(f"{path}: {error.strerror or error}")
         except Exception as error:  # a bug must not hide the other logs
             return UserError(f"{path}: {report_bug(error)}")

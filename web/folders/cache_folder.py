@@ -40,12 +40,11 @@ class CacheFolder:
 
     def struct(self, key: str, kind: type[Kept], make: Callable[[], Kept]) -> Kept:
         """`get` for a value that msgspec encodes. If the file is damaged, make it again."""
-        data = self.get(key, lambda: msgspec.json.encode(make()))
-        kept = json_as(data, kind)
-        if kept is None:
-            self.forget(key)
-            return make()
-        return kept
+        value = json_as(self.find(key) or b"", kind)
+        if value is None:
+            value = make()
+            self.keep(key, msgspec.json.encode(value))
+        return value
 
     def find(self, key: str) -> bytes | None:
         """The data of a key, if any."""
@@ -54,13 +53,8 @@ class CacheFolder:
         except OSError:
             return None
 
-    def forget(self, key: str) -> None:
-        """Delete the data of a key."""
-        with contextlib.suppress(OSError):
-            self._path(key).unlink()
-
     def tidy(self) -> None:
-        """Remove the oldest files if all together have more than half a gigabyte."""
+        """Remove the oldest files if the folder has more than half a gigabyte."""
         files = []
         with contextlib.suppress(OSError):
             for path in self.folder.glob("*/*"):
@@ -75,12 +69,7 @@ class CacheFolder:
                 with contextlib.suppress(OSError):
                     path.unlink()
 
-    def _path(self, key: str) -> Path:
-        name = hashlib.sha256(key.encode("utf-8", "surrogateescape")).hexdigest()
-        return self.folder / name[:2] / name[2:]
-
     def keep(self, key: str, data: bytes) -> None:
-        """Keep data under a key."""
         path = self._path(key)
         part = path.with_name(f"{path.name}.{secrets.token_hex(3)}")
         try:
@@ -90,3 +79,7 @@ class CacheFolder:
         except OSError:  # the disk is full or read-only: the data are made each time
             with contextlib.suppress(OSError):
                 part.unlink()
+
+    def _path(self, key: str) -> Path:
+        name = hashlib.sha256(key.encode("utf-8", "surrogateescape")).hexdigest()
+        return self.folder / name[:2] / name[2:]

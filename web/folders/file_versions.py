@@ -9,18 +9,18 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final, Generic, TypeVar
 
+from common.files import PART_SUFFIX
 from common.location import Location
 from dataset.index.build_state import Stat
 
-_GROWING_STEP: Final = 22  # bits: an unfinished log is read in full, so every 4 MB, not after each of its seconds
-_PART: Final = ".part"
+_GROWING_STEP: Final = 22  # bits: 4 MB, because an unfinished log is read in full for each version
 
 Place = TypeVar("Place", bound=Location)
 Value = TypeVar("Value")
 
 
 class Newest(Generic[Place, Value]):
-    """Values made from files: of each file that of its newest version, for the files used last."""
+    """Values made from files: one for each of the files used last, of the file's newest version."""
 
     def __init__(self, max_kept: int) -> None:
         self._max_kept = max_kept
@@ -87,10 +87,10 @@ def _lines(entries: Iterable[os.DirEntry[str]]) -> Iterable[bytes]:
         name = os.fsencode(entry.name)
         try:
             status = entry.stat()
-        except OSError:  # deleted since, or a broken link
+        except OSError:  # deleted meanwhile, or a broken link
             yield name
             continue
-        if entry.name.endswith(_PART):
+        if entry.name.endswith(PART_SUFFIX):
             yield b"%s,%d" % (name, status.st_size >> _GROWING_STEP)
         else:
             yield b"%s,%d,%d" % (name, status.st_size, status.st_mtime_ns)

@@ -1,8 +1,7 @@
 """The folders that the workbench shows, on this machine or in stores. Names in addresses are looked up in
 listings, never joined to a path.
 
-Sizes, times and versions of logs come from the file system or from a listing of the store, which is asked for
-seldom. No log is read here.
+Sizes, times and versions of logs come from the file system or from the store's last listing. No log is read.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ class ProjectFolders:
 
     @property
     def are_in_stores(self) -> bool:
-        """True if any of them is."""
+        """Whether any of them is in a store."""
         return any(isinstance(folder, Url) for folder in (self.sessions, self.index, self.runs, self.drives))
 
     @property
@@ -69,8 +68,8 @@ class ProjectFolders:
         return parent if (self.sessions, self.index, self.runs, self.drives) == tuple(usual) else None
 
     def flags(self, *names: str, to_store: str = "") -> list[str]:
-        """The flags that name these folders for a command, if they are not the usual ones. `to_store`: the flag
-        for a folder in a store, if it is another."""
+        """The flags that name these folders for a command; none for the usual folders. `to_store` is the flag for
+        a folder in a store, if the command has another one."""
         return [
             f"{to_store if to_store and isinstance(folder, Url) else f'--{name}'}={folder}"
             for name in names
@@ -87,9 +86,9 @@ class ProjectFolders:
         return StoredCopy(self.index) if isinstance(self.index, Url) else None
 
     @property
-    def index_here(self) -> Path:
-        """The index, or the copy of it on this machine."""
-        return self.index if isinstance(self.index, Path) else self._index_copy.here  # type: ignore[union-attr]
+    def local_index(self) -> Path:
+        """The index, or its copy on this machine."""
+        return self.index if isinstance(self.index, Path) else self._index_copy.folder  # type: ignore[union-attr]
 
     def refresh_index(self) -> str:
         """Fetch the changes of an index in a store. Return the problem if that fails, else ""."""
@@ -124,7 +123,7 @@ class ProjectFolders:
     def log(self, place: Place, key: str) -> Location:
         """The log of a key. Raises WebError if it does not exist (any more), or if its store does not answer."""
         listed = self._listed.get((place, key))
-        if listed is not None and self._is_there(listed):  # a thousand logs are not listed for each picture
+        if listed is not None and self._still_exists(listed):  # a thousand logs are not listed for each picture
             return listed
         log = self.logs(place).get(key)
         if log is None:
@@ -135,22 +134,22 @@ class ProjectFolders:
         self._listed[place, key] = log
         return log
 
-    def _is_there(self, log: Location) -> bool:
+    def _still_exists(self, log: Location) -> bool:
         return log.is_file() if isinstance(log, Path) else self._listings.find(log) is not None
 
     def stat(self, place: Location) -> Stat:
         """Size, and time of modification or ETag, of a log or a file next to it; None without a file."""
         if isinstance(place, Path):
             return stat_of(place)
-        found = self._listings.find(place)
-        return None if found is None else (found.size, found.version)
+        stored = self._listings.find(place)
+        return None if stored is None else (stored.size, stored.version)
 
-    def is_there(self, log: Location) -> bool:
-        """Whether anything has that name."""
+    def is_taken(self, log: Location) -> bool:
+        """Whether any file or link has that name."""
         return (log.exists() or log.is_symlink()) if isinstance(log, Path) else self.stat(log) is not None
 
     def refresh_object(self, place: Location) -> None:
-        """Refresh the listing of an object in a store that was changed from here."""
+        """Refresh the listing of an object in a store that a page has changed."""
         if isinstance(place, Url):
             self._listings.refresh_object(place)
 
@@ -165,7 +164,7 @@ class ProjectFolders:
         return self.version_of(place)
 
     def version_of_folder(self, place: Place) -> str:
-        """The version of a folder's logs and tags. No file is read; a store is listed now and then."""
+        """The version of a folder's logs and tags."""
         folder: Location = getattr(self, place)
         if isinstance(folder, Path):
             return version_of_folder(folder)
@@ -192,8 +191,8 @@ class ProjectFolders:
         return self._stored_runs.problem if self._stored_runs else ""
 
     def run_folders(self) -> dict[str, Path]:
-        """The runs by their keys in addresses, also unreadable ones. For a run in a store, it is the folder with
-        the copies of its small files."""
+        """The folders of the runs, also unreadable ones, by their keys in addresses. For a run in a store, it is
+        the folder with the copies of its small files."""
         if self._stored_runs:
             self._stored_runs.refresh()
             return {key_of(path): path for path in self._stored_runs.runs()}
@@ -210,7 +209,7 @@ class ProjectFolders:
         return path
 
     def run_place(self, run: Path) -> Location:
-        """The location of a run whose folder here is `run`."""
+        """The original location of a run, of which `run` may be a copy."""
         return (self._stored_runs and self._stored_runs.url(run)) or run
 
     def version_of_run(self, run: Path, names: Sequence[str]) -> str:

@@ -80,43 +80,43 @@ class StoreListings:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._listed: dict[Url, Refreshed[Listing]] = {}
-        # objects asked for since a listing began, and when
-        self._changed_here: dict[Url, tuple[float, StoredObject | None]] = {}
+        # objects that pages have changed since the last listing began, and when
+        self._changed: dict[Url, tuple[float, StoredObject | None]] = {}
 
     def refresh(self, folder: Url) -> None:
         """List the folder again, if the last listing is some seconds old."""
-        self._of(folder).refresh()
+        self._listing(folder).refresh()
 
     def objects(self, folder: Url) -> Listing:
         """The objects directly in a folder, by the last listing."""
-        listed = self._of(folder)
+        listed = self._listing(folder)
         if listed.value is None:
             listed.refresh()
         with self._lock:
-            changed = {url: found for url, (_, found) in self._changed_here.items() if url.parent == folder}
+            changed = {url: stored for url, (_, stored) in self._changed.items() if url.parent == folder}
         objects = listed.value or {}
         if not changed:
             return objects
-        return {url: found for url, found in {**objects, **changed}.items() if found is not None}
+        return {url: stored for url, stored in {**objects, **changed}.items() if stored is not None}
 
     def refresh_object(self, url: Url) -> None:
-        """Ask for an object that was changed here, because the next listing may be seconds away."""
+        """Look up an object that a page has changed: the next listing may be seconds away."""
         from common.object_store import find_object  # an extra
 
         now_s = time.monotonic()
         with contextlib.suppress(StoreError):
-            found = find_object(url)
+            stored = find_object(url)
             with self._lock:
-                self._changed_here[url] = now_s, found
+                self._changed[url] = now_s, stored
 
     def problem(self, folder: Url) -> str:
         """Why there is no newer listing; empty if there is one."""
-        return self._of(folder).problem
+        return self._listing(folder).problem
 
     def find(self, url: Url) -> StoredObject | None:
         return self.objects(url.parent).get(url)
 
-    def _of(self, folder: Url) -> Refreshed[Listing]:
+    def _listing(self, folder: Url) -> Refreshed[Listing]:
         with self._lock:
             if folder not in self._listed:
                 self._listed[folder] = Refreshed(str(folder), lambda before: self._list(folder))
@@ -124,14 +124,12 @@ class StoreListings:
 
     def _list(self, folder: Url) -> Listing:
         began_s = time.monotonic()
-        found = _list(folder)
+        listing = _list(folder)
         with self._lock:
-            listed = [
-                url for url, (at_s, _) in self._changed_here.items() if url.parent == folder and at_s < began_s
-            ]
+            listed = [url for url, (at_s, _) in self._changed.items() if url.parent == folder and at_s < began_s]
             for url in listed:
-                del self._changed_here[url]
-        return found
+                del self._changed[url]
+        return listing
 
 
 class StoredCopy(Refreshed[Listing]):
@@ -142,17 +140,17 @@ class StoredCopy(Refreshed[Listing]):
 
     def __init__(self, url: Url) -> None:
         super().__init__(str(url), self._fetch)
-        self.here = cached_copy(url, "shown")
+        self.folder = cached_copy(url, "shown")
         self._url = url
 
     def _fetch(self, before: Listing | None) -> Listing:
-        listed = _list(self._url)
-        if listed != before:
+        listing = _list(self._url)
+        if listing != before:
             from common.stored_folder import StoredFolder  # an extra
 
-            with StoredFolder(self._url, self.here, waits=True) as folder:
-                folder.bring()
-        return listed
+            with StoredFolder(self._url, self.folder, waits=True) as stored:
+                stored.bring()
+        return listing
 
 
 def _list(folder: Url) -> Listing:

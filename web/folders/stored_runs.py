@@ -22,44 +22,44 @@ _AT_ONCE: Final = 8  # runs
 
 
 class StoredRuns(Refreshed[None]):
-    """The runs of a folder in a store by the folders of their copies, as soon as their small files are here."""
+    """The runs of a folder in a store, as soon as their small files are copied."""
 
     def __init__(self, url: Url) -> None:
         super().__init__(str(url), self._bring_changed)
         self._url = url
-        self._of_runs = threading.Lock()
-        self._brought: dict[Path, RunInStore] = {}
-        self._others: dict[tuple[Path, tuple[str, ...]], str] = {}  # the version that was brought
+        self._runs_lock = threading.Lock()
+        self._runs: dict[Path, RunInStore] = {}
+        self._other_files: dict[tuple[Path, tuple[str, ...]], str] = {}  # the version that was brought
 
     def runs(self) -> Mapping[Path, RunInStore]:
         """The runs by the folders of their copies, in the order of their names."""
-        with self._of_runs:
-            return dict(sorted(self._brought.items(), key=lambda item: item[1].name))
+        with self._runs_lock:
+            return dict(sorted(self._runs.items(), key=lambda item: item[1].name))
 
     def url(self, run: Path) -> Url | None:
-        with self._of_runs:
-            stored = self._brought.get(run)
+        with self._runs_lock:
+            stored = self._runs.get(run)
         return stored.url if stored else None
 
     def version(self, run: Path, names: Sequence[str]) -> str:
         """The version of these files of a run, by the last listing."""
-        with self._of_runs:
-            stored = self._brought.get(run)
+        with self._runs_lock:
+            stored = self._runs.get(run)
         files = [stored.files.get(name) for name in names] if stored else []
         return version_of_stats((file.url, (file.size, file.version)) for file in files if file is not None)
 
     def bring(self, run: Path, names: Sequence[str]) -> None:
         """Fetch these files if they have changed since the last time. Raises StoreError."""
         version = self.version(run, names)
-        with self._of_runs:
-            stored = self._brought.get(run)
-            if stored is None or self._others.get((run, tuple(names))) == version:
+        with self._runs_lock:
+            stored = self._runs.get(run)
+            if stored is None or self._other_files.get((run, tuple(names))) == version:
                 return
         from model.runs.runs_in_store import bring_run
 
         bring_run(stored, names)
-        with self._of_runs:
-            self._others[run, tuple(names)] = version
+        with self._runs_lock:
+            self._other_files[run, tuple(names)] = version
 
     def _bring_changed(self, before: None) -> None:
         from model.runs.runs_in_store import bring_summary, runs_in_store
@@ -69,15 +69,15 @@ class StoredRuns(Refreshed[None]):
                 copy = bring_summary(run)
             except UserError as error:
                 return error
-            with self._of_runs:
-                self._brought[copy] = run
+            with self._runs_lock:
+                self._runs[copy] = run
             return None
 
         runs = {cached_copy(run.url): run for run in runs_in_store(self._url)}
-        with self._of_runs:
-            for removed in self._brought.keys() - runs.keys():
-                del self._brought[removed]
-            changed = [run for copy, run in runs.items() if self._brought.get(copy) != run]
+        with self._runs_lock:
+            for removed in self._runs.keys() - runs.keys():
+                del self._runs[removed]
+            changed = [run for copy, run in runs.items() if self._runs.get(copy) != run]
         with ThreadPoolExecutor(_AT_ONCE) as pool:
             problem = next(filter(None, pool.map(bring, changed)), None)
         if problem is not None:

@@ -1,4 +1,4 @@
-"""Recordings that a browser sends to the project, each a folder in `recordings/`, whole or not at all.
+"""Recordings that a browser uploads to the project, each a folder in `recordings/`, whole or not at all.
 
 A body begins with a manifest in JSON: the paths and sizes of its files. The files follow, one after the other. A
 single zip is unpacked. Everything is untrusted: names are checked before a file is made.
@@ -46,9 +46,9 @@ class Upload:
     """An upload that is being received: `write` its bytes, then `finish` it. Otherwise nothing is kept."""
 
     def __init__(self, folder: Path, manifest_bytes: int, total_bytes: int) -> None:
-        """`folder` has all uploads. Raises WebError if it is too large."""
+        """`folder` has all uploads. Raises WebError if this one is too large."""
         if not 0 < manifest_bytes <= min(_MAX_MANIFEST_BYTES, total_bytes) or total_bytes > MAX_UPLOAD_BYTES:
-            raise WebError(f"an upload of {total_bytes:,} bytes: at most {MAX_UPLOAD_BYTES:,} are taken", 413)
+            raise WebError(f"an upload of {total_bytes:,} bytes: at most {MAX_UPLOAD_BYTES:,} are allowed", 413)
         self._parent = folder
         self._above: list[Path] = []
         self._name = "recording"
@@ -95,7 +95,7 @@ class Upload:
                 self._next_file()
 
     def finish(self) -> Path:
-        """Give the upload its name; its folder. Raises WebError if it is incomplete."""
+        """Give the upload its name, and return its folder. Raises WebError if it is incomplete."""
         if self._files is None or self._files or self._left:
             raise WebError("the upload is incomplete: it was cut off", 422)
         self._close()
@@ -103,7 +103,7 @@ class Upload:
             unpack(self._zip, self._part)
             self._zip.unlink()
         if not any(self._part.iterdir()):
-            raise WebError("an upload without a file", 422)
+            raise WebError("the upload has no file", 422)
         return self._named()
 
     def _begin_files(self) -> None:
@@ -129,7 +129,7 @@ class Upload:
         self._next_file()
 
     def _next_file(self) -> None:
-        """Open the next file, if the one before is complete."""
+        """Open the next file, if the current one is complete."""
         while not self._left and self._files:
             self._close()
             path, self._left = self._files.pop()
@@ -181,7 +181,7 @@ def unpack(archive: Path, folder: Path) -> None:
 def _unpack(archive: zipfile.ZipFile, folder: Path) -> None:
     members = archive.infolist()
     if len(members) > MAX_FILES:
-        raise WebError(f"the zip has {counted(len(members), 'file')}: at most {MAX_FILES:,} are taken", 413)
+        raise WebError(f"the zip has {counted(len(members), 'file')}: at most {MAX_FILES:,} are allowed", 413)
     left = MAX_UPLOAD_BYTES
     refuse_full(folder, sum(member.file_size for member in members))
     for member in members:
@@ -189,9 +189,9 @@ def _unpack(archive: zipfile.ZipFile, folder: Path) -> None:
         if not parts or member.is_dir():
             continue
         if (member.external_attr >> 28) == 0xA:  # a link, as Unix writes it
-            raise WebError(f"{printable(member.filename)}: is a link; links are not unpacked", 422)
+            raise WebError(f"{printable(member.filename)}: links are not unpacked; zip the files themselves", 422)
         if member.flag_bits & 1:
-            raise WebError("the zip has a password; unpack it, and drop the folder", 422)
+            raise WebError("the zip has a password: unpack it, and drop the folder", 422)
         with archive.open(member) as source, _new_file(folder.joinpath(*parts)) as target:
             while block := source.read(_BLOCK_BYTES):
                 left -= len(block)
@@ -201,7 +201,7 @@ def _unpack(archive: zipfile.ZipFile, folder: Path) -> None:
 
 
 def _directory_bytes(stream: IO[bytes]) -> int:
-    """The length of a zip's directory by the records at its end: the largest, if there are several."""
+    """The length of a zip's directory by the records at the zip's end: the largest, if there are several."""
     stream.seek(-min(stream.seek(0, 2), (1 << 16) + 200), 2)
     end = stream.read()
     short = [end[at.start() + 12 : at.start() + 16] for at in re.finditer(b"PK\5\6", end)]
@@ -211,15 +211,15 @@ def _directory_bytes(stream: IO[bytes]) -> int:
 
 
 def checked_name(name: str) -> Sequence[str]:
-    """The parts of a file's path in an upload; none for files that systems add. Raises WebError for a path that
-    leads elsewhere, or a name that is not valid on every system."""
+    """The parts of a file's path in an upload; none for files that operating systems add. Raises WebError for a
+    path that leads outside, or a name that is not valid on every system."""
     parts = name.split("/")
     if len(parts) > _MAX_DEPTH:
         raise WebError(f"{printable(name)[:200]}: more than {_MAX_DEPTH} folders deep", 422)
     for part in parts:
         is_plain = part not in ("", ".", "..") and part.isprintable() and not set(part) & set('\\:*?"<>|')
         if not is_plain or len(part.encode()) > _MAX_NAME_BYTES:
-            raise WebError(f"{printable(name)[:200]}: no file on this machine can have this name", 422)
+            raise WebError(f"{printable(name)[:200]}: this file name is not valid on every system; rename it", 422)
     return () if _UNWANTED & set(parts) else parts
 
 
@@ -241,4 +241,4 @@ def _new_file(path: Path) -> IO[bytes]:
         path.parent.mkdir(parents=True, exist_ok=True)
         return path.open("xb")
     except (FileExistsError, NotADirectoryError, IsADirectoryError):
-        raise WebError(f"{printable(path.name)}: is in the upload twice", 422) from None
+        raise WebError(f"{printable(path.name)}: in the upload twice", 422) from None

@@ -1,4 +1,4 @@
-"""Samples of an index as a default training sees them in its first epoch, beside the crops as they were driven."""
+"""Samples of an index as a default training sees them in its first epoch, and the crops as recorded."""
 
 from __future__ import annotations
 
@@ -29,8 +29,7 @@ _COLUMNS: Final = (*LOADED, "row", "camera", "recorded")
 
 
 class AlteredSample(msgspec.Struct, frozen=True):
-    """`pictures`: the crop as it was driven, and what training makes of it, as JPEGs; empty for one that does not
-    decode."""
+    """`pictures` are the crop as recorded and as trained on, as JPEGs; empty if a picture does not decode."""
 
     session: str
     row: int
@@ -42,15 +41,15 @@ class AlteredSample(msgspec.Struct, frozen=True):
 
 
 class AlteredSamples(msgspec.Struct, frozen=True):
-    """Some of an index's training samples, evenly spread."""
+    """Some training samples of an index, evenly spread."""
 
     total: int
     shown: list[AlteredSample]
 
 
 def altered_samples(index: Location, version: str, others: int, cache: CacheFolder) -> AlteredSamples:
-    """`SHOWN` training samples of an index of this version; each number `others` shows others. Raises UserError
-    where the index or its logs cannot be read."""
+    """`SHOWN` training samples of an index of this version; another number `others` gives others. Raises UserError
+    if the index or its logs cannot be read."""
     key = f"altered 4 {absolute(index)} {version} {others}"
     return cache.struct(key, AlteredSamples, lambda: _read(index, others))
 
@@ -58,14 +57,14 @@ def altered_samples(index: Location, version: str, others: int, cache: CacheFold
 def _read(index: Location, others: int) -> AlteredSamples:
     with Samples(index) as samples:
         table = samples.of_split("train", _COLUMNS)
-        # the golden ratio: each round of numbers lies between those of the rounds before
+        # by the golden ratio, the numbers of each round lie between those of earlier rounds
         places = (np.arange(SHOWN) / SHOWN + others * 0.6180339887 / SHOWN) % 1
         chosen = np.unique((places * len(table)).astype(np.int64)) if len(table) else np.arange(0)
         return AlteredSamples(len(table), _shown(samples, table.take(pa.array(chosen)), chosen))
 
 
 def _shown(samples: Samples, chosen: pa.Table, numbers: NDArray[np.int64]) -> list[AlteredSample]:
-    """`numbers` are those of the `chosen` samples in an epoch."""
+    """The `chosen` samples, which have these numbers in an epoch."""
     rows = samples.rows(chosen)
     plain = dataclasses.replace(
         rows, flip=np.zeros(len(rows), np.bool_), alterations=tuple("" for _ in rows.alterations)
@@ -73,7 +72,7 @@ def _shown(samples: Samples, chosen: pa.Table, numbers: NDArray[np.int64]) -> li
     recipe = TrainConfig()
     epoch = EpochAlterations(recipe.epoch_alterations, recipe.seed, samples.settings.side_correction)
     labels = epoch.labels(rows.label, 1, numbers)
-    as_driven = _jpegs(Crops(plain, samples.logs, 0), len(rows))
+    as_recorded = _jpegs(Crops(plain, samples.logs, 0), len(rows))
     as_learnt = _jpegs(
         Crops(rows, samples.logs, 0), len(rows), lambda pictures, at: epoch.alter(1, pictures, numbers[at])
     )
@@ -85,13 +84,13 @@ def _shown(samples: Samples, chosen: pa.Table, numbers: NDArray[np.int64]) -> li
             sample["row"],
             printable(sample["camera"]),
             ", ".join(["mirrored"] * sample["flip"] + [name for name in sample["alteration"].split("+") if name]),
-            # of the unmirrored picture beside it
+            # of the unmirrored picture next to it
             f"{sample['recorded'] * (-1 if sample['flip'] else 1) * full:.1f}{unit.sign}",
             f"{label * full:.1f}{unit.sign}",
             (before, after),
         )
         for sample, label, before, after in zip(
-            chosen.to_pylist(), labels.tolist(), as_driven, as_learnt, strict=True
+            chosen.to_pylist(), labels.tolist(), as_recorded, as_learnt, strict=True
         )
     ]
 

@@ -1,4 +1,4 @@
-"""Trial indexes: what other settings would make of the sessions, built beside the real index, in the cache."""
+"""Trial indexes: indexes with other settings, in the cache."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _KEPT: Final = 4
 
 
 class IndexTrials:
-    """The newest trials; the folder may be deleted at any time."""
+    """The newest trials. The folder may be deleted at any time."""
 
     def __init__(self, cache: Path) -> None:
         self._folder = cache / "trials"
 
     def new(self, index: Path) -> tuple[str, Path]:
-        """A name and a folder for a trial. It starts with the known findings of pictures, which take long."""
-        found = sorted(self._found().values(), key=lambda path: path.stat().st_mtime_ns)
-        for path in found[: max(0, len(found) + 1 - _KEPT)]:
+        """A name and a folder for a trial. The folder gets the index's checks of pictures, which take long."""
+        trials = sorted(self._trials().values(), key=lambda path: path.stat().st_mtime_ns)
+        for path in trials[: max(0, len(trials) + 1 - _KEPT)]:
             shutil.rmtree(path, ignore_errors=True)
         folder = self._folder / secrets.token_hex(6)
         folder.mkdir(parents=True)
@@ -33,13 +33,13 @@ class IndexTrials:
         return folder.name, folder
 
     def get(self, key: str) -> Path:
-        """Raises WebError if there is none (any more)."""
-        path = self._found().get(key)
+        """The folder of a trial. Raises WebError if it does not exist (any more)."""
+        path = self._trials().get(key)
         if path is None:
-            raise WebError(f"no trial {key!r} (any more): the newest {_KEPT} are kept; try it again", 404)
+            raise WebError(f"no trial {key!r}: only the newest {_KEPT} are kept; try the settings again", 404)
         return real_path(path)
 
-    def _found(self) -> dict[str, Path]:
+    def _trials(self) -> dict[str, Path]:
         try:
             return {path.name: path for path in self._folder.iterdir() if path.is_dir()}
         except OSError:

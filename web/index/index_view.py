@@ -1,4 +1,4 @@
-"""The contents of the index page: settings, bins, each session's share, and the split along time."""
+"""The data of the index's page: settings, bins, each session's frames, and the split along time."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ _BEFORE, _AFTER, _OTHER, _AXIS = "#8d97a1", "#4a90d9", "#8885", "#8884"
 
 @dataclass(frozen=True)
 class IndexView:
-    """An index as it is on the disk, by the metadata of its samples.parquet."""
+    """An index, by the metadata of its samples.parquet."""
 
     settings: dict[str, str]
-    before: list[int]  # training samples of each steering bin, before it was balanced, and after
-    after: list[int]
-    counts: dict[str, dict[str, int]]  # frames of each session, by what becomes of them
+    before: list[int]  # training samples of each steering bin before balancing
+    after: list[int]  # and after balancing
+    counts: dict[str, dict[str, int]]  # frames of each session by their use
 
     @property
     def frames(self) -> int:
@@ -47,22 +47,21 @@ class IndexView:
 
     @property
     def ways(self) -> list[str]:
-        """The uses of frames (training, held out ...) that any frame has, in the order of `bc-index`."""
-        known = [field.name for field in fields(SessionCounts)]
-        ways = dict.fromkeys(way for counts in self.counts.values() for way in counts)
-        some = [way for way in ways if any(counts.get(way) for counts in self.counts.values())]
-        return sorted(some, key=lambda way: known.index(way) if way in known else len(known))
+        """The uses (training, held out ...) that any frame has, in the order of `bc-index`."""
+        order = [field.name for field in fields(SessionCounts)]
+        ways = dict.fromkeys(way for counts in self.counts.values() for way, count in counts.items() if count)
+        return sorted(ways, key=lambda way: order.index(way) if way in order else len(order))
 
 
 def view_index(index: Path) -> IndexView:
-    """Raises DatasetError where there is none, or where it is damaged or of another version."""
+    """The index in a folder. Raises DatasetError if it is missing, damaged, or of another version."""
     path = index / SAMPLES_NAME
     metadata = read_metadata(path)
     if metadata is None:
-        raise DatasetError(f"{path}: no index, or a damaged one; `bc-index` builds it")
+        raise DatasetError(f"{path}: missing or damaged; `bc-index` builds it")
     if (version := metadata.get("format")) not in READABLE_FORMATS:
         raise DatasetError(
-            f"{path}: of format {printable(str(version))}, not {SAMPLES_FORMAT}; `bc-index` makes it anew"
+            f"{path}: of format {printable(str(version))}, not {SAMPLES_FORMAT}; `bc-index` builds it anew"
         )
     try:
         balance = Balance.from_dict(metadata["balance"])
@@ -76,37 +75,38 @@ def view_index(index: Path) -> IndexView:
             },
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise DatasetError(f"{path}: not as this version writes it ({error}); `bc-index` makes it anew") from None
+        raise DatasetError(f"{path}: invalid metadata ({error}); `bc-index` builds it anew") from None
 
 
 def bins_sketch(view: IndexView) -> bytes:
-    """Each bin before (behind) and after it was balanced, from left to right, as an SVG."""
+    """The bins before (behind) and after balancing, from left to right, as an SVG."""
     height = 120
     top = max([1, *view.before, *view.after])
-    parts = ((view.before, _BEFORE, 0.9), (view.after, _AFTER, 0.5))
-    heights = [([height * count / top for count in counts], color, share) for counts, color, share in parts]
-    paths = [
-        f'<path d="{bars(each, 0, 2 * _WIDTH, height, share)}" fill="{color}"/>' for each, color, share in heights
-    ]
+
+    def path(counts: list[int], color: str, share: float) -> str:
+        heights = [height * count / top for count in counts]
+        return f'<path d="{bars(heights, 0, 2 * _WIDTH, height, share)}" fill="{color}"/>'
+
+    paths = [path(view.before, _BEFORE, 0.9), path(view.after, _AFTER, 0.5)]
     return _svg(2 * _WIDTH, height, [*paths, f'<path d="M{_WIDTH} 0V{height}" stroke="{_AXIS}"/>'])
 
 
 def session_bins_sketch(index: Path, session: str) -> bytes:
-    """The square root of one session's training samples in each steering bin of the index. Raises DatasetError as
-    `view_index` does."""
+    """The square roots of a session's training samples in each steering bin of the index, as an SVG. Raises
+    DatasetError as `view_index` does."""
     height, bins = 28, len(view_index(index).before)
     filters = [("session", "=", session), ("split", "=", "train")]
     try:
         labels = read_columns(index / SAMPLES_NAME, ["label"], filters=filters)["label"].to_numpy()
     except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
-        raise DatasetError(f"{index / SAMPLES_NAME}: cannot be read ({error}); `bc-index` makes it anew") from None
+        raise DatasetError(f"{index / SAMPLES_NAME}: unreadable ({error}); `bc-index` builds it anew") from None
     counts = np.bincount(bin_of(labels, bins), minlength=bins)
     path = bars(root_heights(counts, height), 0, _WIDTH, height)
     return _svg(_WIDTH, height, [f'<path d="{path}" fill="{_AFTER}"/>'])
 
 
 def bins_of_index(index: Path) -> int:
-    """How many steering bins an index has; the default where there is no index that can be read."""
+    """The number of steering bins of an index; the default if there is no readable index."""
     try:
         return len(view_index(index).before)
     except DatasetError:
@@ -114,7 +114,7 @@ def bins_of_index(index: Path) -> int:
 
 
 def split_sketch(index: Path, session: str) -> bytes:
-    """A sketch of a session's rows, trained on or held out, along it; grey is neither."""
+    """A session's rows along time as an SVG: trained on, held out, or neither (grey)."""
     frames = read_frames(index / FRAMES_FOLDER / f"{session}.parquet", ["row", "split"]).sort_by("row")
     height, total = 14, max(1, len(frames))
     parts = [f'<rect width="{_WIDTH}" height="{height}" fill="{_OTHER}"/>']
@@ -129,7 +129,7 @@ def split_sketch(index: Path, session: str) -> bytes:
 
 
 def held_out_rows(index: Path, session: str) -> list[tuple[int, int]]:
-    """The first and last rows of the stretches of a session that validation has."""
+    """The first and last rows of the stretches of a session that are held out for validation."""
     frames = read_frames(index / FRAMES_FOLDER / f"{session}.parquet", ["row", "split"]).sort_by("row")
     is_held_out = np.array(frames["split"].to_pylist()) == "validation"
     row = frames["row"].to_numpy()

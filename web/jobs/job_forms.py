@@ -1,7 +1,7 @@
-"""The forms that start commands from the page, and the command line that each makes.
+"""The forms that start commands, and the command line of each.
 
-A field that is left empty gives no flag, so that the command's own default holds; values are checked by the
-command itself, in its first second.
+An empty field gives no flag: the command's own default applies. The command itself checks the values, in its first
+second.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from web.folders.project_folders import ProjectFolders, key_of
 
 MAX_CHARACTERS: Final = 1000  # of a value
 
-Known = Literal["", "sessions", "runs", "pictures", "topics"]
+Suggestions = Literal["", "sessions", "runs", "pictures", "topics"]
 
 
 @dataclass(frozen=True)
 class Field:
-    """A value of a form. `flag`: how it is given; None: `--name`; "": as words of the command line."""
+    """A value of a form. `flag` is None for `--name`, "" for words without a flag."""
 
     name: str
     label: str
     flag: str | None = None
-    hint: str = ""  # what holds when it is left empty
+    hint: str = ""  # the command's default
     choices: tuple[str, ...] = ()
-    known: Known = ""  # names to choose among
+    suggestions: Suggestions = ""  # names that the page suggests
     is_several: bool = False  # words, separated by blanks
     is_switch: bool = False  # given or not
     is_needed: bool = False
-    is_more: bool = False  # folded away: few people change it
+    is_more: bool = False  # folded: few people change it
 
     @property
     def as_flag(self) -> str:
@@ -52,28 +52,28 @@ class Field:
         parts = value.split() if self.is_several else [value]
         for part in parts:
             if part.startswith("-"):
-                raise WebError(f"{self.label}: {part!r} would be taken for a flag", 422)
+                raise WebError(f"{self.label}: a command would take {part!r} for a flag", 422)
         return [*([flag] if flag else []), *parts]
 
 
 @dataclass(frozen=True)
 class JobForm:
-    """A kind of job: the command, its fields, and the page of its output."""
+    """A kind of job."""
 
     name: str
     title: str
     about: str
     command: tuple[str, ...]
     fields: tuple[Field, ...]
-    folders: tuple[str, ...]  # of the project, that it is told where they are not the usual ones
-    made: Callable[[Mapping[str, str]], str]
-    of_named: tuple[str, ...] = ()  # the same, where sessions are named
-    to_store: str = ""  # the flag that names the folder of its sessions instead, if that is in a store
+    folders: tuple[str, ...]  # of the project; if they are not the usual ones, the command gets their flags
+    made: Callable[[Mapping[str, str]], str]  # the page of its output
+
+    to_store: str = ""  # the flag for the folder of its sessions, if that is in a store
     names_run: bool = False  # a run without a name gets one, so that its page is known
-    fills_project: bool = False  # where none of the project's folders is there yet: `--folder` is theirs
+    fills_project: bool = False  # its `--folder` is the project, if none of the project's folders exists yet
 
     def words(self, values: Mapping[str, str], folders: ProjectFolders) -> list[str]:
-        """The command line. Raises WebError for a value that cannot be one."""
+        """The command line. Raises WebError for an invalid value."""
         words = list(self.command)
         for field in self.fields:
             value = values.get(field.name, "").strip()
@@ -86,23 +86,21 @@ class JobForm:
             words += field.words(value)
         if self.fills(folders):
             words.append(f"--folder={folders.parent}")
-        named = any(field.known == "sessions" and values.get(field.name, "").strip() for field in self.fields)
-        names = (*self.folders, *(self.of_named if named else ()))
-        return words + folders.flags(*names, to_store=self.to_store)
+        return words + folders.flags(*self.folders, to_store=self.to_store)
 
     def named(self, values: Mapping[str, str]) -> dict[str, str]:
-        """The values of its fields, with the name that its run gets."""
+        """The values of its fields, and the name of its run."""
         values = {
             field.name: values[field.name].strip() for field in self.fields if values.get(field.name, "").strip()
         }
         return values | {"name": values.get("name") or new_run_name()} if self.names_run else values
 
     def fills(self, folders: ProjectFolders) -> bool:
-        """Whether its output will be shown here."""
+        """Whether it fills this project."""
         return self.fills_project and folders.are_new and folders.parent is not None
 
     def page_of(self, values: Mapping[str, str], folders: ProjectFolders) -> str:
-        """The page of its output; "" where that is not of this project."""
+        """The page of its output; "" if the output is not in this project."""
         return "" if self.fills_project and not self.fills(folders) else self.made(values)
 
 
@@ -121,7 +119,7 @@ _TRAIN: Final = TrainConfig()
 _TARGETS: Final = ("steering", "steering speed", "steering throttle", "steering speed throttle")
 _KEEP: Final = ("driving-error", "balanced-rmse", "rmse", "last")
 INDEX_FIELDS: Final = (
-    Field("sessions", "sessions", "", hint="all of them", known="sessions", is_several=True),
+    Field("sessions", "sessions", "", hint="all of them", suggestions="sessions", is_several=True),
     Field("recipe", "recipe", choices=get_args(IndexRecipe)),
     Field("bins", "bins", hint=str(_INDEX.bins)),
     Field("per_bin", "samples a bin", hint=str(_INDEX.per_bin)),
@@ -129,18 +127,18 @@ INDEX_FIELDS: Final = (
     Field("labels", "labels", choices=("auto", "as-recorded")),
     Field("where", "rows where", hint="all rows; SQL such as speed_mph > 5"),
     Field("validation_share", "share held out", hint=str(_INDEX.validation_share)),
-    Field("validation", "sessions held out", hint="none as a whole", known="sessions", is_several=True),
+    Field("validation", "sessions held out", hint="none as a whole", suggestions="sessions", is_several=True),
     Field("no_balance", "do not balance", is_switch=True),
     Field("no_flip", "no mirrored copies", is_switch=True),
     Field("seed", "seed", hint=str(_INDEX.seed)),
 )
-"""Also those of the page that shows what a rebuild would change."""
+"""Also the fields of *Try other settings* on the index's page."""
 
 FORMS: Final[Sequence[JobForm]] = (
     JobForm(
         "record",
         "Record",
-        "The built-in simulator is driven, and recorded as a session.",
+        "The built-in simulator drives. The drive becomes a session.",
         ("bc-record",),
         (
             Field("name", "name of the session", "", is_needed=True),
@@ -152,19 +150,23 @@ FORMS: Final[Sequence[JobForm]] = (
         ),
         ("sessions",),
         _session,
-        to_store="--copy-to",  # where it is recorded, logs are on this machine
+        to_store="--copy-to",  # `bc-record` writes on this machine
     ),
     JobForm(
         "import",
         "Import",
-        "A recording becomes a session: of Udacity's simulator, DonkeyCar, ROS 2, LeRobot, or MCAP.",
+        "A recording of Udacity's simulator, DonkeyCar, ROS 2, LeRobot or MCAP becomes a session.",
         ("bc-record",),
         (
             Field("name", "name of the session", "", is_needed=True),
             Field("source", "folder or file on this machine", "--from", is_needed=True),
-            Field("image", "topic of the pictures", hint="of a log or bag", known="pictures", is_more=True),
+            Field("image", "topic of the pictures", hint="of a log or bag", suggestions="pictures", is_more=True),
             Field(
-                "steering", "topic.field of the steering", hint="/cmd_vel.angular.z", known="topics", is_more=True
+                "steering",
+                "topic.field of the steering",
+                hint="/cmd_vel.angular.z",
+                suggestions="topics",
+                is_more=True,
             ),
             Field("steering_scale", "factor of the steering", hint="1; -1 for ROS", is_more=True),
             Field("columns", "columns of a csv", hint="image=frame steering=angle", is_several=True, is_more=True),
@@ -173,7 +175,7 @@ FORMS: Final[Sequence[JobForm]] = (
         ),
         ("sessions",),
         _session,
-        to_store="--copy-to",  # where it is recorded, logs are on this machine
+        to_store="--copy-to",
     ),
     JobForm(
         "index",
@@ -198,11 +200,11 @@ FORMS: Final[Sequence[JobForm]] = (
             Field("targets", "what it learns", choices=_TARGETS, is_several=True),
             Field("recipe", "recipe", choices=get_args(Recipe)),
             Field("device", "computes on", choices=("cpu", "cuda")),
-            Field("on", "on these sessions alone", hint="the index", known="sessions", is_several=True),
-            Field("init", "start from the run", hint="random weights", known="runs"),
+            Field("on", "only these sessions", hint="the index", suggestions="sessions", is_several=True),
+            Field("init", "start from run", hint="random weights", suggestions="runs"),
             Field("patience", "patience, epochs", hint="0: all epochs", is_more=True),
             Field("dropout", "dropout", hint=str(_TRAIN.dropout), is_more=True),
-            Field("keep", "epoch that is kept", choices=_KEEP, is_more=True),
+            Field("keep", "epoch to keep", choices=_KEEP, is_more=True),
             Field("picture_px", "width and height of the picture", is_several=True, is_more=True),
             Field("threads", "processor threads", hint="one a core", is_more=True),
             Field("seed", "seed", hint="0", is_more=True),
@@ -214,10 +216,10 @@ FORMS: Final[Sequence[JobForm]] = (
     JobForm(
         "learn",
         "Learn from takeovers",
-        "A run learns from a drive in which somebody took over, in addition to its old data.",
+        "A run learns from a drive in which somebody took over, and from its earlier data.",
         ("bc-train",),
         (
-            Field("run", "run", "--init", known="runs", is_needed=True),
+            Field("run", "run", "--init", suggestions="runs", is_needed=True),
             Field("takeovers", "log of the drive", hint="drives/NAME.mcap", is_needed=True),
             Field("name", "name of the new run", hint="date and time"),
             Field("epochs", "epochs", hint="10"),
@@ -232,7 +234,7 @@ FORMS: Final[Sequence[JobForm]] = (
         "A stopped training continues.",
         ("bc-train",),
         (
-            Field("run", "run", "--resume", known="runs", is_needed=True),
+            Field("run", "run", "--resume", suggestions="runs", is_needed=True),
             Field("epochs", "epochs", hint="as many as before"),
         ),
         ("index", "sessions", "runs"),
@@ -241,23 +243,22 @@ FORMS: Final[Sequence[JobForm]] = (
     JobForm(
         "evaluate",
         "Evaluate",
-        "A run is measured on the frames that were held out, or on whole sessions.",
+        "Measures a run on the frames that were held out, or on whole sessions.",
         ("bc-eval",),
         (
-            Field("run", "run", "", known="runs", hint="the newest"),
-            Field("session", "sessions instead", known="sessions", is_several=True),
+            Field("run", "run", "", suggestions="runs", hint="the newest"),
+            Field("session", "sessions instead", suggestions="sessions", is_several=True),
         ),
-        ("runs",),
+        ("runs", "sessions"),
         _run,
-        of_named=("sessions",),
     ),
     JobForm(
         "drive",
         "Drive",
-        "A run drives the built-in simulator; the drive's log is kept.",
+        "A run drives the built-in simulator. The drive's log is kept.",
         ("bc-eval",),
         (
-            Field("run", "run", "", known="runs", hint="the newest"),
+            Field("run", "run", "", suggestions="runs", hint="the newest"),
             Field(
                 "track", "tracks", "--simulator", hint="lake mountain random:3", is_several=True, is_needed=True
             ),
@@ -271,8 +272,8 @@ FORMS: Final[Sequence[JobForm]] = (
     JobForm(
         "demo",
         "Demo",
-        "The whole chain: record, index, train, drive; in this project if it is empty, otherwise in a new"
-        " folder, demo/DATE. Takes some minutes.",
+        "The whole chain: record, index, train, drive. It runs in this project if that is empty, otherwise in a"
+        " new folder, demo/DATE. It takes some minutes.",
         ("bc-demo",),
         (Field("epochs", "epochs", hint="4"),),
         (),

@@ -1,7 +1,7 @@
-"""A job's own process: it runs a command, keeps what it prints, and its exit code; whether or not bc-web goes on.
+"""The process of a job: it runs a command, and keeps the output and the exit code. It outlives bc-web.
 
-Its lock is held as long as the command runs, so that another process of the same number is not taken for it. The
-command inherits the lock: where this process is killed, the job is still known to run, and can be stopped.
+It holds a lock while the command runs, so that no other process with the same number is taken for it. The command
+inherits the lock: if this process is killed, the job still counts as running and can be stopped.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ _START: Final = "import sys; sys.path.append({root!r}); sys.argv[0] = {name!r}; 
 
 
 def python_of(name: str, root: Path) -> list[str]:
-    """The start of the command line of one of the project's commands, installed or not. `-P`: a `model.py` in the
-    folder where it runs is not ours."""
+    """The beginning of the command line of a command of the toolkit, installed or not. `-P`: a `model.py` in the
+    current folder is not imported."""
     return [sys.executable, "-P", "-c", _START.format(root=str(root), name=name, function=name.replace("-", "_"))]
 
 
@@ -39,13 +39,13 @@ def run_job(folder: Path, root: Path) -> None:
     if sys.platform != "win32":
         signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the web server's threads block those that end a command
     signal.signal(signal.SIGINT, _leave_to_the_command)
-    with (folder / LOCK).open("ab") as held, (folder / OUTPUT).open("ab") as output:
-        lock(held)
-        with os.fdopen(1, "wb") as asking:  # the pipe of the process that has started this one
-            asking.write(READY)
+    with (folder / LOCK).open("ab") as locked, (folder / OUTPUT).open("ab") as output:
+        lock(locked)
+        with os.fdopen(1, "wb") as parent:  # the pipe to the process that has started this one
+            parent.write(READY)
         environment = {**os.environ, "COLUMNS": "160", "NO_COLOR": "1", "PYTHONUNBUFFERED": "1"}
         line = [*python_of(words[0], root), *words[1:]]
-        inherited = () if sys.platform == "win32" else (held.fileno(),)
+        inherited = () if sys.platform == "win32" else (locked.fileno(),)
         done = subprocess.run(
             line,
             stdin=subprocess.DEVNULL,
@@ -61,7 +61,8 @@ def run_job(folder: Path, root: Path) -> None:
 
 
 def _leave_to_the_command(number: int, frame: FrameType | None) -> None:
-    """Ctrl-C is for the command, which has the same process group; a handler, unlike SIG_IGN, is not inherited."""
+    """Ctrl-C is for the command, which is in the same process group. The command does not inherit a handler, but
+    would inherit SIG_IGN."""
 
 
 def main() -> None:

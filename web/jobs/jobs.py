@@ -1,7 +1,7 @@
-"""Jobs: the project's commands, started from the page, each in a process of its own that outlives bc-web.
+"""Jobs: commands that pages start, each in a separate process that outlives bc-web.
 
-A job is a folder in the cache, with the command, what it prints, and how it ended; so a bc-web that is begun anew
-finds those of before. A job ends by itself, or by Ctrl-C (`stop`); never because bc-web does.
+A job is a folder in the cache with the command, its output and its exit code, so that a later bc-web finds it. A
+job ends by itself or by Ctrl-C (`stop`).
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ from web.jobs.job_forms import FORMS
 from web.jobs.job_runner import ABOUT, EXIT, LOCK, OUTPUT, READY
 
 _ROOT: Final = Path(behavioural_cloning_toolkit.__file__).parent
-_KEPT: Final = 50  # of those that have ended
-_MAX_BYTES: Final = 64 << 10  # of its output that are shown: the last ones
+_KEPT: Final = 50  # jobs that have ended
+_MAX_BYTES: Final = 64 << 10  # of the output, which a page shows: the last ones
 _RUNNER: Final = "import sys; sys.path.append(sys.argv[2]); from web.jobs.job_runner import main; main()"
 if sys.platform == "win32":
     _NEW_GROUP: Final = subprocess.CREATE_NEW_PROCESS_GROUP
 else:
     _NEW_GROUP: Final = 0
 _STOPPED: Final = 130
-_WORDS: Final = {
+_STATES: Final = {
     0: "done",
     1: "failed",
     2: "refused",
@@ -55,13 +55,13 @@ _WORDS: Final = {
 
 
 class About(msgspec.Struct):
-    """The description of a job, known from its beginning."""
+    """The description of a job, written when it starts."""
 
     words: list[str]  # of the command line, "bc-..." first
     began: str  # UTC, ISO 8601
-    made: str  # the page of what it makes; "" for none
-    form: str = ""  # that started it, and its values
-    values: dict[str, str] = {}
+    made: str  # the page of its output; "" for none
+    form: str = ""  # that started it
+    values: dict[str, str] = {}  # of the form
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Job:
     folder: Path
     about: About
     code: int | None
-    """Its exit code; None while it runs, and where it left none."""
+    """Its exit code; None while it runs, and if it was killed."""
     is_running: bool
 
     @property
@@ -81,7 +81,7 @@ class Job:
 
     @property
     def title(self) -> str:
-        """Its name for people: its form, and what it is about."""
+        """Its form, and its run or its first words."""
         about = self.about
         form = next((form.title for form in FORMS if form.name == about.form), "")
         words = [word for word in about.words[1:] if not word.startswith("-")]
@@ -92,10 +92,10 @@ class Job:
         if self.is_running:
             return "running"
         if self.code is None:
-            return "ended without a word: it was killed, or the computer was"
+            return "killed, or the computer was switched off"
         if self.code < 0:
             return f"ended by signal {-self.code}"
-        return _WORDS.get(self.code, f"exit code {self.code}")
+        return _STATES.get(self.code, f"exit code {self.code}")
 
     @property
     def is_good(self) -> bool:
@@ -103,7 +103,7 @@ class Job:
 
     @property
     def is_training(self) -> bool:
-        """Of a run, which has a page from its beginning on."""
+        """Whether it trains a run, which has a page from the start."""
         return self.about.words[0] == "bc-train" and self.about.made.startswith("/runs/")
 
     @property
@@ -112,18 +112,18 @@ class Job:
 
     @property
     def run(self) -> str:
-        """The name that its form was given: of a training, that of the run."""
+        """The name in its form; for a training, the run's."""
         return self.about.values.get("name") or self.about.values.get("run", "")
 
     @property
     def form_address(self) -> str:
-        """The form that started it, filled in as it was; "" where that is not known."""
+        """The form that started it, with the same values; "" if no form did."""
         about = self.about
         return f"/jobs?{urlencode({'start': about.form, **about.values})}" if about.form else ""
 
     @property
     def seconds(self) -> float:
-        """Its duration; until now, while it runs."""
+        """Its duration so far."""
         began_s = datetime.fromisoformat(self.about.began).timestamp()
         try:
             end_s = (self.folder / EXIT).stat().st_mtime
@@ -148,26 +148,26 @@ class Job:
 
 
 class Jobs:
-    """The jobs of a project: the folder in which bc-web was started."""
+    """The jobs of a project, which is the folder where bc-web was started."""
 
     def __init__(self, cache: Path) -> None:
-        here = hashlib.sha256(os.fsencode(Path.cwd())).hexdigest()[:16]
-        self.folder = cache / "jobs" / here
+        project = hashlib.sha256(os.fsencode(Path.cwd())).hexdigest()[:16]
+        self.folder = cache / "jobs" / project
         self._lock = threading.Lock()
 
     def all(self) -> list[Job]:
-        """The newest first."""
-        return sorted(self._found(), key=lambda job: job.key, reverse=True)
+        """All jobs, the newest first."""
+        return sorted(self._read(), key=lambda job: job.key, reverse=True)
 
     def get(self, key: str) -> Job:
-        """Raises WebError if there is none of that name."""
-        for job in self._found():
+        """The job of a key. Raises WebError if it does not exist (any more)."""
+        for job in self._read():
             if job.key == key:
                 return job
         raise WebError(f"no job {key!r}: only the newest {_KEPT} are kept, in the cache folder", 404)
 
     def version(self) -> str:
-        """It changes with what any job prints, and when one begins or ends."""
+        """A text that changes when a job starts, prints or ends."""
         digest = hashlib.sha256()
         for job in self.all():
             version = version_of(job.folder / OUTPUT, job.folder / EXIT)
@@ -175,7 +175,7 @@ class Jobs:
         return digest.hexdigest()[:16]
 
     def training(self, page: str) -> Job | None:
-        """The training that goes on of the run with that page."""
+        """The running training of the run with that page."""
         return next(
             (job for job in self.all() if job.is_running and job.is_training and job.about.made == page), None
         )
@@ -183,7 +183,7 @@ class Jobs:
     def start(
         self, words: Sequence[str], made: str, form: str = "", values: Mapping[str, str] = MappingProxyType({})
     ) -> Job:
-        """Start a command of the project: `words` are its command line, which a form made of `values`."""
+        """Start a command. `words` are its command line, which a form made of `values`."""
         now = datetime.now(UTC)
         key = f"{now:%Y%m%d-%H%M%S-%f}-{secrets.token_hex(2)}"
         folder = self.folder / key
@@ -193,7 +193,7 @@ class Jobs:
             about = About(list(words), now.isoformat(), made, form, dict(values))
             (folder / ABOUT).write_bytes(msgspec.json.encode(about))
             line = [sys.executable, "-P", "-c", _RUNNER, str(real_path(folder)), str(_ROOT)]
-            # in a session of its own: neither the terminal's Ctrl-C nor its end reaches it
+            # a new session: neither the terminal's Ctrl-C nor its end reaches the job
             process = subprocess.Popen(
                 line,
                 stdin=subprocess.DEVNULL,
@@ -203,24 +203,24 @@ class Jobs:
                 creationflags=_NEW_GROUP,
             )
             (folder / "pid").write_text(str(process.pid), encoding="utf-8")
-        threading.Thread(target=process.wait, name="a job", daemon=True).start()  # so that nothing is left of it
+        threading.Thread(target=process.wait, name="a job", daemon=True).start()  # leaves no zombie
         if process.stdout is None or not _is_ready(process.stdout):
-            raise WebError(f"{shlex.join(words)}: could not be started; the cache folder may be full", 500)
+            raise WebError(f"{shlex.join(words)}: it did not start; the cache folder may be full", 500)
         return self.get(key)
 
     def stop(self, key: str) -> None:
-        """Press Ctrl-C in it; once more, and it ends at once. What has ended stays as it is."""
+        """Press Ctrl-C in a job, if it runs. The second time, it ends at once."""
         job = self.get(key)
         if not job.is_running:
             return
-        with contextlib.suppress(OSError, ValueError):  # it ends at this moment
+        with contextlib.suppress(OSError, ValueError):  # it has just ended
             number = int((job.folder / "pid").read_text(encoding="utf-8"))
             if sys.platform == "win32":
                 os.kill(number, signal.CTRL_BREAK_EVENT)
             else:
                 os.killpg(number, signal.SIGINT)
 
-    def _found(self) -> Iterator[Job]:
+    def _read(self) -> Iterator[Job]:
         with contextlib.suppress(OSError):
             for folder in self.folder.iterdir():
                 with contextlib.suppress(OSError, ValueError):

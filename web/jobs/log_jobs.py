@@ -1,6 +1,6 @@
-"""The jobs on a log's page: the commands of `bc-log` that check it or make new logs beside it.
+"""The jobs on a log's page: the commands of `bc-log` that check a log or make new logs next to it.
 
-Nothing is overwritten: none of them is given `--force`, and a name that is taken is refused before a job begins.
+Nothing is overwritten: no command gets `--force`, and a name that is taken is refused before a job starts.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ class NewLogForm:
 
 @dataclass(frozen=True)
 class LogJob:
-    """A command over one log: `bc-log NAME LOG`."""
+    """A command for one log: `bc-log NAME LOG`."""
 
     name: str
     about: str
-    made: Callable[[Path], Path] | None = None  # the log that it makes by default, or the first one
-    is_named: bool = True  # by the form; else by the command
+    made: Callable[[Path], Path] | None = None  # the log that it makes, or the first of several, by default
+    is_named: bool = True  # the form names the new log; else the command does
     has_rows: bool = False
     has_others: bool = False
 
@@ -48,7 +48,7 @@ class LogJob:
         return self.name.capitalize()
 
     def words(self, new: Location, form: NewLogForm, logs: Mapping[str, Location]) -> list[str]:
-        """The words behind the log, for the new one, the form, and all logs by key."""
+        """The words after the log. `logs` are all logs of the folder, by key."""
         words: list[str] = []
         if self.has_rows:
             rows = [_row(form.first, "first row"), _row(form.last, "last row")]
@@ -64,45 +64,45 @@ class LogJob:
         return [*words, f"--to={new}"] if self.made and self.is_named else words
 
 
-def _beside(word: str) -> Callable[[Path], Path]:
+def _suffixed(word: str) -> Callable[[Path], Path]:
     return lambda log: log.with_name(f"{final_name(log.name).removesuffix(_SUFFIX)}{word}{_SUFFIX}")
 
 
 LOG_JOBS: Final = (
-    LogJob("check", "Reads it through: CRCs, indexes, order; pictures that do not decode or are frozen; odd rows"),
+    LogJob("check", "Checks CRCs, indexes and order; finds broken and frozen pictures, and odd rows."),
     LogJob(
         "trim",
-        "A part of it becomes a new log, its rows with the numbers that they have: those that are selected.",
-        _beside("-trimmed"),
+        "The selected rows become a new log. They keep their numbers.",
+        _suffixed("-trimmed"),
         has_rows=True,
     ),
     LogJob(
         "split",
-        "Each drive becomes a log of its own, NAME-1, NAME-2 and so on. A drive ends with a gap of a second.",
-        _beside("-1"),
+        "Each drive becomes a log: NAME-1, NAME-2 and so on. A drive ends at a gap of more than a second.",
+        _suffixed("-1"),
         is_named=False,
     ),
     LogJob(
         "merge",
-        "It and the chosen ones behind it become one new log. Its rows are numbered anew.",
-        _beside("-merged"),
+        "This log and the chosen ones after it become one new log. Its rows are numbered anew.",
+        _suffixed("-merged"),
         has_others=True,
     ),
     LogJob(
         "recover",
-        "Makes a finished log of everything complete in an unfinished or damaged one.",
+        "Saves everything that is complete in an unfinished or damaged log to a new log.",
         recovered_name,
     ),
 )
 
 
 def jobs_for(log: Location) -> list[LogJob]:
-    """The jobs of a log: of one in a store, no new logs are made."""
+    """The jobs of a log; for a log in a store, only the check."""
     return [job for job in LOG_JOBS if isinstance(log, Path) or not job.made]
 
 
 def log_job(name: str) -> LogJob:
-    """Raises WebError if there is none of that name."""
+    """The job of a name. Raises WebError if there is none."""
     for job in LOG_JOBS:
         if job.name == name:
             return job
@@ -112,35 +112,32 @@ def log_job(name: str) -> LogJob:
 def command_line(
     job: LogJob, log: Location, form: NewLogForm, logs: Mapping[str, Location], folders: ProjectFolders
 ) -> tuple[list[str], Location | None]:
-    """The words of the command, and the log that it makes, or the first of several; None for none. `logs` are
-    those of the log's folder, by key.
-
-    Raises WebError for what cannot be one, and where a log of the new name is there already.
-    """
+    """The words of the command, and the log that it makes, or the first of several; None for none. `logs` are all
+    logs of the folder, by key. Raises WebError for invalid values, and if a new log's name is taken."""
     if is_recording(log):
-        raise WebError("this log is being recorded: new logs can be made from it when that has ended", 409)
+        raise WebError("this log is being recorded: wait until the recording has ended", 409)
     if job not in jobs_for(log):
-        raise WebError(f"{log}: is needed on this machine; `bc-log copy {log} FOLDER` brings it here", 422)
+        raise WebError(f"{log}: not on this machine; copy it first: `bc-log copy {log} FOLDER`", 422)
     made = job.made(log) if job.made and isinstance(log, Path) else None
     if made is not None and form.new and job.is_named:
         made = made.with_name(_name(form.new))
     words = ["bc-log", job.name, str(log), *job.words(made or log, form, logs)]
-    if made is not None and folders.is_there(made):
+    if made is not None and folders.is_taken(made):
         raise WebError(f"{printable(str(made))}: exists already; give another name, or remove it", 409)
     try:
         "".join(words).encode()
     except UnicodeEncodeError:
         raise WebError(
-            f"{printable(log.name)}: this name is not valid UTF-8; rename the log, or use bc-log", 422
+            f"{printable(log.name)}: the name is not valid UTF-8; rename the log, or use bc-log", 422
         ) from None
     return words, made
 
 
-def _name(given: str) -> str:
-    name = given.strip().removesuffix(_SUFFIX)
+def _name(text: str) -> str:
+    name = text.strip().removesuffix(_SUFFIX)
     is_name = name.isprintable() and "/" not in name and "\\" not in name and not name.startswith((".", "-"))
     if not (name and is_name and len(name) <= _MAX_CHARACTERS):
-        raise WebError(f"{printable(given[:60])!r}: the name of a log was expected, such as lake-2", 422)
+        raise WebError(f"{printable(text[:60])!r}: the name of a log was expected, such as lake-2", 422)
     return name + _SUFFIX
 
 

@@ -1,4 +1,4 @@
-"""A person at the wheel: the command of a new drive, the drives that run now, and what an ended one has left."""
+"""A person at the wheel: the command of a new drive, running drives, and the log and training of an ended one."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from web.jobs.jobs import Job
 
 TRACKS: Final = ("lake", "mountain", "random", "hairpins")
 SEEDED: Final = ("random", "hairpins")
-"""Tracks that are drawn by a seed."""
+"""Tracks with a seed."""
 RATES_HZ: Final = ("5", "10", "20", "25")
 """Rows a second that the form offers."""
 EPOCHS_MORE: Final = 4
-"""For a network that learns from takeovers: it can drive already."""
+"""Epochs of learning from takeovers: the network can drive already."""
 DEFAULTS: Final[Mapping[str, str]] = {
     **{
         "simulator": "built-in",
@@ -44,8 +44,8 @@ DEFAULTS: Final[Mapping[str, str]] = {
     },
     **dict.fromkeys(("run", "name", "like", "on"), ""),
 }
-"""The values of the form. `like` is a drive, as `sessions/mine`, whose settings count where none are given; with
-`on`, the new one begins where that one ended."""
+"""The values of the form. `like` is an earlier drive, such as `sessions/mine`: its settings are the defaults. With
+`on`, the new drive begins where that one ended."""
 
 _NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,79}")  # also the key of its log in addresses
 _SEED: Final = re.compile(r"[0-9]{1,18}")
@@ -57,7 +57,7 @@ _NUMBERED: Final = re.compile(r"-[0-9]{1,9}$")
 
 
 class NewDrive(NamedTuple):
-    """The command of a drive, and its log: the folder, and the key in addresses."""
+    """The command of a drive, and the folder and key of its log."""
 
     words: list[str]
     place: Place
@@ -65,14 +65,14 @@ class NewDrive(NamedTuple):
 
 
 class TakeoverPlace(NamedTuple):
-    """A person takes over from a network."""
+    """The moment when a person takes over from a network."""
 
     row: int
     seconds: float  # since the first command
 
 
 class EndedDrive(NamedTuple):
-    """A drive's log. `is_whole`: False while it is written, and where nobody finished it."""
+    """A drive's log. `is_whole` is False while it is written, and if it was never finished."""
 
     log: Location
     is_whole: bool
@@ -80,44 +80,44 @@ class EndedDrive(NamedTuple):
 
 
 def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
-    """The drive that the form asks for. Raises WebError for a value that cannot be one."""
-    given = {name: value.strip() for name, value in values.items() if value.strip()}
-    before = _settings_of(given["like"], folders, goes_on="on" in given) if "like" in given else {}
-    asked = {**DEFAULTS, **before, **given}
-    name = asked["name"] or free_name("drive", folders)
+    """The drive that a form describes. Raises WebError for an invalid value."""
+    filled = {name: value.strip() for name, value in values.items() if value.strip()}
+    earlier = _settings_of(filled["like"], folders, goes_on="on" in filled) if "like" in filled else {}
+    settings = {**DEFAULTS, **earlier, **filled}
+    name = settings["name"] or free_name("drive", folders)
     if not _NAME.fullmatch(name):
         raise WebError("name: letters, digits, and . _ - were expected, such as lake-1", 422)
-    if not _is_rate(asked["rate"]):
+    if not _is_rate(settings["rate"]):
         raise WebError(f"rows a second: one of {', '.join(RATES_HZ)} was expected", 422)
-    if not _is_speed(asked["speed"]):
+    if not _is_speed(settings["speed"]):
         raise WebError("speed: mph above 0 and up to 100 were expected", 422)
-    speed = f"--speed={asked['speed']}"
-    built_in = asked["simulator"] == "built-in"
-    if asked["driver"] == "me":
+    speed = f"--speed={settings['speed']}"
+    built_in = settings["simulator"] == "built-in"
+    if settings["driver"] == "me":
         words = ["bc-record", name, "--driver=me"]
-        words += [f"--track={_track(asked)}", f"--rate={asked['rate']}"] if built_in else ["--listen"]
-        words += _start(asked) if built_in else []
+        words += [f"--track={_track(settings)}", f"--rate={settings['rate']}"] if built_in else ["--listen"]
+        words += _start(settings) if built_in else []
         words += [speed, *folders.flags("sessions", to_store="--copy-to")]
         return NewDrive([*words, "--no-page"], "sessions", name)
-    run = folders.run_folders().get(asked["run"])
+    run = folders.run_folders().get(settings["run"])
     if run is None:
-        raise WebError("run: choose an existing run; if there is none, train one first", 422)
+        raise WebError("run: choose a run; if there is none, train one first", 422)
     words = ["bc-drive", run.name, "--takeover=me", speed]
-    words += [f"--simulator={_track(asked)}", *_start(asked)] if built_in else []
+    words += [f"--simulator={_track(settings)}", *_start(settings)] if built_in else []
     words += folders.flags("runs")
     return NewDrive([*words, f"--log={folders.drives / f'{name}.mcap'}", "--no-page"], "drives", name)
 
 
 def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list[str], str]:
-    """The command that trains a network on a session or, from the run that drove on, on the takeovers of a drive;
-    and the name of the new run. Raises WebError where that run is not there."""
+    """The command that trains a network, and the name of the new run. It trains on a session; or, for a drive, it
+    trains the run that drove further, on the takeovers. Raises WebError if that run no longer exists."""
     runs = folders.run_folders()
     name = final_name(log.name).removesuffix(".mcap")
     if place == "drives":
         with Log(log) as drive:
             name = drive.metadata.get("run", "")
         if key_of(Path(name)) not in runs:
-            raise WebError(f"the run {printable(name)!r}, which drove, is not in {folders.runs}", 404)
+            raise WebError(f"{folders.runs}: the run that drove, {printable(name)!r}, is not in it", 404)
     names = itertools.chain([name], (f"{name}-{number}" for number in itertools.count(2)))
     run = next(free for free in names if key_of(Path(free)) not in runs)
     if place == "drives":
@@ -130,26 +130,26 @@ def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list
 
 
 QUICK_RECIPE: Final[Recipe] = "people"
-"""In few epochs, networks were measured without altered pictures (docs/at-the-wheel.md)."""
+"""For few epochs: without altered pictures, as networks were measured (docs/at-the-wheel.md)."""
 
 
 def quick_epochs(rows: int) -> int:
-    """The epochs in which a network learns to drive from so many rows: two minutes for half a lap on quick cores.
+    """The epochs in which a network learns to drive from so many rows: two minutes for half a lap on fast cores.
 
-    Six for half a lap of both tracks: after three, two of three networks needed help (docs/at-the-wheel.md).
+    Half a lap of both tracks gets six: after three, two of three networks needed help (docs/at-the-wheel.md).
     """
     rows = max(1, rows)
     return round(max(2, min(10, max(6000 / rows, min(6, 13_000 / rows)))))
 
 
 def is_training_on(job: Job, log: Location) -> bool:
-    """Whether a job trains, or has trained, on that log."""
+    """Whether a job trains or trained on that log."""
     words = job.about.words
     return words[-2:] == ["--on", final_name(log.name).removesuffix(".mcap")] or f"--takeovers={log}" in words
 
 
 def free_name(beginning: str, folders: ProjectFolders, first: int = 1) -> str:
-    """A name that no session and no drive has; with a number at its end, from `first` on."""
+    """A name that no session and no drive has: `beginning` and a number, from `first` on."""
     taken = {key_of(Path(final_name(log.name))) for place in PLACES for log in folders.logs(place).values()}
     names = (f"{beginning}-{number}" for number in itertools.count(first))
     return next(name for name in names if name not in taken)
@@ -161,23 +161,23 @@ def running(key: str) -> OpenWheel:
         if wheel.key == key:
             return wheel
     raise WebError(
-        f"no drive {key!r} runs here: it has ended, or its process was killed; what it has recorded is kept", 404
+        f"no drive {key!r} is running: it has ended, or its process was killed; its recording is kept", 404
     )
 
 
 def place_of(wheel: OpenWheel, folders: ProjectFolders) -> tuple[Place, str] | None:
-    """The folder of the project that a drive's log is in, and its key there; None if it is elsewhere."""
+    """The project's folder that has a drive's log, and the log's key; None if the log is elsewhere."""
     log = Path(wheel.project, wheel.log)
     for place in PLACES:
         folder: Location = getattr(folders, place)
-        here = Path(place) if isinstance(folder, Url) else folder  # made here, and copied there at the end
-        if real_path(log.parent) == real_path(here):
+        local = Path(place) if isinstance(folder, Url) else folder  # copied to the store at the end
+        if real_path(log.parent) == real_path(local):
             return place, key_of(Path(final_name(log.name)))
     return None
 
 
 def ended_drive(place: Place, key: str, folders: ProjectFolders) -> EndedDrive | None:
-    """The log that a drive has left or is still writing; None if there is none."""
+    """The log of a drive, finished or not; None if there is none."""
     logs = folders.logs(place)
     if key in logs and not logs[key].name.endswith(PART_SUFFIX):
         return EndedDrive(logs[key], is_whole=True, is_growing=False)
@@ -188,27 +188,28 @@ def ended_drive(place: Place, key: str, folders: ProjectFolders) -> EndedDrive |
 
 
 def takeovers(log: Log) -> list[TakeoverPlace]:
-    """Where a person took over from the network."""
-    found: list[TakeoverPlace] = []
+    """The moments when a person took over from the network."""
+    places: list[TakeoverPlace] = []
     if topics.PILOT_COMMAND not in log.counts:
-        return found
+        return places
     was_human, first_ns = True, None
     for message, command in log.commands():
         first_ns = message.log_time_ns if first_ns is None else first_ns
         is_human = command.driver == PilotCommand.HUMAN
         if is_human and not was_human:
-            found.append(TakeoverPlace(message.sequence, (message.log_time_ns - first_ns) / 1e9))
+            places.append(TakeoverPlace(message.sequence, (message.log_time_ns - first_ns) / 1e9))
         was_human = is_human
-    return found
+    return places
 
 
-def _track(asked: Mapping[str, str]) -> str:
-    """The name of the track; also one that has its seed already."""
-    kind, _, drawn = asked["track"].partition(":")
-    seed = drawn or asked["seed"]
-    if kind not in TRACKS or not _SEED.fullmatch(seed) or (drawn and kind not in SEEDED):
+def _track(settings: Mapping[str, str]) -> str:
+    """The name of the track, with its seed; `settings["track"]` may have the seed already."""
+    kind, _, own_seed = settings["track"].partition(":")
+    seed = own_seed or settings["seed"]
+    if kind not in TRACKS or not _SEED.fullmatch(seed) or (own_seed and kind not in SEEDED):
         raise WebError(
-            "track: lake, mountain, random or hairpins was expected, the last two with a seed from 0 on", 422
+            "track: lake, mountain, random or hairpins was expected; random and hairpins have a seed from 0 on",
+            422,
         )
     return f"{kind}:{seed}" if kind in SEEDED else kind
 
@@ -225,25 +226,25 @@ def _is_speed(text: str) -> bool:
     return bool(_SPEED.fullmatch(text)) and 0 < float(text) <= 100
 
 
-def _start(asked: Mapping[str, str]) -> list[str]:
-    """The flag for where a drive begins, if that is not the track's start."""
-    if not _START.fullmatch(asked["start"]):
+def _start(settings: Mapping[str, str]) -> list[str]:
+    """The flag for the place where a drive begins, if that is not the track's start."""
+    if not _START.fullmatch(settings["start"]):
         raise WebError("start: metres along the track were expected", 422)
-    return [f"--start={asked['start']}"] if float(asked["start"]) else []
+    return [f"--start={settings['start']}"] if float(settings["start"]) else []
 
 
 def _settings_of(like: str, folders: ProjectFolders, *, goes_on: bool) -> dict[str, str]:
-    """The form's values of an earlier drive, as far as its log has them; with `goes_on`, a name that follows its
-    own, and the place where it ended."""
-    place, _, key = like.partition("/")
-    ended = next((ended_drive(known, key, folders) for known in PLACES if known == place), None)
+    """The form's values of an earlier drive, as far as its log has them. With `goes_on`, also the next name, and
+    the place where the drive ended."""
+    folder, _, key = like.partition("/")
+    ended = next((ended_drive(place, key, folders) for place in PLACES if place == folder), None)
     if ended is None:
         raise WebError("the drive to continue from no longer exists", 404)
     with Log(ended.log) as log:
         track, rate = log.metadata.get("track", ""), log.metadata.get("drive.rate", "")
-        held = log.read_metadata(topics.PERSON_METADATA).get("hold_mph", "")
+        hold_mph = log.read_metadata(topics.PERSON_METADATA).get("hold_mph", "")
         start_m = last_place_m(log) if goes_on else None
-        speed = log.metadata.get("set_speed_mph", held)
+        speed = log.metadata.get("set_speed_mph", hold_mph)
     settings = {"simulator": "built-in", "track": track} if track else {"simulator": "any"}
     settings |= {"speed": speed} if _is_speed(speed) else {}
     settings |= {"rate": rate} if _is_rate(rate) else {}

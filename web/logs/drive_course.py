@@ -1,4 +1,4 @@
-"""The course of a drive by rows: who drove, the predicted and the sent steering, the car's place, and its road."""
+"""The course of a drive by rows: who drove, predicted and sent steering, the car's place; and the road."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Values = NDArray[np.float64]
 COLUMNS: Final = ("driver", "network", "sent", "expert", "x_m", "y_m")
 _COMMAND: Final = ("driver", "predicted_steering", "steering", "expert_steering")
 _PLACE: Final = ("pose.position.x", "pose.position.y")
-_FARTHEST_M: Final = 1e6  # a place beyond is no place
+_FARTHEST_M: Final = 1e6  # a place farther away is invalid
 
 
 def is_driven(topics_of_log: Iterable[str]) -> bool:
@@ -25,10 +25,10 @@ def is_driven(topics_of_log: Iterable[str]) -> bool:
 
 
 def course_columns(log: Log, rows: NDArray[np.int64]) -> Values:
-    """Return `COLUMNS` for the rows (N,) of a log: (6, N); NaN where a row has no value.
+    """Return `COLUMNS` for the rows (N,) of a log: (6, N); NaN for missing values.
 
-    The driver is a number of `PilotCommand.Driver`; steering is -1 (left) to 1 (right), that of the network before
-    any clamp; places are metres east and north. Raises LogError for a damaged log.
+    The driver is a number of `PilotCommand.Driver`. Steering is -1 (left) to 1 (right); the network's is not
+    clamped. Places are metres east and north. Raises LogError for a damaged log.
     """
     columns = np.full((len(COLUMNS), len(rows)), np.nan)
     for topic, fields, at in ((topics.PILOT_COMMAND, _COMMAND, 0), (topics.POSE, _PLACE, len(_COMMAND))):
@@ -42,7 +42,7 @@ def course_columns(log: Log, rows: NDArray[np.int64]) -> Values:
 
 
 def road_of(log: Log) -> dict[str, Any] | None:
-    """The edges of the built-in road that a log names (`road_named`); None if it names no such road."""
+    """The edges of the built-in road that a log names (`road_named`); None if it names none."""
     name = log.metadata.get("track", "")
     is_placed = name and log.counts.get(topics.POSE)
     return road_named(name, log.metadata.get("track_fingerprint", "")) if is_placed else None

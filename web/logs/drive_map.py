@@ -12,14 +12,14 @@ from web.logs.drive_view import CarPlace, DriveEvent, DriveView
 By = Literal["drive", "speed", "error", "driver"]
 WAYS: Final[dict[str, By]] = {"drive": "drive", "speed": "speed", "error": "error", "who drove": "driver"}
 DRIVERS: Final = {0: "unknown", 1: "pilot", 2: "human", 3: "expert", 4: "brake"}
-STEPS: Final = 6  # classes between none and the most, of speeds and errors
-MAX_ERROR_DEG: Final = 12.0  # of steering; the last class has what is beyond, too
+STEPS: Final = 6  # classes of speeds and errors, from zero to the largest
+MAX_ERROR_DEG: Final = 12.0  # of steering; larger errors are in the last class, too
 _MARGIN: Final = 0.04
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """A part of a path in one colour: the class of the style sheet, and its points."""
+    """A part of a path in one colour: its class in the style sheet, and its points."""
 
     style: str
     points: str
@@ -42,7 +42,7 @@ class DriveMap:
 
 
 def drive_map(drives: Sequence[DriveView], colours: Sequence[int], by: By) -> DriveMap | None:
-    """None where none of them has poses; `colours` are the drives', in their order."""
+    """The map of drives, with a colour for each; None if no drive has poses."""
     points = [(x, -y) for drive in drives for _, x, y, *_ in drive.path]
     if not points:
         return None
@@ -57,7 +57,7 @@ def drive_map(drives: Sequence[DriveView], colours: Sequence[int], by: By) -> Dr
 
 
 def _strokes(drive: DriveView, colour: int, by: By, fastest: float) -> list[Stroke]:
-    """Parts of one colour, each beginning where the one before ends."""
+    """The parts of a path with one colour each. A part begins where the one before it ends."""
 
     def style(place: CarPlace) -> str:
         if by == "speed":
@@ -66,24 +66,24 @@ def _strokes(drive: DriveView, colour: int, by: By, fastest: float) -> list[Stro
             return "step-none" if place.error_deg is None else f"step-{_step(place.error_deg, MAX_ERROR_DEG)}"
         return f"by-{DRIVERS.get(place.driver, 'unknown')}" if by == "driver" else f"drive-{colour}"
 
-    found = []
+    strokes = []
     for name, part in groupby(pairwise(drive.path), key=lambda pair: style(pair[0])):
         pairs = list(part)
         places = [pairs[0][0], *(pair[1] for pair in pairs)]
         points = " ".join(f"{place.x_m:.2f},{-place.y_m:.2f}" for place in places)
-        found.append(Stroke(name, points))
-    return found
+        strokes.append(Stroke(name, points))
+    return strokes
 
 
-def _step(value: float, most: float) -> int:
-    return min(STEPS - 1, int(STEPS * max(0.0, value) / most))
+def _step(value: float, largest: float) -> int:
+    return min(STEPS - 1, int(STEPS * max(0.0, value) / largest))
 
 
 def _places(drive: DriveView) -> list[EventPlace]:
-    """The places of interventions: for each, the last point of the path that is not after it."""
-    found = []
+    """The places of interventions. The place of one is the last point of the path that is not after it."""
+    places = []
     for event in drive.events:
         before = [place for place in drive.path if place.row <= event.row] or drive.path[:1]
         if event.is_intervention and before:
-            found.append(EventPlace(before[-1].x_m, -before[-1].y_m, event))
-    return found
+            places.append(EventPlace(before[-1].x_m, -before[-1].y_m, event))
+    return places

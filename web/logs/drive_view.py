@@ -1,5 +1,5 @@
-"""Drives in short: what `bc-drive` has counted, their events, and where the car was; read on a thread, kept in the
-cache."""
+"""Summaries of drives: the counts of `bc-drive`, events, and the car's path. A thread reads them, and the cache
+keeps them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _INTERVENTIONS: Final = ("off the road, or stuck", "the expert takes over", TAKE
 
 
 class DriveEvent(msgspec.Struct, frozen=True):
-    """A message of the log, at the first row that is not before it."""
+    """An event of a log, at the first row that is not before it."""
 
     row: int
     seconds: float  # since the first row
@@ -47,11 +47,11 @@ class CarPlace(NamedTuple):
     mph: float
     driver: int  # bc.PilotCommand.Driver
     error_deg: float | None
-    """The steering sent minus that of the simulator's expert; None where there was no expert."""
+    """The sent steering minus that of the simulator's expert; None without an expert."""
 
 
 class DriveView(msgspec.Struct, frozen=True):
-    """A drive as its page shows it. `path` has a limited number of rows; none where the log has no poses."""
+    """A drive in the list of drives. `path` has at most 1,500 places; none if the log has no poses."""
 
     counted: dict[str, str]
     events: list[DriveEvent]
@@ -59,7 +59,7 @@ class DriveView(msgspec.Struct, frozen=True):
 
 
 class DriveViews:
-    """The views of all drives that are shown."""
+    """The views of all drives."""
 
     def __init__(self, folders: ProjectFolders, cache: CacheFolder, pool: Executor) -> None:
         self._folders = folders
@@ -71,7 +71,7 @@ class DriveViews:
         return self._views.done
 
     def views(self, logs: Iterable[Location], patience_s: float) -> dict[Location, DriveView | UserError]:
-        """The views of logs that could be read by then; a UserError for each that cannot be."""
+        """The views of the logs that are read within `patience_s`; a UserError for an unreadable log."""
         return self._views.results([(path, self._folders.version_of_log(path)) for path in logs], patience_s)
 
     def _view(self, log: Location, version: str) -> DriveView:
@@ -98,8 +98,8 @@ def _read(path: Location) -> DriveView:
         path_of_car: list[CarPlace] = []
         if count := log.counts.get(topics.POSE, 0):
             step = count // _MAX_POINTS + 1
-            for number, (message, found) in enumerate(log.decoded(topics.POSE)):
-                place = found.pose.position
+            for number, (message, pose) in enumerate(log.decoded(topics.POSE)):
+                place = pose.pose.position
                 if number % step == 0 and abs(place.x) < 1e6 and abs(place.y) < 1e6:
                     row = message.sequence
                     speed = speeds.get(row, 0.0)

@@ -16,7 +16,7 @@ from recorder.pictures.picture_size import width_and_height
 from recorder.topics import camera_topic
 
 PICTURES: Final = 4
-WIDTH_PX, HEIGHT_PX = 160, 80  # of each; shown at half of that, for screens of two pixels a point
+WIDTH_PX, HEIGHT_PX = 160, 80  # of a picture; pages show it at half the size, for screens with two pixels a point
 _QUALITY: Final = 80
 _NO_PICTURE: Final = 128  # grey
 
@@ -27,17 +27,17 @@ def film_strip(log: Log) -> bytes:
     strip = np.full((HEIGHT_PX, PICTURES * WIDTH_PX, 3), _NO_PICTURE, np.uint8)
     by_camera = (log.pictures(camera_topic(camera)) for camera in CAMERAS)
     pictures = next((pictures for pictures in by_camera if len(pictures.sequence)), None)
-    with ThreadPoolExecutor(PICTURES) as pool:  # in a store, each takes a request
+    with ThreadPoolExecutor(PICTURES) as pool:  # each is a request, if the log is in a store
         shares = [(number + 0.5) / PICTURES for number in range(PICTURES)]
         thumbnails = list(pool.map(lambda share: _thumbnail(log, pictures, share), shares))
-    for number, shown in enumerate(thumbnails):
+    for number, thumbnail in enumerate(thumbnails):
         left = number * WIDTH_PX
-        if shown is None:
+        if thumbnail is None:
             corners = (left + 8, 8), (left + WIDTH_PX - 8, HEIGHT_PX - 8)
             cv2.line(strip, *corners, (80, 80, 80), 2)
             cv2.line(strip, (corners[0][0], corners[1][1]), (corners[1][0], corners[0][1]), (80, 80, 80), 2)
         else:
-            strip[:, left : left + WIDTH_PX] = shown
+            strip[:, left : left + WIDTH_PX] = thumbnail
     ok, encoded = cv2.imencode(".jpg", strip, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     if not ok:
         raise LogError(f"{log.path}: its film strip cannot be encoded")
@@ -45,7 +45,7 @@ def film_strip(log: Log) -> bytes:
 
 
 def _thumbnail(log: Log, pictures: Pictures | None, share: float) -> NDArray[np.uint8] | None:
-    """The picture at a share of the session, as large as it is shown; None if there is none."""
+    """The picture at a share of the session, in the strip's size; None if it is missing or damaged."""
     if pictures is None:
         return None
     at = int(share * len(pictures.sequence))
@@ -61,7 +61,7 @@ def _thumbnail(log: Log, pictures: Pictures | None, share: float) -> NDArray[np.
         return None
     height, width = decoded.shape[:2]
     scale = max(WIDTH_PX / width, HEIGHT_PX / height)
-    # first cropped: else a picture of one row would be made 80 times as wide
+    # cropped before it is resized: a picture of one row would become 80 times as wide
     kept_width, kept_height = (max(1, round(side / scale)) for side in (WIDTH_PX, HEIGHT_PX))
     left, top = (width - kept_width) // 2, (height - kept_height) // 2
     middle = decoded[top : top + kept_height, left : left + kept_width]

@@ -1,4 +1,4 @@
-"""The tags of logs. Memory keeps them while their files are unchanged; the cache keeps those of a store, too."""
+"""The tags of logs. Memory keeps them while their files are unchanged. The cache also keeps tags from stores."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ _KEPT: Final = 10_000  # logs
 
 
 @dataclass(frozen=True)
-class TagsBeside:
+class FileTags:
     """The contents of a log's file of tags."""
 
     version: str  # of the file
     tags: list[Tag]  # of this content of the log, in the order of their rows
-    stale: int  # tags of another log that had this name before
+    stale: int  # tags of an earlier log with this name
 
 
 class LogTags:
-    """The tags of all logs that are shown."""
+    """The tags of all logs."""
 
     def __init__(self, folders: ProjectFolders, cache: CacheFolder) -> None:
         self._folders = folders
         self._cache = cache
-        self._tags = Newest[Location, TagsBeside](_KEPT)
+        self._tags = Newest[Location, FileTags](_KEPT)
 
-    def of(self, path: Location, fingerprint: str) -> TagsBeside:
+    def read(self, path: Location, fingerprint: str) -> FileTags:
         """The tags of this content of a log. Raises LogError for a damaged file, StoreError."""
         version = self._folders.version_of(tags_path(path))
 
-        def read() -> TagsBeside:
+        def parse() -> FileTags:
             by_content = self._by_content(path, version)
             tags = sorted(by_content.pop(fingerprint, ()))
-            return TagsBeside(version, tags, sum(map(len, by_content.values())))
+            return FileTags(version, tags, sum(map(len, by_content.values())))
 
-        return self._tags.get(path, f"{version} {fingerprint}", read)
+        return self._tags.get(path, f"{version} {fingerprint}", parse)
 
     def _by_content(self, path: Location, version: str) -> dict[str, set[Tag]]:
         if isinstance(path, Path):

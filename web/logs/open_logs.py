@@ -18,7 +18,7 @@ from web.folders.project_folders import ProjectFolders
 
 MAX_OPEN: Final = 8
 MAX_MESSAGES: Final = 500_000
-"""In the logs that are kept open, unless it is one alone: each takes about 120 bytes of memory."""
+"""In all open logs together, if there are several. A message takes about 120 bytes of memory."""
 
 
 class OpenLog:
@@ -30,7 +30,7 @@ class OpenLog:
         """The version of the file, by `ProjectFolders.version_of`."""
         self.messages = sum(self.log.counts.values())
         self.users = 0
-        if isinstance(path, Url):  # else each of a page's requests would ask the store for the same
+        if isinstance(path, Url):  # now, because a page's requests would each ask the store for the same
             try:
                 with contextlib.suppress(LogError, OSError):  # raised again where its rows are used
                     read_kept(self.log)
@@ -50,8 +50,8 @@ class OpenLog:
 
 
 class OpenLogs:
-    """The logs used last. A log that is not kept any more is closed when no request uses it: else another file
-    might get its descriptor's number during a read."""
+    """The logs used last. A dropped log is closed when no request uses it any more: otherwise another file might
+    get its descriptor's number during a read."""
 
     def __init__(self, folders: ProjectFolders) -> None:
         self._folders = folders
@@ -61,13 +61,13 @@ class OpenLogs:
 
     @contextlib.contextmanager
     def open(self, path: Location) -> Iterator[OpenLog]:
-        """Raises LogError if it cannot be read, StoreError."""
+        """The log at a path. Raises LogError if it cannot be read, StoreError."""
         version = self._folders.version_of(path)
         opened = self._used(path, version)
         if opened is None:
             with self._lock:
                 opening = self._opening.setdefault(path, threading.Lock())
-            with opening:  # requests meanwhile get the same one
+            with opening:  # simultaneous requests get the same log
                 opened = self._used(path, version) or self._opened(path, version)
         try:
             yield opened
@@ -105,7 +105,7 @@ class OpenLogs:
         return sum(opened.messages for opened in self._kept.values())
 
     def drop_changed(self) -> None:
-        """Close the logs whose files were deleted or replaced: an open file keeps its space on the disk."""
+        """Close the logs whose files were deleted or replaced: an open file takes space on the disk."""
         with self._lock:
             versions = {path: self._folders.version_of(path) for path in self._kept}
             for path in [path for path, kept in self._kept.items() if kept.version != versions[path]]:

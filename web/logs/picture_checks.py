@@ -1,5 +1,5 @@
-"""The check of all pictures of a log, which decodes them: frozen and broken ones, and steering that contradicts
-them. Read from the index, or made by a process on request."""
+"""The check of all pictures of a log: it finds frozen and broken pictures, and steering that contradicts them. It
+is read from the index, or a process makes it on request."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ class PictureChecks:
         self.work = KeptWork(self._kept, "web.processes.picture_check_process", "it was stopped")
 
     def findings(self, log: Log) -> ImageFindings | None:
-        """The findings of a check of a log's pictures; None if they were never checked. Those of earlier versions
-        lack the comparison with the steering."""
-        of_index = read_image_check(self._index, session_name(log.path), log.fingerprint)
-        if of_index is not None and of_index.against is not None:
-            return of_index
-        return read_image_check(self._kept, log.fingerprint, log.fingerprint) or of_index
+        """The findings for a log's pictures; None if they were never checked. Findings of earlier versions lack
+        the comparison with the steering."""
+        indexed = read_image_check(self._index, session_name(log.path), log.fingerprint)
+        if indexed is not None and indexed.against is not None:
+            return indexed
+        return read_image_check(self._kept, log.fingerprint, log.fingerprint) or indexed
 
     def are_checked(self, log: Log) -> bool:
-        """Whether there are findings, with the comparison."""
+        """Whether there are findings with the comparison."""
         findings = self.findings(log)
         return findings is not None and findings.against is not None
 

@@ -31,14 +31,14 @@ from web.folders.background import Background
 from web.folders.cache_folder import CacheFolder
 from web.folders.file_versions import version_of
 from web.folders.project_folders import PLACES, Place, ProjectFolders, is_recording, key_of, shown_name
-from web.logs.log_tags import LogTags, TagsBeside
+from web.logs.log_tags import FileTags, LogTags
 
 TagRows = tuple[str, int, int]
 """A tag as an index keeps it: its name, its first and its last row."""
 
 
 class Glance(msgspec.Struct, frozen=True):
-    """The part of a log that the cache keeps: without its tags, which change alone."""
+    """The part of a log that the cache keeps; not its tags, which change without the log."""
 
     info: LogInfo
     fingerprint: str
@@ -48,7 +48,7 @@ class Share(msgspec.Struct, frozen=True):
     """The part of a session's frames file that the cache keeps."""
 
     frames: dict[str, int]  # by split
-    tags: list[TagRows] | None  # that its rows had; None where the file lacks them
+    tags: list[TagRows] | None  # when it was indexed; None if the file lacks them
 
 
 class IndexState(StrEnum):
@@ -73,14 +73,14 @@ class InIndex:
 
 @dataclass(frozen=True)
 class SessionCard:
-    """A log in the list. `info` is None while it is being read, and where it cannot be (`problem`)."""
+    """A log in the list. `info` is None until it is read, and if it is unreadable (`problem`)."""
 
     key: str
     path: Location
     version: str
     info: LogInfo | None
     problem: str
-    tags: dict[str, int]  # rows of each name
+    tags: dict[str, int]  # number of rows by name
     tags_problem: str
     index: InIndex
     is_recording: bool
@@ -100,14 +100,14 @@ class SessionCard:
 
     @property
     def why(self) -> str:
-        """Why it is damaged or unfinished, and what helps. Without its path: the list shows the name."""
+        """Why it is damaged or unfinished, and what helps; without its path."""
         is_finished = self.info and not self.is_recording  # a growing log needs no recovery
         notice = self.problem or (self.info.notice if self.info and is_finished else "")
         return notice.removeprefix(f"{printable(str(self.path))}: ")
 
     @cached_property
     def flags(self) -> dict[str, int]:
-        """The odd rows of each kind; and gaps, without those that the recorder made on purpose."""
+        """The odd rows of each kind, and the gaps that the recorder did not make on purpose."""
         if self.info is None:
             return {}
         gaps = (self.info.flags or {}).get("gap", 0) - len(self.info.meant_gaps)
@@ -138,27 +138,27 @@ class SessionCards:
         logs = self._folders.logs(place)
         versions = [(path, self._folders.version_of_log(path)) for path in logs.values()]
         glances = self._glances[place].results(versions, patience_s)
-        index = self._folders.index_here
+        index = self._folders.local_index
         state = read_state(index)
         frames = {path: frames_path(index, path) for path in logs.values()}
-        held = [frames[path] for path in logs.values() if session_name(path) in state.logs]
-        shares = self._shares[place].results([(path, version_of(path)) for path in held], patience_s)
+        indexed = [frames[path] for path in logs.values() if session_name(path) in state.logs]
+        shares = self._shares[place].results([(path, version_of(path)) for path in indexed], patience_s)
         return [
             self._card(path, version, glances.get(path), self._in_index(path, state, shares.get(frames[path])))
             for path, version in versions
         ]
 
     def info(self, path: Location) -> LogInfo:
-        """The description on the page of a log; of one in a store, from the cache. Raises LogError, StoreError."""
+        """The description of a log; if it is in a store, from the cache. Raises LogError, StoreError."""
         if isinstance(path, Path):
             return describe(path, with_tags=False)
         info = self._glance(path, self._folders.version_of_log(path)).info
         is_measured_since = info.lacks_lag and self._folders.stat(lag_path(path)) is not None
         return describe(path, with_tags=False) if is_measured_since else info
 
-    def tags(self, path: Location, fingerprint: str) -> TagsBeside:
+    def tags(self, path: Location, fingerprint: str) -> FileTags:
         """The tags of the log. Raises LogError for a damaged file, StoreError."""
-        return self._tags.of(path, fingerprint)
+        return self._tags.read(path, fingerprint)
 
     def _card(
         self, path: Location, version: str, glance: Glance | UserError | None, index: InIndex
@@ -166,7 +166,7 @@ class SessionCards:
         problem, tags_problem, tags = "", "", list[Tag]()
         is_growing = is_recording(path)
         if isinstance(glance, StoreError):
-            tags_problem, glance = printable(str(glance)), None  # it is not known to be damaged
+            tags_problem, glance = printable(str(glance)), None  # the log may be whole
         elif isinstance(glance, UserError):
             # the first rows of a recording may not be on the disk yet
             problem = "" if is_growing and _is_empty(path) else printable(str(glance))
@@ -204,10 +204,10 @@ class SessionCards:
         if built is None:
             return InIndex(IndexState.PASSED_OVER if session in state.passed_over else IndexState.MISSING)
         if built.sources[0] != str(absolute(path)):
-            return InIndex(IndexState.MISSING, "it has another log of that name")
-        sources = sources_of(session, path, self._folders.index_here, self._folders.stat)
+            return InIndex(IndexState.MISSING, "the index has another log of that name")
+        sources = sources_of(session, path, self._folders.local_index, self._folders.stat)
         if built.sources != sources:
-            are_tags = _but_tags(built.sources) == _but_tags(sources)
+            are_tags = _without_tags(built.sources) == _without_tags(sources)
             if are_tags and share is None:
                 return InIndex(IndexState.UNREAD)  # the tags in the index are still being read
             if not (are_tags and self._has_tags_of(share, path, built.fingerprint)):
@@ -219,7 +219,7 @@ class SessionCards:
         return InIndex(IndexState.INDEXED, "", share.frames if share else {})
 
     def _has_tags_of(self, share: Share | UserError | None, path: Location, fingerprint: str) -> bool:
-        """Whether the tags of a log are those of the index: later changes may have been undone."""
+        """Whether the tags of a log are the same as in the index, even if their file has changed."""
         if not isinstance(share, Share):
             return False
         try:
@@ -238,7 +238,7 @@ def frames_path(index: Path, log: Location) -> Path:
 
 
 def rows_by_name(tags: Sequence[Tag]) -> Counter[str]:
-    """The number of rows with each name; `tags` are in the order of their rows, and may overlap."""
+    """The number of rows with each name. `tags` are in the order of their rows, and may overlap."""
     counts, reached = Counter[str](), dict[str, int]()
     for tag in tags:
         first = max(tag.first_row, reached.get(tag.name, -1) + 1)
@@ -250,19 +250,19 @@ def rows_by_name(tags: Sequence[Tag]) -> Counter[str]:
 def _is_empty(path: Location) -> bool:
     try:
         return isinstance(path, Path) and path.stat().st_size == 0
-    except OSError:  # it was finished at this moment
+    except OSError:  # just finished, and renamed
         return False
 
 
 def _read_glance(path: Location) -> Glance:
-    # without the path, which may be invalid text, and differs between copies
+
     with Log(path) as log:
         info = describe(log, with_tags=False, with_kept_lag=False)  # tags and lag change without the log
-        info = dataclasses.replace(info, path="", notice=printable(info.notice))
+        info = dataclasses.replace(info, path="", notice=printable(info.notice))  # a path may be invalid text
         return Glance(info, log.fingerprint)
 
 
-def _but_tags(sources: Sources) -> tuple[str, Stat, Stat]:
+def _without_tags(sources: Sources) -> tuple[str, Stat, Stat]:
     path, log, _, picture_check = sources
     return path, log, picture_check
 

@@ -1,4 +1,4 @@
-"""The odd stretches of a log, by its rows and its pictures; and the stretches that a filter finds."""
+"""The odd stretches of a log, by its rows and its pictures; and the stretches of a filter."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from web.logs.picture_checks import PictureChecks
 PLAIN_FLAGS: Final = ("standing_still", "manoeuvring")
 """Flags that are not odd: ordinary stops, and driving out of crashes."""
 SURE: Final = "sure"
-"""Instead of a kind: all rows that are surely odd."""
+"""Takes the place of a kind: all rows that are surely odd."""
 _SURE: Final = ("broken_picture", "steering_against_pictures")
 
 Rows = tuple[int, int]
@@ -47,25 +47,25 @@ def shown_stretches(log: Log, states: States, findings: ImageFindings | None) ->
     """The odd stretches of a log, in order. With `findings` of the log's pictures, they include frozen and broken
     pictures, and steering that contradicts the pictures.
 
-    A gap is a stretch of two rows: the last before it and the first after it. Gaps that the recorder made on
-    purpose are left out.
+    A gap is a stretch of two rows: the last row before it and the first row after it. Gaps that the recorder made
+    on purpose are left out.
     """
-    shown = []
+    result = []
     for odd in odd_stretches(states):
         first, last = (int(np.flatnonzero(states.row == row)[0]) for row in (odd.first_row, odd.last_row))
-        shown.append(ShownStretch(odd.kind, first, last, printable(odd.cause), odd.is_sure))
+        result.append(ShownStretch(odd.kind, first, last, printable(odd.cause), odd.is_sure))
     gaps = row_flags(states)["gap"] & ~np.isin(states.row, meant_rows(log.read_metadata(QUALITY_METADATA)))
-    shown += [ShownStretch("gap", max(at - 1, 0), at, "", False) for at in np.flatnonzero(gaps).tolist()]
-    shown += [
+    result += [ShownStretch("gap", max(at - 1, 0), at, "", False) for at in np.flatnonzero(gaps).tolist()]
+    result += [
         ShownStretch(flag, first, last, "", flag in _SURE)
         for flag, mask in _of_pictures(log, states, findings).items()
         for first, last in stretches(mask)
     ]
-    return sorted(shown, key=lambda stretch: (stretch.first, stretch.last, stretch.kind))
+    return sorted(result, key=lambda stretch: (stretch.first, stretch.last, stretch.kind))
 
 
 def flag_stretches(states: States) -> dict[str, list[tuple[int, int]]]:
-    """The stretches, as first and last position, of each flag of rows that is no kind of odd stretch."""
+    """The first and last positions of the stretches of each of `PLAIN_FLAGS`."""
     if not len(states.row):
         return {}
     flags = row_flags(states)
@@ -73,7 +73,7 @@ def flag_stretches(states: States) -> dict[str, list[tuple[int, int]]]:
 
 
 def not_learnt_stretches(states: States) -> list[tuple[int, int]]:
-    """The rows that training leaves out by default, as the first and last positions of stretches."""
+    """The first and last positions of the stretches that training leaves out by default."""
     if not len(states.row):
         return []
     flags = row_flags(states)
@@ -81,7 +81,7 @@ def not_learnt_stretches(states: States) -> list[tuple[int, int]]:
 
 
 def _of_pictures(log: Log, states: States, findings: ImageFindings | None) -> dict[PictureFlag, NDArray[np.bool_]]:
-    """For each flag of pictures, a mask of the rows (N,) that have it."""
+    """A mask (N,) of rows for each flag of pictures."""
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
     session = printable(session_name(log.path))  # a file name may be no text
     frames = frames_of(states, pictures, session, IndexConfig(), findings=findings)
@@ -90,16 +90,15 @@ def _of_pictures(log: Log, states: States, findings: ImageFindings | None) -> di
 
 
 def stretches_of_kind(opened: OpenLog, checks: PictureChecks, kind: str) -> list[Rows]:
-    """First and last row of each stretch of a kind or flag, or of all that are surely odd."""
+    """First and last row of each stretch of a kind or flag, or of all stretches that are surely odd."""
     states = opened.states
     if not len(states.row):
         return []
     if kind in PLAIN_FLAGS:
         return [_rows(states, first, last) for first, last in flag_stretches(states).get(kind, ())]
-    shown = shown_stretches(opened.log, states, checks.findings(opened.log))
     return [
         _rows(states, stretch.first, stretch.last)
-        for stretch in shown
+        for stretch in shown_stretches(opened.log, states, checks.findings(opened.log))
         if (stretch.is_sure if kind == SURE else stretch.kind == kind)
     ]
 
@@ -110,7 +109,7 @@ def stretches_of_rows(opened: OpenLog, rows: set[int]) -> list[Rows]:
     return [_rows(states, first, last) for first, last in stretches(np.isin(states.row, list(rows)))]
 
 
-def left(stretches: list[Rows], tags: list[Tag]) -> list[Rows]:
+def not_dealt_with(stretches: list[Rows], tags: list[Tag]) -> list[Rows]:
     """The stretches with a row that is neither excluded nor fine."""
     done = TaggedRows(tag._replace(name=FINE) for tag in tags if tag.name in (EXCLUDE, FINE))
     return [rows for rows in stretches if not done.hold(*rows)]

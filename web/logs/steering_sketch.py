@@ -1,4 +1,4 @@
-"""Steering as small SVGs: a session's course, and histograms."""
+"""Steering as small SVGs: along a session, and as histograms."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from dataset.steering_bins import bin_of
 from recorder.rows.row_quality import Values
 
 WIDTH, HEIGHT = 240, 40
-_ALONG: Final = 170  # of the width; the histogram has the rest
+_ALONG: Final = 170  # the curve's part of the width
 _GAP: Final = 10
-_LINE, _BARS, _AXIS = "#4a90d9", "#c77d1e", "#8884"  # distinct from each other, on a light and on a dark page
+_LINE, _BARS, _AXIS = "#4a90d9", "#c77d1e", "#8884"  # readable on light and dark pages
 
 
 def steering_sketch(steering: Values, bins: int) -> bytes:
-    """The sketch of the rows' steering (N,), without invalid values, with so many bins. Right is up, and right in
-    the bars."""
+    """A curve and a histogram of steering (N,) without its invalid values. Right is up in the curve, and right in
+    the histogram."""
     values = steering[np.abs(steering) <= 1]
     heights = root_heights(np.bincount(bin_of(values, bins), minlength=bins), HEIGHT - 2)
     parts = [
@@ -38,13 +38,13 @@ def svg(width: int, height: int, parts: Iterable[str], attributes: str = "") -> 
 
 
 def root_heights(counts: NDArray[np.int64], height: float) -> list[float]:
-    """Bars by the square roots of counts: most people steer straight ahead most of the time."""
+    """Heights by the square roots of counts, because most people steer straight ahead most of the time."""
     shares: list[float] = (height * np.sqrt(counts / max(1, counts.max()))).tolist()
     return shares
 
 
 def bars(heights: Sequence[float], left: float, right: float, bottom: float, share: float = 0.8) -> str:
-    """The path of bars between two edges; each fills a `share` of its place."""
+    """The path of bars between two edges. A bar fills a `share` of its place."""
     step = (right - left) / max(1, len(heights))
     inset, width = step * (1 - share) / 2, step * share
     return "".join(
@@ -55,7 +55,7 @@ def bars(heights: Sequence[float], left: float, right: float, bottom: float, sha
 
 
 def _along(steering: Values) -> str:
-    """A stroke from the lowest to the highest steering at each point across."""
+    """At each point across, a stroke from the lowest to the highest steering."""
     edges = np.linspace(0, len(steering), min(_ALONG, max(len(steering), 1)) + 1).astype(int)
     step = _ALONG / (len(edges) - 1)
     strokes = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from typing import Final
 
@@ -22,33 +22,30 @@ from recorder.log.tags import read_tags, tags_path
 from web.folders.background import Background
 from web.folders.project_folders import ProjectFolders
 
-_MAX_SEARCHES: Final = 8  # whose results are kept
-_LONGEST: Final = 2000  # characters of a condition
-
-Found = Mapping[Location, int]
-"""Number of rows found in each log that has been searched."""
+_MAX_SEARCHES: Final = 8  # kept
+_MAX_CHARACTERS: Final = 2000  # of a condition
 
 
 class WhereSearches:
-    """The conditions that pages used last, with their results so far."""
+    """The latest conditions, with their results so far."""
 
     def __init__(self, folders: ProjectFolders, pool: Executor) -> None:
         self._folders = folders
         self._pool = pool
         self._lock = threading.Lock()
         self._searches: OrderedDict[str, Background[Location, int]] = OrderedDict()
-        self._done = 0  # by searches that are not kept any more
+        self._done = 0  # by searches that were dropped
 
     @property
     def done(self) -> int:
         with self._lock:
             return self._done + sum(search.done for search in self._searches.values())
 
-    def rows(self, where: str, logs: Sequence[Location], patience_s: float | None) -> Found:
-        """The number of rows that meet the condition, for each log searched within `patience_s`; 0 for unreadable
-        logs. Raises UserError for an invalid condition."""
-        if len(where) > _LONGEST:
-            raise UserError(f"a condition of {len(where):,} characters: at most {_LONGEST:,} are taken")
+    def rows(self, where: str, logs: Sequence[Location], patience_s: float | None) -> dict[Location, int]:
+        """The number of rows that meet the condition in each log that is searched within `patience_s`; 0 for an
+        unreadable log. Raises UserError for an invalid condition."""
+        if len(where) > _MAX_CHARACTERS:
+            raise UserError(f"a condition of {len(where):,} characters: at most {_MAX_CHARACTERS:,} are allowed")
         with self._lock:
             search = self._searches.get(where)
         if search is None:
@@ -69,7 +66,7 @@ class WhereSearches:
         log."""
         self._folders.refuse_unanswered(path)
         with Log(path) as log:
-            frames = frames_table(log, self._folders.index_here, IndexConfig(), read_tags(path, log.fingerprint))
+            frames = frames_table(log, self._folders.local_index, IndexConfig(), read_tags(path, log.fingerprint))
         return set(frames["row"].filter(pa.array(Condition(where).holds(frames))).to_pylist())
 
 

@@ -1,4 +1,4 @@
-"""The versions of the lists: a page requests its list again when its version has changed."""
+"""The versions of the lists. A page requests its list again when the version has changed."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ def change_routes(bench: Workbench) -> list[Route]:
 
 
 def sessions_version(bench: Workbench) -> str:
-    """It changes with the logs and their tags, with the index, and with each log that has been read."""
+    """A text that changes with the logs, their tags and the index, and when another log has been read."""
     folders = bench.folders
     folders.refresh_index()
-    built = version_of(folders.index_here / STATE_NAME)
+    built = version_of(folders.local_index / STATE_NAME)
     return f"{folders.version_of_folder('sessions')} {built} {bench.cards.done + bench.searches.done}"
 
 
 def runs_version(bench: Workbench) -> str:
-    """It changes with every line that a training writes, and with each run that has been read."""
+    """A text that changes with every line that a training writes, and when another run has been read."""
     return f"{bench.runs.version()} {bench.runs.done}"
 
 

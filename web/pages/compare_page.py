@@ -1,8 +1,9 @@
-"""Two runs on the same frames: which is better, by how much, and how sure that is."""
+"""Two runs on the same frames: which is better, by how much, and how certain that is."""
 
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
@@ -25,13 +26,13 @@ def compare_routes(bench: Workbench) -> list[Route]:
         return page("compare.html", live=bench.jobs.version(), **_context(request))
 
     def start(request: Request, values: Values) -> Response:
-        """Begin a comparison that is not under way, and not known."""
-        asked = {name: values.get(name, "") for name in ("a", "b", "session")}
-        address = f"/runs.compare?{urlencode(asked)}"
-        command, runs = _command(**asked), _runs(asked["a"], asked["b"])
+        """Start a comparison, unless it is running, or has a result of the present weights."""
+        query = _query(values)
+        address = f"/runs.compare?{urlencode(query)}"
+        command, runs = _command(**query), _runs(query["a"], query["b"])
         job = newest_job(bench.jobs.all(), command)
-        is_known = job is not None and comparison_of(job) is not None and not is_outdated(job, runs)
-        if not (is_known or (job is not None and job.is_running)):
+        is_kept = job is not None and comparison_of(job) is not None and not is_outdated(job, runs)
+        if not (is_kept or (job is not None and job.is_running)):
             bench.jobs.start(command, address)
         return RedirectResponse(address, status_code=303)
 
@@ -47,20 +48,20 @@ def compare_routes(bench: Workbench) -> list[Route]:
         return bench.folders.run(a), bench.folders.run(b)
 
     def _context(request: Request) -> dict[str, Any]:
-        asked = {name: request.query_params.get(name, "") for name in ("a", "b", "session")}
-        runs = _runs(asked["a"], asked["b"])
-        command = _command(**asked)
+        query = _query(request.query_params)
+        runs = _runs(query["a"], query["b"])
+        command = _command(**query)
         job = newest_job(bench.jobs.all(), command)
-        found = None if job is None else comparison_of(job)
+        comparison = None if job is None else comparison_of(job)
         return {
-            **asked,
+            **query,
             "names": [printable(run.name) for run in runs],
-            "query": urlencode(asked),
+            "query": urlencode(query),
             "sessions": bench.folders.finished("sessions"),
             "command": printable(shlex.join(command)),
             "job": job,
-            "found": found,
-            "is_outdated": found is not None and job is not None and is_outdated(job, runs),
+            "comparison": comparison,
+            "is_outdated": comparison is not None and job is not None and is_outdated(job, runs),
         }
 
     return [
@@ -68,3 +69,7 @@ def compare_routes(bench: Workbench) -> list[Route]:
         Route("/runs.compare", on_form(start), methods=["POST"]),
         Route("/runs.compare.body", page_of("compare_body.html", _context)),
     ]
+
+
+def _query(values: Mapping[str, str]) -> dict[str, str]:
+    return {name: values.get(name, "") for name in ("a", "b", "session")}

@@ -1,4 +1,4 @@
-"""The list of drives, with their results and events, and chosen ones on one map."""
+"""The list of drives with their results and events, and chosen drives on one map."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ def drive_routes(bench: Workbench) -> list[Route]:
     def _context(request: Request) -> dict[str, Any]:
         query = request.query_params
         by = query.get("by", "drive") if query.get("by") in WAYS else "drive"
-        there = bench.folders.logs("drives")
-        chosen = [key for key in dict.fromkeys(query.getlist("log")) if key in there][:MAX_CHOSEN]
-        views = bench.drives.views(there.values(), _PATIENCE_S)
+        logs = bench.folders.logs("drives")
+        chosen = [key for key in dict.fromkeys(query.getlist("log")) if key in logs][:MAX_CHOSEN]
+        views = bench.drives.views(logs.values(), _PATIENCE_S)
         cards = bench.cards.cards("drives", _PATIENCE_S)
         runs = bench.folders.run_folders()
-        shown: list[dict[str, Any]] = []
+        drives: list[dict[str, Any]] = []
         problems = list(filter(None, [bench.folders.problem("drives")]))
         for card in sorted(cards, key=lambda card: card.info.start if card.info else "", reverse=True):
-            found = views.get(card.path)
-            view = found if isinstance(found, DriveView) and card.info else None
-            problem = card.problem or (printable(str(found)) if isinstance(found, UserError) else "")
+            result = views.get(card.path)
+            view = result if isinstance(result, DriveView) and card.info else None
+            problem = card.problem or (printable(str(result)) if isinstance(result, UserError) else "")
             run = card.info.session.get("run", "") if card.info else ""
             key = key_of(bench.folders.runs / run) if run else ""
-            shown.append(
+            drives.append(
                 {
                     "card": card,
                     "view": view,
@@ -53,20 +53,20 @@ def drive_routes(bench: Workbench) -> list[Route]:
                     "run_key": key if key in runs else "",
                 }
             )
-        by_key = {drive["card"].key: drive for drive in shown}
+        by_key = {drive["card"].key: drive for drive in drives}
         on_map = [by_key[key] for key in chosen if key in by_key and by_key[key]["view"]]
         colours = _colours(on_map)
-        on_one_map = drive_map([drive["view"] for drive in on_map], colours, WAYS[by])
-        if on_map and on_one_map is None:
-            problems.append("none of these drives has poses: their simulator does not report where the car is")
+        map_of_drives = drive_map([drive["view"] for drive in on_map], colours, WAYS[by])
+        if on_map and map_of_drives is None:
+            problems.append("these drives have no poses: their simulator does not report the car's place")
         return {
-            "drives": shown,
+            "drives": drives,
             "chosen": chosen,
             "on_map": on_map,
             "colours": colours,
-            "map": on_one_map,
-            "most_error_deg": MAX_ERROR_DEG,
-            "reading": sum(not (drive["view"] or drive["problem"]) for drive in shown),
+            "map": map_of_drives,
+            "max_error_deg": MAX_ERROR_DEG,
+            "reading": sum(not (drive["view"] or drive["problem"]) for drive in drives),
             "by": by,
             "ways": list(WAYS),
             "problems": problems,
@@ -77,11 +77,11 @@ def drive_routes(bench: Workbench) -> list[Route]:
 
 
 def _colours(drives: Sequence[dict[str, Any]]) -> list[int]:
-    """Each drive's colour: that of its run; of several drives of one run, another one each."""
+    """Each drive's colour. A run's first drive has the run's colour; its other drives have other colours."""
     names = [drive["run"] or drive["card"].name for drive in drives]
-    times = Counter[str]()
+    counts = Counter[str]()
     for at, name in enumerate(names):
-        times[name] += 1
-        names[at] = f"{name} {times[name]}" if times[name] > 1 else name
+        counts[name] += 1
+        names[at] = f"{name} {counts[name]}" if counts[name] > 1 else name
     colours = run_colours(names)
     return [colours[name] for name in names]

@@ -1,4 +1,4 @@
-"""Import: a recording is dropped or chosen, what it holds is shown, and a job makes a session of it."""
+"""Import: a user drops or chooses a recording, sees its contents, and a job makes a session of it."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from web.pages.workbench import Workbench
 from web.server.request_guard import UPLOAD
 from web.server.templates import page
 
-_MAX_SHOWN = 50  # recordings of a folder
+_MAX_SHOWN = 50  # recordings in a folder
 _MAX_FOLDERS = 500
-_FILES = (".mcap", ".csv")  # that may be recordings
+_SUFFIXES = (".mcap", ".csv")  # of files that may be recordings
 
 
 def import_routes(bench: Workbench) -> list[Route]:
@@ -42,7 +42,7 @@ def import_routes(bench: Workbench) -> list[Route]:
         return page("import.html", limits=limits, uploads=list(uploads_in(folder)))
 
     async def upload(request: Request) -> Response:
-        """Receive an upload; `manifest` in the address: the length of what it begins with."""
+        """Receive an upload. `manifest` in the address is the length of its manifest."""
         total = whole_number(request.headers["content-length"])
         manifest = whole_number(request.query_params.get("manifest", ""))
         chunks = request.stream()
@@ -50,62 +50,61 @@ def import_routes(bench: Workbench) -> list[Route]:
             with Upload(folder, manifest or 0, total or 0) as received:
                 async for chunk in chunks:
                     await run_in_threadpool(received.write, chunk)
-                found = await run_in_threadpool(received.finish)
+                uploaded = await run_in_threadpool(received.finish)
         except ClientDisconnect:
             return Response(status_code=400)  # to nobody
         except (WebError, OSError):
-            async for _ in chunks:  # else the browser shows that the connection broke, and not why
+            async for _ in chunks:  # a browser shows the reason only after it has sent everything
                 pass
             raise
         if await request.is_disconnected():  # cancelled while it was unpacked
-            await run_in_threadpool(remove_upload, found)
-        return JSONResponse({"page": f"/import/{found.name}"})
+            await run_in_threadpool(remove_upload, uploaded)
+        return JSONResponse({"page": f"/import/{uploaded.name}"})
 
-    def one(request: Request) -> Response:
+    def uploaded_recordings(request: Request) -> Response:
         path = _upload(request)
-        return page("import_found.html", title=path.name, **_found(path, recordings_in(path)))
+        return page("import_recordings.html", title=path.name, **_context(path, recordings_in(path)))
 
     def browse(request: Request) -> Response:
-        """A folder or file of this machine: the recordings in it, and its folders."""
-        given = request.query_params.get("source", "").strip()
+        """A folder or file of this machine: its recordings and its folders."""
+        source = request.query_params.get("source", "").strip()
         try:
-            place = real_path(Path(given).expanduser() if given else Path.home())
+            place = real_path(Path(source).expanduser() if source else Path.home())
             is_folder = place.is_dir()
             if not is_folder and not place.is_file():
                 raise FileNotFoundError
         except (OSError, RuntimeError, ValueError):
-            raise WebError(f"{printable(given)}: no such folder or file on the machine of bc-web", 404) from None
+            raise WebError(f"{printable(source)}: no such folder or file on the machine of bc-web", 404) from None
         files = recordings_in(place, levels=0) if is_folder else [place]
-        found = [each for each in files if each.is_dir() or each.suffix.lower() in _FILES]
-        inner = [each for each in folders_in(place) if not each.name.startswith(".")] if is_folder else []
-        found, inner = ([each for each in some if str(each).isprintable()] for some in (found, inner))
+        recordings = [file for file in files if file.is_dir() or file.suffix.lower() in _SUFFIXES]
+        inner = [folder for folder in folders_in(place) if not folder.name.startswith(".")] if is_folder else []
+        recordings, inner = ([path for path in paths if str(path).isprintable()] for paths in (recordings, inner))
         context = {"inner": inner[:_MAX_FOLDERS], "above": place.parent, "title": printable(str(place))}
-        return page("import_found.html", **context, **_found(place, found))
+        return page("import_recordings.html", **context, **_context(place, recordings))
 
-    def _found(place: Path, found: list[Path]) -> dict[str, Any]:
+    def _context(place: Path, recordings: list[Path]) -> dict[str, Any]:
         taken = {log.name.removesuffix(".mcap") for log in bench.folders.logs("sessions").values()}
         shown = []
-        for each in found[:_MAX_SHOWN]:
-            name = place.name if each.is_dir() and len(found) == 1 else each.name
-            shown.append((summarize_recording(each), _free_name(plain_name(name), taken)))
-        fields = {field.name: field for field in form_of("import").fields}
+        for recording in recordings[:_MAX_SHOWN]:
+            name = place.name if recording.is_dir() and len(recordings) == 1 else recording.name
+            shown.append((summarize_recording(recording), _free_name(plain_name(name), taken)))
         return {
             "name": place.name,
             "folder": place,
-            "found": shown,
-            "fields": fields,
-            "more": len(found) - len(shown),
+            "recordings": shown,
+            "fields": {field.name: field for field in form_of("import").fields},
+            "not_shown": len(recordings) - len(shown),
         }
 
     def take(request: Request, values: Values) -> Response:
-        """Make a log of this toolkit a session: it gets its place there, as it is."""
+        """Move a log of this toolkit, unchanged, to the sessions."""
         path = _upload(request)
-        log = next((each for each in recordings_in(path) if str(each) == values.get("source")), None)
+        log = next((file for file in recordings_in(path) if str(file) == values.get("source")), None)
         if log is None or not is_own_log(log):
             raise WebError(f"{path}: no such log in it; reload its page", 404)
         name, sessions = values.get("name", ""), bench.folders.sessions
         if isinstance(sessions, Url):
-            raise WebError(f"`bc-log copy {printable(str(log))} {sessions}` copies it there", 422)
+            raise WebError(f"copy it to the store: `bc-log copy {printable(str(log))} {sessions}`", 422)
         if not name or plain_name(name) != name:
             raise WebError(f"{printable(name)!r}: a plain name was expected, such as {plain_name(name)}", 422)
         to = sessions / f"{name}.mcap"
@@ -133,12 +132,13 @@ def import_routes(bench: Workbench) -> list[Route]:
         Route("/import", whole),
         Route("/import.at", browse),
         Route(UPLOAD, upload, methods=["POST"]),
-        Route("/import/{name}", one),
+        Route("/import/{name}", uploaded_recordings),
         Route("/import/{name}/take", on_form(take), methods=["POST"]),
         Route("/import/{name}/remove", remove, methods=["POST"]),
     ]
 
 
 def _free_name(name: str, taken: set[str]) -> str:
-    """A name for a session that no other has."""
-    return next(each for each in (name, *(f"{name}-{number}" for number in range(2, 10_000))) if each not in taken)
+    """A name that no session has."""
+    names = (name, *(f"{name}-{number}" for number in range(2, 10_000)))
+    return next(free for free in names if free not in taken)

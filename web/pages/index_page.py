@@ -1,5 +1,5 @@
-"""The index: bins, each session's share, the split along time, leaks, what other settings would change, and
-samples as they are trained on."""
+"""The index: bins, each session's frames, the split along time, leaks, trials of other settings, and samples as
+training sees them."""
 
 from __future__ import annotations
 
@@ -47,25 +47,25 @@ def index_routes(bench: Workbench) -> list[Route]:
     def folder_of(request: Request) -> Path:
         """The index, or the requested trial."""
         trial = request.query_params.get("trial", "")
-        return bench.trials.get(trial) if trial else bench.folders.index_here
+        return bench.trials.get(trial) if trial else bench.folders.local_index
 
     def whole(request: Request) -> Response:
         values = dict(request.query_params)
         trial = values.pop("trial", "")
         store_problem = bench.folders.refresh_index()
-        here = bench.folders.index_here
-        now, problem = _view(here)
+        index = bench.folders.local_index
+        now, problem = _view(index)
         then, trial_problem = _view(bench.trials.get(trial)) if trial else (None, "")
         return page(
             "index.html",
             trial=trial,
             values=values,
             fields=INDEX_FIELDS,
-            known=sorted(map(shown_name, bench.folders.logs("sessions").values())),
+            project_sessions=sorted(map(shown_name, bench.folders.logs("sessions").values())),
             now=now,
             then=then,
-            is_missing=not (here / SAMPLES_NAME).exists() and not store_problem,
-            problem=store_problem or problem.replace(printable(str(here)), printable(str(bench.folders.index))),
+            is_missing=not (index / SAMPLES_NAME).exists() and not store_problem,
+            problem=store_problem or problem.replace(printable(str(index)), printable(str(bench.folders.index))),
             trial_problem=trial_problem,
             stale=_stale(),
             headings=COUNT_HEADINGS,
@@ -75,26 +75,25 @@ def index_routes(bench: Workbench) -> list[Route]:
         )
 
     def _stale() -> list[str]:
-        """The sessions that are newer than the index, and those whose log or tags have changed since."""
+        """The sessions that are newer than the index, or whose logs or tags have changed."""
         cards = bench.cards.cards("sessions", _PATIENCE_S)
         names = {card.name for card in cards if card.index.state is IndexState.CHANGED}
         with contextlib.suppress(UserError):
             logs = [log for log in bench.folders.logs("sessions").values() if log.suffix == ".mcap"]
-            found = logs_not_indexed(bench.folders.index_here, logs, bench.folders.stat)
-            names |= set(map(printable, found))
+            names |= set(map(printable, logs_not_indexed(bench.folders.local_index, logs, bench.folders.stat)))
         return sorted(names)
 
     def _runs() -> list[tuple[str, str]]:
-        """The runs that were trained on the index as it is now, and their pages."""
-        now = index_checksum(bench.folders.index_here)
-        found = bench.folders.run_folders().items()
-        return [(printable(path.name), f"/runs/{key}") for key, path in found if origin_of(path).index == now]
+        """The runs that were trained on the present index, and their pages."""
+        now = index_checksum(bench.folders.local_index)
+        runs = bench.folders.run_folders().items()
+        return [(printable(path.name), f"/runs/{key}") for key, path in runs if origin_of(path).index == now]
 
     def bins(request: Request) -> Response:
-        return _picture(bins_sketch(view_index(folder_of(request))))
+        return _svg(bins_sketch(view_index(folder_of(request))))
 
     def session_of(request: Request) -> tuple[Path, str]:
-        """The index, and the session in it: nothing else is looked for in its folder."""
+        """The index, and the name of a session that it lists."""
         folder, key = folder_of(request), request.path_params["session"]
         for session in view_index(folder).counts:
             if key_of(Path(session)) == key and "/" not in session and "\\" not in session:
@@ -102,43 +101,43 @@ def index_routes(bench: Workbench) -> list[Route]:
         raise WebError(f"{folder}: no session {key!r} in it", 404)
 
     def session_bins(request: Request) -> Response:
-        return _picture(session_bins_sketch(*session_of(request)))
+        return _svg(session_bins_sketch(*session_of(request)))
 
     def split(request: Request) -> Response:
-        return _picture(split_sketch(*session_of(request)))
+        return _svg(split_sketch(*session_of(request)))
 
     def held_out(request: Request) -> Response:
-        """The rows of a session that validation has, as [first, last] of their stretches."""
+        """The stretches of held-out rows of a session, as [first, last]."""
         return JSONResponse(held_out_rows(*session_of(request)))
 
     def samples_of(trial: str, others: int) -> AlteredSamples:
         index = bench.trials.get(trial) if trial else bench.folders.index
-        here = index if isinstance(index, Path) else bench.folders.index_here
-        return altered_samples(index, version_of(here / SAMPLES_NAME), others, bench.cache)
+        local = index if isinstance(index, Path) else bench.folders.local_index
+        return altered_samples(index, version_of(local / SAMPLES_NAME), others, bench.cache)
 
     def altered(request: Request) -> Response:
         trial, others = _chosen(request)
-        found = samples_of(trial, others)
-        shown = [(number, sample, key_of(Path(sample.session))) for number, sample in enumerate(found.shown)]
-        return page("altered_rows.html", found=found, shown=shown, trial=trial, others=others)
+        samples = samples_of(trial, others)
+        shown = [(number, sample, key_of(Path(sample.session))) for number, sample in enumerate(samples.shown)]
+        return page("altered_rows.html", total=samples.total, shown=shown, trial=trial, others=others)
 
     def altered_picture(request: Request) -> Response:
-        """The picture as it was driven (0), or as it is trained on (1)."""
-        number, which = number_in(request, "number"), number_in(request, "which")
-        shown = samples_of(*_chosen(request)).shown
-        if number >= len(shown) or which > 1 or not shown[number].pictures[which]:
-            raise WebError(f"no such picture of sample {number}", 404)
-        return Response(shown[number].pictures[which], media_type="image/jpeg")
+        """The picture as recorded (0), or as training sees it (1)."""
+        number, is_altered = number_in(request, "number"), number_in(request, "is_altered")
+        samples = samples_of(*_chosen(request)).shown
+        if number >= len(samples) or is_altered > 1 or not samples[number].pictures[is_altered]:
+            raise WebError(f"sample {number} has no such picture", 404)
+        return Response(samples[number].pictures[is_altered], media_type="image/jpeg")
 
     def leaks(request: Request) -> Response:
-        found = find_leaks(folder_of(request))
-        head = "no leak between training and validation" if not found else counted(len(found), "leak")
-        return PlainTextResponse("\n".join(map(printable, [head, *found])))
+        lines = find_leaks(folder_of(request))
+        head = counted(len(lines), "leak") if lines else "no leak between training and validation"
+        return PlainTextResponse("\n".join(map(printable, [head, *lines])))
 
     def try_settings(request: Request, values: Values) -> Response:
         form = form_of(_INDEX_FORM)
-        form.words(values, bench.folders)  # before a folder is made
-        key, folder = bench.trials.new(bench.folders.index_here)
+        form.words(values, bench.folders)  # raises an error before a folder is made
+        key, folder = bench.trials.new(bench.folders.local_index)
         words = form.words(values, dataclasses.replace(bench.folders, index=folder))
         kept = {name: value for name, value in values.items() if value and name != "form"}
         job = bench.jobs.start(words, f"/index?{urlencode({'trial': key, **kept})}")
@@ -147,7 +146,7 @@ def index_routes(bench: Workbench) -> list[Route]:
     return [
         Route("/index", whole),
         Route("/index.altered", altered),
-        Route("/index.altered/{number}/{which}.jpg", altered_picture),
+        Route("/index.altered/{number}/{is_altered}.jpg", altered_picture),
         Route("/index.bins", bins),
         Route("/index.leaks", leaks),
         Route("/index.try", on_form(try_settings), methods=["POST"]),
@@ -158,7 +157,7 @@ def index_routes(bench: Workbench) -> list[Route]:
 
 
 def _chosen(request: Request) -> tuple[str, int]:
-    """The index that was tried, "" for the project's own, and the number of the choice of samples."""
+    """The key of a trial, "" for the project's index; and the number of the choice of samples."""
     return request.query_params.get("trial", ""), whole_number(request.query_params.get("others", "")) or 0
 
 
@@ -170,7 +169,7 @@ def _view(folder: Path) -> tuple[IndexView | None, str]:
 
 
 def _sessions(now: IndexView | None, then: IndexView | None) -> list[dict[str, Any]]:
-    """A row for each session of either: its counts now, and then."""
+    """A row for each session in either index: its counts now, and then."""
     names = sorted({session for view in (now, then) if view for session in view.counts})
     return [
         {
@@ -183,5 +182,5 @@ def _sessions(now: IndexView | None, then: IndexView | None) -> list[dict[str, A
     ]
 
 
-def _picture(data: bytes) -> Response:
+def _svg(data: bytes) -> Response:
     return Response(data, media_type="image/svg+xml")

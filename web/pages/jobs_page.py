@@ -1,4 +1,4 @@
-"""Jobs: forms that start them, their list, progress, and stop."""
+"""Jobs: the forms that start them, the list, and the page of a job."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from web.server.templates import page, render
 def job_routes(bench: Workbench) -> list[Route]:
     def whole(request: Request) -> Response:
         live = bench.jobs.version()
-        known = {
+        names = {
             "sessions": sorted(map(shown_name, bench.folders.logs("sessions").values())),
             "runs": sorted(printable(path.name) for path in bench.folders.run_folders().values()),
         }
         values = dict(request.query_params)
         opened = values.pop("start", "")
-        shown = {"known": known, "opened": opened, "values": values, "jobs": bench.jobs.all()}
-        return page("jobs.html", live=live, forms=FORMS, **shown)
+        context = {"names": names, "opened": opened, "values": values, "jobs": bench.jobs.all()}
+        return page("jobs.html", live=live, forms=FORMS, **context)
 
     def rows(request: Request) -> Response:
         return page("job_rows.html", jobs=bench.jobs.all())
 
     def command(request: Request) -> Response:
-        """The command that a form would run, or why it cannot."""
+        """The command that a form would run, or the problem with its values."""
         values = dict(request.query_params)
         try:
             words = form_of(values.get("form", "")).words(values, bench.folders)
@@ -43,20 +43,20 @@ def job_routes(bench: Workbench) -> list[Route]:
             return PlainTextResponse(printable(str(error)))
         return PlainTextResponse(printable(shlex.join(words)))
 
-    def start(request: Request, given: Values) -> Response:
-        form = form_of(given.get("form", ""))
-        values = form.named(given)
+    def start(request: Request, form_values: Values) -> Response:
+        form = form_of(form_values.get("form", ""))
+        values = form.named(form_values)
         words, made = form.words(values, bench.folders), form.page_of(values, bench.folders)
         job = bench.jobs.start(words, made, form.name, values)
         return RedirectResponse(f"/jobs/{job.key}", status_code=303)
 
-    def one(request: Request) -> Response:
+    def whole_job(request: Request) -> Response:
         return page("job.html", live=bench.jobs.version(), **_context(request))
 
     def body(request: Request) -> Response:
         context = _context(request)
         job: Job = context["job"]
-        # a page that was opened while it ran: what was imported opens by itself
+        # "opens": the page was opened while the import ran; then the session opens by itself
         opens = "opens" in request.query_params and job.about.form == "import" and job.code == 0
         headers = {"HX-Redirect": job.about.made} if opens else {}
         return HTMLResponse(render("job_body.html", **context), headers=headers)
@@ -75,7 +75,7 @@ def job_routes(bench: Workbench) -> list[Route]:
         Route("/jobs", on_form(start), methods=["POST"]),
         Route("/jobs.rows", rows),
         Route("/jobs.command", command),
-        Route("/jobs/{job}", one),
+        Route("/jobs/{job}", whole_job),
         Route("/jobs/{job}/body", body),
         Route("/jobs/{job}/stop", stop, methods=["POST"]),
     ]

@@ -1,4 +1,4 @@
-"""Files that pages load of a log: film strip, steering sketch, pictures, attention maps, links to runs."""
+"""Parts of a log that pages load: film strip, steering sketch, pictures, attention maps, links to runs."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
     def sketch(request: Request) -> Response:
         path = path_of(request)
         version = bench.folders.version_of_log(path)
-        bins = bins_of_index(bench.folders.index_here)
+        bins = bins_of_index(bench.folders.local_index)
 
         def make() -> bytes:
             with bench.logs.open(path) as opened:
@@ -74,7 +74,7 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
         return Response(data, media_type="image/png")
 
     def links(request: Request) -> Response:
-        """To the runs that learnt from it, and from a drive to the run that drove."""
+        """Links to the runs that learnt from a log, and to the run that drove."""
         path = path_of(request)
         runs, name = bench.folders.run_folders(), session_name(path)
         learnt = [
@@ -97,7 +97,7 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
 
 
 def _picture(request: Request, opened: OpenLog, camera: Camera) -> bytes:
-    """The picture of the request's row. Raises WebError where the log is another one than the page has read."""
+    """The picture of the request's row. Raises WebError if the log has changed since the page read it."""
     if request.query_params.get("v", opened.version) != opened.version:
         raise WebError("the log has changed since this page was opened: reload it", 409)
     try:
@@ -107,15 +107,15 @@ def _picture(request: Request, opened: OpenLog, camera: Camera) -> bytes:
 
 
 def _camera_of(request: Request) -> Camera:
-    named = request.path_params["camera"]
-    found: Camera | None = next((camera for camera in CAMERAS if camera == named), None)
-    if found is None:
-        raise WebError(f"{named}: no such camera; expected {', '.join(get_args(Camera))}", 404)
-    return found
+    name = request.path_params["camera"]
+    for camera in CAMERAS:
+        if camera == name:
+            return camera
+    raise WebError(f"{name}: no such camera; expected {', '.join(get_args(Camera))}", 404)
 
 
 def _type_of(data: bytes, row: int) -> str:
-    """Raises WebError for what no browser should take for a picture."""
+    """The media type of a picture. Raises WebError for any other data."""
     if data.startswith(_JPEG_START):
         return "image/jpeg"
     if data.startswith(PNG_START):
@@ -124,5 +124,5 @@ def _type_of(data: bytes, row: int) -> str:
 
 
 def _kept(request: Request, version: str) -> dict[str, str]:
-    """Kept by the browser where the address names this very content."""
+    """The headers of an answer: the browser keeps it if its address names this version."""
     return KEPT if request.query_params.get("v") == version else {}

@@ -1,4 +1,4 @@
-"""New logs of a log: trimmed, split, merged, recovered; and its check. Each is a job, and its command is shown."""
+"""The jobs of a log: check, trim, split, merge and recover. The page shows their commands."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from web.pages.workbench import Workbench
 
 def log_job_routes(bench: Workbench, place: Place) -> list[Route]:
     def command(request: Request) -> Response:
-        """The command that a form would run, or its problem."""
+        """The command that a form would run, or the problem with its values."""
         log = bench.folders.log(place, request.path_params["log"])
         job = log_job(request.path_params["job"])
         form = _form_of(request.query_params)

@@ -1,9 +1,8 @@
-"""The pictures of logs as a map by what they show, of one log or of all in the index."""
+"""Maps of pictures, of one log or of all logs in the index. Similar pictures lie near each other."""
 
 from __future__ import annotations
 
 import contextlib
-import re
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -27,44 +26,43 @@ from web.processes.picture_maps import MappedLog
 from web.runs.run_networks import NETWORK_FILES, can_be_run, check_network
 from web.server.templates import page
 
-_KEY: Final = re.compile(r"[0-9a-f]{64}")
 _PIXELS: Final = "pixels"
 
 
 def map_routes(bench: Workbench) -> list[Route]:
     def whole(request: Request) -> Response:
-        of = request.query_params.getlist("of")
-        logs = [_place_and_key(each) for each in of]
-        paths = [bench.folders.log(place, key) for place, key in logs]
-        names = [shown_name(path) for path in paths]
+        logs = [_place_and_key(address) for address in request.query_params.getlist("of")]
+        shown = [(shown_name(bench.folders.log(place, key)), f"/{place}/{key}") for place, key in logs]
         folders = _runs(bench)
         runs = [(key, printable(path.name)) for key, path in folders.items()]
         run = request.query_params.get("run", "")
         if run not in (_PIXELS, *folders):
             run = next((key for key in reversed(folders) if can_be_run(folders[key])), _PIXELS)
-        shown = [(name, f"/{place}/{key}") for name, (place, key) in zip(names, logs, strict=True)]
         at = f"/{logs[0][0]}" if logs else "/index"
-        return page("map.html", of=shown, at=at, runs=runs, run=run, pixels=_PIXELS)
+        return page("map.html", logs=shown, at=at, runs=runs, run=run, pixels=_PIXELS)
 
     def state(request: Request) -> Response:
-        """The state of a map. POST begins with it where it has not been made yet."""
-        logs, run = _asked(bench, request.query_params)
+        """The state of a map. POST starts the work, unless it is done."""
+        logs, run = _logs_and_run(bench, request.query_params)
         key = bench.maps.key(logs, run)
-        shown = {"logs": [_shown(bench, log) for log in logs]}
+        context = {"logs": [_log_data(bench, log) for log in logs]}
         if not logs:
             problem = "no session is in the index; build it, or open the map of a session from its page"
-            return JSONResponse({**shown, "key": key, "about": None, "problem": problem})
+            return JSONResponse({**context, "key": key, "about": None, "problem": problem})
         start = partial(bench.maps.start, key, logs, run) if request.method == "POST" else None
-        return JSONResponse(shown | bench.maps.work.state(key, lambda: bench.maps.find(key), start))
+        return JSONResponse(context | bench.maps.work.state(key, lambda: bench.maps.find(key), start))
 
     def stop(request: Request) -> Response:
-        """End it, for all pages that wait for it."""
-        bench.maps.work.stop(_key_in(request))
+        """Stop the work for all pages that wait for it."""
+        key = request.query_params.get("key", "")
+        if bench.maps.work.requested(key) is None:
+            raise WebError("this map is not being made", 404)
+        bench.maps.work.stop(key)
         return Response(status_code=204)
 
     def points(request: Request) -> Response:
         """The columns of a map as float32, one after the other."""
-        data = bench.maps.columns(_key_in(request))
+        data = bench.maps.columns(request.query_params.get("key", ""))
         if data is None:
             raise WebError("this map is no longer kept: make it again", 404)
         return Response(data, media_type="application/octet-stream")
@@ -77,34 +75,26 @@ def map_routes(bench: Workbench) -> list[Route]:
     ]
 
 
-def _key_in(request: Request) -> str:
-    key = request.query_params.get("key", "")
-    if not _KEY.fullmatch(key):
-        raise WebError("no such map", 404)
-    return key
-
-
-def _place_and_key(of: str) -> tuple[Any, str]:
-    place, _, key = of.partition("/")
+def _place_and_key(address: str) -> tuple[Any, str]:
+    place, _, key = address.partition("/")
     if place not in PLACES:
-        raise WebError(f"{printable(of[:80])}: no log; sessions/NAME or drives/NAME was expected", 404)
+        raise WebError(f"{printable(address[:80])}: no log; sessions/NAME or drives/NAME was expected", 404)
     return place, key
 
 
 def _runs(bench: Workbench) -> dict[str, Path]:
-    """The runs that have weights, the newest last; in a store, as far as is known, all of them."""
+    """The runs that have weights, the newest last; for a store, all runs."""
     times = {}
     for key, path in bench.folders.run_folders().items():
         with contextlib.suppress(OSError):
-            is_here = bench.folders.run_place(path) == path
-            times[key] = (path / (WEIGHTS if is_here else CONFIG)).stat().st_mtime, path
+            is_copy = bench.folders.run_place(path) != path
+            times[key] = (path / (CONFIG if is_copy else WEIGHTS)).stat().st_mtime, path
     return {key: times[key][1] for key in sorted(times, key=lambda key: times[key])}
 
 
-def _asked(bench: Workbench, query: QueryParams) -> tuple[list[MappedLog], Path | None]:
-    """The logs that an address names, or all of the index; and the run, None for pixels."""
-    of = query.getlist("of")
-    logs = [_log(bench, each) for each in of] if of else _of_index(bench)
+def _logs_and_run(bench: Workbench, query: QueryParams) -> tuple[list[MappedLog], Path | None]:
+    """The logs that an address names, or all logs of the index; and the run, None for pixels."""
+    logs = [_log(bench, address) for address in query.getlist("of")] or _indexed_logs(bench)
     name = query.get("run", _PIXELS)
     run = None if name == _PIXELS else bench.folders.run(name)
     if run is not None:
@@ -114,31 +104,31 @@ def _asked(bench: Workbench, query: QueryParams) -> tuple[list[MappedLog], Path 
     return logs, run
 
 
-def _log(bench: Workbench, of: str) -> MappedLog:
-    place, key = _place_and_key(of)
+def _log(bench: Workbench, address: str) -> MappedLog:
+    place, key = _place_and_key(address)
     path = bench.folders.log(place, key)
     if path.name.endswith(PART_SUFFIX):
-        raise WebError(f"{path}: unfinished; its pictures can be shown when it is whole", 409)
+        raise WebError(f"{path}: unfinished; a map needs a finished log", 409)
     with bench.logs.open(path) as opened:
         return MappedLog(f"/{place}/{key}", path, opened.log.fingerprint)
 
 
-def _of_index(bench: Workbench) -> list[MappedLog]:
-    """The logs that the index holds, as it has read them."""
+def _indexed_logs(bench: Workbench) -> list[MappedLog]:
+    """The logs of the index, with the fingerprints that the index has."""
     bench.folders.refresh_index()
-    built = read_state(bench.folders.index_here).logs
-    found = []
+    built = read_state(bench.folders.local_index).logs
+    logs = []
     for path in bench.folders.logs("sessions").values():
         entry = built.get(session_name(path))
         if entry is not None and entry.fingerprint and entry.sources[0] == str(absolute(path)):
-            found.append(MappedLog(f"/sessions/{key_of(path)}", path, entry.fingerprint))
-    return found
+            logs.append(MappedLog(f"/sessions/{key_of(path)}", path, entry.fingerprint))
+    return logs
 
 
-def _shown(bench: Workbench, log: MappedLog) -> dict[str, object]:
-    """A log as a page needs it: its pictures' address, and the tags that its rows have now."""
+def _log_data(bench: Workbench, log: MappedLog) -> dict[str, object]:
+    """The data of a log for the page: the address of its pictures, and its present tags."""
     tags: list[tuple[int, int, str]] = []
-    with contextlib.suppress(UserError):  # its own page names it
+    with contextlib.suppress(UserError):  # the log's own page shows it
         for tag in bench.cards.tags(log.path, log.fingerprint).tags:
             tags.append((tag.first_row, tag.last_row, tag.name))
     return {

@@ -1,10 +1,8 @@
-"""The predictions of a run for a session: started, their progress, and as a column beside the log's own."""
+"""The predictions of a run for a log: their start, progress and values."""
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
-from typing import Final
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
@@ -20,36 +18,33 @@ from web.pages.workbench import Workbench
 from web.processes.predictions import Measured
 from web.runs.run_networks import NETWORK_FILES, check_network
 
-_KEY: Final = re.compile(r"[0-9a-f]{64}")
-
 
 def prediction_routes(bench: Workbench, place: Place) -> list[Route]:
     def prediction(request: Request) -> Response:
-        """The state of a prediction. POST starts it where it has not been made yet."""
+        """The state of a prediction. POST starts the work, unless it is done."""
         path = bench.folders.log(place, request.path_params["log"])
         run = bench.folders.run(request.path_params["run"])
         log = request.query_params.get("log", "")  # the fingerprint of what the page shows
         if is_recording(path):
-            raise WebError("this log is being recorded: predictions can be made when that has ended", 409)
+            raise WebError("this log is being recorded: wait until the recording has ended", 409)
         with bench.logs.open(path) as opened:
             return JSONResponse(_state(bench, path, opened, log, run, is_start=request.method == "POST"))
 
     def stop(request: Request) -> Response:
-        """End the prediction of a run for the page's log, for all pages that wait for it."""
+        """Stop the prediction of a run for a log, for all pages that wait for it."""
         bench.folders.log(place, request.path_params["log"])
         run = bench.folders.run(request.path_params["run"])
         bench.predictions.work.stop(bench.predictions.key(request.query_params.get("log", ""), run))
         return Response(status_code=204)
 
     def column(request: Request) -> Response:
-        """The predicted steering of each row of the log, as float64; NaN where there is none."""
+        """The predicted steering of each row of the log, as float64; NaN for none."""
         path = bench.folders.log(place, request.path_params["log"])
-        key = request.path_params["key"]
-        kept = bench.predictions.find(key) if _KEY.fullmatch(key) else None
-        if kept is None:
-            raise WebError("this prediction is not kept any more: choose the run again", 404)
+        predicted = bench.predictions.find(request.path_params["key"])
+        if predicted is None:
+            raise WebError("this prediction is no longer kept: choose the run again", 404)
         with bench.logs.open(path) as opened:
-            data = kept.at(opened.states.row).astype("<f8").tobytes()
+            data = predicted.at(opened.states.row).astype("<f8").tobytes()
         return Response(data, media_type="application/octet-stream")
 
     at = f"/{place}/{{log}}/predictions"
@@ -72,14 +67,14 @@ def _state(
     key = bench.predictions.key(fingerprint, run)
 
     def about() -> Measured | None:
-        found = bench.predictions.find(key)
-        return found.about if found else None
+        predicted = bench.predictions.find(key)
+        return predicted.about if predicted else None
 
     def start() -> None:
         check_network(run, path, bench.folders.run_place(run))
         pictures = len(opened.log.pictures(camera_topic("center")).sequence)
         if not pictures:
-            raise WebError("no picture of the centre camera in this log: a network has nothing to see", 422)
+            raise WebError("this log has no picture of the centre camera, which the network needs", 422)
         bench.predictions.start(key, path, fingerprint, run, pictures)
 
     return {"name": printable(run.name)} | bench.predictions.work.state(key, about, start if is_start else None)

@@ -15,7 +15,7 @@ from common.whole_number import whole_number
 from web.errors import WebError
 
 _FORM = "application/x-www-form-urlencoded"
-_MOST = 2000  # a thousand logs may be merged
+_MAX_FIELDS = 2000  # a thousand logs may be merged
 
 
 Values = ImmutableMultiDict[str, str]
@@ -23,7 +23,7 @@ Values = ImmutableMultiDict[str, str]
 
 
 def on_form(answer: Callable[[Request, Values], Response]) -> Callable[[Request], Awaitable[Response]]:
-    """The endpoint that calls `answer`, on a thread, with the fields of a form."""
+    """The endpoint that calls `answer` with the fields of a form, on a thread."""
 
     async def endpoint(request: Request) -> Response:
         return await run_in_threadpool(answer, request, await _form_values(request))
@@ -37,13 +37,13 @@ async def _form_values(request: Request) -> Values:
         raise WebError(f"this address takes only forms ({_FORM})", 415)
     try:
         text = (await request.body()).decode("ascii")
-        return Values(parse_qsl(text, keep_blank_values=True, max_num_fields=_MOST))
+        return Values(parse_qsl(text, keep_blank_values=True, max_num_fields=_MAX_FIELDS))
     except ValueError as error:
         raise WebError(f"not a form: {error}", 422) from None
 
 
 def number_in(request: Request, part: str) -> int:
-    """Return the number in that part of a request's address. Raises WebError for anything else."""
+    """The number in a part of a request's address. Raises WebError for anything else."""
     text = request.path_params[part]
     number = whole_number(text)
     if number is None:

@@ -22,7 +22,7 @@ from web.server.static_files import KEPT
 from web.server.templates import render
 
 _POLL_S: Final = 0.1
-_POLICY: Final = "; ".join(  # the viewer is a program of Rerun's: it reaches nothing but this server
+_POLICY: Final = "; ".join(  # the viewer is Rerun's program: it may reach only this server
     (
         "default-src 'none'",
         "script-src 'self' 'wasm-unsafe-eval'",
@@ -65,8 +65,8 @@ def rerun_routes(bench: Workbench) -> list[Route]:
 
 def rerun_log_routes(bench: Workbench, place: Place) -> list[Route]:
     def open_log(request: Request) -> Response:
-        """Lines of JSON: the viewer's address, as soon as it can be opened, notes on the log, and the reason of
-        its end. The viewer lives as long as these lines are read."""
+        """Lines of JSON: the viewer's address once it can be opened, notes on the log, and why it was closed. The
+        log is open as long as these lines are read."""
         path = bench.folders.log(place, request.path_params["log"])
         is_growing = is_recording(path)
         with bench.logs.open(path) as opened:

@@ -1,4 +1,4 @@
-"""The page of one run: its data, its errors, the frames at which it is off the most, and its drives."""
+"""The page of a run: its data, its errors, its worst frames, and its drives."""
 
 from __future__ import annotations
 
@@ -31,8 +31,10 @@ from web.runs.run_settings import run_settings
 from web.server.templates import page, page_of
 
 _MAX_NUMBERS: Final = 14  # of a result
-_FULL_LOCK_RAD: Final = math.pi / 3  # as full lock is drawn: more than it is, so that a few degrees are visible
-_LINE: Final = 90.0  # of such a picture
+_FULL_LOCK_RAD: Final = (
+    math.pi / 3
+)  # of the drawn line: more than the wheels' angle, to make a few degrees visible
+_LINE: Final = 90.0  # length of the line, in a picture of 128 by 128
 
 
 def run_routes(bench: Workbench) -> list[Route]:
@@ -40,20 +42,20 @@ def run_routes(bench: Workbench) -> list[Route]:
         return page("run.html", live=runs_version(bench), **_context(request))
 
     def worst_picture(request: Request) -> Response:
-        """The network's picture of the worst frame of that number after that epoch."""
+        """The picture of a worst frame after an epoch, as the network saw it."""
         epoch, number = number_in(request, "epoch"), number_in(request, "number")
         path = bench.folders.run(request.path_params["run"])
-        pictures = next((found for found in bench.runs.history(path).worst if found.epoch == epoch), None)
-        if pictures is None or number >= len(pictures.jpegs):
+        worst = next((worst for worst in bench.runs.history(path).worst if worst.epoch == epoch), None)
+        if worst is None or number >= len(worst.jpegs):
             raise WebError(f"{path}: no such frame after epoch {epoch}", 404)
-        return Response(pictures.jpegs[number], media_type="image/jpeg")
+        return Response(worst.jpegs[number], media_type="image/jpeg")
 
     def _context(request: Request) -> dict[str, Any]:
         key = request.path_params["run"]
         path = bench.folders.run(key)
-        card = next((found for found in bench.runs.cards(PATIENCE_S) if found.key == key), None)
+        card = next((card for card in bench.runs.cards(PATIENCE_S) if card.key == key), None)
         if card is None:
-            raise WebError(f"{path}: deleted, or renamed", 404)
+            raise WebError(f"{path}: the run was deleted or renamed", 404)
         pages = _log_pages(bench.folders)
         return {
             "card": card,
@@ -63,10 +65,10 @@ def run_routes(bench: Workbench) -> list[Route]:
             "again": _again(card),
             "settings": _settings(path) if not card.problem else {},
             "sessions": _sessions(pages, card),
-            "is_of_index": _is_of_index(path, bench.folders.index_here),
+            "is_of_index": _is_of_index(path, bench.folders.local_index),
             "results": _results(pages, card),
             "drives": _drives(bench, path.name),
-            "scattered": _scattered(bench, pages, card),
+            "scatter_logs": _scatter_logs(bench, pages, card),
             **_worst(bench, pages, path, card, request.query_params.get("epoch", "")),
         }
 
@@ -79,7 +81,7 @@ def run_routes(bench: Workbench) -> list[Route]:
 
 
 def _again(card: RunCard) -> str:
-    """The query of a training form with the settings of this run; "" where they are not known."""
+    """The query of a training form with the settings of this run; "" if they are unknown."""
     run = card.summary
     if run is None:
         return ""
@@ -96,74 +98,75 @@ def _is_of_index(run: Path, index: Path) -> bool:
 def _settings(path: Path) -> dict[str, str]:
     try:
         return run_settings(path)
-    except UserError:  # changed since the card was read
+    except UserError:  # changed meanwhile
         return {}
 
 
 def _sessions(pages: Mapping[str, str], card: RunCard) -> list[tuple[str, str]]:
-    """The sessions that it learnt from, and the addresses of their pages; "" for those that are not here."""
+    """The sessions that a run learnt from, and their pages; "" for a session that is in none of the folders."""
     return [(printable(name), _page_of(pages, name)) for name in (card.summary.sessions if card.summary else ())]
 
 
-def _scattered(bench: Workbench, pages: Mapping[str, str], card: RunCard) -> list[tuple[str, str, str]]:
-    """The finished logs that it may predict, those that it learnt from first: name, address, and the address of
-    the rows that were held out, "" where that is not known."""
-    is_of_index = _is_of_index(card.path, bench.folders.index_here)
+def _scatter_logs(bench: Workbench, pages: Mapping[str, str], card: RunCard) -> list[tuple[str, str, str]]:
+    """The logs that a run may predict, those that it learnt from first: name, address, and the address of the
+    held-out rows, "" if they are unknown."""
+    is_of_index = _is_of_index(card.path, bench.folders.local_index)
     learnt = {address: name for name, address in _sessions(pages, card) if address}
-    found = [(name, at, f"/index/{at.split('/')[-1]}/held-out" * is_of_index) for at, name in learnt.items()]
+    logs = [(name, at, f"/index/{at.split('/')[-1]}/held-out" * is_of_index) for at, name in learnt.items()]
     for place in PLACES:
         for key, name in bench.folders.finished(place).items():
             if (at := f"/{place}/{key}") not in learnt:
-                found.append((name, at, ""))
-    return found
+                logs.append((name, at, ""))
+    return logs
 
 
 def _end_of_line(steering_deg: float, max_deg: float | None) -> str:
-    """Where a line of steering ends in a picture of 128 by 128, from the middle of its lower edge: the point."""
+    """The end of a steering line in a picture of 128 by 128. The line begins in the middle of the lower edge."""
     share = max(-1.0, min(1.0, steering_deg / assumed_deg(max_deg)))
     turn = share * _FULL_LOCK_RAD
     return f"{64 + _LINE * math.sin(turn):.1f},{128 - _LINE * math.cos(turn):.1f}"
 
 
 def _log_pages(folders: ProjectFolders) -> dict[str, str]:
-    """The pages of all logs by key; of two logs with the same key, the session's."""
+    """The pages of all logs by key. A session goes before a drive with the same key."""
     return {key: f"/{place}/{key}" for place in reversed(PLACES) for key in folders.logs(place)}
 
 
 def _page_of(pages: Mapping[str, str], session: str) -> str:
-    """The page of the log of that session; "" if it is in none of the folders."""
+    """The page of a session's log; "" if it is in none of the folders."""
     return pages.get(key_of(Path(f"{session.replace('/', ' ')}.mcap")), "")
 
 
 def _results(pages: Mapping[str, str], card: RunCard) -> list[dict[str, Any]]:
-    """The results of its present weights: the last of each kind."""
-    found = []
+    """The last result of each kind for the present weights."""
+    results = []
     for kept in card.summary.results if card.summary else ():
         log = kept.result.get("log")
-        shown = {
-            "way": kept.way,
-            "when": printable(kept.measured_at[:16].replace("T", " ")),
-            "numbers": _numbers(kept.result),
-            "log": _page_of(pages, Path(log).name.removesuffix(".mcap")) if isinstance(log, str) else "",
-        }
-        found.append(shown)
-    return found
+        results.append(
+            {
+                "way": kept.way,
+                "when": printable(kept.measured_at[:16].replace("T", " ")),
+                "numbers": _numbers(kept.result),
+                "log": _page_of(pages, Path(log).name.removesuffix(".mcap")) if isinstance(log, str) else "",
+            }
+        )
+    return results
 
 
 def _numbers(result: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """The plain values of a result, with units in their names as it has them."""
+    """The names and values of the plain numbers and texts in a result."""
     from model.runs.run_summary import measured_sessions
 
-    shown = []
+    numbers = []
     if sessions := measured_sessions(result):
-        shown.append(("of", printable(", ".join(sessions))))
-    if isinstance(network := result.get("network"), dict):  # errors of frames; steering's, in degrees
-        shown += _numbers_of(network, steering_unit(result.get("max_deg", MAX_STEERING_DEG)))
-    return [*shown, *_numbers_of(result)][:_MAX_NUMBERS]
+        numbers.append(("of", printable(", ".join(sessions))))
+    if isinstance(network := result.get("network"), dict):  # errors on frames; those of steering are in degrees
+        numbers += _numbers_of(network, steering_unit(result.get("max_deg", MAX_STEERING_DEG)))
+    return [*numbers, *_numbers_of(result)][:_MAX_NUMBERS]
 
 
 def _numbers_of(result: Mapping[str, Any], unit: SteeringUnit = DEGREES) -> list[tuple[str, str]]:
-    shown = []
+    numbers = []
     for name, value in result.items():
         if unit != DEGREES and name.endswith("_deg") and isinstance(value, float):
             name, value = f"{name.removesuffix('_deg')}, {unit.name}", unit.of(value)
@@ -172,29 +175,28 @@ def _numbers_of(result: Mapping[str, Any], unit: SteeringUnit = DEGREES) -> list
         if isinstance(value, str) and len(value) > 40:  # checksums, paths
             continue
         text = f"{value:.4g}" if isinstance(value, float) and math.isfinite(value) else str(value)
-        shown.append((printable(name.replace("_", " ")), printable(text)))
-    return shown
+        numbers.append((printable(name.replace("_", " ")), printable(text)))
+    return numbers
 
 
-def _drives(bench: Workbench, run: str) -> list[tuple[str, str, str]]:
-    """The drives in which it drove: name, address, when."""
+def _drives(bench: Workbench, run: str) -> list[tuple[str, str]]:
+    """The names and addresses of the drives of a run."""
     cards = bench.cards.cards("drives", 0.3)
-    found = [card for card in cards if card.info and card.info.session.get("run") == run]
     return [
-        (card.name, f"/drives/{card.key}", card.info.start[:16].replace("T", " ")) for card in found if card.info
+        (card.name, f"/drives/{card.key}") for card in cards if card.info and card.info.session.get("run") == run
     ]
 
 
 def _worst(
     bench: Workbench, pages: Mapping[str, str], path: Path, card: RunCard, requested: str
 ) -> dict[str, Any]:
-    """The worst frames after the epoch that was kept, or the requested one."""
+    """The worst frames after the kept epoch, or after the requested one."""
     try:
         history = bench.runs.history(path)
     except UserError as error:
         return {"worst": [], "epochs": [], "epoch": 0, "kept": 0, "bins": None, "problem": printable(str(error))}
     kept = card.summary.kept_epoch if card.summary else 0
-    by_epoch = {found.epoch: found for found in history.worst}
+    by_epoch = {worst.epoch: worst for worst in history.worst}
     epoch = kept if (number := whole_number(requested)) is None else number
     if epoch not in by_epoch and by_epoch:
         epoch = max(by_epoch)
@@ -211,11 +213,11 @@ def _worst(
                 "address": f"{address}#row={frame.row}&run={card.key}" if address else "",
             }
         )
-    measured = next((found.measures for found in history.epochs if found.epoch == epoch), None)
+    measures = next((measured.measures for measured in history.epochs if measured.epoch == epoch), None)
     unit = steering_unit(by_epoch[epoch].max_deg) if epoch in by_epoch else DEGREES
     return {
         "worst": frames,
-        "bins": bin_bars(measured) if measured else None,
+        "bins": bin_bars(measures) if measures else None,
         "worst_unit": unit,
         "epochs": list(by_epoch),
         "epoch": epoch,

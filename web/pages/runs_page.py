@@ -1,7 +1,8 @@
-"""The list of runs; the curves of chosen ones over each other, and the differences in their settings."""
+"""The list of runs, the curves of chosen runs over each other, and the differences in their settings."""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -18,14 +19,14 @@ from web.pages.changes import runs_version
 from web.pages.workbench import Workbench
 from web.runs.run_cards import RunCard
 from web.runs.run_colours import COLOURS, run_colours
-from web.runs.run_curves import run_curves
+from web.runs.run_curves import Line, run_curves
 from web.runs.run_settings import differing, run_settings
 from web.server.templates import page, page_of
 
 PATIENCE_S: Final = 1.0
-"""For runs that are being read."""
+"""Time for runs that are being read."""
 MAX_CHOSEN: Final = COLOURS
-"""Runs whose curves lie over each other."""
+"""Runs whose curves can lie over each other."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class RunQuery:
     chosen: tuple[str, ...]  # keys of runs
 
     @classmethod
-    def of(cls, query: QueryParams) -> RunQuery:
+    def parse(cls, query: QueryParams) -> RunQuery:
         """The query of an address, without invalid values."""
         sort = query.get("sort", "newest")
         chosen = tuple(dict.fromkeys(query.getlist("run")))[:MAX_CHOSEN]
@@ -47,28 +48,25 @@ class RunQuery:
 def run_list_routes(bench: Workbench) -> list[Route]:
     def whole(request: Request) -> Response:
         live = runs_version(bench)  # before the runs are read
-        shown = {**_list(request), **_differing(request), "sorts": list(SORTED_BY)}
-        return page("runs.html", query=RunQuery.of(request.query_params), live=live, **shown)
+        context = {**_list(request), **_differing(request), "sorts": list(SORTED_BY)}
+        return page("runs.html", query=RunQuery.parse(request.query_params), live=live, **context)
 
     def curves(request: Request) -> Response:
-        """The lines of each chosen run, or the problem why it has none."""
-        found = []
-        chosen = _chosen(RunQuery.of(request.query_params))
+        """The lines of each readable chosen run."""
+        runs = []
+        chosen = _chosen(RunQuery.parse(request.query_params))
         colours = run_colours(path.name for _, path in chosen)
         for key, path in chosen:
-            shown: dict[str, Any] = {"key": key, "name": printable(path.name), "lines": {}, "problem": ""}
-            shown["colour"] = colours[path.name]
-            try:
-                shown["lines"] = run_curves(bench.runs.history(path))
-            except UserError as error:
-                shown["problem"] = printable(str(error))
-            found.append(shown)
-        return JSONResponse(found)
+            lines: dict[str, Line] = {}
+            with contextlib.suppress(UserError):  # its page, and the list, show the problem
+                lines = run_curves(bench.runs.history(path))
+            runs.append({"key": key, "name": printable(path.name), "lines": lines, "colour": colours[path.name]})
+        return JSONResponse(runs)
 
     def _list(request: Request) -> dict[str, Any]:
-        query, folder = RunQuery.of(request.query_params), bench.folders.runs
+        query, folder = RunQuery.parse(request.query_params), bench.folders.runs
         cards = bench.runs.cards(PATIENCE_S)
-        shown = _sorted([card for card in cards if _has(card, query.text)], query.sort)
+        shown = _sorted([card for card in cards if _has_words(card, query.text)], query.sort)
         summaries = [card.summary for card in shown if card.summary]
         return {
             "cards": shown,
@@ -83,12 +81,12 @@ def run_list_routes(bench: Workbench) -> list[Route]:
         }
 
     def _chosen(query: RunQuery) -> list[tuple[str, Any]]:
-        there = bench.folders.run_folders()
-        return [(key, there[key]) for key in query.chosen if key in there]
+        folders = bench.folders.run_folders()
+        return [(key, folders[key]) for key in query.chosen if key in folders]
 
     def _differing(request: Request) -> dict[str, Any]:
         names, settings, problems = [], [], []
-        chosen = _chosen(RunQuery.of(request.query_params))
+        chosen = _chosen(RunQuery.parse(request.query_params))
         for _, path in chosen:
             try:
                 settings.append(run_settings(path))
@@ -96,8 +94,8 @@ def run_list_routes(bench: Workbench) -> list[Route]:
                 problems.append(printable(str(error)))
             else:
                 names.append(printable(path.name))
-        both = dict(zip("ab", (key for key, _ in chosen), strict=False))
-        return {"names": names, "rows": differing(settings), "problems": problems, "compare": both}
+        first_two = dict(zip("ab", (key for key, _ in chosen), strict=False))
+        return {"names": names, "rows": differing(settings), "problems": problems, "compare": first_two}
 
     return [
         Route("/runs", whole),
@@ -108,19 +106,19 @@ def run_list_routes(bench: Workbench) -> list[Route]:
 
 
 def _newest_two(cards: Sequence[RunCard]) -> list[str]:
-    """The keys of the newest two runs that have learnt, the older one first."""
-    found = {card.key: card.summary.written_at for card in cards if card.summary and card.summary.kept_epoch}
-    return sorted(found, key=lambda key: found[key])[-2:]
+    """The keys of the newest two runs with weights, the older one first."""
+    times = {card.key: card.summary.written_at for card in cards if card.summary and card.summary.kept_epoch}
+    return sorted(times, key=lambda key: times[key])[-2:]
 
 
 def _sorted(cards: Sequence[RunCard], by: str) -> list[RunCard]:
-    """The cards in order; those that cannot be read, or are not read yet, come last."""
-    known = {id(card.summary): card for card in cards if card.summary}
+    """The cards in order. Cards without a summary come last."""
+    by_summary = {id(card.summary): card for card in cards if card.summary}
     ordered = in_order([card.summary for card in cards if card.summary], by)
-    return [known[id(summary)] for summary in ordered] + [card for card in cards if not card.summary]
+    return [by_summary[id(summary)] for summary in ordered] + [card for card in cards if not card.summary]
 
 
-def _has(card: RunCard, text: str) -> bool:
+def _has_words(card: RunCard, text: str) -> bool:
     """Whether all words of the text are in the run's name, state, network, recipe or sessions."""
     words = [card.name, card.state]
     if card.summary:

@@ -1,4 +1,4 @@
-"""A session: pictures that follow the mouse along its curves, odd and tagged stretches, and tagging."""
+"""The page of a session or drive: its rows, pictures, odd stretches and tags."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from web.logs.drive_view import drive_events
 from web.logs.open_logs import OpenLog
 from web.logs.session_stretches import flag_stretches, not_learnt_stretches, shown_stretches
 from web.pages.log_jobs_page import shown_log_jobs
-from web.pages.tagging import TagChange, change_tags, names_known, on_change
+from web.pages.tagging import TagChange, change_tags, on_change, tag_names
 from web.pages.workbench import Workbench
 from web.processes.rerun_viewers import command_of
 from web.server.templates import page
@@ -61,7 +61,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         )
 
     def version(request: Request) -> Response:
-        """The versions of the log, its tags and its lag, which change when what the page shows is outdated."""
+        """The versions of the log, its tags and its lag. A page loads what has changed."""
         bench.folders.refresh(place)
         bench.logs.drop_changed()
         path = path_of(request)
@@ -87,23 +87,23 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
             return Response(data, media_type="application/octet-stream")
 
     def where(request: Request) -> Response:
-        """The stretches of rows for which a condition holds, as [first, last] of their positions."""
+        """The stretches of rows that meet a condition, as [first, last] of their positions."""
         with bench.logs.open(path_of(request)) as opened:
-            found = stretches(rows_where(opened.states, request.query_params.get("condition", "")))
-        return JSONResponse(found)
+            mask = rows_where(opened.states, request.query_params.get("condition", ""))
+        return JSONResponse(stretches(mask))
 
     def tags(request: Request) -> Response:
         """All tags as [first row, last row, number of the name], and the names."""
         path = path_of(request)
         with bench.logs.open(path) as opened:
-            found = bench.cards.tags(path, opened.log.fingerprint)
-        names = sorted({tag.name for tag in found.tags} | {EXCLUDE})
+            file_tags = bench.cards.tags(path, opened.log.fingerprint)
+        names = sorted({tag.name for tag in file_tags.tags} | {EXCLUDE})
         number = {name: at for at, name in enumerate(names)}
-        rows = [(tag.first_row, tag.last_row, number[tag.name]) for tag in found.tags]
-        return JSONResponse({"version": found.version, "names": names, "tags": rows, "stale": found.stale})
+        rows = [(tag.first_row, tag.last_row, number[tag.name]) for tag in file_tags.tags]
+        return JSONResponse({"version": file_tags.version, "names": names, "tags": rows, "stale": file_tags.stale})
 
     def check_pictures(request: Request) -> Response:
-        """The state of the check for frozen and broken pictures, which decodes all. POST starts it."""
+        """The state of the check of all pictures. POST starts the check."""
         with bench.logs.open(path_of(request)) as opened:
             log = opened.log
             start = partial(bench.checks.start, log) if request.method == "POST" else None
@@ -111,12 +111,12 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
                 bench.checks.work.state(log.fingerprint, lambda: bench.checks.are_checked(log) or None, start)
             )
 
-    def known_names(request: Request) -> Response:
-        """The names that tags have in this folder."""
-        return JSONResponse(sorted(names_known(bench, place, path_of(request))))
+    def names(request: Request) -> Response:
+        """The names of tags in this folder."""
+        return JSONResponse(sorted(tag_names(bench, place, path_of(request))))
 
-    def change(request: Request, asked: TagChange) -> dict[str, object]:
-        return change_tags(bench, place, path_of(request), asked)
+    def change(request: Request, requested: TagChange) -> dict[str, object]:
+        return change_tags(bench, place, path_of(request), requested)
 
     at = f"/{place}/{{log}}"
     return [
@@ -126,14 +126,14 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         Route(f"{at}/rows", rows),
         Route(f"{at}/where", where),
         Route(f"{at}/tags", tags),
-        Route(f"{at}/names", known_names),
+        Route(f"{at}/names", names),
         Route(f"{at}/tags", on_change(TagChange, change), methods=["POST"]),
         Route(f"{at}/look", check_pictures, methods=["GET", "POST"]),
     ]
 
 
 def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
-    """The data of a log besides its rows. `course` is None if it was not driven by `bc-drive` and has no poses."""
+    """The data of a log file_tagss its rows. `course` is None for a log without commands and poses."""
     log, states = opened.log, opened.states
     findings = bench.checks.findings(log)
     has_course = is_driven(log.counts)
@@ -146,7 +146,7 @@ def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
         "fingerprint": log.fingerprint,
         "rows": len(states.row),
         "cameras": [camera for camera in CAMERAS if len(log.pictures(camera_topic(camera)).sequence)],
-        "problem": printable(log.notice),  # tags of what is not finished would be lost with its recovery
+        "problem": printable(log.notice),  # a recovery would lose the tags of an unfinished log
         "odd": shown_stretches(log, states, findings) if len(states.row) else [],
         "flags": flag_stretches(states),
         "not_learnt": not_learnt_stretches(states),
@@ -156,7 +156,7 @@ def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
 
 
 def _max_steering_deg(log: Log) -> float | None:
-    """The wheels' angle at steering 1; None: unknown, or not one for all rows."""
+    """The wheels' angle at steering 1; None if it is unknown, or differs between rows."""
     with contextlib.suppress(LogError):
         return known_max_steering_deg(log)
     return None

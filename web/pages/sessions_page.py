@@ -1,4 +1,4 @@
-"""The list of sessions: film strips, how they were steered, flags, tags, what of it is in the index."""
+"""The list of sessions: film strips, steering, flags, tags, and frames in the index."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from web.pages.workbench import Workbench
 from web.server.templates import page, page_of
 
 _PATIENCE_S: Final = 0.3
-"""For logs that are being read: a handful of sessions is whole at first sight, a thousand is filled in."""
+"""Time for logs that are being read: enough for a few sessions. A longer list is completed later."""
 
 SORTS: Final[dict[str, Callable[[SessionCard], Any]]] = {
     **{name: (lambda card, key=key: key(card.info)) for name, key in SORTED_BY.items() if name != "name"},  # type: ignore[misc]
@@ -36,7 +36,7 @@ KINDS: Final = {
     "with surely odd rows": SURE,
     **{f"with {kind.replace('_', ' ')}": kind for kind in (*ODD_KINDS, "gap", *PLAIN_FLAGS)},
 }
-"""Choices of the list by which kind of odd rows a session has."""
+"""Choices of the list by kinds of odd rows."""
 ONLY: Final[dict[str, Callable[[SessionCard], bool]]] = {
     "all": lambda card: True,
     "with odd rows": lambda card: bool(card.flags),
@@ -57,7 +57,7 @@ class SessionQuery:
     where: str = ""
 
     @classmethod
-    def of(cls, query: Mapping[str, str]) -> SessionQuery:
+    def parse(cls, query: Mapping[str, str]) -> SessionQuery:
         """The query of an address, without invalid values."""
         sort, only = query.get("sort", "newest"), query.get("only", "all")
         return cls(
@@ -70,13 +70,13 @@ class SessionQuery:
 
 @dataclass(frozen=True)
 class Listed:
-    """The list as it is shown."""
+    """The list of sessions."""
 
     cards: list[SessionCard]
     total: int
     reading: int  # logs that are not read yet
-    rows: dict[str, int]  # by key: rows that the condition holds for
-    searched: int | None  # logs that the condition was evaluated on; None where there is none
+    rows: dict[str, int]  # number of rows that meet the condition, by key
+    searched: int | None  # number of searched logs; None without a condition
     where_problem: str
 
 
@@ -85,19 +85,19 @@ def session_list_routes(bench: Workbench) -> list[Route]:
         return RedirectResponse("/sessions")
 
     def whole(request: Request) -> Response:
-        version = sessions_version(bench)  # before anything is read, so that later changes are noticed
+        version = sessions_version(bench)  # before the logs are read, so that later changes are noticed
         only = [name for name in ONLY if name not in KINDS]
         choices = {"sorts": list(SORTS), "only": only, "kinds": list(KINDS)}
         return page("sessions.html", live=version, **choices, **_list(request))
 
     def _list(request: Request) -> dict[str, Any]:
-        query = SessionQuery.of(request.query_params)
+        query = SessionQuery.parse(request.query_params)
         return {
             "query": query,
-            "found": list_sessions(bench, query),
+            "listed": list_sessions(bench, query),
             "folder": printable(str(bench.folders.sessions)),
             "demo": printable(shlex.join(form_of("demo").words({}, bench.folders))),
-            "bins": bins_of_index(bench.folders.index_here),
+            "bins": bins_of_index(bench.folders.local_index),
             "problem": bench.folders.problem("sessions"),
         }
 
@@ -111,9 +111,10 @@ def kind_of(query: SessionQuery) -> str:
 
 
 def list_sessions(bench: Workbench, query: SessionQuery, patience_s: float | None = _PATIENCE_S) -> Listed:
-    """The sessions that match the query, in its order; without `patience_s`, all of them."""
+    """The sessions that match the query, in its order, as far as they are read within `patience_s`; None waits for
+    all."""
     cards = bench.cards.cards("sessions", patience_s)
-    chosen = [card for card in cards if ONLY[query.only](card) and _has(card, query.text.casefold())]
+    chosen = [card for card in cards if ONLY[query.only](card) and _has_words(card, query.text.casefold())]
     rows: dict[str, int] = {}
     searched: int | None = None
     problem = ""
@@ -136,11 +137,11 @@ def _has_kind(card: SessionCard, kind: str) -> bool:
     if kind in PLAIN_FLAGS:
         return bool(card.info and (card.info.flags or {}).get(kind))
     if kind == SURE:
-        return card.info is not None and any(each.is_sure for each in card.info.odd or ())
+        return card.info is not None and any(stretch.is_sure for stretch in card.info.odd or ())
     return kind in card.flags
 
 
-def _has(card: SessionCard, text: str) -> bool:
+def _has_words(card: SessionCard, text: str) -> bool:
     """Whether all words of the text are in the session's name, tags, flags, states or metadata."""
     if not text:
         return True

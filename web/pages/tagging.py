@@ -1,4 +1,4 @@
-"""Naming rows of a log from the page: by the functions of `bc-log tag`, which appends to a file beside it."""
+"""Changes of tags, by the functions of `bc-log tag`."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ MAX_STRETCHES: Final = 10_000  # in one change of a log
 Rows = tuple[int, int]
 Stretches = Annotated[list[Rows], msgspec.Meta(min_length=1, max_length=MAX_STRETCHES)]
 Action = Literal["add", "remove"]
-Asked = TypeVar("Asked", bound=msgspec.Struct)
+Change = TypeVar("Change", bound=msgspec.Struct)
 
 
 class TagChange(msgspec.Struct, forbid_unknown_fields=True):
-    """A request of a page: to add a name to rows of the log with that fingerprint, or to remove it."""
+    """A request to add a name to rows of a log, or to remove it."""
 
     action: Action
     name: str
     rows: Stretches
-    log: str
+    log: str  # its fingerprint
 
 
 def on_change(
-    kind: type[Asked], change: Callable[[Request, Asked], dict[str, object]]
+    kind: type[Change], change: Callable[[Request, Change], dict[str, object]]
 ) -> Callable[[Request], Awaitable[Response]]:
-    """The endpoint that calls `change`, on a thread, with the body of a request for one."""
+    """The endpoint that calls `change` with the body of a request, on a thread."""
 
     async def endpoint(request: Request) -> Response:
         return JSONResponse(await run_in_threadpool(change, request, await _json_of(request, kind)))
@@ -47,9 +47,9 @@ def on_change(
     return endpoint
 
 
-async def _json_of(request: Request, kind: type[Asked]) -> Asked:
-    """Raises WebError for a body that is no request for a change."""
-    # no form of another page can send this type unasked
+async def _json_of(request: Request, kind: type[Change]) -> Change:
+    """The body of a request. Raises WebError for any other body."""
+    # forms of other sites cannot send this type
     if request.headers.get("content-type", "").partition(";")[0] != "application/json":
         raise WebError("a change of tags is sent as application/json", 415)
     try:
@@ -59,8 +59,8 @@ async def _json_of(request: Request, kind: type[Asked]) -> Asked:
 
 
 def change_tags(bench: Workbench, place: Place, path: Location, change: TagChange) -> dict[str, object]:
-    """Make all of a change, or nothing of it: the stretches that it has changed, and the commands that do the
-    same. Raises WebError, LogError, StoreError."""
+    """Make all of a change, or nothing. Return the changed stretches, and the commands that do the same. Raises
+    WebError, LogError, StoreError."""
     try:
         check_name(change.name)
     except ValueError as error:
@@ -72,18 +72,17 @@ def change_tags(bench: Workbench, place: Place, path: Location, change: TagChang
             raise WebError(f"rows {first} to {last}: the first row, then the last one", 422)
     with bench.logs.open(path) as opened:
         if opened.log.problem:
-            raise WebError(f"{opened.log.notice}; tag that one", 409)
+            raise WebError(f"{opened.log.notice}; tag the recovered log", 409)
         if opened.log.fingerprint != change.log:
             raise WebError("the log has been replaced since this page was opened: reload it", 409)
         check_rows(opened.log, (min(first for first, _ in change.rows), max(last for _, last in change.rows)))
-    there = set(bench.cards.tags(path, change.log).tags)
+    before = set(bench.cards.tags(path, change.log).tags)
     is_add = change.action == "add"
-    tags = [
-        tag for tag in dict.fromkeys(Tag(*rows, change.name) for rows in change.rows) if (tag in there) != is_add
-    ]
+    requested = dict.fromkeys(Tag(*rows, change.name) for rows in change.rows)
+    tags = [tag for tag in requested if (tag in before) != is_add]
     if not tags:
         return {"changed": [], "commands": [], "notice": ""}
-    notice = _notice(change.name, there, names_known(bench, place, path)) if is_add else ""
+    notice = _notice(change.name, before, tag_names(bench, place, path)) if is_add else ""
     (add_tags if is_add else remove_tags)(path, change.log, tags)
     bench.folders.refresh_object(tags_path(path))
     return {
@@ -93,19 +92,19 @@ def change_tags(bench: Workbench, place: Place, path: Location, change: TagChang
     }
 
 
-def names_known(bench: Workbench, place: Place, path: Location) -> set[str]:
-    """The names that tags have in the folder of a log; EXCLUDE and FINE are always among them. In a
-    store, those of the logs that were read by now: each file of tags would be a request."""
+def tag_names(bench: Workbench, place: Place, path: Location) -> set[str]:
+    """The names of tags in the folder of a log, always with EXCLUDE and FINE. In a store, only names of logs that
+    were read so far: each file of tags would be a request."""
     if isinstance(path, Path):
         return names_used(path.parent)
     return {EXCLUDE, FINE}.union(*(card.tags for card in bench.cards.cards(place, 0)))
 
 
-def _notice(name: str, there: set[Tag], used: set[str]) -> str:
-    """A notice about a name that is not in use yet: it may be mistyped."""
-    if any(tag.name == name for tag in there):
+def _notice(name: str, tags: set[Tag], names: set[str]) -> str:
+    """A notice about a new name, which may be mistyped."""
+    if name in names or any(tag.name == name for tag in tags):
         return ""
-    return "" if name in used else f"new tag {name!r}. {did_you_mean(name, used)}".strip()
+    return f"new tag {name!r}. {did_you_mean(name, names)}".strip()
 
 
 def _command(path: Location, tag: Tag, action: Action) -> str:

@@ -1,4 +1,4 @@
-"""At the wheel: the form that begins a drive, the page to drive on, and what to do when the drive has ended."""
+"""At the wheel: the form that begins a drive, the page of the drive, and the page after it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from web.server.templates import page, page_of, render
 
 def wheel_routes(bench: Workbench) -> list[Route]:
     def whole(request: Request) -> Response:
-        """The form, and the drives that run now."""
+        """The form, and the running drives."""
         values = {**DEFAULTS, "name": free_name("drive", bench.folders), **request.query_params}
         runs = [(key, printable(run.name)) for key, run in bench.folders.run_folders().items()]
         wheels = open_wheels(Path.cwd())
@@ -53,7 +53,7 @@ def wheel_routes(bench: Workbench) -> list[Route]:
         return RedirectResponse(f"/wheel/begin/{job.key}", status_code=303)
 
     def begin(request: Request) -> Response:
-        """Until the drive of a job can be steered."""
+        """A page that waits until the drive of a job can be steered."""
         job = bench.jobs.get(request.path_params["job"])
         address = _address(job.about.made, bench.folders) if job.is_running else ""
         if "hx-request" in request.headers:
@@ -64,17 +64,17 @@ def wheel_routes(bench: Workbench) -> list[Route]:
         return page("wheel_begin.html", job=job)
 
     def drive(request: Request) -> Response:
-        """The page of a drive that runs."""
+        """The page of a running drive."""
         wheel = running(request.path_params["key"])
         place = place_of(wheel, bench.folders)
         after = _after(*place) if place else ""
         return page("wheel.html", title=printable(wheel.title), at=f"/wheel/{wheel.key}", after=after)
 
     def train(request: Request) -> Response:
-        """Train a network on a session, or on the takeovers of a drive. The page shows how far it is."""
+        """Train a network on a session, or on the takeovers of a drive."""
         place, ended = _place(request), _ended_drive(bench, request)
         if ended is None:
-            raise WebError("nothing was recorded to train on", 404)
+            raise WebError("nothing was recorded, so there is nothing to train on", 404)
         words, run = training(place, ended.log, bench.folders)
         bench.jobs.start(words, f"/runs/{key_of(Path(run))}")
         return RedirectResponse(_after(place, request.path_params["log"]), status_code=303)
@@ -98,7 +98,7 @@ def _after(place: Place, key: str) -> str:
 
 
 def _address(made: str, folders: ProjectFolders) -> str:
-    """The address of the drive that is to leave what `made` will show; "" before it can be steered."""
+    """The address of the running drive whose log the page `made` will show; "" before it can be steered."""
     for wheel in open_wheels(Path.cwd()):
         if (place := place_of(wheel, folders)) and _after(*place) == made:
             return f"/wheel/{wheel.key}"
@@ -117,19 +117,19 @@ def _ended_drive(bench: Workbench, request: Request) -> EndedDrive | None:
 
 
 def _ended(bench: Workbench, request: Request) -> dict[str, Any]:
-    """What a drive has left, and what can be done with it."""
+    """The log of an ended drive, and the next steps."""
     place, key = _place(request), request.path_params["log"]
-    shown: dict[str, Any] = {"at": _after(place, key), "name": key, "log": ""}
+    context: dict[str, Any] = {"at": _after(place, key), "name": key, "log": ""}
     if (ended := _ended_drive(bench, request)) is None:
-        return shown
-    shown |= {
+        return context
+    context |= {
         "name": printable(session_name(ended.log)),
         "log": f"/{place}/{key_of(ended.log)}",
         "is_growing": ended.is_growing,
         "is_whole": ended.is_whole,
     }
     if ended.is_growing:
-        return shown
+        return context
     with bench.logs.open(ended.log) as opened:
         metadata = opened.log.metadata
         states = opened.states
@@ -142,12 +142,12 @@ def _ended(bench: Workbench, request: Request) -> dict[str, Any]:
     name = session_name(ended.log)
     job = next((job for job in bench.jobs.all() if is_training_on(job, ended.log)), None)
     learnt = [(key, printable(run.name)) for key, run in runs.items() if name in origin_of(run).sessions]
-    return shown | {
+    return context | {
         "rows": rows,
         "length_s": length_s,
         "taken": taken,
         "drove": drove if drove in runs else "",
-        "is_ours": is_ours,  # driven here, not imported: it can be driven on
+        "is_ours": is_ours,  # not imported, so one can drive on from its end
         "is_supervised": place == "drives",
         "job": job,
         "has_curves": job is not None and job.about.made.rpartition("/")[2] in runs,

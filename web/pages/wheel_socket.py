@@ -1,4 +1,4 @@
-"""The socket of the page at the wheel: messages are carried to the process that drives, and back, unchanged."""
+"""The socket of the page at the wheel. It forwards messages between the page and the process that drives."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from web.jobs.wheels import running
 
 _MAX_FRAME_BYTES: Final = 8 << 20
 _PATIENCE_S: Final = 5.0
-_QUEUE: Final = 2  # messages that a page has not taken: then the process waits for it
+_QUEUE: Final = 2  # messages for a slow page; then the process waits
 
 
 def wheel_socket_routes() -> list[WebSocketRoute]:
@@ -42,7 +42,7 @@ def wheel_socket_routes() -> list[WebSocketRoute]:
 
 
 async def _process(key: str) -> ClientConnection:
-    """A connection to the process that drives. Raises WebError if it does not run, or takes no more pages."""
+    """A connection to the process that drives. Raises WebError if it has ended, or takes no more pages."""
     wheel = await run_in_threadpool(running, key)
     try:
         return await connect(
@@ -60,7 +60,7 @@ async def _process(key: str) -> ClientConnection:
 
 
 async def _carry(page: WebSocket, process: ClientConnection) -> None:
-    """Until either side is closed. Who is slow is waited for: nothing piles up."""
+    """Forward messages until either side closes. Each side waits for the other, so that nothing piles up."""
     ways = [asyncio.create_task(_to_process(page, process)), asyncio.create_task(_to_page(page, process))]
     try:
         await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)

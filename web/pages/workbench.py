@@ -1,4 +1,4 @@
-"""The state that pages share: the folders they show, and what is kept of them in memory and in the cache."""
+"""The objects that pages share: the project's folders, and data in memory and in the cache."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from web.processes.predictions import Predictions
 from web.processes.rerun_viewers import RerunViewers
 from web.runs.run_cards import RunCards
 
-_FROM_STORES: Final = 8  # logs
+_STORE_THREADS: Final = 8
 
 
 class Workbench:
-    """The shared objects of a server. All of them can be built anew from the folders."""
+    """The shared objects of a server. They can be built anew from the folders."""
 
     def __init__(self, folders: ProjectFolders, cache: Path) -> None:
         pool = ThreadPoolExecutor(1, "reading logs")
-        # of a store, several at a time: an answer takes long, however little is asked for
-        from_stores = ThreadPoolExecutor(_FROM_STORES, "reading from stores")
+        # a store takes long for every answer, so several logs are read at a time
+        from_stores = ThreadPoolExecutor(_STORE_THREADS, "reading from stores")
         pools = {place: from_stores if isinstance(getattr(folders, place), Url) else pool for place in PLACES}
         self._pools = pool, from_stores
         self.folders = folders
@@ -38,10 +38,10 @@ class Workbench:
         pool.submit(self.cache.tidy)
         self.logs = OpenLogs(folders)
         self.cards = SessionCards(folders, self.cache, pools)
-        self.cards.cards("sessions", 0)  # begins to read them before the first request
+        self.cards.cards("sessions", 0)  # starts to read them before the first request
         self.drives = DriveViews(folders, self.cache, pools["drives"])
         self.searches = WhereSearches(folders, pools["sessions"])
-        self.checks = PictureChecks(folders.index_here, cache)
+        self.checks = PictureChecks(folders.local_index, cache)
         self.runs = RunCards(folders)
         self.jobs = Jobs(cache)
         self.trials = IndexTrials(cache)

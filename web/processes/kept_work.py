@@ -1,11 +1,12 @@
-"""Work on many pictures: a separate process does it, one at a time, and reports its progress. The cache keeps the
-result as a file; its key names what it was made of."""
+"""Work on many pictures: one separate process at a time does it, and reports its progress. The cache keeps the
+result as a file. Its key is a checksum of the inputs."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
 import os
+import re
 import subprocess
 import tempfile
 import threading
@@ -15,7 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 from zipfile import BadZipFile
 
 import msgspec
@@ -31,6 +32,8 @@ from web.processes.own_process import reports, start_process
 
 Result = TypeVar("Result")
 
+_KEY: Final = re.compile(r"[0-9a-f]{64}")
+
 
 @dataclass
 class Work:
@@ -38,8 +41,8 @@ class Work:
 
     total: int  # pictures
     pictures: int = 0
-    stage: str = ""  # its part, if it has several: each has its own total
-    is_begun: bool = False  # else it waits for the work before it
+    stage: str = ""  # if it has several; each has its own total
+    is_begun: bool = False  # else it waits for other work
     is_done: bool = False
     is_stopped: bool = False
     problem: str = ""
@@ -57,8 +60,8 @@ class Work:
         if self._first is None:
             self._first = self.pictures, now_s
         elif self.pictures > self._first[0]:
-            each_s = (now_s - self._first[1]) / (self.pictures - self._first[0])
-            self.left_s = each_s * (self.total - self.pictures)
+            picture_s = (now_s - self._first[1]) / (self.pictures - self._first[0])
+            self.left_s = picture_s * (self.total - self.pictures)
 
     @property
     def progress(self) -> dict[str, object]:
@@ -76,8 +79,8 @@ class KeptWork:
     """The works of one kind: kept, running and waiting. The folder may be deleted at any time."""
 
     def __init__(self, folder: Path, module: str, stopped: str) -> None:
-        """`module` has the `main()` of the process. Its arguments are the words and the path of its result. Pages
-        show `stopped` for stopped work."""
+        """`module` has the `main()` of the process. Its arguments are words and the path of the result. `stopped`
+        is the message for stopped work."""
         self._folder = folder
         self._module = module
         self._stopped = stopped
@@ -85,15 +88,17 @@ class KeptWork:
         self._lock = threading.Lock()
         self._requested: dict[str, Work] = {}
         self._process: subprocess.Popen[bytes] | None = None
-        self._at_work: Work | None = None  # of that process
+        self._running: Work | None = None  # by that process
         self._is_closed = False
 
     def path(self, key: str) -> Path:
         return self._folder / f"{key}.npz"
 
     def find(self, key: str, read: Callable[[Mapping[str, NDArray[Any]]], Result]) -> Result | None:
-        """Return what `read` makes of the columns of a key; None if there are none (any more). A damaged file is
-        deleted."""
+        """What `read` makes of the columns of a key; None if the key is invalid or not kept (any more). A damaged
+        file is deleted."""
+        if not _KEY.fullmatch(key):
+            return None
         path = self.path(key)
         try:
             with path.open("rb") as stream, np.load(stream, allow_pickle=False) as kept:
@@ -121,30 +126,30 @@ class KeptWork:
     def state(
         self, key: str, about: Callable[[], object | None], start: Callable[[], None] | None
     ) -> dict[str, object]:
-        """The state of a work as its page shows it: `about()` if the result is kept, else progress and problem.
-        If it is not kept, `start` is called."""
+        """The state of a work for its page: `about()` if the result is kept, else progress and problem. If it is
+        not kept, call `start`."""
         before = self.requested(key)
         was_done = before is not None and before.is_done
         if (result := about()) is not None:
             return {"key": key, "about": msgspec.to_builtins(result), "problem": ""}
         if start is not None:
             start()
-        shown: dict[str, object] = {"key": key, "about": None, "problem": ""}
+        state: dict[str, object] = {"key": key, "about": None, "problem": ""}
         if (work := self.requested(key)) is None:
-            return shown
+            return state
         is_lost = was_done and work is before and not work.problem
-        problem = "it could not be kept: the cache folder may be full" if is_lost else work.problem
-        return {**shown, **work.progress, "problem": problem}
+        problem = "the result could not be saved: the cache folder may be full" if is_lost else work.problem
+        return {**state, **work.progress, "problem": problem}
 
     def stop(self, key: str) -> None:
-        """Stop it for all pages. Work that is done stays as it is."""
+        """Stop a work for all pages, unless it is done."""
         with self._lock:
             work = self._requested.get(key)
             if work is None or work.is_done:
                 return
             work.is_stopped = True
             work.problem = work.problem or self._stopped
-            if self._at_work is work and self._process is not None:
+            if self._running is work and self._process is not None:
                 self._process.kill()
 
     def close(self) -> None:
@@ -160,10 +165,10 @@ class KeptWork:
             with tempfile.TemporaryDirectory(prefix="bc-web-", ignore_cleanup_errors=True) as temporary:
                 self._run_in(temporary, work, words)
         except OSError as error:
-            work.problem = f"it cannot be started: {error.strerror}"
+            work.problem = f"the process does not start: {error.strerror}"
         finally:
             with self._lock:
-                self._process = self._at_work = None
+                self._process = self._running = None
             work.is_done = True
 
     def _run_in(self, temporary: str, work: Work, words: list[str]) -> None:
@@ -171,13 +176,13 @@ class KeptWork:
             if self._is_closed or work.is_stopped:
                 return
             work.is_begun = True
-            self._at_work = work
+            self._running = work
             self._process = process = start_process(self._module, words, temporary)
         with process:
             for message in reports(process):
                 _update(work, message)
         if process.returncode and not work.problem:
-            work.problem = f"the process at work ended with {process.returncode}; try it again"
+            work.problem = f"the process ended with exit code {process.returncode}; try again"
 
 
 def run_fingerprint(run: Path) -> str:
@@ -193,13 +198,13 @@ def _fingerprint(run: Path, version: str) -> str:
             with (run / name).open("rb") as stream:
                 digest.update(hashlib.file_digest(stream, "sha256").digest())
     except OSError as error:
-        why = f"{error.filename}: {error.strerror}"
-        raise WebError(f"{why}; a run has weights after its first epoch", 409) from None
+        problem = f"{error.filename}: {error.strerror}"
+        raise WebError(f"{problem}; a run has weights after its first epoch", 409) from None
     return digest.hexdigest()
 
 
 def write_result(path: Path, **columns: NDArray[Any]) -> None:
-    """Write the result of the process, whole or not at all."""
+    """Write a result, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"{path.name}.{os.getpid()}")
     try:

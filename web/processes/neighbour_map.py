@@ -12,25 +12,26 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float32]
 
 NEIGHBOURS: Final = 15
-_DIMENSIONS: Final = 30  # that neighbours are looked for in
+_DIMENSIONS: Final = 30  # in which neighbours are searched
 _A, _B = 1.577, 0.895  # how near neighbours lie, as UMAP's min_dist of 0.1
 ROUNDS: Final = 300
-_REPELLED: Final = 10  # others, in each round
+_REPELLED: Final = 10  # random others, in each round
 _STEP: Final = 0.25  # the first round's; attraction of all neighbours at once overshoots with UMAP's 1.0
 _MAX_MOVE: Final = 4.0
 _BLOCK: Final = 1024  # rows of distances at once
 
 
 class NeighbourMap(NamedTuple):
-    """Of N things."""
+    """A map of N things."""
 
     place: Floats  # (N, 2)
-    nearest: Floats  # (N,) the distance to the most alike one; 1 is usual
-    alone: Floats  # (N,) the mean distance to its neighbours; 1 is usual
+    nearest: Floats  # (N,) the distance to the most similar thing; its median is 1
+    alone: Floats  # (N,) the mean distance to the neighbours; its median is 1
 
 
 def neighbour_map(features: Floats, on_round: Callable[[], object] = lambda: None) -> NeighbourMap:
-    """The same for the same features (N, D), on the same machine. `on_round` is called ROUNDS times."""
+    """The map of features (N, D). The same features give the same map on the same machine. `on_round` is called
+    ROUNDS times."""
     count = len(features)
     reduced = principal(features, _DIMENSIONS)
     if count <= NEIGHBOURS + 1:
@@ -41,20 +42,21 @@ def neighbour_map(features: Floats, on_round: Callable[[], object] = lambda: Non
 
 
 def principal(features: Floats, dimensions: int) -> Floats:
-    """The features (N, D) along their principal axes, the first ones of `dimensions`: (N, at most that many)."""
+    """The features (N, D) along their first principal axes: (N, at most `dimensions`)."""
     centred = features - features.mean(0)
     _, axes = np.linalg.eigh(centred.T @ centred)
     axes = axes[:, ::-1][:, :dimensions]
-    axes = axes * np.where(np.take_along_axis(axes, abs(axes).argmax(0)[None], 0) < 0, -1, 1)  # either way else
+    axes = axes * np.where(np.take_along_axis(axes, abs(axes).argmax(0)[None], 0) < 0, -1, 1)  # one of two signs
     reduced: Floats = (centred @ axes).astype(np.float32)
     return reduced
 
 
-def groups(place: Floats, most: int) -> NDArray[np.int32]:
-    """A group for each place (N, 2): k-means, begun at places far from each other; 0 is the largest group."""
+def groups(place: Floats, max_groups: int) -> NDArray[np.int32]:
+    """The group of each place (N, 2) by k-means, which starts with places far from each other. 0 is the largest
+    group."""
     centres = [place.mean(0)]
     gap = ((place - centres[0]) ** 2).sum(1)
-    for _ in range(min(most, len(place)) - 1):
+    for _ in range(min(max_groups, len(place)) - 1):
         centres.append(place[gap.argmax()])
         gap = np.minimum(gap, ((place - centres[-1]) ** 2).sum(1))
     middle = np.array(centres)
@@ -81,23 +83,23 @@ def _usual(distance: Floats) -> Floats:
 
 
 def _nearest(points: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """The nearest others of each of N points, and their distances, both (N, NEIGHBOURS) and ascending."""
+    """The nearest others of each of N points, and their ascending distances: both (N, NEIGHBOURS)."""
     squares = (points**2).sum(1)
     neighbours, distances = [], []
     for start in range(0, len(points), _BLOCK):
         block = points[start : start + _BLOCK]
         apart = squares - 2 * block @ points.T
         apart[np.arange(len(block)), np.arange(start, start + len(block))] = np.inf
-        some = np.argpartition(apart, NEIGHBOURS, 1)[:, :NEIGHBOURS]
-        exact = np.linalg.norm(points[some] - block[:, None], axis=2)  # the difference of squares loses digits
+        unsorted = np.argpartition(apart, NEIGHBOURS, 1)[:, :NEIGHBOURS]
+        exact = np.linalg.norm(points[unsorted] - block[:, None], axis=2)  # the difference of squares loses digits
         order = exact.argsort(1, kind="stable")
-        neighbours.append(np.take_along_axis(some, order, 1))
+        neighbours.append(np.take_along_axis(unsorted, order, 1))
         distances.append(np.take_along_axis(exact, order, 1))
     return np.concatenate(neighbours), np.concatenate(distances)
 
 
 def _weights(distance: Floats) -> Floats:
-    """How much each neighbour counts (N, NEIGHBOURS): 1 for the nearest, and in all log2 of their number."""
+    """The weight of each neighbour (N, NEIGHBOURS): 1 for the nearest; their sum is log2 of their number."""
     beyond = distance - distance[:, :1]
     low, high = np.zeros(len(distance)), np.full(len(distance), np.inf)
     width = np.ones(len(distance))

@@ -22,8 +22,8 @@ _ROOT: Final = str(Path(behavioural_cloning_toolkit.__file__).parent)
 
 
 def start_process(module: str, words: list[str], temporary: str) -> subprocess.Popen[bytes]:
-    """Call `main()` of a module with these words as its arguments. Its temporary files are in the folder
-    `temporary`: a killed process leaves its copy of a log behind. Raises OSError if it cannot be started."""
+    """Start a process that calls `main()` of a module with these words as arguments. Its temporary files are in
+    the folder `temporary`, because a killed process leaves them behind. Raises OSError if it does not start."""
     start = f"import sys; sys.path.append(sys.argv.pop(1)); from {module} import main; main()"
     return subprocess.Popen(
         [sys.executable, "-P", "-c", start, _ROOT, *words],

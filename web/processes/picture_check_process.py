@@ -1,4 +1,4 @@
-"""The process that checks all pictures of a log. It reports progress on stdout, and keeps the findings."""
+"""The process that checks all pictures of a log. It reports progress on stdout, and saves the findings."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ from web.processes.picture_maps import MapAbout
 
 _BATCH: Final = 64
 _PIXELS: Final = PictureSpec(width_px=64, height_px=32)
-_SHRUNK: Final = (16, 8)  # of the crop: what moves little stays alike
+_SHRUNK: Final = (16, 8)  # pixels of a crop: small movements hardly change them
 _GROUPS: Final = 24
 _NICENESS: Final = 5
 
@@ -53,22 +53,22 @@ def main() -> None:
     run_in_process(_work, _NICENESS)
 
 
-def _work(most: str, run: str, *words: str) -> None:
+def _work(max_points: str, run: str, *words: str) -> None:
     *pairs, result = words
     logs = list(zip(pairs[::2], pairs[1::2], strict=True))
-    _make(logs, Path(run) if run else None, int(most), Path(result))
+    _make(logs, Path(run) if run else None, int(max_points), Path(result))
 
 
-def _make(logs: Sequence[tuple[str, str]], run: Path | None, most: int, result: Path) -> None:
+def _make(logs: Sequence[tuple[str, str]], run: Path | None, max_points: int, result: Path) -> None:
     notes: list[str] = []
     columns = _Columns()
     reader = _FeatureReader(run)
     total = sum(_pictures(log) for _, log in logs)
-    step = max(1, -(-total // most))
+    step = max(1, -(-total // max_points))
     angles = set()
     for number, (fingerprint, log) in enumerate(logs):
-        with _skipped_if(notes, len(logs) > 1), brought_here([location(log)]) as (here,):
-            angles.add(_look(here, number, fingerprint, step, reader, columns, total))
+        with _skipped_if(notes, len(logs) > 1), brought_here([location(log)]) as (path,):
+            angles.add(_look(path, number, fingerprint, step, reader, columns, total))
     if not columns.row:
         raise WebError("; ".join(notes) or "no picture of the centre camera in these logs")
     features = np.concatenate(columns.features)
@@ -111,14 +111,14 @@ def _skipped_if(notes: list[str], is_one_of_several: bool) -> Iterator[None]:
 
 def _pictures(log: str) -> int:
     try:
-        with brought_here([location(log)]) as (here,), LogCrops(here) as crops:
+        with brought_here([location(log)]) as (path,), LogCrops(path) as crops:
             return len(crops)
     except UserError:  # reported when its pictures are read
         return 0
 
 
 class _FeatureReader:
-    """Reads features from crops: by a run's network, or their pixels."""
+    """Computes features of crops, by a run's network or from their pixels."""
 
     def __init__(self, run: Path | None) -> None:
         self.spec = _PIXELS
@@ -130,7 +130,7 @@ class _FeatureReader:
             self._network = load_network(run).eval()
 
     def features(self, crops: Image) -> tuple[Floats, NDArray[np.float64]]:
-        """Features (N, D) and predicted steering (N,), NaN of pixels, for crops (N, `spec.shape`)."""
+        """Features (N, D) and predicted steering (N,) of crops (N, `spec.shape`); without a network, it is NaN."""
         if self._network is None:
             shrunk = [cv2.resize(crop, _SHRUNK, interpolation=cv2.INTER_AREA) for crop in crops]
             pixels: Floats = np.array(shrunk, np.float32).reshape(len(crops), -1) / np.float32(255)
@@ -152,21 +152,21 @@ def _look(
     kinds = list(ODD_KINDS)
     with LogCrops(path) as crops:
         if crops.log.fingerprint != fingerprint:
-            raise WebError(f"{path.name}: it has changed since: reload this page, or bring the index up to date")
+            raise WebError(f"{path.name}: the log has changed: reload this page, or bring the index up to date")
         for numbers, pictures in crops.batches(_BATCH, reader.spec, step):
             if not len(numbers):
                 continue
             features, predicted = reader.features(pictures)
             rows = crops.row[numbers]
-            of_rows = np.full(len(rows), -1)
+            kind = np.full(len(rows), -1)
             for stretch in reversed(odd):
-                of_rows[(rows >= stretch.first_row) & (rows <= stretch.last_row)] = kinds.index(stretch.kind)
+                kind[(rows >= stretch.first_row) & (rows <= stretch.last_row)] = kinds.index(stretch.kind)
             columns.features.append(features)
             columns.log.append(np.full(len(rows), number))
             columns.row.append(rows)
             columns.steering.append(crops.recorded[numbers])
             columns.predicted.append(predicted)
-            columns.odd.append(of_rows)
+            columns.odd.append(kind)
             report(pictures=step * sum(map(len, columns.row)), total=total)
         return crops.max_steering_deg
 

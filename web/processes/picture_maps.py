@@ -16,9 +16,9 @@ from web.folders.project_folders import as_word
 from web.processes.kept_work import KeptWork, run_fingerprint
 
 COLUMNS: Final = ("x", "y", "log", "row", "steering", "predicted", "nearest", "alone", "group", "odd")
-"""Of each picture, as float32: its place, the number of its log, its row, the steering that was driven and
-predicted (NaN: none), how far the most alike picture and its neighbours are (1 is usual), its group, and the
-number of what is odd in its row (-1: nothing)."""
+"""For each picture, as float32: its place, the number of its log, its row, driven and predicted steering (NaN:
+none), the distances to the most similar picture and to its neighbours (their medians are 1), its group, and the
+number of the kind of odd row (-1: none)."""
 MAX_POINTS: Final = 10_000
 _FORMAT: Final = 1
 
@@ -26,11 +26,11 @@ _FORMAT: Final = 1
 class MapAbout(msgspec.Struct, frozen=True):
     """The description of a map."""
 
-    step: int  # of so many pictures, one is shown
-    odd: list[str]  # the kinds that `odd` has numbers of
+    step: int  # one of so many pictures is shown
+    odd: list[str]  # the kinds of odd rows; the column `odd` has their numbers
     groups: list[int]  # the picture in the middle of each group
-    max_deg: float | None  # the wheels' angle at steering 1; None: unknown, or several
-    notes: list[str]  # what was left out
+    max_deg: float | None  # the wheels' angle at steering 1; None: unknown, or logs have different angles
+    notes: list[str]  # logs that were left out, and why
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class PictureMaps:
         return self.work.find(key, lambda kept: msgspec.json.decode(kept["about"].tobytes(), type=MapAbout))
 
     def columns(self, key: str) -> bytes | None:
-        """COLUMNS, one after the other."""
+        """COLUMNS, one after the other; None if the map is not kept."""
         return self.work.find(key, lambda kept: b"".join(kept[name].astype("<f4").tobytes() for name in COLUMNS))
 
     def start(self, key: str, logs: Sequence[MappedLog], run: Path | None) -> None:

@@ -1,7 +1,7 @@
 """The process in which a run's network predicts a whole log. It reports progress on stdout, and writes a file.
 
-It is a separate process, because a network uses all processors for a while and would delay the pages. It runs no
-user's own network code, because nobody has named that code.
+It is separate, because a network uses all processors for a while and would delay the pages. It runs no user's own
+network code.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from web.processes.kept_work import write_result
 from web.processes.own_process import report, run_in_process
 from web.processes.predictions import Measured, WorstMoment
 
-_WORST: Final = 30  # moments that are listed
+_WORST: Final = 30  # moments in the list
 _NICENESS: Final = 5
 
 
@@ -33,8 +33,8 @@ def main() -> None:
 
 
 def _work(log: str, run: str, fingerprint: str, result: str) -> None:
-    with brought_here([location(log)]) as (here,):
-        predictions = _predict(here, Path(run))
+    with brought_here([location(log)]) as (path,):
+        predictions = _predict(path, Path(run))
     if predictions.about["log_fingerprint"] != fingerprint:
         raise WebError("the log has been replaced since this page was opened: reload it")
     _write(predictions, Path(result))

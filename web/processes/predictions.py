@@ -16,11 +16,11 @@ from common.location import Location
 from web.folders.project_folders import as_word
 from web.processes.kept_work import KeptWork, run_fingerprint
 
-_FORMAT: Final = 1  # of the files that are kept
+_FORMAT: Final = 1  # of the kept files
 
 
 class WorstMoment(msgspec.Struct, frozen=True):
-    """A moment with one of the largest errors; `error_deg` is positive if it steers too far right."""
+    """A moment with one of the largest errors; `error_deg` is positive if the network steers too far right."""
 
     row: int
     error_deg: float
@@ -36,17 +36,17 @@ class Measured(msgspec.Struct, frozen=True):
     mean_rmse_deg: float | None  # of always predicting the mean
     max_deg: float | None  # the wheels' angle at steering 1; None: unknown
     worst: list[WorstMoment]
-    notes: list[str]  # what was left out
+    notes: list[str]  # skipped pictures and messages
 
 
 @dataclass(frozen=True)
 class Predicted:
     about: Measured
-    row: NDArray[np.int64]  # (N,), of each picture of the centre camera that decodes
+    row: NDArray[np.int64]  # (N,), one for each picture of the centre camera that decodes
     steering: NDArray[np.float64]  # (N,), -1 (left) to 1 (right), before any clamp
 
     def at(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
-        """The steering at rows (M,) of the log; NaN where there was no picture."""
+        """The steering at rows (M,) of the log; NaN for a row without a picture."""
         steering = np.full(len(rows), np.nan)
         if len(self.row):
             order = np.argsort(self.row, kind="stable")
@@ -60,7 +60,7 @@ class Predictions:
     """The predictions that are kept, running and waiting."""
 
     def __init__(self, cache: Path) -> None:
-        stopped = "it was stopped; choose the run again to begin anew"
+        stopped = "stopped; choose the run again to start anew"
         self.work = KeptWork(cache / "predictions", "web.processes.prediction_process", stopped)
 
     def key(self, log_fingerprint: str, run: Path) -> str:

@@ -25,7 +25,7 @@ def _work(log: str, rrd: str, kind: str) -> None:
         followed = save_growing(Path(log), Path(rrd), keeps_up=True)
         _report(followed.notice, *_skipped(followed.skipped))
         return
-    with brought_here([location(log)]) as (here,), prepare_log(here) as prepared:
+    with brought_here([location(log)]) as (path,), prepare_log(path) as prepared:
         _report(*prepared.notices)
         save_prepared(prepared, Path(rrd), overwrite=False)
         _report(*_skipped(prepared.skipped))

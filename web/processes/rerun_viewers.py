@@ -1,6 +1,6 @@
-"""Logs that are open in Rerun. For each, a process writes a recording file, and the viewer in the page reads it.
+"""Logs that are open in Rerun. For each, a process writes a recording file, which the viewer in the page reads.
 
-Rerun's viewer is a WebAssembly program in the `rerun` program. bc-web copies it from there once, to the cache.
+Rerun's viewer is a WebAssembly program that the `rerun` program serves. bc-web copies it to the cache once.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from web.folders.cache_folder import CacheFolder
 from web.folders.project_folders import as_word
 from web.processes.own_process import reports, start_process
 
-MOST: Final = 2
-"""The most logs that are open at once. One more closes the oldest."""
+MAX_OPEN: Final = 2
+"""The logs that may be open at once. One more closes the oldest."""
 FILES: Final = {"re_viewer.js": "text/javascript", "re_viewer_bg.wasm": "application/wasm"}
 """The viewer's files, and their media types."""
 
@@ -41,11 +41,11 @@ _PATIENCE_S: Final = 10.0  # for a file of the viewer
 _GRACE_S: Final = 3.0  # for a process to end by itself
 _POLL_S: Final = 0.05
 _MAX_NOTES: Final = 20
-_AT_ONCE: Final = 1 << 18  # bytes
+_BLOCK_BYTES: Final = 1 << 18
 
 
 class RerunViewer:
-    """One log that is open, and the process that writes its recording."""
+    """An open log, and the process that writes its recording."""
 
     def __init__(self, log: Location, *, is_growing: bool) -> None:
         """Raises WebError if the process cannot be started."""
@@ -53,9 +53,9 @@ class RerunViewer:
         self.notes: list[str] = []
         """Messages about the log, such as skipped messages."""
         self.problem = ""
-        """Why it is not shown any more; empty while it is."""
+        """Why the log is closed; empty while it is open."""
         if isinstance(log, Url):
-            self.notes.append("a copy of the log comes from its store first")
+            self.notes.append("the log is being copied from its store")
         try:
             self._temporary = tempfile.TemporaryDirectory(prefix="bc-web-", ignore_cleanup_errors=True)
             self._folder = Path(self._temporary.name) / "recording"
@@ -69,7 +69,7 @@ class RerunViewer:
 
     @property
     def has_begun(self) -> bool:
-        """Whether there is something to show."""
+        """Whether the recording has data."""
         file = self._opened()
         if file is None:
             return False
@@ -82,26 +82,26 @@ class RerunViewer:
         if file is None:
             return
         with file:
-            is_whole = False
+            is_complete = False
             while not self.problem:
-                if data := file.read(_AT_ONCE):
+                if data := file.read(_BLOCK_BYTES):
                     yield data
-                elif is_whole:
+                elif is_complete:
                     return
                 else:
-                    is_whole = self._process.poll() is not None
+                    is_complete = self._process.poll() is not None
                     time.sleep(_POLL_S)
 
     def _opened(self) -> BinaryIO | None:
-        for _ in range(2):  # it is renamed when it is whole
+        for _ in range(2):  # it is renamed when it is complete
             for path in self._folder.glob("*"):
                 with contextlib.suppress(FileNotFoundError):
                     return path.open("rb")
         return None
 
-    def end(self, why: str = "") -> threading.Thread:
-        """Start to end it. The returned thread ends when everything has ended."""
-        self.problem = self.problem or why or "Rerun has ended; open it again"
+    def end(self, reason: str = "") -> threading.Thread:
+        """Start to close the log. The returned thread ends when the process has ended."""
+        self.problem = self.problem or reason or "Rerun has ended; open it again"
         ending = threading.Thread(target=self._end, name="rerun ends")
         ending.start()
         return ending
@@ -132,7 +132,7 @@ class RerunViewer:
 
 
 class RerunViewers:
-    """All open logs. Each is open as long as the request that opened it."""
+    """All open logs. A log is open as long as the request that opened it."""
 
     def __init__(self, cache: CacheFolder) -> None:
         self._cache = cache
@@ -142,15 +142,15 @@ class RerunViewers:
         self._endings: list[threading.Thread] = []
 
     def open(self, log: Location, *, is_growing: bool) -> RerunViewer:
-        """Open a log. Raises WebError if Rerun is not installed, or cannot be started."""
+        """Open a log. Raises WebError if Rerun is not installed or does not start."""
         if find_spec("rerun") is None or find_spec("rerun_cli") is None:
             raise WebError(f"Rerun is not installed here: `{package_line('rerun-sdk')}` brings it", 501)
         viewer = RerunViewer(log, is_growing=is_growing)
         with self._lock:
             others = list(self._open.values())
             self._open[viewer.key] = viewer
-        for other in others[: max(0, len(others) + 1 - MOST)]:
-            self.end(other, f"ended, because {MOST} logs were opened in Rerun since; open it again")
+        for other in others[: max(0, len(others) + 1 - MAX_OPEN)]:
+            self.end(other, f"closed: {MAX_OPEN} logs were opened in Rerun since; open it again")
         return viewer
 
     def get(self, key: str) -> RerunViewer:
@@ -158,14 +158,14 @@ class RerunViewers:
         with self._lock:
             viewer = self._open.get(key)
         if viewer is None:
-            raise WebError("this log is not open in Rerun any more: open it again from its page", 404)
+            raise WebError("this log is no longer open in Rerun: open it again from its page", 404)
         return viewer
 
-    def end(self, viewer: RerunViewer, why: str = "") -> None:
+    def end(self, viewer: RerunViewer, reason: str = "") -> None:
         with self._lock:
             if self._open.pop(viewer.key, None) is not None:
                 self._endings = [thread for thread in self._endings if thread.is_alive()]
-                self._endings.append(viewer.end(why))
+                self._endings.append(viewer.end(reason))
 
     def file(self, name: str) -> bytes:
         """One of the viewer's `FILES`. Raises WebError if Rerun does not serve it."""

@@ -20,21 +20,21 @@ if TYPE_CHECKING:  # these load PyTorch, which only requests need
     from dataset.picture_spec import PictureSpec
     from model.network.picture_network import PictureNetwork
 
-_COLOR: Final = (255, 40, 230)  # BGR: no road has it
-_MOST: Final = 0.8  # how much of it covers the picture where the network looks most
-_UNSEEN: Final = 0.45  # how dark what it does not see becomes
-_WIDEST_PX: Final = 640
+_COLOR: Final = (255, 40, 230)  # BGR; no road has this colour
+_MAX_ALPHA: Final = 0.8  # where the network looks most
+_UNSEEN_ALPHA: Final = 0.45  # of the black over the rows outside the crop
+_MAX_WIDTH_PX: Final = 640
 _KEPT: Final = 2  # networks in memory
 _ONE_AT_A_TIME: Final = threading.Lock()
 _networks: Final[Newest[Path, tuple[PictureNetwork, PictureSpec]]] = Newest(_KEPT)
 
 
 def attention_overlay(run: Path, place: Location, log: Location, encoded: bytes) -> bytes:
-    """A PNG with the shape of the picture: coloured where the network looks, dark outside its crop. `run`
-    is here; `place` is where it is kept.
+    """A PNG with the shape of the picture: coloured where the network looks, dark outside its crop. `run` may be a
+    copy of the run at `place`.
 
-    Raises RunError for a run that cannot be loaded, or a network without an attention map; WebError for code
-    of one's own, and for a picture that does not decode.
+    Raises RunError for a run that cannot be loaded, or a network without an attention map; WebError for a user's
+    own network code, and for a picture that does not decode.
     """
     import torch
 
@@ -47,10 +47,9 @@ def attention_overlay(run: Path, place: Location, log: Location, encoded: bytes)
     try:
         picture = decode(encoded)
     except ValueError as error:
-        raise WebError(f"{log}: no picture here that decodes ({error})", 422) from None
+        raise WebError(f"{log}: this picture does not decode ({error})", 422) from None
     with _ONE_AT_A_TIME:
-        # one picture is too little for two: they wait for each other, where the machine is busy 20 times as long
-        torch.set_num_threads(1)
+        torch.set_num_threads(1)  # on a busy machine, several threads for one picture take 20 times as long
         check_network(run, log, place)
         version = version_of(run / WEIGHTS, run / CONFIG)
         network, spec = _networks.get(run, version, lambda: (load_network(run), picture_of_run(run)))
@@ -63,13 +62,13 @@ def attention_overlay(run: Path, place: Location, log: Location, encoded: bytes)
 
 def _drawn(attention: NDArray[np.float32], height: int, width: int, spec: PictureSpec) -> bytes:
     """`attention` (spec.height_px, spec.width_px), 0 to 1, over the rows of a picture that the network sees."""
-    scale = min(1.0, _WIDEST_PX / width)
+    scale = min(1.0, _MAX_WIDTH_PX / width)
     size = max(1, round(height * scale)), max(1, round(width * scale))
-    alpha = np.full(size, _UNSEEN, np.float32)
+    alpha = np.full(size, _UNSEEN_ALPHA, np.float32)
     color = np.zeros((*size, 3), np.uint8)
     rows = spec.crop_slice(size[0])
     part = alpha[rows]
-    part[:] = _MOST * cv2.resize(attention, (part.shape[1], part.shape[0]), interpolation=cv2.INTER_LINEAR)
+    part[:] = _MAX_ALPHA * cv2.resize(attention, (part.shape[1], part.shape[0]), interpolation=cv2.INTER_LINEAR)
     color[rows] = _COLOR
     ok, png = cv2.imencode(".png", np.dstack([color, np.rint(255 * alpha).astype(np.uint8)]))
     assert ok  # noqa: S101 - of any array of that type

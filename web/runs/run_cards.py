@@ -1,4 +1,4 @@
-"""The entries of the list of runs: each run's summary, as `bc-runs` has it, and whether it is being trained."""
+"""The entries of the list of runs: each run's summary, as in `bc-runs`, and whether it is being trained."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ if TYPE_CHECKING:  # these load PyTorch, which only pages of runs need
 _SUMMED_UP: Final = CONFIG, METRICS_FILE, RESULTS_FILE, WEIGHTS
 _GROWING: Final = STEPS_FILE, WORST_FILE
 _HISTORY: Final = METRICS_FILE, *_GROWING
-_HISTORIES: Final = 16  # kept in memory: those shown last
+_HISTORIES: Final = 16  # in memory: the ones used last
 
 
 @dataclass(frozen=True)
 class RunCard:
-    """A run in the list. `summary` is None while it is being read, and where it cannot be (`problem`)."""
+    """A run in the list. `summary` is None until it is read, and if it is unreadable (`problem`)."""
 
     key: str
     path: Path
@@ -53,7 +53,7 @@ class RunCard:
 
 
 class RunCards:
-    """The cards of all runs, and the histories of those shown last."""
+    """The cards of all runs, and the histories of the runs used last."""
 
     def __init__(self, folders: ProjectFolders) -> None:
         self._folders = folders
@@ -69,7 +69,7 @@ class RunCards:
         return self._summaries.done
 
     def version(self) -> str:
-        """It changes with every file that a training or an evaluation writes."""
+        """A text that changes with every file that a training or an evaluation writes."""
         digest = hashlib.sha256()
         for path in self._folders.run_folders().values():
             version = self._folders.version_of_run(path, (*_SUMMED_UP, *_GROWING))
@@ -77,15 +77,14 @@ class RunCards:
         return digest.hexdigest()[:16] + self._folders.runs_problem
 
     def cards(self, patience_s: float) -> list[RunCard]:
-        """The cards of all runs, by name; those that cannot be read in that time have no `summary` yet."""
-        found = self._folders.run_folders().values()
-        versions = [(path, self._folders.version_of_run(path, _SUMMED_UP)) for path in found]
+        """The cards of all runs, by name. Those not read within `patience_s` have no `summary` yet."""
+        paths = self._folders.run_folders().values()
+        versions = [(path, self._folders.version_of_run(path, _SUMMED_UP)) for path in paths]
         summaries = self._summaries.results(versions, patience_s)
-        return [_card(path, summaries.get(path), self._folders.run_place(path)) for path in found]
+        return [_card(path, summaries.get(path), self._folders.run_place(path)) for path in paths]
 
     def history(self, path: Path) -> History:
-        """The course of a training by now; of one that has not begun, none. Raises RunError where it cannot be
-        read."""
+        """The course of a training so far. Raises RunError if it cannot be read."""
         from model.runs.history import read_history
 
         def read() -> History:
@@ -95,14 +94,15 @@ class RunCards:
         return self._histories.get(path, self._folders.version_of_run(path, _HISTORY), read)
 
 
-def _card(path: Path, found: RunSummary | UserError | None, place: Location) -> RunCard:
+def _card(path: Path, summary: RunSummary | UserError | None, place: Location) -> RunCard:
+    """The card of a run at `place`, of which `path` may be a copy."""
     problem = ""
-    if isinstance(found, UserError):
-        problem, found = str(found), None
-    elif found is not None and found.problem:
-        problem, found = found.problem, None
-    problem = problem.replace(str(path), str(place))  # what is here is a copy of it
-    return RunCard(key_of(path), path, found, printable(problem), is_being_trained(path))
+    if isinstance(summary, UserError):
+        problem, summary = str(summary), None
+    elif summary is not None and summary.problem:
+        problem, summary = summary.problem, None
+    problem = problem.replace(str(path), str(place))
+    return RunCard(key_of(path), path, summary, printable(problem), is_being_trained(path))
 
 
 def _summary(run: Path, version: str) -> RunSummary:

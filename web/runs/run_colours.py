@@ -1,4 +1,4 @@
-"""The colour of each run: it belongs to the run's name, whatever else is shown and in whichever order."""
+"""The colour of each run, by its name: it hardly depends on the other runs of a page."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Iterable
 from typing import Final
 
 COLOURS: Final = 8
-"""So many the style sheet has (`--series-0` and so on)."""
+"""The number of colours in the style sheet (`--series-0` and so on)."""
 
 
 def run_colours(names: Iterable[str]) -> dict[str, int]:
-    """Numbers from 0 to `COLOURS` - 1. Runs that are shown together differ, as far as there are colours: the later
-    one by name gives way."""
+    """A number from 0 to `COLOURS` - 1 for each run. Up to `COLOURS` runs get different numbers: of two runs with
+    the same one, the later by name gets another."""
     colours = dict[str, int]()
     for name in sorted(set(names)):
         first = zlib.crc32(name.encode()) % COLOURS

@@ -1,4 +1,4 @@
-"""Two runs compared on the same frames: the job, `bc-eval --compare`, and its numbers as a page shows them."""
+"""Two runs compared on the same frames: the job (`bc-eval --compare`) and its numbers."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _ENDS_WELL: Final = (0, 1, 3)  # 1: B is worse
 
 
 def compare_command(a: Path, b: Path, session: str, folders: ProjectFolders) -> list[str]:
-    """The command line, on the frames held out, or on a session. Raises WebError for a name that would be taken
-    for a flag."""
+    """The command line, for the held-out frames or for a session. Raises WebError for a name that looks like a
+    flag."""
     if flags := [name for name in (a.name, b.name, session) if name.startswith("-")]:
-        raise WebError(f"{flags[0]!r} would be taken for a flag: rename it", 422)
+        raise WebError(f"{flags[0]!r}: a command would take this name for a flag; rename it", 422)
     words = ["bc-eval", "--compare", a.name, b.name, "--json", *(["--session", session] if session else [])]
     return words + folders.flags("runs", "sessions")
 
@@ -35,7 +35,7 @@ def newest_job(jobs: Sequence[Job], command: list[str]) -> Job | None:
 
 
 def is_outdated(job: Job, runs: Sequence[Path]) -> bool:
-    """Whether one of the runs has other weights than the job found."""
+    """Whether the weights of one of the runs have changed since the job began."""
     began_s = datetime.fromisoformat(job.about.began).timestamp()
     with contextlib.suppress(OSError):
         return any((run / WEIGHTS).stat().st_mtime > began_s for run in runs)
@@ -43,34 +43,34 @@ def is_outdated(job: Job, runs: Sequence[Path]) -> bool:
 
 
 def comparison_of(job: Job) -> dict[str, Any] | None:
-    """The comparison that a job has printed, as its page shows it; None where it has printed none."""
+    """The comparison that a job has printed, for its page; None if it has printed none."""
     if job.code not in _ENDS_WELL:
         return None
     lines = [line for line in job.output().splitlines() if line.startswith("{")]
-    found = json_as(lines[-1], dict[str, Any]) if lines else None
+    printed = json_as(lines[-1], dict[str, Any]) if lines else None
     try:
-        return None if found is None else _shown(found)
+        return None if printed is None else _comparison(printed)
     except (KeyError, TypeError, ValueError, AttributeError):  # of a later version
         return None
 
 
-def _shown(found: dict[str, Any]) -> dict[str, Any]:
-    unit = steering_unit(found.get("max_deg", 0.0))
-    blocks = "sessions" if "sessions" in found else "blocks"
+def _comparison(printed: dict[str, Any]) -> dict[str, Any]:
+    unit = steering_unit(printed.get("max_deg", 0.0))
+    blocks = "sessions" if "sessions" in printed else "blocks"
     return {
-        "frames": int(found["frames"]),
-        "blocks": f"{int(found[blocks]):,} {blocks}",
+        "frames": int(printed["frames"]),
+        "blocks": f"{int(printed[blocks]):,} {blocks}",
         "unit": unit,
-        "confidence": float(found["confidence"]),
-        "apart": unit.of(float(found["answers_apart_deg"])),  # the answers of both, root mean square
-        "verdict": str(found["verdict"]),
-        "measures": [_measure(name, values, unit) for name, values in found["measures"].items()],
+        "confidence": float(printed["confidence"]),
+        "apart": unit.of(float(printed["answers_apart_deg"])),  # root mean square of A's and B's difference
+        "verdict": str(printed["verdict"]),
+        "measures": [_measure(name, values, unit) for name, values in printed["measures"].items()],
     }
 
 
 def _measure(name: str, values: dict[str, Any], unit: SteeringUnit) -> dict[str, Any]:
-    """A measure of both runs, and the interval of B - A, in the unit of the page; NaN where missing. `reach`:
-    the farthest end of the interval from no difference."""
+    """A measure of both runs, and the interval of B - A, in the unit of the page; NaN for missing numbers. `reach`
+    is the farthest distance of the interval from zero."""
     measure = next((measure for measure in MEASURES if measure.name == name), None)
     per = unit.per_deg if name.endswith("_deg") else 1.0
     numbers = {

@@ -1,4 +1,4 @@
-"""The curves of a training as a page draws them: x in epochs, so that runs of any size lie over each other."""
+"""The curves of a training. x is in epochs, so that runs of any size can be compared."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ if TYPE_CHECKING:
     from model.runs.history import History
     from model.runs.training_progress import Epoch
 
-Line = tuple[list[float], list[float | None]]  # x and y; None where there is no number
+Line = tuple[list[float], list[float | None]]  # x and y; None for a missing number
 
 _MAX_STEPS = 2000
 
 
 def run_curves(history: History) -> dict[str, Line]:
-    """Errors are shares of those of always predicting the mean: runs hold out other frames."""
+    """The curves by name. Errors are shares of the error of always predicting the mean, because runs hold out
+    different frames."""
     steps = history.steps[:: len(history.steps) // _MAX_STEPS + 1]
     ends = [float(epoch.epoch) for epoch in history.epochs]
 
@@ -35,14 +36,11 @@ def run_curves(history: History) -> dict[str, Line]:
         "balanced RMSE": line(map(_balanced, history.epochs)),
         "correlation": line(epoch.measures.network.correlation for epoch in history.epochs),
     }
-    for target in dict.fromkeys(target.target for epoch in history.epochs for target in epoch.targets):
-        lines[f"RMSE of {target}"] = line(
-            next(
-                (_share(found.rmse, found.mean_rmse) for found in epoch.targets if found.target == target),
-                math.nan,
-            )
-            for epoch in history.epochs
-        )
+    errors = [
+        {error.target: _share(error.rmse, error.mean_rmse) for error in epoch.targets} for epoch in history.epochs
+    ]
+    for target in dict.fromkeys(target for shares in errors for target in shares):
+        lines[f"RMSE of {target}"] = line(shares.get(target, math.nan) for shares in errors)
     return lines
 
 

@@ -1,4 +1,4 @@
-"""Networks of runs, as far as bc-web runs them: not code of one's own, which no user has named here."""
+"""The networks that bc-web runs: not a user's own code, which runs only if a flag names it."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from model.runs.run_files import CONFIG, WEIGHTS
 from web.errors import WebError
 
 NETWORK_FILES: Final = WEIGHTS, CONFIG
-"""The files that a run's network is loaded from."""
+"""The files of a run's network."""
 
 
 def check_network(run: Path, log: Location, place: Location) -> None:
-    """Raises WebError for a run whose network is code of one's own, with the command that shows it over a log, by
-    the run's place, of which `run` may be a copy; RunError for a run of a later version, or an unreadable one."""
+    """Raise WebError for a run whose network is a user's own code, with the command that shows it over a log;
+    RunError for an unreadable run. `run` may be a copy of the run at `place`."""
     config = load_config(run)
     if is_own_network(config):
         words = shlex.join(["bc-play", str(log), "--run", str(place)])
         command = f"{words} {network_flag(stored_network(config, run), run)}"
         raise WebError(
-            f"{place}: its network is your own code, which runs only if you name it: use `{command}`", 409
+            f"{place}: the network is your own code, which runs only if you name it: use `{command}`", 409
         )
 
 

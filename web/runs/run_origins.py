@@ -1,4 +1,4 @@
-"""The data that runs were trained on: the index as it is now, or a session; read without PyTorch."""
+"""The sessions and the index that runs were trained on, read without PyTorch."""
 
 from __future__ import annotations
 
@@ -16,26 +16,25 @@ from model.runs.run_files import CONFIG
 from web.folders.file_versions import version_of
 
 _OF_THE_RUN: Final = ("fingerprint", "content_fingerprint", "targets_fingerprint")
-"""Fields of a run's config for its data that the index itself lacks."""
+"""Fields of the data in a run's config that the index itself lacks."""
 
 
 @dataclass(frozen=True)
 class RunOrigin:
-    """`index` is the checksum of the index's metadata at that time: its settings, logs and balance; "" where they
-    are unknown."""
+    """`index` is the checksum of the metadata (settings, logs, balance) that the index had; "" if unknown."""
 
     sessions: frozenset[str]
     index: str
 
 
 def origin_of(run: Path) -> RunOrigin:
-    """The origin of a run; empty where its config.json cannot be read, which the list of runs shows."""
+    """The origin of a run; empty if its config.json cannot be read."""
     config = run / CONFIG
     return _origin(config, version_of(config))
 
 
 def index_checksum(index: Path) -> str:
-    """The checksum of the index's present metadata; "" where there is no index."""
+    """The checksum of the index's metadata; "" without an index."""
     metadata = read_metadata(index / SAMPLES_NAME)
     return _checksum(metadata) if metadata else ""
 

@@ -1,4 +1,4 @@
-"""The settings of a run, flat, so that two runs can be laid side by side."""
+"""The settings of a run by dotted name, and the differences between runs."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _SHOWN: Final = (
     "machine",
     "versions",
 )
-_DATA: Final = ("settings", "logs", "fingerprint")  # of `data`; the rest is measured, not set
+_DATA: Final = ("settings", "logs", "fingerprint")  # the settings in `data`; the rest was measured
 _MAX_CHARACTERS: Final = 400  # of a value
 _DEEPEST: Final = 4
 
 
 def run_settings(run: Path) -> dict[str, str]:
-    """The settings of the training and its data in a run's config.json, by dotted name. Raises RunError where it
-    cannot be read."""
+    """The settings of the training and its data in a run's config.json, by dotted name. Raises RunError if it is
+    unreadable."""
     config = load_config(run)
     data = config.get("data")
     if isinstance(data, dict):
@@ -42,9 +42,9 @@ def run_settings(run: Path) -> dict[str, str]:
 
 
 def differing(settings: Sequence[Mapping[str, str]]) -> list[tuple[str, list[str]]]:
-    """The settings that are not the same in all of these runs, with each run's value; "-" where it has none."""
-    names = list(dict.fromkeys(name for each in settings for name in each))
-    rows = [(name, [each.get(name, "-") for each in settings]) for name in names]
+    """The settings that differ between runs, with each run's value; "-" if it has none."""
+    names = list(dict.fromkeys(name for run in settings for name in run))
+    rows = [(name, [run.get(name, "-") for run in settings]) for name in names]
     return [(name, values) for name, values in rows if len(set(values)) > 1]
 
 

@@ -18,39 +18,39 @@ from web.server.templates import PAGES, render
 
 
 def error_answer(scope: Scope, error: WebError) -> Response:
-    """The answer to a request that cannot be answered, with the reason."""
-    why = printable(safe_line(str(error)))
+    """The answer to a request that failed, with the reason."""
+    reason = printable(safe_line(str(error)))
     if "text/html" in Headers(scope=scope).get("accept", ""):
         title = HTTPStatus(error.status).phrase
         page = next((page for page in PAGES if scope["path"].startswith(page[1])), PAGES[1])
-        return HTMLResponse(render("error.html", title=title, why=why, page=page), status_code=error.status)
-    return JSONResponse({"error": why}, status_code=error.status)
+        return HTMLResponse(render("error.html", title=title, reason=reason, page=page), status_code=error.status)
+    return JSONResponse({"error": reason}, status_code=error.status)
 
 
 def on_user_error(request: Request, error: Exception) -> Response:
-    """A file, a name or a value that is not what was expected."""
+    """A wrong file, name or value."""
     if not isinstance(error, WebError):
         error = WebError(str(error), 503 if isinstance(error, StoreError) else 422)
     return error_answer(request.scope, error)
 
 
 def on_http_error(request: Request, error: Exception) -> Response:
-    """An address that there is not, or that is not to be asked like that."""
+    """An unknown address, or a wrong method."""
     status = error.status_code if isinstance(error, HTTPException) else 500
     path = request.url.path
-    known = {404: f"{path}: there is no such page", 405: f"{path}: not to be asked by {request.method}"}
-    return error_answer(request.scope, WebError(known.get(status, HTTPStatus(status).phrase), status))
+    reasons = {404: f"{path}: there is no such page", 405: f"{path}: does not take {request.method}"}
+    return error_answer(request.scope, WebError(reasons.get(status, HTTPStatus(status).phrase), status))
 
 
 def on_os_error(request: Request, error: Exception) -> Response:
-    """The system refuses: no space, no permission."""
+    """An error of the operating system, such as a full disk."""
     reason = getattr(error, "strerror", None) or str(error)
-    where = f"{error.filename}: " if isinstance(error, OSError) and error.filename is not None else ""
-    return error_answer(request.scope, WebError(f"{where}{reason}", 500))
+    file = f"{error.filename}: " if isinstance(error, OSError) and error.filename is not None else ""
+    return error_answer(request.scope, WebError(f"{file}{reason}", 500))
 
 
 def on_bug(request: Request, error: Exception) -> Response:
-    """Anything else is a mistake of ours: its traceback is on the command's stderr."""
+    """Any other error is a bug. Its traceback is on the command's stderr."""
     return error_answer(request.scope, WebError(report_bug(error, "a bug of the workbench"), 500))
 
 

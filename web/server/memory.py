@@ -1,7 +1,7 @@
-"""The memory of the server: what requests have freed goes back to the system.
+"""Memory that requests have freed goes back to the system.
 
-By default each of a server's forty threads gets an arena of its own, in which the C library keeps what that thread
-has freed, and Arrow keeps a pool: they grow to what all threads have needed at their worst.
+By default, the C library keeps freed memory in an arena for each of the server's forty threads, and Arrow keeps it
+in a pool. Both grow to the most that all threads ever needed.
 """
 
 from __future__ import annotations
@@ -16,31 +16,31 @@ import pyarrow as pa
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 EVERY: Final = 500
-"""Answers after which free memory is given back: seconds of scrubbing, minutes of a page that only polls."""
+"""Number of answers after which free memory is given back."""
 
 # of glibc's malloc.h
 _M_MMAP_THRESHOLD: Final = -3
 _M_ARENA_MAX: Final = -8
 _ARENAS: Final = 2
-_LARGE_BYTES: Final = 256 << 10  # blocks of their own, which are given back as soon as they are freed
+_LARGE_BYTES: Final = 256 << 10  # separate blocks, which go back as soon as they are freed
 
 
 def give_memory_back() -> None:
-    """Set this for the process, before it has threads. Without glibc, only Arrow's pool is set."""
+    """Set the process up so, before it has threads. Without glibc, only Arrow's pool is set."""
     pa.set_memory_pool(pa.system_memory_pool())
-    if (set_option := _of_c_library("mallopt")) is not None:
+    if (set_option := _c_function("mallopt")) is not None:
         set_option(_M_ARENA_MAX, _ARENAS)
         set_option(_M_MMAP_THRESHOLD, _LARGE_BYTES)
 
 
 def trim() -> None:
-    """Give back what is free between what is used."""
-    if (trim_all := _of_c_library("malloc_trim")) is not None:
+    """Give back free memory between used blocks."""
+    if (trim_all := _c_function("malloc_trim")) is not None:
         trim_all(0)
 
 
 class TrimmedApp:
-    """An app that gives free memory back after every so many answers."""
+    """An app that gives free memory back after every `EVERY` answers."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -53,7 +53,7 @@ class TrimmedApp:
             await anyio.to_thread.run_sync(trim)
 
 
-def _of_c_library(name: str) -> Callable[..., int] | None:
+def _c_function(name: str) -> Callable[..., int] | None:
     if sys.platform != "linux":
         return None
     return getattr(ctypes.CDLL(None), name, None)

@@ -1,10 +1,10 @@
 """Access control: the check of each request's Host, Origin and token, and the headers of each response.
 
-A page of another site, open in the same browser, can send requests to this machine. Its `Host` is not one of ours
-(DNS rebinding) or its `Origin` not that of our own pages; `Sec-Fetch-Site` shows it for requests without an Origin
-(https://www.w3.org/TR/fetch-metadata/). Programs that are no browsers send neither, and need not be kept out: they
-can read the files themselves. A websocket steers a car: it needs an Origin, which only our own pages have rightly.
-Where others can reach the port, everything needs the token that was printed.
+A page of another site in the same browser can send requests to this machine. Its `Host` is foreign (DNS
+rebinding), or its `Origin` is. If it sends no Origin, `Sec-Fetch-Site` shows the other site
+(https://www.w3.org/TR/fetch-metadata/). Programs other than browsers send neither. They need not be kept out: they
+can read the files themselves. A websocket steers a car, so it always needs our Origin. If other machines can reach
+the port, every request needs the printed token.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ TOKEN: Final = "token"
 _COOKIE: Final = "bc-web-token"
 MAX_BODY_BYTES: Final = 1 << 20
 UPLOAD: Final = "/import.upload"
-"""The address that takes more: a recording."""
+"""The address that takes recordings, which may be larger."""
 
 CONTENT_SECURITY_POLICY: Final = "; ".join(
     (
@@ -50,27 +50,27 @@ _HEADERS: Final = {
     "Referrer-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-# browsers heed it on this machine's own addresses; on others that are not encrypted, it is an error to them
-_HEADERS_HERE: Final = {"Cross-Origin-Opener-Policy": "same-origin"}
+# browsers report this header as an error on unencrypted addresses of other machines
+_LOCAL_HEADERS: Final = {"Cross-Origin-Opener-Policy": "same-origin"}
 
 
 def token_for(host: str) -> str:
-    """A new token where others can reach the server; empty on this machine's own addresses."""
+    """A new token if other machines can reach the server, else ""."""
     return "" if is_loopback(host) else secrets.token_urlsafe(24)
 
 
 class RequestGuard:
-    """ASGI middleware around all that is served."""
+    """ASGI middleware around the whole app."""
 
     def __init__(self, app: ASGIApp, host: str, token: str) -> None:
-        """`token`: empty where none is needed."""
+        """`token` is "" if requests need none."""
         self._app = app
         self._hosts = AllowedHosts(host)
         self._token = token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
-            return  # nothing else is served, and the server is not asked for it
+            return
         answer: ASGIApp = self._app
         try:
             self._check_origin(scope)
@@ -78,7 +78,7 @@ class RequestGuard:
                 answer = self._check_token(scope) or self._app
             _check_size(scope)
         except WebError as error:
-            if scope["type"] == "websocket":  # uvicorn reports a refusal that has a text as a bug of ours
+            if scope["type"] == "websocket":  # uvicorn reports a refusal with a text as a bug
                 await send({"type": "websocket.close"})
                 return
             answer = error_answer(scope, error)
@@ -90,7 +90,7 @@ class RequestGuard:
             if message["type"] == "http.response.start":
                 is_begun = True
                 headers = MutableHeaders(scope=message)
-                for name, value in (_HEADERS if self._token else {**_HEADERS, **_HEADERS_HERE}).items():
+                for name, value in (_HEADERS if self._token else {**_HEADERS, **_LOCAL_HEADERS}).items():
                     headers.setdefault(name, value)
                 headers.setdefault("Cache-Control", "no-store")
             await send(message)
@@ -98,19 +98,19 @@ class RequestGuard:
         try:
             await answer(scope, receive, send_with_headers)
         except Exception:
-            if not is_begun:  # else it is a bug that was answered and printed, which Starlette raises once more
+            if not is_begun:  # Starlette raises a bug again after it is answered and printed
                 raise
 
     def _check_origin(self, scope: Scope) -> None:
         headers = Headers(scope=scope)
         host, origin = headers.get("host"), headers.get("origin")
         environ = {"HTTP_HOST": host} if host is not None else {}
-        if why := self._hosts.why_refused(environ):
-            raise WebError(f"asked {why}: this workbench answers to its own address only", 403)
-        own = {f"{scheme}://{host}".lower() for scheme in ("http", "https")}  # https: by a proxy in front of it
+        if reason := self._hosts.why_refused(environ):
+            raise WebError(f"asked {reason}: open this workbench by its own address", 403)
+        own = {f"{scheme}://{host}".lower() for scheme in ("http", "https")}  # https: a proxy may encrypt
         if origin is not None and origin.lower() not in own:
             raise WebError(f"asked by a page from {origin}: only the workbench's own pages may ask", 403)
-        if origin is None and scope["type"] == "websocket":  # a browser sends one with each
+        if origin is None and scope["type"] == "websocket":  # a browser always sends one
             raise WebError("a websocket without an Origin: only the workbench's own pages may ask", 403)
         site, mode = headers.get("sec-fetch-site"), headers.get("sec-fetch-mode")
         is_get = scope.get("method") == "GET"
@@ -119,13 +119,14 @@ class RequestGuard:
             raise WebError("asked by a page of another site: only the workbench's own pages may ask", 403)
 
     def _check_token(self, scope: Scope) -> ASGIApp | None:
-        """A request with the token in its address gets a cookie, and is redirected to the address without it."""
+        """Raise WebError for a request without the token. If its address has the token, return an answer that sets
+        a cookie and redirects to the address without the token."""
         headers = Headers(scope=scope)
-        given = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
-        in_address = next((value for name, value in given if name == TOKEN), "")
+        query = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+        in_address = next((value for name, value in query if name == TOKEN), "")
         if in_address and self._is_token(in_address) and scope["type"] == "http":
-            rest = urlencode([(name, value) for name, value in given if name != TOKEN])
-            # one slash: two would be the address of another server
+            rest = urlencode([(name, value) for name, value in query if name != TOKEN])
+            # one slash, because two begin the address of another server
             path = "/" + quote(scope["path"]).lstrip("/")
             answer = RedirectResponse(f"{path}?{rest}" if rest else path, status_code=303)
             answer.set_cookie(_COOKIE, self._token, httponly=True, samesite="lax")
@@ -135,10 +136,10 @@ class RequestGuard:
             return None
         if self._is_token(_cookie(headers)):
             return None
-        raise WebError("this workbench needs its token: open the address that bc-web printed when it began", 401)
+        raise WebError("this workbench needs its token: open the address that bc-web printed at its start", 401)
 
-    def _is_token(self, given: str) -> bool:
-        return hmac.compare_digest(given.encode(), self._token.encode())
+    def _is_token(self, text: str) -> bool:
+        return hmac.compare_digest(text.encode(), self._token.encode())
 
 
 def _cookie(headers: Headers) -> str:
@@ -150,12 +151,12 @@ def _cookie(headers: Headers) -> str:
 
 
 def _check_size(scope: Scope) -> None:
-    """Refuse a body that is too long, or has no length, which no client of ours sends."""
+    """Refuse a body that is too long, or has no length."""
     if scope["type"] == "websocket" or scope["method"] in ("GET", "HEAD"):
         return  # the server limits the messages of a websocket
     length = whole_number(Headers(scope=scope).get("content-length", ""))
     if length is None:
         raise WebError("a request with a body needs its length (Content-Length)", 411)
-    most = MAX_UPLOAD_BYTES if scope["path"] == UPLOAD else MAX_BODY_BYTES
-    if length > most:
-        raise WebError(f"a request of {length:,} bytes: at most {most:,} are taken", 413)
+    limit = MAX_UPLOAD_BYTES if scope["path"] == UPLOAD else MAX_BODY_BYTES
+    if length > limit:
+        raise WebError(f"a request of {length:,} bytes: at most {limit:,} are allowed", 413)

@@ -1,4 +1,4 @@
-"""The files of the pages, at an address that changes with them, so that a browser keeps them for ever."""
+"""The files of the pages. Their address changes with them, so that a browser may keep them for ever."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
 
 KEPT: Final = {"Cache-Control": "private, max-age=31536000, immutable"}
-"""Another content has another address."""
+"""For answers whose address names their content."""
 _FOLDER: Final = Path(__file__).parents[1] / "static"
 
 

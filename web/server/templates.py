@@ -1,4 +1,4 @@
-"""The templates: everything that is put into a page is escaped, for names and tags come from files of others."""
+"""The templates. All values are escaped, because names and tags come from untrusted files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PAGES: Final = (
     ("Drives", "/drives"),
     ("Jobs", "/jobs"),
 )
-"""The pages of the menu: name and address."""
+"""The menu: names and addresses."""
 
 
 def _minutes(seconds: float) -> str:
@@ -35,7 +35,7 @@ def _minutes(seconds: float) -> str:
 
 
 def _places(number: float | str | None, places: int) -> str:
-    """With so many places behind the point; "-" for what does not exist. A log's text that is no number stays."""
+    """A number with so many decimal places; "-" for None. A text that is no number stays."""
     if number is None:
         return "-"
     try:
@@ -48,7 +48,7 @@ def _places(number: float | str | None, places: int) -> str:
 
 
 def with_code(text: str) -> Markup:
-    """What stands between backticks, as code."""
+    """A text in which the parts between backticks are code."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
@@ -65,10 +65,10 @@ def render(template: str, /, **values: Any) -> str:
 
 
 def page(template: str, /, **values: Any) -> HTMLResponse:
-    """The answer that a template makes of these values."""
+    """The answer of a template with these values."""
     return HTMLResponse(render(template, **values))
 
 
 def page_of(template: str, values: Callable[[Request], Mapping[str, Any]]) -> Callable[[Request], HTMLResponse]:
-    """The endpoint whose answer is a template, with the values for a request."""
+    """The endpoint that answers with a template and the `values` of a request."""
     return lambda request: page(template, **values(request))

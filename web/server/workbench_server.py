@@ -1,4 +1,4 @@
-"""The web server, in a thread: the main one waits for Ctrl-C."""
+"""The web server, in a thread: the main thread waits for Ctrl-C."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from recorder.errors import ListenError
 from recorder.server.listening_socket import listen, send_at_once
 from recorder.teleop.messages import MAX_MESSAGE_BYTES
 
-_LAST_ANSWERS_S: Final = 2  # for requests that are being answered when the server stops
+_LAST_ANSWERS_S: Final = 2  # for requests in progress when the server stops
 _TICK_S: Final = 0.2
 
 
 class WorkbenchServer:
-    """Serves an app on a socket that listens from the beginning, so that its port is known."""
+    """Serves an app. Its socket listens from the beginning, so that the port is known."""
 
     def __init__(self, app: ASGIApp, host: str, port: int) -> None:
-        """Raises UserError where host:port cannot be listened on."""
+        """Raises UserError if the server cannot listen on host:port."""
         try:
             self._socket: socket.socket = listen(host, port)
         except ListenError as error:
             reason = str(error).partition("; end the bc-drive")[0]
             raise UserError(f"{reason}; give another --port, or end the bc-web that is running there") from None
-        # asyncio does so itself only where a socket was made with the protocol's number; else each answer, whose
-        # head and body are two writes, waits 40 ms for the delayed acknowledgement. Connections inherit it.
+        # without this, each answer waits 40 ms for a delayed acknowledgement: its head and body are two writes.
+        # asyncio sets it only for sockets made with the protocol's number. Connections inherit it.
         send_at_once(self._socket)
         self.port: int = self._socket.getsockname()[1]
         self._app = app
@@ -42,7 +42,7 @@ class WorkbenchServer:
                 lifespan="off",
                 ws="websockets-sansio",
                 ws_max_size=MAX_MESSAGE_BYTES,
-                ws_per_message_deflate=False,  # what is large there are JPEGs
+                ws_per_message_deflate=False,  # the large messages are JPEGs
                 log_config=None,
                 access_log=False,
                 server_header=False,
@@ -56,18 +56,18 @@ class WorkbenchServer:
         self._thread.start()
 
     def serve_until(self, is_stopped: Callable[[float], bool]) -> None:
-        """Serve until `is_stopped`, called with the seconds to wait, is true, or the server ends by itself."""
+        """Serve until `is_stopped`, which gets the seconds to wait, is true, or the server ends by itself."""
         while self._thread.is_alive() and not is_stopped(_TICK_S):
             pass
 
     def stop(self) -> None:
-        """End it; requests that are being answered get a moment more."""
+        """End the server. Requests in progress get a moment more."""
         self._server.should_exit = True
         self._thread.join()
         self._socket.close()
 
     async def _answer(self, scope: Scope, receive: Receive, send: Send) -> None:
-        scope["is_ending"] = lambda: self._server.should_exit  # for an answer that lasts
+        scope["is_ending"] = lambda: self._server.should_exit  # for long answers
         await self._app(scope, receive, send)
 
     def _run(self) -> None:

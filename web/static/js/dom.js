@@ -1,4 +1,4 @@
-// Elements: those of a page by their ids, and new ones.
+// Elements of a page.
 
 export const by = (id) => document.getElementById(id);
 export const number = (value) => value.toLocaleString("en");
@@ -16,13 +16,13 @@ export function button(text, onClick, properties = {}) {
   return made;
 }
 
-/** Show a text in an element that is hidden without one. */
+/** Show a problem; "" hides it. */
 export function showProblem(text) {
   by("problem").textContent = text;
   by("problem").hidden = !text;
 }
 
-/** Why the server refuses, in its own words; of an answer that is not the workbench's, its status. */
+/** The reason in an error of the server; its status if the answer is not the workbench's. */
 export function reasonIn(text, status) {
   try {
     return JSON.parse(text).error ?? `the server answers ${status}`;
@@ -36,14 +36,14 @@ export function toggleHelp() {
   by("help-button").setAttribute("aria-expanded", !isHidden);
 }
 
-/** The colours of the style sheet as a canvas understands them: a property may hold `light-dark(...)`. */
+/** A function that resolves colours of the style sheet for a canvas: a property may be `light-dark(...)`. */
 export function colourReader(element) {
   const style = getComputedStyle(element);
   return (name) => {
     const before = element.style.color;
     element.style.color = `var(${name})`;
-    const found = style.color;
+    const resolved = style.color;
     element.style.color = before;
-    return found;
+    return resolved;
   };
 }

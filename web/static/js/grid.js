@@ -1,29 +1,28 @@
-// Pictures of many stretches below each other, to be looked at before all of them are tagged. A stretch whose box is
-// unticked is no longer among them.
+// Pictures of many stretches, to look at before all stretches are tagged. Unticking a stretch leaves it out.
 
 import { make, number } from "./dom.js";
 
-const MOST = 200; // stretches
-const PICTURES = 96; // of all of them, and of one
-const OF_ONE = [3, 48];
+const MAX_STRETCHES = 200;
+const PICTURES = 96; // of all stretches
+const PER_STRETCH = [3, 48]; // at least, at most
 
-/** The numbers from `first` to `last`, or as many of them, evenly spread, as one of so many stretches has pictures. */
+/** The numbers of the pictures to show, evenly spread from `first` to `last`, of one of so many stretches. */
 export function spread(first, last, stretches) {
-  const most = Math.min(Math.max(Math.floor(PICTURES / stretches), OF_ONE[0]), OF_ONE[1]);
-  const count = Math.min(last - first + 1, most);
+  const limit = Math.min(Math.max(Math.floor(PICTURES / stretches), PER_STRETCH[0]), PER_STRETCH[1]);
+  const count = Math.min(last - first + 1, limit);
   return Array.from({ length: count }, (_, at) => Math.round(first + ((last - first) * at) / Math.max(count - 1, 1)));
 }
 
-/** `stretches`: [{ title, href, pictures: [{ address, title, pick }] }]; `onChange(numbers)`: those that are ticked. */
+/** `stretches`: [{ title, href, pictures: [{ address, title, pick }] }]; `onChange` gets whether each is ticked. */
 export function fillGrid(element, stretches, onChange) {
-  const lines = stretches.slice(0, MOST).map(({ title, href, pictures }) => {
+  const lines = stretches.slice(0, MAX_STRETCHES).map(({ title, href, pictures }) => {
     const line = make("li", {}, make("label", {}, make("input", { type: "checkbox", checked: true }), ` ${title}`));
     if (href) line.append(" ", make("a", { href }, "show"));
     line.append(make("div", { className: "shots" }, ...pictures.map(shot)));
     return line;
   });
   element.onchange = () => onChange([...element.querySelectorAll("input")].map((box) => box.checked));
-  if (stretches.length > MOST) lines.push(make("li", {}, `and ${number(stretches.length - MOST)} more, also selected`));
+  if (stretches.length > MAX_STRETCHES) lines.push(make("li", {}, `and ${number(stretches.length - MAX_STRETCHES)} more, also selected`));
   element.replaceChildren(...lines);
 }
 

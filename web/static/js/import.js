@@ -1,18 +1,18 @@
-// A folder, zip or log is dropped or chosen, and sent in one request: a manifest, then the files one after the other.
-// The browser reads them from the disk while it sends; a broken-off request leaves nothing at the server.
+// Uploads of a folder, zip or log in one request: a manifest, then the files one after the other. The browser reads
+// the files from the disk while it sends. If the request breaks off, the server keeps nothing.
 
 import { by, reasonIn, showProblem } from "./dom.js";
 import { showStatus } from "./live.js";
 
 const [drop, progress, cancel] = [by("drop"), by("progress"), by("cancel")];
 const [bar, words] = progress.children;
-const chosen = [by("folder"), by("file")];
+const inputs = [by("folder"), by("file")];
 const CANCELLED = "Cancelled: nothing was kept.";
-let sending = null; // what can be aborted
+let sending = null; // the request or the listing, which can be aborted
 
 function setBusy(isBusy) {
   progress.hidden = !isBusy;
-  for (const each of chosen) each.disabled = isBusy;
+  for (const input of inputs) input.disabled = isBusy;
   if (isBusy) cancel.focus();
 }
 
@@ -23,7 +23,7 @@ function showProgress(sent, total, beganMs) {
   const passedS = (performance.now() - beganMs) / 1000;
   const leftS = Math.round((passedS / sent) * (total - sent));
   const left = passedS > 2 && leftS ? `, ${leftS} s left` : "";
-  words.textContent = sent < total ? `${megabytes(sent)} of ${megabytes(total)} MB${left}` : "sent; it is being looked at";
+  words.textContent = sent < total ? `${megabytes(sent)} of ${megabytes(total)} MB${left}` : "sent; the server reads it";
 }
 
 function send(files) {
@@ -31,24 +31,24 @@ function send(files) {
   showProblem("");
   const total = files.reduce((sum, [, file]) => sum + file.size, 0);
   if (!files.length) return showProblem("There is no file in it.");
-  if (files.length > +drop.dataset.maxFiles) return showProblem(`${files.length} files: at most ${drop.dataset.maxFiles} are taken.`);
-  if (total > +drop.dataset.maxBytes) return showProblem(`${megabytes(total)} MB: at most ${megabytes(+drop.dataset.maxBytes)} are taken.`);
+  if (files.length > +drop.dataset.maxFiles) return showProblem(`${files.length} files: at most ${drop.dataset.maxFiles} are allowed.`);
+  if (total > +drop.dataset.maxBytes) return showProblem(`${megabytes(total)} MB: at most ${megabytes(+drop.dataset.maxBytes)} are allowed.`);
   const manifest = new TextEncoder().encode(JSON.stringify({ files: files.map(([path, file]) => [path, file.size]) }));
-  const request = new XMLHttpRequest(); // fetch does not say how much it has sent
+  const request = new XMLHttpRequest(); // fetch reports no progress
   sending = request;
   const beganMs = performance.now();
   request.upload.onprogress = ({ loaded, total: all }) => showProgress(loaded, all, beganMs);
   request.onload = () => {
-    sending = null; // so that leaving needs no question
+    sending = null; // leaving the page asks no question
     if (request.status === 200) location.href = JSON.parse(request.responseText).page;
     else showProblem(reasonIn(request.responseText, request.status));
   };
-  request.onerror = () => showProblem("It could not be sent: a file has changed or cannot be read, or bc-web was ended. Nothing was kept.");
+  request.onerror = () => showProblem("The upload failed: a file has changed or is unreadable, or bc-web has ended. Nothing was kept.");
   request.onabort = () => showStatus(CANCELLED);
   request.onloadend = () => {
     sending = null;
     setBusy(false);
-    for (const each of chosen) each.value = "";
+    for (const input of inputs) input.value = "";
   };
   request.open("POST", `/import.upload?manifest=${manifest.length}`);
   request.setRequestHeader("Accept", "application/json");
@@ -61,14 +61,14 @@ function send(files) {
 const read = (reader) => new Promise((done, failed) => reader.readEntries(done, failed));
 const opened = (entry) => new Promise((done, failed) => entry.file(done, failed));
 
-async function filesOf(entry) {
+async function filesIn(entry) {
   if (entry.isFile) return [[entry.fullPath.slice(1), await opened(entry)]];
   const files = [];
   const reader = entry.createReader();
   for (;;) {
-    const some = await read(reader); // a hundred at a time
-    if (!some.length) return files;
-    files.push(...(await Promise.all(some.map(filesOf))).flat());
+    const entries = await read(reader); // a hundred at a time
+    if (!entries.length) return files;
+    files.push(...(await Promise.all(entries.map(filesIn))).flat());
   }
 }
 
@@ -79,18 +79,18 @@ async function dropped(transfer) {
   sending = listing;
   showProblem("");
   bar.removeAttribute("value");
-  words.textContent = "its files are listed";
+  words.textContent = "listing its files";
   setBusy(true);
-  const found = entries.map(([entry, file]) => (entry ? filesOf(entry) : file ? [[file.name, file]] : []));
-  const files = await Promise.all(found).catch((error) => error);
+  const listed = entries.map(([entry, file]) => (entry ? filesIn(entry) : file ? [[file.name, file]] : []));
+  const files = await Promise.all(listed).catch((error) => error);
   sending = null;
   setBusy(false);
   if (listing.signal.aborted) return showStatus(CANCELLED);
-  if (files instanceof Error) showProblem(`It cannot be read: ${files.message}`);
+  if (files instanceof Error) showProblem(`It is unreadable: ${files.message}`);
   else send(files.flat());
 }
 
-// anywhere on the page: a drop beside the frame would make the browser leave it
+// on the whole page: a browser opens a file that is dropped elsewhere
 for (const name of ["dragover", "dragleave", "drop"]) {
   document.addEventListener(name, (event) => {
     event.preventDefault();
@@ -98,8 +98,8 @@ for (const name of ["dragover", "dragleave", "drop"]) {
   });
 }
 document.addEventListener("drop", (event) => dropped(event.dataTransfer));
-for (const each of chosen) {
-  each.addEventListener("change", () => send([...each.files].map((file) => [file.webkitRelativePath || file.name, file])));
+for (const input of inputs) {
+  input.addEventListener("change", () => send([...input.files].map((file) => [file.webkitRelativePath || file.name, file])));
 }
 cancel.addEventListener("click", () => sending?.abort());
 addEventListener("beforeunload", (event) => {

@@ -1,12 +1,13 @@
-// Changes by commands appear without a reload: the folders' versions are polled, and each element that shows one of
-// them (data-live="NAME" data-version="...") gets the event `folders-changed` when it has another one.
-// Polling, not server-sent events: a browser keeps six connections to a server, so that a seventh tab would hang.
+// Changes by commands appear without a reload: this script polls the versions of the lists. An element with data-live
+// (the name of a list) and data-version gets the event `folders-changed` when the version changes. Server-sent events
+// would keep a connection open in each tab, and a browser opens at most six to a server.
 
 import { reasonIn } from "./dom.js";
 
 const EVERY_MS = 2000;
-const WHILE_CHANGING_MS = 500; // logs are being read, or a command is at work
+const WHILE_CHANGING_MS = 500; // while logs are read, or a command works
 const STATUS_FOR_MS = 8000;
+export const NO_ANSWER = "bc-web does not answer: it has ended, or is restarting";
 const status = document.getElementById("status");
 let unanswered = 0;
 let next = 0;
@@ -20,16 +21,16 @@ export function showStatus(text) {
 
 async function poll() {
   clearTimeout(next);
-  if (document.hidden) return; // nothing is polled for a hidden page
+  if (document.hidden) return;
   let hasChanged = false;
   try {
     const answer = await fetch("/changes");
     if (!answer.ok) throw new Error(answer.statusText);
-    const found = await answer.json();
+    const versions = await answer.json();
     if (unanswered) showStatus("");
     unanswered = 0;
     for (const element of document.querySelectorAll("[data-live]")) {
-      const version = found[element.dataset.live];
+      const version = versions[element.dataset.live];
       if (version === element.dataset.version) continue;
       element.dataset.version = version;
       hasChanged = true;
@@ -37,12 +38,12 @@ async function poll() {
     }
   } catch {
     unanswered += 1;
-    if (unanswered > 1) showStatus("bc-web does not answer: it was ended, or is restarted");
+    if (unanswered > 1) showStatus(NO_ANSWER);
   }
   next = setTimeout(poll, hasChanged ? WHILE_CHANGING_MS : EVERY_MS);
 }
 
-// the address names what is shown, so that it can be kept and sent
+// the address has the values of a form, so that a user can keep and send it
 function nameInAddress(form) {
   const filled = [...new FormData(form)].filter(([, value]) => value);
   history.replaceState(null, "", `${form.action}${filled.length ? "?" : ""}${new URLSearchParams(filled)}`);

@@ -1,23 +1,23 @@
-// Points on a canvas: ten thousand of them are drawn, pointed at, and chosen by a lasso, at every move.
+// Points on a canvas. It is fast enough for ten thousand points at every move of the mouse.
 
 const NEAR_PX = 14;
 const MARGIN_PX = 14;
 const KEY_ZOOM = 1.5;
 const MAX_ZOOM = 60;
-const OTHERS_ALPHA = 56; // of 255, while some are chosen
-const CLICK_PX = 4; // a drag that is no longer is a click
+const OTHERS_ALPHA = 56; // of 255, for points that are not chosen while others are
+const CLICK_PX = 4; // a shorter drag is a click
 const DIRECTIONS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 export class PointCloud {
   /**
-   * In `box`, which has a size of its own. `onPoint(index)`: the mouse or a key points at one (-1: at none);
-   * `onPick(index)`: a click on one; `onSelect(indices, isMore)`: a drag over some, with shift in addition;
-   * `drawBelow(context, place)` draws what lies below the points, `place(x, y)` gives pixels.
+   * In `box`, whose size the style sheet sets. `onPoint(index)`: the mouse or a key points at a point (-1: at none).
+   * `onPick(index)`: a click on a point. `onSelect(indices, isMore)`: a drag around points, with shift in addition.
+   * `drawBelow(context, place)` draws below the points; `place(x, y)` gives pixels.
    */
   constructor(box, { onPoint, onPick, onSelect, onOpen, drawBelow, radius = 3 }) {
     Object.assign(this, { box, onPoint, onPick, onSelect, onOpen, drawBelow, radius });
     this.x = this.y = new Float32Array(0);
-    this.of = new Uint8Array(0);
+    this.colourOf = new Uint8Array(0);
     this.palette = [];
     this.selected = new Set();
     this.pointed = this.pinned = -1;
@@ -50,15 +50,15 @@ export class PointCloud {
     this.reset();
   }
 
-  /** The limits that are shown, in place of those of the points. */
+  /** Show these limits instead of the points' own. */
   limit(left, right, top, bottom) {
     Object.assign(this, { left, right, top, bottom });
     this.draw();
   }
 
-  /** `of` has the number of each point's colour in the palette. */
-  colour(palette, of) {
-    Object.assign(this, { palette, of, colours: null });
+  /** `colourOf` has the number of each point's colour in the palette. */
+  colour(palette, colourOf) {
+    Object.assign(this, { palette, colourOf, colours: null });
     this.draw();
   }
 
@@ -115,9 +115,9 @@ export class PointCloud {
     this.drawOver();
   }
 
-  /** Pixel by pixel: a twentieth of what ten thousand calls to draw something take. */
+  /** Pixel by pixel: this takes a twentieth of the time of ten thousand drawing calls. */
   drawDots() {
-    const { dots, ratio, x, y, of, selected } = this;
+    const { dots, ratio, x, y, colourOf, selected } = this;
     if (!dots.width || !dots.height) return;
     this.colours ??= this.palette.map(numbersOf);
     this.disc ??= discOf(this.radius * ratio);
@@ -130,7 +130,7 @@ export class PointCloud {
       const px = Math.round((x[at] * this.scale + this.shiftX) * ratio);
       const py = Math.round((y[at] * this.scale + this.shiftY) * ratio);
       if (px < edge || py < edge || px >= width - edge || py >= height - edge) return;
-      const colour = this.colours[of[at]];
+      const colour = this.colours[colourOf[at]];
       const middle = py * width + px;
       for (const [right, down, covered] of this.disc) {
         const pixel = middle + down * width + right;
@@ -221,25 +221,25 @@ export class PointCloud {
     const xs = outline.map(([px]) => px);
     const ys = outline.map(([, py]) => py);
     const [left, right, top, bottom] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
-    const found = [];
+    const points = [];
     for (let at = 0; at < this.x.length; at += 1) {
       const [px, py] = this.place(this.x[at], this.y[at]);
       if (px < left || px > right || py < top || py > bottom) continue;
-      if (context.isPointInPath(polygon, px, py)) found.push(at);
+      if (context.isPointInPath(polygon, px, py)) points.push(at);
     }
-    return found;
+    return points;
   }
 
   nearest([px, py], within) {
-    let found = -1;
+    let nearest = -1;
     let least = within * within;
     for (let at = 0; at < this.x.length; at += 1) {
       const apartX = this.x[at] * this.scale + this.shiftX - px;
       const apartY = this.y[at] * this.scale + this.shiftY - py;
       const apart = apartX * apartX + apartY * apartY;
-      if (apart < least) [least, found] = [apart, at];
+      if (apart < least) [least, nearest] = [apart, at];
     }
-    return found;
+    return nearest;
   }
 
   point(index) {
@@ -289,14 +289,14 @@ export class PointCloud {
     return this.pointed < 0 ? undefined : this.place(this.x[this.pointed], this.y[this.pointed]);
   }
 
-  /** To the nearest point in a direction; the first step goes to the one in the middle. */
+  /** Point at the nearest point in a direction; the first step goes to the point in the middle. */
   step([right, down]) {
     if (this.pointed < 0) {
       this.point(this.nearest([this.width / 2, this.height / 2], Infinity));
       return;
     }
     const [px, py] = this.middle();
-    let found = -1;
+    let next = -1;
     let least = Infinity;
     for (let at = 0; at < this.x.length; at += 1) {
       const apartX = this.x[at] * this.scale + this.shiftX - px;
@@ -304,9 +304,9 @@ export class PointCloud {
       const along = apartX * right + apartY * down;
       const aside = Math.abs(apartX * down) + Math.abs(apartY * right);
       if (along <= 0.5 || aside > along) continue;
-      if (along + 2 * aside < least) [least, found] = [along + 2 * aside, at];
+      if (along + 2 * aside < least) [least, next] = [along + 2 * aside, at];
     }
-    if (found >= 0) this.point(found);
+    if (next >= 0) this.point(next);
   }
 }
 
@@ -319,7 +319,7 @@ function numbersOf(colour) {
   return red | (green << 8) | (blue << 16);
 }
 
-/** The pixels of a disc: [right, down, how much of it is covered], from its middle. */
+/** The pixels of a disc, from its middle: [right, down, covered share]. */
 function discOf(radius) {
   const reach = Math.ceil(radius);
   const across = Array.from({ length: 2 * reach + 1 }, (_, at) => at - reach);

@@ -11,7 +11,7 @@ export class RoadMap {
     this.#svg = svg;
   }
 
-  /** The edges of a road, lists of [x, y] in metres, or null; and points beside them that are to be in the map. */
+  /** Show a road by its edges (lists of [x, y] in metres), or null. The map also has room for these places. */
   show(road, places = []) {
     this.#svg.replaceChildren();
     const points = [...places, ...(road ? [...road.left, ...road.right] : [])];
@@ -32,19 +32,19 @@ export class RoadMap {
     this.#car = this.add("path", { class: "car", d: "M4,0L-3,-2.6L-1.6,0L-3,2.6Z", visibility: "hidden" });
   }
 
-  /** The car's place and heading, counter-clockwise from +x; hidden where they are unknown. */
+  /** Move the car to a place and heading (counter-clockwise from +x); hide it if they are unknown. */
   move({ x, y, heading_rad }) {
-    const isThere = [x, y, heading_rad].every(Number.isFinite);
-    this.#car?.setAttribute("visibility", isThere ? "visible" : "hidden");
-    if (isThere) this.#car?.setAttribute("transform", this.placed(x, y, heading_rad));
+    const isKnown = [x, y, heading_rad].every(Number.isFinite);
+    this.#car?.setAttribute("visibility", isKnown ? "visible" : "hidden");
+    if (isKnown) this.#car?.setAttribute("transform", this.placed(x, y, heading_rad));
   }
 
-  /** Where a mark of some ten units stands, and how it is turned. */
+  /** The transform of a mark with a size of about ten units. */
   placed(x, y, heading_rad) {
     return `translate(${x},${-y}) rotate(${(-heading_rad * 180) / Math.PI}) scale(${this.size / 75})`;
   }
 
-  /** An element of the map, below the car. */
+  /** Add an element to the map, below the car. */
   add(name, attributes, parent = this.#svg) {
     const element = document.createElementNS(NAMESPACE, name);
     for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);

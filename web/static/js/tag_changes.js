@@ -1,6 +1,5 @@
-// The changes of tags that a page makes: a name for rows, or taken from them, each undone as one, and the commands that
-// do the same. The server has no record of them: undoing is one more change, as `bc-log tag --remove` would make it.
-// The browser keeps them for as long as the tab is open.
+// The changes of tags that a page makes, and the commands that do the same. One undo reverts one change. The server
+// keeps no history: an undo is another change. The browser keeps the changes until the tab is closed.
 
 import { by } from "./dom.js";
 import { showStatus } from "./live.js";
@@ -10,17 +9,17 @@ const OPPOSITE = { add: "remove", remove: "add" };
 export const EXCLUDE = "exclude";
 export const FINE = "fine";
 
-/** Ask the server for a change of tags; what it has done. */
+/** Ask the server for a change of tags. Return what it has changed. */
 export async function changeTags(address, change) {
   const options = { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(change) };
   return (await ask(address, options)).json();
 }
 
 export class TagChanges {
-  /** `change(action, name, rows)` asks the server; `tag(name)`: a name was chosen for what is selected; `said(rows)`
-   * has the words for rows; `onChange()`: the tags are other ones. */
-  constructor({ change, tag, said, onChange = () => {} }) {
-    Object.assign(this, { change, tag, said, onChange, done: [], undone: [], commands: [], queue: Promise.resolve() });
+  /** `change(action, name, rows)` asks the server. `tag(name)`: the user has chosen a name for the selection.
+   * `describe(rows)` returns words for rows. `onChange()`: tags have changed. */
+  constructor({ change, tag, describe, onChange = () => {} }) {
+    Object.assign(this, { change, tag, describe, onChange, done: [], undone: [], commands: [], queue: Promise.resolve() });
     const calls = { [EXCLUDE]: () => tag(EXCLUDE), [FINE]: () => tag(FINE), undo: () => this.undo(), redo: () => this.redo() };
     for (const [id, call] of Object.entries(calls)) by(id).addEventListener("click", call);
     by("name").form.addEventListener("submit", (event) => {
@@ -33,20 +32,20 @@ export class TagChanges {
     Object.assign(this.keys, { u: calls.undo, undo: calls.undo, r: calls.redo, redo: calls.redo });
   }
 
-  /** Take up the changes made in this tab before it was reloaded. */
-  restore(of) {
+  /** Restore the changes that this tab made to `subject` before it was reloaded. */
+  restore(subject) {
     if (this.key) return;
-    this.key = `changes 2 of ${of}`;
+    this.key = `changes 2 of ${subject}`;
     Object.assign(this, JSON.parse(sessionStorage.getItem(this.key) ?? "{}"));
     this.show();
   }
 
-  /** One after the other, so that they are written in the order of the user's actions. */
+  /** Make changes one after the other, in the order of the user's actions. */
   inOrder(make) {
     this.queue = this.queue.then(make).catch((error) => showStatus(error.message)).then(() => this.show());
   }
 
-  /** Change all of these rows at once; what the server has done. */
+  /** Change all of these rows at once. Return what the server has changed. */
   async make(action, name, rows) {
     const answer = await this.change(action, name, rows);
     if (answer.changed.length) {
@@ -67,15 +66,15 @@ export class TagChanges {
 
   async move(word, from, to) {
     const change = from.at(-1);
-    if (!change) return showStatus(`nothing is left to ${word}`);
+    if (!change) return showStatus(`nothing to ${word}`);
     const action = word === "undo" ? OPPOSITE[change.action] : change.action;
     const answer = await this.change(action, change.name, change.rows);
     if (!answer.changed.length && answer.notice) throw new Error(answer.notice);
-    from.pop(); // not before it is done: an error leaves all as it was
+    from.pop(); // after the change: an error leaves everything as it was
     to.push(change);
     await this.keep(answer);
-    const what = `${word === "undo" ? "undone" : "again"}: ${change.action} ${change.name}, ${this.said(change.rows)}`;
-    showStatus([what, answer.notice].filter(Boolean).join("; "));
+    const done = `${word === "undo" ? "undone" : "again"}: ${change.action} ${change.name}, ${this.describe(change.rows)}`;
+    showStatus([done, answer.notice].filter(Boolean).join("; "));
   }
 
   async keep({ commands: more }) {

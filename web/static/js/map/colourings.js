@@ -1,5 +1,4 @@
-// What the points of a map are coloured by: each way puts every point into one of a few buckets, which the legend
-// names, counts and chooses.
+// The colourings of a map. Each puts every point into one of a few buckets, which the legend lists.
 
 import { colourReader } from "../dom.js";
 import { angle } from "../session/clock.js";
@@ -18,20 +17,20 @@ const edges = (values, text) => [
 ];
 const bucket = (values, value) => values.findIndex((edge) => value < edge) >>> 0;
 
-/** The ways of a map: {name: () => ({names, colours, of})}; `map` has columns, logs, about, and tags of points. */
-export function waysOf(map) {
+/** The colourings of a map: {name: () => ({names, colours, buckets})}. `buckets` has the bucket of each point. */
+export function colouringsOf(map) {
   const { columns, logs, about, length } = map;
   const filled = (bucketOf) => Uint8Array.from({ length }, (_, at) => bucketOf(at));
   const numbers = (values, names, colours, valueOf) => ({
     names: [...names, "unknown"],
     colours: [...colours, "--dim"],
-    of: filled((at) => {
+    buckets: filled((at) => {
       const value = valueOf(at);
       return Number.isFinite(value) ? Math.min(bucket(values, value), values.length) : names.length;
     }),
   });
   const deg = (share) => angle(share, about.max_deg, about.max_deg === null ? 0 : 1);
-  const ways = {
+  const colourings = {
     steering: () =>
       numbers(
         STEERING,
@@ -42,7 +41,7 @@ export function waysOf(map) {
     session: () => ({
       names: [...logs.slice(0, SERIES.length).map(({ name }) => name), ...(logs.length > SERIES.length ? ["others"] : [])],
       colours: [...SERIES.slice(0, logs.length), "--series-7"],
-      of: filled((at) => Math.min(columns.log[at], SERIES.length)),
+      buckets: filled((at) => Math.min(columns.log[at], SERIES.length)),
     }),
     flag: () => {
       const kinds = about.odd.filter((_, kind) => columns.odd.includes(kind));
@@ -51,7 +50,7 @@ export function waysOf(map) {
       return {
         names,
         colours,
-        of: filled((at) => {
+        buckets: filled((at) => {
           const tags = map.tagsOf(at);
           if (tags.includes(EXCLUDE)) return 1;
           if (tags.includes(FINE)) return 2;
@@ -64,11 +63,11 @@ export function waysOf(map) {
       numbers(ALONE, edges(ALONE, (value) => `${value}x`), STEPS, (at) => columns.alone[at]),
   };
   if (columns.predicted.some(Number.isFinite)) {
-    ways.error = () =>
+    colourings.error = () =>
       numbers(ERRORS, edges(ERRORS, deg), STEPS, (at) => Math.abs(columns.predicted[at] - columns.steering[at]));
   }
-  return ways;
+  return colourings;
 }
 
-/** The colours of a way as a canvas takes them. */
-export const paletteOf = (way, element) => way.colours.map(colourReader(element));
+/** The colours of a colouring for a canvas. */
+export const paletteOf = (colouring, element) => colouring.colours.map(colourReader(element));

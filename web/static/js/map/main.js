@@ -1,4 +1,4 @@
-// The page of a map: what lies under the mouse, what a drag chooses, and the tags of what is chosen.
+// The page of a map: the picture under the mouse, the chosen pictures, and their tags.
 
 import { button, by, make, number, showProblem } from "../dom.js";
 import { showStatus } from "../live.js";
@@ -6,27 +6,27 @@ import { PointCloud } from "../point_cloud.js";
 import { angle, clock } from "../session/clock.js";
 import { listen } from "../session/keys.js";
 import { EXCLUDE, FINE, TagChanges } from "../tag_changes.js";
-import { paletteOf, waysOf } from "./colourings.js";
+import { colouringsOf, paletteOf } from "./colourings.js";
 import { PictureMap } from "./map_data.js";
 
-const FEW = 60; // pictures that are shown of a large choice
-const LIKE = 24;
+const MAX_SHOWN = 60; // pictures of a large choice
+const SIMILAR = 24; // pictures that "n" chooses
 const LONELY_SHARE = 0.01;
-const DOUBLE = 0.05; // of the usual distance to the most alike picture
+const DOUBLE = 0.05; // of the median distance to the most similar picture
 
 const page = by("map");
-const of = page.dataset.of.split(" ").filter(Boolean).map((address) => address.slice(1));
-const map = new PictureMap(of, { onChange: show });
-const changes = new TagChanges({ change: (...change) => map.change(...change), tag, said, onChange: showTags });
+const logs = page.dataset.logs.split(" ").filter(Boolean).map((address) => address.slice(1));
+const map = new PictureMap(logs, { onChange: show });
+const changes = new TagChanges({ change: (...change) => map.change(...change), tag, describe, onChange: showTags });
 const cloud = new PointCloud(by("cloud"), {
   onPoint: showUnder,
   onPick: pick,
   onSelect: (points, isMore) => choose(isMore ? [...cloud.selected, ...points] : points),
   onOpen: (at) => at >= 0 && location.assign(map.page(at)),
 });
-let ways = {};
-let way = null;
-let awaited = null; // the picture that is shown once the one before it is there
+let colourings = {};
+let colouring = null;
+let nextPicture = null; // shown when the previous picture is loaded
 
 function show() {
   const { progress, problem } = map;
@@ -42,16 +42,16 @@ function show() {
     by("legend").replaceChildren();
     return;
   }
-  ways = waysOf(map);
+  colourings = colouringsOf(map);
   const before = new URLSearchParams(location.search).get("by") ?? by("by").value;
-  by("by").replaceChildren(...Object.keys(ways).map((name) => new Option(name, name, false, name === before)));
+  by("by").replaceChildren(...Object.keys(colourings).map((name) => new Option(name, name, false, name === before)));
   cloud.show(map.columns.x, map.columns.y);
   colour();
   choose([]);
   showGroups();
   const { step, notes } = map.about;
-  const left = step > 1 ? [`Of ${step} pictures, one is shown; a change counts for those after it, too.`] : [];
-  showStatus([`${number(map.length)} pictures.`, ...left, ...notes].join(" "));
+  const skipped = step > 1 ? [`One of ${step} pictures is shown; a tag includes the pictures in between.`] : [];
+  showStatus([`${number(map.length)} pictures.`, ...skipped, ...notes].join(" "));
 }
 
 function showProgress(progress) {
@@ -59,22 +59,23 @@ function showProgress(progress) {
   const { pictures = 0, total = 0, stage = "", left_s: leftS, is_begun: isBegun } = progress ?? {};
   bar.value = total ? pictures / total : 0;
   const left = leftS == null ? "" : `, ${clock(leftS)} left`;
-  const parts = `${number(pictures)} of ${number(total)} pictures`;
-  if (progress && !isBegun) words.textContent = "waits until the map before it has ended";
-  else if (!pictures) words.textContent = "begins";
-  else words.textContent = stage ? `${stage}: ${Math.round((100 * pictures) / total)} %${left}` : `${parts}${left}`;
+  if (progress && !isBegun) words.textContent = "waiting for another map";
+  else if (!pictures) words.textContent = "starting";
+  else if (stage) words.textContent = `${stage}: ${Math.round((100 * pictures) / total)} %${left}`;
+  else words.textContent = `${number(pictures)} of ${number(total)} pictures${left}`;
 }
 
 function colour() {
-  way = ways[by("by").value]();
-  cloud.colour(paletteOf(way, by("cloud")), way.of);
-  const counts = new Uint32Array(way.names.length);
-  for (const bucket of way.of) counts[bucket] += 1;
+  colouring = colourings[by("by").value]();
+  const { names, colours, buckets } = colouring;
+  cloud.colour(paletteOf(colouring, by("cloud")), buckets);
+  const counts = new Uint32Array(names.length);
+  for (const bucket of buckets) counts[bucket] += 1;
   by("legend").replaceChildren(
-    ...way.names.flatMap((name, bucket) => {
+    ...names.flatMap((name, bucket) => {
       if (!counts[bucket]) return [];
-      const item = button(make("i"), () => choose(map.order.filter((at) => way.of[at] === bucket)));
-      item.firstChild.style.color = `var(${way.colours[bucket]})`;
+      const item = button(make("i"), () => choose(map.order.filter((at) => buckets[at] === bucket)));
+      item.firstChild.style.color = `var(${colours[bucket]})`;
       item.append(`${name} `, make("span", { className: "dim" }, number(counts[bucket])));
       return [make("li", {}, item)];
     }),
@@ -96,18 +97,18 @@ function showUnder(at) {
   by("under-words").replaceChildren(`${words(shown)} · `, make("a", { href: map.page(shown) }, "open"));
   const [picture] = by("under").children;
   picture.hidden = false;
-  const next = map.picture(shown);
-  if (picture.complete || !picture.src) picture.src = next;
-  else awaited = next;
+  const address = map.picture(shown);
+  if (picture.complete || !picture.src) picture.src = address;
+  else nextPicture = address;
 }
 for (const event of ["load", "error"]) {
   by("under").children[0].addEventListener(event, ({ target }) => {
-    if (awaited) target.src = awaited;
-    awaited = null;
+    if (nextPicture) target.src = nextPicture;
+    nextPicture = null;
   });
 }
 
-/** A click holds the picture; with shift, or by the space bar, it is chosen or no more. */
+/** A click keeps the picture shown. With shift, or by the space bar, it adds the picture to the choice or removes it. */
 function pick(at, isMore) {
   if (at < 0) {
     if (!isMore) choose([]);
@@ -126,13 +127,13 @@ function choose(points, isWhole = false) {
   const chosen = map.about ? map.inOrder(cloud.selected) : [];
   by("changes").hidden = !chosen.length;
   by("groups").hidden = by("groups-title").hidden = chosen.length > 0 || !map.about;
-  const logs = new Set(chosen.map((at) => map.columns.log[at])).size;
+  const sessions = new Set(chosen.map((at) => map.columns.log[at])).size;
   const counted = (count, noun) => `${number(count)} ${noun}${count === 1 ? "" : "s"}`;
-  by("count").textContent = `${counted(chosen.length, "picture")}${logs > 1 ? ` of ${counted(logs, "session")}` : ""}`;
-  const step = isWhole ? 1 : Math.max(1, chosen.length / FEW);
-  const some = step === 1 ? chosen : Array.from({ length: FEW }, (_, at) => chosen[Math.floor(at * step)]);
-  by("pictures").replaceChildren(...some.map(thumbnail));
-  by("more").hidden = some.length === chosen.length;
+  by("count").textContent = `${counted(chosen.length, "picture")}${sessions > 1 ? ` of ${counted(sessions, "session")}` : ""}`;
+  const step = isWhole ? 1 : Math.max(1, chosen.length / MAX_SHOWN);
+  const shown = step === 1 ? chosen : Array.from({ length: MAX_SHOWN }, (_, at) => chosen[Math.floor(at * step)]);
+  by("pictures").replaceChildren(...shown.map(thumbnail));
+  by("more").hidden = shown.length === chosen.length;
   by("more").textContent = `Show all ${number(chosen.length)}`;
   page.dataset.chosen = chosen.length; // for scripts that wait for it
 }
@@ -148,7 +149,7 @@ function image(at) {
   return make("img", { loading: "lazy", decoding: "async", alt: words(at), src: map.picture(at) });
 }
 
-/** The list that is there for those who do not see the map, or do not want to drag. */
+/** A list of groups, for users who do not see the map, or do not want to drag. */
 function showGroups() {
   const members = map.about.groups.map(() => []);
   for (const at of map.order) members[map.columns.group[at]].push(at);
@@ -161,7 +162,7 @@ function showGroups() {
   );
 }
 
-/** The tags are other ones. */
+/** Tags have changed. */
 async function showTags() {
   await map.loadTags();
   const before = [...cloud.selected];
@@ -169,34 +170,35 @@ async function showTags() {
   choose(before);
 }
 
-function said(logs) {
-  return `${number(logs.reduce((sum, { rows }) => sum + rows.reduce((more, [first, last]) => more + last - first + 1, 0), 0))} rows`;
+function describe(logs) {
+  const rows = logs.flatMap((log) => log.rows).reduce((sum, [first, last]) => sum + last - first + 1, 0);
+  return `${number(rows)} rows`;
 }
 
 function tag(name) {
-  if (!cloud.selected.size) return showStatus("choose pictures first: drag around their dots, or take a group");
-  const logs = map.stretches(cloud.selected);
+  if (!cloud.selected.size) return showStatus("choose pictures first: drag around their dots, or press a group");
+  const stretches = map.stretches(cloud.selected);
   changes.inOrder(async () => {
-    const { changed, notice } = await changes.make("add", name, logs);
-    showStatus([`${name}: ${changed.length ? said(changed) : "nothing new"}`, notice].filter(Boolean).join("; "));
+    const { changed, notice } = await changes.make("add", name, stretches);
+    showStatus([`${name}: ${changed.length ? describe(changed) : "no change"}`, notice].filter(Boolean).join("; "));
   });
 }
 
-function like() {
+function chooseSimilar() {
   const at = cloud.pointed < 0 ? cloud.pinned : cloud.pointed;
   if (at < 0) showStatus("point at a picture first");
-  else choose(map.like(at, LIKE));
+  else choose(map.nearest(at, SIMILAR));
 }
 
 function useTool(name) {
   cloud.tool = by("cloud").dataset.tool = name;
-  for (const button of document.querySelectorAll("[data-tool]")) {
-    if (button.type === "button") button.setAttribute("aria-pressed", button.dataset.tool === name);
+  for (const button of document.querySelectorAll("button[data-tool]")) {
+    button.setAttribute("aria-pressed", button.dataset.tool === name);
   }
 }
 
 function nameInAddress() {
-  const query = new URLSearchParams([...of.map((each) => ["of", each]), ["run", by("run").value], ["by", by("by").value]]);
+  const query = new URLSearchParams([...logs.map((log) => ["of", log]), ["run", by("run").value], ["by", by("by").value]]);
   history.replaceState(null, "", `/map?${query}`);
 }
 
@@ -220,13 +222,13 @@ by("lonely").addEventListener("click", () => {
   choose([...map.order].sort((a, b) => alone[b] - alone[a]).slice(0, count));
 });
 by("doubles").addEventListener("click", () => {
-  const found = map.order.filter((at) => map.columns.nearest[at] < DOUBLE);
-  choose(found);
-  if (!found.length) showStatus("no picture hardly differs from another one");
+  const doubles = map.order.filter((at) => map.columns.nearest[at] < DOUBLE);
+  choose(doubles);
+  if (!doubles.length) showStatus("there are no doubles: every picture differs from the others");
 });
 by("none").addEventListener("click", () => choose([]));
 by("more").addEventListener("click", () => choose([...cloud.selected], true));
-listen({ ...changes.keys, n: like, Escape: () => choose([]) });
+listen({ ...changes.keys, n: chooseSimilar, Escape: () => choose([]) });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => map.about && colour());
 
 changes.restore("the map");

@@ -1,4 +1,4 @@
-// A map: asked for, waited for, and its columns; the tags of its logs, and the rows that a choice of points stands for.
+// The data of a map: its columns, the tags of its logs, and the rows of its points.
 
 import { ask, awaited, columnsOf } from "../session/log_data.js";
 import { changeTags } from "../tag_changes.js";
@@ -6,9 +6,9 @@ import { changeTags } from "../tag_changes.js";
 const COLUMNS = ["x", "y", "log", "row", "steering", "predicted", "nearest", "alone", "group", "odd"]; // web/processes/picture_maps.py
 
 export class PictureMap {
-  /** `of`: the logs as the address has them; `onChange()`: further, or there. */
-  constructor(of, { onChange }) {
-    Object.assign(this, { of, onChange });
+  /** `addresses`: the logs, as in the page's address; none for the index. `onChange()`: progress, or the result. */
+  constructor(addresses, { onChange }) {
+    Object.assign(this, { addresses, onChange });
     this.clear("");
   }
 
@@ -17,7 +17,7 @@ export class PictureMap {
   }
 
   get query() {
-    return new URLSearchParams([...this.of.map((each) => ["of", each]), ["run", this.run]]);
+    return new URLSearchParams([...this.addresses.map((address) => ["of", address]), ["run", this.run]]);
   }
 
   get isWaiting() {
@@ -28,8 +28,8 @@ export class PictureMap {
     this.clear(run);
     this.onChange();
     try {
-      const isWanted = () => this.run === run && !this.problem; // no other one was asked for, and it was not stopped
-      const found = await awaited(`/map.state?${this.query}`, {
+      const isWanted = () => this.run === run && !this.problem; // else another run was chosen, or it was stopped
+      const state = await awaited(`/map.state?${this.query}`, {
         isWanted,
         onProgress: (progress) => {
           Object.assign(this, { key: progress.key, progress });
@@ -37,10 +37,10 @@ export class PictureMap {
         },
       });
       if (!isWanted()) return;
-      const values = new Float32Array(await (await ask(`/map.points?key=${found.key}`)).arrayBuffer());
+      const values = new Float32Array(await (await ask(`/map.points?key=${state.key}`)).arrayBuffer());
       if (this.run !== run) return;
       this.columns = columnsOf(values, COLUMNS);
-      Object.assign(this, { about: found.about, key: found.key, logs: found.logs, length: this.columns.row.length });
+      Object.assign(this, { about: state.about, key: state.key, logs: state.logs, length: this.columns.row.length });
       this.arrange();
     } catch (error) {
       if (this.run !== run) return;
@@ -55,15 +55,15 @@ export class PictureMap {
     await ask(`/map.stop?key=${this.key}`, { method: "POST" });
   }
 
-  /** The tags as they are now. */
+  /** Load the present tags. */
   async loadTags() {
     this.logs = (await (await ask(`/map.state?${this.query}`)).json()).logs;
   }
 
-  /** `after`: the next point of the same log (-1: none), by rows. */
+  /** Find `order`, the points by log and row, and `after`, the next point of the same log (-1: none). */
   arrange() {
-    const { log, row } = this.columns;
-    this.order = Array.from({ length: this.length }, (_, at) => at).sort((a, b) => log[a] - log[b] || row[a] - row[b]);
+    const { log } = this.columns;
+    this.order = this.inOrder(Array.from({ length: this.length }, (_, at) => at));
     this.after = new Int32Array(this.length).fill(-1);
     this.order.forEach((at, place) => {
       const next = this.order[place + 1];
@@ -75,7 +75,7 @@ export class PictureMap {
     return this.logs[this.columns.log[at]];
   }
 
-  /** The rows that a point stands for: its own, and those after it of which no picture is shown. */
+  /** The rows of a point: its own, and the rows after it whose pictures are not shown. */
   rowsOf(at) {
     const row = this.columns.row[at];
     if (this.about.step === 1) return [row, row];
@@ -83,8 +83,7 @@ export class PictureMap {
     return [row, next < 0 ? row : this.columns.row[next] - 1];
   }
 
-  /** Name the rows of logs, or take the name from them: one log after the other, where one cannot be changed, the
-   * others are. */
+  /** Add a name to rows of logs, or remove it. If one log fails, the others are changed. */
   async change(action, name, logs) {
     const done = { changed: [], commands: [], notice: "" };
     const problems = [];
@@ -101,26 +100,26 @@ export class PictureMap {
     return { ...done, notice: problems.join("; ") };
   }
 
-  /** Points by session and row. */
+  /** Points by log and row. */
   inOrder(points) {
     const { log, row } = this.columns;
     return [...points].sort((a, b) => log[a] - log[b] || row[a] - row[b]);
   }
 
-  /** The rows of points: [{at, log, rows: [[first, last], ...]}, ...], neighbours as one stretch. */
+  /** The rows of points: [{at, log, rows: [[first, last], ...]}, ...]. Neighbours are one stretch. */
   stretches(points) {
-    const found = new Map();
+    const rowsByLog = new Map();
     let before = -1;
     for (const at of this.inOrder(points)) {
       const log = this.logOf(at);
-      if (!found.has(log)) found.set(log, []);
-      const rows = found.get(log);
+      if (!rowsByLog.has(log)) rowsByLog.set(log, []);
+      const rows = rowsByLog.get(log);
       const [first, last] = this.rowsOf(at);
       if (before >= 0 && this.after[before] === at) rows.at(-1)[1] = last;
       else rows.push([first, last]);
       before = at;
     }
-    return [...found].map(([log, rows]) => ({ at: log.at, log: log.fingerprint, rows }));
+    return [...rowsByLog].map(([log, rows]) => ({ at: log.at, log: log.fingerprint, rows }));
   }
 
   tagsOf(at) {
@@ -139,8 +138,8 @@ export class PictureMap {
     return `${this.logOf(at).at}#row=${this.columns.row[at]}${run}`;
   }
 
-  /** The points that lie nearest to one, itself first. */
-  like(at, count) {
+  /** The points nearest to a point, itself first. */
+  nearest(at, count) {
     const { x, y } = this.columns;
     const apart = (other) => (x[other] - x[at]) ** 2 + (y[other] - y[at]) ** 2;
     return [...this.order].sort((a, b) => apart(a) - apart(b)).slice(0, count);

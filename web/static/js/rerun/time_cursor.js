@@ -1,5 +1,5 @@
-// The message that puts Rerun's time cursor to a moment and pauses it: a ViewerControlRequest of Rerun's Viewer Control
-// API (rerun/v1alpha1/viewer_control.proto of 0.41), which `rerun.experimental.ViewerClient.set_time` sends, too:
+// The message that moves Rerun's time cursor to a moment and pauses it: a ViewerControlRequest of Rerun's Viewer
+// Control API (rerun/v1alpha1/viewer_control.proto of 0.41), as `rerun.experimental.ViewerClient.set_time` sends it:
 // field 6, set_time_cursor, with timeline (2: its name 1), time (3: nanoseconds 1) and play_state (5: paused 1).
 
 const PAUSED = 1;

@@ -1,20 +1,20 @@
-// Rerun's viewer in this frame. The page around it sends the moment to show, as a message {at_s}; this frame answers
-// {shown_s} when that is shown, and {problem} when something goes wrong.
+// Rerun's viewer in this frame. The page around it sends the moment to show, {at_s}. This frame answers {shown_s} when
+// it shows that moment, or {problem}.
 
 import { moment } from "./time_cursor.js";
 
 const TIMELINE = "since start"; // as bc-play names it
-const AGAIN_MS = 200; // the moment's data is still on its way
+const AGAIN_MS = 200; // while the moment's data has not arrived
 const POLL_MS = 1000;
 const { recording, program } = document.body.dataset;
 const status = document.getElementById("status");
 console.debug = () => {}; // it prints tens of thousands of lines about its shaders
 const fetchAnything = globalThis.fetch.bind(globalThis);
-// not its fonts, its news and its telemetry: the Content-Security-Policy refuses them, with an error in the console
+// requests for Rerun's fonts, news and usage statistics end here; the Content-Security-Policy would report errors
 globalThis.fetch = async (resource, options) => {
   const request = new Request(resource, options);
   if (new URL(request.url).origin !== location.origin) return new Response(null, { status: 204 });
-  return fetchAnything(request, { credentials: "same-origin" }); // with the cookie that has the token
+  return fetchAnything(request, { credentials: "same-origin" }); // sends the token's cookie
 };
 let wanted = null;
 let isBusy = false;
@@ -23,7 +23,7 @@ function send(message) {
   parent.postMessage(message, location.origin);
 }
 
-/** Rerun shows the newest moment that is wanted; those wanted while it was busy with another one, never. */
+/** Show the newest wanted moment. Moments that came while Rerun was busy are skipped. */
 async function follow(viewer) {
   if (isBusy) return;
   isBusy = true;
@@ -58,7 +58,7 @@ async function start() {
   });
   await viewer.start(document.getElementById("viewer"));
   status.hidden = true;
-  for (const field of document.querySelectorAll("input")) field.setAttribute("aria-label", "What is typed into Rerun");
+  for (const field of document.querySelectorAll("input")) field.setAttribute("aria-label", "Text for Rerun");
   addEventListener("message", (event) => {
     if (event.origin !== location.origin || typeof event.data?.at_s !== "number") return;
     wanted = event.data.at_s;

@@ -1,18 +1,18 @@
-// The curves of runs over each other, drawn again when another run is chosen or a training has gone on.
+// The curves of runs over each other. They are drawn again when another run is chosen, or a training goes on.
 
 import { by, colourReader, make } from "../dom.js";
 import { showStatus } from "../live.js";
 import uPlot from "../../vendor/uPlot.esm.js";
 
 const HEIGHT = 240;
-const WHOLE = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000]; // epochs between two ticks
+const EPOCHS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000]; // between two ticks
 const COLORS = 8;
 const DASHES = [[], [6, 4], [2, 3]];
 const LEGEND_DASHES = ["solid", "dashed", "dotted"];
 const PLOTS = [
   ["Loss", (line) => line.endsWith("loss")],
-  ["Errors, as shares of those of the mean", (line) => line.includes("RMSE")],
-  ["Correlation with what was recorded", (line) => line === "correlation"],
+  ["Errors, as shares of the mean's errors", (line) => line.includes("RMSE")],
+  ["Correlation with recorded steering", (line) => line === "correlation"],
 ];
 const section = by("plots");
 let plots = [];
@@ -28,7 +28,7 @@ async function load() {
   const chosen = query();
   const answer = await fetch(`/runs.curves?${chosen}`);
   if (!answer.ok) {
-    showStatus(`the curves cannot be read: the server answers ${answer.status}`);
+    showStatus(`no curves: the server answers ${answer.status}`);
     return;
   }
   const runs = await answer.json();
@@ -54,7 +54,7 @@ function draw(runs) {
         tables.push([x, y]);
         series.push({
           label: [runs.length > 1 && run.name, names.length > 1 && name].filter(Boolean).join(": ") || name,
-          // of one run a colour each, which also tells single points apart; of several, each run has its own
+          // one run: a colour for each line; several runs: a colour for each run
           stroke: color(`--series-${runs.length > 1 ? run.colour : at % COLORS}`),
           dash: runs.length > 1 ? DASHES[at % DASHES.length] : [],
           width: 1.5,
@@ -73,7 +73,7 @@ function draw(runs) {
           width: figure.clientWidth,
           height: HEIGHT,
           scales: { x: { time: false } },
-          axes: [{ ...axis, incrs: WHOLE, label: "epoch", labelSize: 18, size: 32 }, { ...axis, size: 56 }],
+          axes: [{ ...axis, incrs: EPOCHS, label: "epoch", labelSize: 18, size: 32 }, { ...axis, size: 56 }],
           series,
           legend: { markers: { dash: (plot, at) => LEGEND_DASHES[DASHES.findIndex((dash) => `${dash}` === `${plot.series[at].dash ?? []}`)] ?? "solid" } },
           cursor: { sync: { key: "runs" } },

@@ -1,4 +1,4 @@
-// Predicted against driven steering, a point for each picture of a session: each leads to its picture.
+// Predicted against driven steering: a point for each picture of a session.
 
 import { by, colourReader, make } from "../dom.js";
 import { showStatus } from "../live.js";
@@ -22,24 +22,24 @@ const cloud = new PointCloud(by("scatter-cloud"), {
 cloud.tool = "move";
 let data = null;
 let predictions = null;
-let rows = []; // positions in the session, of the points
-let most = 1;
+let positions = []; // in the session, of the points
+let limit = 1; // of the steering that is shown
 
 async function load() {
   const { value: address } = by("scatter-log");
-  const isAsked = () => by("scatter-log").value === address;
+  const isChosen = () => by("scatter-log").value === address;
   try {
     data = new LogData(address);
-    predictions = new Predictions(data, { onChange: () => isAsked() && showProgress() });
+    predictions = new Predictions(data, { onChange: () => isChosen() && showProgress() });
     await data.load();
     const [, heldOut] = await Promise.all([predictions.choose(section.dataset.run), heldOutRows()]);
-    if (isAsked() && predictions.about) draw(heldOut);
+    if (isChosen() && predictions.about) draw(heldOut);
   } catch (error) {
-    if (isAsked()) by("scatter-words").textContent = error.message;
+    if (isChosen()) by("scatter-words").textContent = error.message;
   }
 }
 
-/** The stretches of rows that it did not learn from; null where that is not known. */
+/** The stretches of held-out rows; null if they are unknown. */
 async function heldOutRows() {
   const { heldOut } = by("scatter-log").selectedOptions[0].dataset;
   return heldOut ? (await ask(heldOut)).json() : null;
@@ -52,16 +52,16 @@ function showProgress() {
 
 function draw(heldOut) {
   const { steering, predicted, row } = data.columns;
-  rows = Array.from(steering.keys()).filter((at) => Number.isFinite(steering[at]) && Number.isFinite(predicted[at]));
+  positions = Array.from(steering.keys()).filter((at) => Number.isFinite(steering[at]) && Number.isFinite(predicted[at]));
   const isHeldOut = (at) => heldOut?.some(([first, last]) => first <= row[at] && row[at] <= last) ?? false;
-  const of = Uint8Array.from(rows, (at) => (heldOut ? (isHeldOut(at) ? 1 : 0) : 1));
-  most = Math.max(0.1, ...rows.flatMap((at) => [Math.abs(steering[at]), Math.abs(predicted[at])]).slice(0, 40000));
-  cloud.show(Float32Array.from(rows, (at) => steering[at]), Float32Array.from(rows, (at) => -predicted[at]));
-  cloud.limit(-most, most, -most, most);
-  cloud.colour(["--series-0", "--series-1"].map(colourReader(section)), of);
+  const colourOf = Uint8Array.from(positions, (at) => (!heldOut || isHeldOut(at) ? 1 : 0));
+  limit = Math.max(0.1, ...positions.flatMap((at) => [Math.abs(steering[at]), Math.abs(predicted[at])]).slice(0, 40000));
+  cloud.show(Float32Array.from(positions, (at) => steering[at]), Float32Array.from(positions, (at) => -predicted[at]));
+  cloud.limit(-limit, limit, -limit, limit);
+  cloud.colour(["--series-0", "--series-1"].map(colourReader(section)), colourOf);
   by("scatter-legend").hidden = !heldOut;
   by("scatter-and-picture").hidden = false;
-  section.dataset.shown = rows.length; // for scripts that wait for it
+  section.dataset.shown = positions.length; // for scripts that wait for it
 }
 
 const angle = (share, digits = 1) => {
@@ -70,7 +70,7 @@ const angle = (share, digits = 1) => {
   return text.replace(/^-(0\.?0*[° ])/, "$1");
 };
 
-/** The line on which both are the same, and an axis of each through zero. */
+/** Both axes, and the line on which predicted and driven steering are equal. */
 function drawAxes(context, place, { width, height }) {
   if (!predictions?.about) return;
   const colour = colourReader(section);
@@ -82,15 +82,15 @@ function drawAxes(context, place, { width, height }) {
     context.lineTo(...place(...to));
     context.stroke();
   };
-  line([-most, 0], [most, 0], "--line");
-  line([0, -most], [0, most], "--line");
-  line([-most, most], [most, -most], "--dim");
+  line([-limit, 0], [limit, 0], "--line");
+  line([0, -limit], [0, limit], "--line");
+  line([-limit, limit], [limit, -limit], "--dim");
   context.fillStyle = colour("--dim");
   const [zeroX, zeroY] = place(0, 0);
   const unit = predictions.about.max_deg ?? 100;
-  const step = ROUND.find((each) => each * TICKS >= most * unit) / unit;
-  for (let share = -step * TICKS; share <= most; share += step) {
-    if (Math.abs(share) < step / 2 || share < -most) continue;
+  const step = ROUND.find((units) => units * TICKS >= limit * unit) / unit;
+  for (let share = -step * TICKS; share <= limit; share += step) {
+    if (Math.abs(share) < step / 2 || share < -limit) continue;
     const [x, y] = place(share, -share);
     context.fillText(angle(share, 0), x - 10, Math.min(Math.max(zeroY + 14, 14), height - 4));
     context.fillText(angle(share, 0), Math.min(Math.max(zeroX + 4, 4), width - 40), y + 4);
@@ -100,14 +100,14 @@ function drawAxes(context, place, { width, height }) {
 }
 
 function page(at) {
-  return `${data.address}#row=${data.columns.row[rows[at]]}&run=${section.dataset.run}`;
+  return `${data.address}#row=${data.columns.row[positions[at]]}&run=${section.dataset.run}`;
 }
 
 function show(at) {
   const shown = at < 0 ? cloud.pinned : at;
   if (shown < 0) return;
   const { row, steering, predicted } = data.columns;
-  const position = rows[shown];
+  const position = positions[shown];
   const [picture] = by("scatter-under").children;
   picture.hidden = false;
   picture.src = `${data.address}/pictures/center/${row[position]}?v=${data.state.version}`;

@@ -1,11 +1,11 @@
-// The attention map of the chosen run's network, over the centre camera's picture. As with pictures, one is fetched at
-// a time, and then the newest that is wanted.
+// The attention map of the chosen run's network, over the centre camera's picture. One map is fetched at a time, then
+// the newest wanted one.
 
 import { make } from "../dom.js";
 import { ask } from "./log_data.js";
 
 export class Attention {
-  /** `onChange(why)`: it is shown or not any more; `why` is the problem, if any. */
+  /** `onChange(problem)`: it was switched on or off; `problem` may be "". */
   constructor(figure, data, { onChange }) {
     Object.assign(this, { figure, data, onChange });
     this.image = null; // over the picture, while it is shown

@@ -1,6 +1,6 @@
-// The coloured bands behind the curves: excluded rows over the full height, other tags at the top, odd stretches at
-// the bottom, the selection over all; where drives begin; and hatched, what training leaves out by default. Only what
-// is visible is drawn, and of many in one column of pixels, one.
+// The bands behind the curves: excluded rows over the full height, other tags at the top, odd stretches at the bottom,
+// the selection over everything, dashed lines where drives begin, hatching where training leaves rows out by default.
+// Only visible bands are drawn, and one of many in the same column of pixels.
 
 const LANE = 8;
 const HATCH = 6; // pixels between its lines
@@ -21,7 +21,7 @@ export function drawBands(plot, data, odd, selection, colors) {
   ctx.restore();
 }
 
-/** Odd and tagged stretches, in a box of pixels whose positions `min` to `max` lie `across` it. */
+/** Draw odd and tagged stretches in a box of pixels. `across` gives the pixel of a position from `min` to `max`. */
 export function drawTracks(ctx, data, odd, colors, box, lane) {
   const whole = [box.top, box.height];
   const excluded = data.tags.filter((tag) => tag.name === "exclude");
@@ -69,7 +69,7 @@ function drawHatched(plot, stretches, color) {
   }
 }
 
-/** A dashed line where another drive begins, behind a pause or where time goes back. */
+/** A dashed line where another drive begins: after a pause, or where time goes back. */
 function drawBreaks(plot, breaks, color, [top, height]) {
   const { ctx } = plot;
   const { min, max } = plot.scales.x;
@@ -89,8 +89,8 @@ function drawBreaks(plot, breaks, color, [top, height]) {
   ctx.setLineDash([]);
 }
 
-/** Fit a canvas that lies under or over a plot to it; its context, cleared. */
-export function contextBeside(canvas, plot) {
+/** Fit a canvas to the width of a plot. Return its cleared context. */
+export function fittedContext(canvas, plot) {
   const scale = devicePixelRatio;
   canvas.style.marginLeft = `${plot.bbox.left / scale}px`;
   canvas.style.width = `${plot.bbox.width / scale}px`;

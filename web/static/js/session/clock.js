@@ -1,4 +1,4 @@
-// How times and steering are written: one way on the whole page.
+// Times and steering as text.
 
 /** Seconds as 1:02.3, or 1:00:02.3 from an hour on. */
 export function clock(seconds) {
@@ -10,7 +10,7 @@ export function clock(seconds) {
     : `${Math.floor(minutes / 60)}:${String(minutes % 60).padStart(2, "0")}:${rest}`;
 }
 
-/** Steering (-1 to 1) in degrees or, of a car whose angle at 1 is unknown (null), in shares of full lock. */
+/** Steering (-1 to 1) in degrees; in shares of full lock if the angle at 1 is unknown (null). */
 export function angle(steering, maxDeg, digits = 1) {
   return maxDeg === null ? `${(steering * 100).toFixed(digits)} %` : `${(steering * maxDeg).toFixed(digits)}°`;
 }

@@ -1,9 +1,9 @@
-// The course of a drive: who drove, the predicted and the sent steering, the car's places, and the events.
+// The course of a drive: who drove, predicted and sent steering, the car's places, and the events.
 
 const LINES = ["network", "sent", "expert"];
-const BEFORE_S = 2; // of an intervention: what led to it
+const BEFORE_S = 2; // of an intervention
 const LATE_ROWS = 5;
-/** By their numbers in a log: the class of the style sheet, the name that is read, and the colour. */
+/** By their numbers in a log: class in the style sheet, name, and colour. */
 export const DRIVERS = [
   ["unknown", "unknown", "--series-5"], ["pilot", "network", "--series-1"], ["human", "person", "--series-0"],
   ["expert", "expert", "--series-3"], ["brake", "braked", "--series-4"],
@@ -14,7 +14,7 @@ export class Course {
     Object.assign(this, { data, columns: null, road: null, events: [], interventions: [], stretches: [] });
   }
 
-  /** The page's data has other rows. */
+  /** The rows have changed. */
   update() {
     const { columns, state } = this.data;
     this.columns = columns;
@@ -25,12 +25,12 @@ export class Course {
     this.stretches = stretchesOf(columns.driver);
   }
 
-  /** What led to an intervention, as an odd stretch: the seconds before it that the same one drove. */
+  /** The seconds before an intervention in which the same driver drove, as an odd stretch. */
   stretchOf({ position, text }) {
     const { driven_s: time } = this.data.columns;
     const { driver } = this.columns;
     const isNear = (at) => time[at] <= time[at + 1] && time[position] - time[at] <= BEFORE_S;
-    let last = position; // an event may be a few rows behind the first that somebody else drove
+    let last = position; // an event may come a few rows after the new driver's first row
     while (last > 0 && position - last < LATE_ROWS && Object.is(driver[last - 1], driver[position])) last -= 1;
     if (Object.is(driver[last - 1], driver[position])) last = position;
     let first = last;
@@ -38,7 +38,7 @@ export class Course {
     return { first, last, flags: new Set([text]), causes: [] };
   }
 
-  /** The share of the rows that each drove: [[name of the style, words, share], ...], the most first. */
+  /** Each driver's share of the rows: [[class, name, share], ...], the largest share first. */
   get shares() {
     const rows = DRIVERS.map(() => 0);
     for (const { driver, first, last } of this.stretches) rows[driver] += last - first + 1;
@@ -52,7 +52,7 @@ export class Course {
     return Boolean(this.columns) && Number.isFinite(this.columns.x_m[at]);
   }
 
-  /** The place at a position, and the heading: where the car came from, a metre before at least. */
+  /** The place at a position. The heading comes from a place at least a metre before. */
   placeAt(at) {
     const { x_m: x, y_m: y } = this.columns;
     const turn = (from, to) => Math.atan2(y[to] - y[from], x[to] - x[from]);
@@ -60,21 +60,21 @@ export class Course {
     let before = at;
     while (before > 0 && at - before < 500 && this.hasPlace(before - 1) && !isFar(before)) before -= 1;
     if (isFar(before)) return { x: x[at], y: y[at], heading_rad: turn(before, at) };
-    let after = at; // it has not moved yet: where it goes
+    let after = at; // the car has not moved yet: look ahead
     while (after < x.length - 1 && after - at < 500 && this.hasPlace(after + 1) && !isFar(after)) after += 1;
     return { x: x[at], y: y[at], heading_rad: turn(at, after) };
   }
 }
 
-/** Rows one after the other that the same one drove; rows without a command are nobody's. */
+/** The stretches of rows with the same driver. Rows without a command are left out. */
 function stretchesOf(driver) {
-  const found = [];
+  const stretches = [];
   for (let at = 0; at < driver.length; at += 1) {
     if (!Number.isFinite(driver[at])) continue;
-    const number = DRIVERS[driver[at]] ? driver[at] : 0; // a later version may know more
-    const before = found.at(-1);
+    const number = DRIVERS[driver[at]] ? driver[at] : 0; // a later version may have more drivers
+    const before = stretches.at(-1);
     if (before?.driver === number && before.last === at - 1) before.last = at;
-    else found.push({ driver: number, first: at, last: at });
+    else stretches.push({ driver: number, first: at, last: at });
   }
-  return found;
+  return stretches;
 }

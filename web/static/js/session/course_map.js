@@ -1,5 +1,5 @@
-// Where the car drove, beside the curves: the road, the path by who drove, interventions, start, direction and scale.
-// The mouse over it points at a moment, as it does over the curves, and brings that moment's picture.
+// The map next to the curves: the road, the path by driver, interventions, start, direction and scale. The mouse points
+// at a moment, as over the curves, and shows its picture.
 
 import { RoadMap } from "../road_map.js";
 import { DRIVERS } from "./course.js";
@@ -7,9 +7,9 @@ import { clock } from "./clock.js";
 
 const MAX_POINTS = 3000;
 const ARROWS = 8; // along the path
-const FARTHEST_STEP_M = 25; // from one row to the next; a car that was put elsewhere has not driven there
+const MAX_STEP_M = 25; // from one row to the next; farther, the car was put elsewhere
 const BAR_SHARE = 1 / 4; // of the map's width, at most
-const NEAR = 1 / 25; // of its size: within that, the mouse points at the path
+const NEAR = 1 / 25; // of the map's size: within that, the mouse points at the path
 
 export class CourseMap {
   /** `onPoint(position)`: the mouse is near the path there; `onPick(stretch)`: an intervention was chosen. */
@@ -20,22 +20,22 @@ export class CourseMap {
     this.map = new RoadMap(this.svg);
     this.svg.addEventListener("pointermove", (event) => this.point(event));
     this.svg.addEventListener("pointerleave", () => (this.hover.hidden = true));
-    picture?.addEventListener("load", () => (this.hover.src = picture.src)); // it is at hand: nothing is fetched
+    picture?.addEventListener("load", () => (this.hover.src = picture.src)); // already loaded
   }
 
-  /** The course is there. */
+  /** The course has changed. */
   show() {
     const { course, map } = this;
     const { x_m: x, y_m: y } = course.columns;
-    const there = [];
-    const every = Math.ceil(x.length / MAX_POINTS);
-    for (let at = 0; at < x.length; at += every) if (course.hasPlace(at)) there.push(at);
-    this.there = there;
-    const places = there.map((at) => [x[at], y[at]]);
+    const placed = [];
+    const step = Math.ceil(x.length / MAX_POINTS);
+    for (let at = 0; at < x.length; at += step) if (course.hasPlace(at)) placed.push(at);
+    this.placed = placed; // positions with a place
+    const places = placed.map((at) => [x[at], y[at]]);
     map.show(course.road, places);
     if (!places.length) return;
     for (const { driver, first, last } of course.stretches.length ? course.stretches : [{ driver: 0, first: 0, last: x.length - 1 }]) {
-      for (const line of this.lines(first, last, every)) {
+      for (const line of this.lines(first, last, step)) {
         map.add("polyline", { class: `path by-${DRIVERS[driver][0]}`, points: line.map((at) => `${x[at]},${-y[at]}`).join(" ") });
       }
     }
@@ -44,29 +44,29 @@ export class CourseMap {
     this.showScale();
   }
 
-  /** Positions along a stretch, in lines that end where the car was put elsewhere. */
-  lines(first, last, every) {
+  /** The positions along a stretch, in lines that end where the car was put elsewhere. */
+  lines(first, last, step) {
     const { x_m: x, y_m: y } = this.course.columns;
-    const end = Math.min(last + 1, x.length - 1); // where the next one begins
-    const found = [[]];
-    for (let at = first; at <= end; at = at < end ? Math.min(at + every, end) : end + 1) {
+    const end = Math.min(last + 1, x.length - 1); // where the next stretch begins
+    const lines = [[]];
+    for (let at = first; at <= end; at = at < end ? Math.min(at + step, end) : end + 1) {
       if (!this.course.hasPlace(at)) continue;
-      const before = found.at(-1).at(-1) ?? at;
-      if (Math.hypot(x[at] - x[before], y[at] - y[before]) > FARTHEST_STEP_M * every) found.push([]);
-      found.at(-1).push(at);
+      const before = lines.at(-1).at(-1) ?? at;
+      if (Math.hypot(x[at] - x[before], y[at] - y[before]) > MAX_STEP_M * step) lines.push([]);
+      lines.at(-1).push(at);
     }
-    return found.filter((line) => line.length > 1);
+    return lines.filter((line) => line.length > 1);
   }
 
   showDirection() {
-    const { map, there } = this;
+    const { map, placed } = this;
     for (let number = 1; number <= ARROWS; number += 1) {
-      const { x, y, heading_rad } = this.course.placeAt(there[Math.floor(((number - 0.5) / ARROWS) * there.length)]);
+      const { x, y, heading_rad } = this.course.placeAt(placed[Math.floor(((number - 0.5) / ARROWS) * placed.length)]);
       map.add("path", { class: "direction", d: "M-1.2,-1.4L1.2,0L-1.2,1.4", transform: map.placed(x, y, heading_rad) });
     }
-    const { x, y, heading_rad } = this.course.placeAt(there[0]);
+    const { x, y, heading_rad } = this.course.placeAt(placed[0]);
     map.add("path", { class: "start", d: "M0,-3.2L0,3.2", transform: map.placed(x, y, heading_rad) });
-    // beside the road, where the map has more room
+    // next to the road, on the inner side of the map
     const { box } = map;
     const toLeft = [-Math.sin(heading_rad) * (map.size / 12), Math.cos(heading_rad) * (map.size / 12)];
     const isInwards = toLeft[0] * (box.x + box.width / 2 - x) + toLeft[1] * (-box.y - box.height / 2 - y) > 0;
@@ -103,37 +103,36 @@ export class CourseMap {
     this.map.add("text", { class: style, x, y, "font-size": this.map.size / 24 }).textContent = words;
   }
 
-  /** The moment is this one now. */
+  /** Show the car at a position. */
   move(position) {
     this.position = position;
-    if (!this.there?.length) return;
+    if (!this.placed?.length) return;
     this.map.move(this.course.hasPlace(position) ? this.course.placeAt(position) : {});
   }
 
   point(event) {
-    const found = this.nearest(event);
-    this.hover.hidden = found === null || !this.hover.src;
-    if (found === null) return;
+    const position = this.nearest(event);
+    this.hover.hidden = position === null || !this.hover.src;
+    if (position === null) return;
     const box = this.figure.getBoundingClientRect();
     const isRight = event.clientX - box.left > box.width / 2;
     this.hover.style.translate = `calc(${event.clientX - box.left}px ${isRight ? "- 100% - 1rem" : "+ 1rem"}) calc(${event.clientY - box.top}px + 0.5rem)`;
-    this.onPoint(found);
+    this.onPoint(position);
   }
 
-  /** The position of the path that is nearest to the mouse; where several laps are, on that nearest to the moment
-   * that is shown. */
+  /** The position nearest to the mouse. Of several laps, it is on the lap nearest to the shown moment. */
   nearest(event) {
-    if (!this.there?.length) return null;
+    const { placed } = this;
+    if (!placed?.length) return null;
     const { x_m: x, y_m: y } = this.course.columns;
     const { x: east, y: south } = new DOMPoint(event.clientX, event.clientY).matrixTransform(this.svg.getScreenCTM().inverse());
     const far = (at) => Math.hypot(x[at] - east, y[at] + south);
-    const { there } = this;
-    const least = there.reduce((most, at) => Math.min(most, far(at)), Infinity);
+    const least = placed.reduce((least, at) => Math.min(least, far(at)), Infinity);
     if (least > this.map.size * NEAR) return null;
-    const near = there.filter((at) => far(at) <= least + this.map.size / 150);
-    const ofLap = near.reduce((best, at) => (Math.abs(at - this.position) < Math.abs(best - this.position) ? at : best));
-    let found = there.indexOf(ofLap);
-    for (const step of [1, -1]) while (far(there[found + step]) < far(there[found])) found += step;
-    return there[found];
+    const near = placed.filter((at) => far(at) <= least + this.map.size / 150);
+    const onLap = near.reduce((best, at) => (Math.abs(at - this.position) < Math.abs(best - this.position) ? at : best));
+    let number = placed.indexOf(onLap);
+    for (const step of [1, -1]) while (far(placed[number + step]) < far(placed[number])) number += step;
+    return placed[number];
   }
 }

@@ -1,5 +1,5 @@
-// The curves over the rows of a session, in two plots that zoom and point together. Across are rows, not seconds: of a
-// recording that was paused for a day, all is visible; the labels are times.
+// The curves over the rows of a session, in two plots that zoom and point together. The horizontal axis has rows, not
+// seconds, so that long pauses take no room. Its labels are times.
 
 import uPlot from "../../vendor/uPlot.esm.js";
 import { colourReader, make } from "../dom.js";
@@ -7,7 +7,7 @@ import { drawBands } from "./bands.js";
 import { angle, clock } from "./clock.js";
 
 const MIN_WINDOW = 800; // pixels
-const MIN_ROWS = 10; // across, zoomed in as far as it goes
+const MIN_ROWS = 10; // in view
 const AXIS_WIDTH = 46;
 const MIN_TICK = 90; // pixels between two times
 const STEPS_S = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200];
@@ -30,7 +30,7 @@ const NAMES = {
 };
 
 export class Curves {
-  /** `onMove(position)`: the mouse points there; `onSelect({first, last}, event)`: a stretch was dragged over;
+  /** `onMove(position)`: the mouse points there. `onSelect({first, last})`: the mouse was dragged over a stretch.
    * `onClick(position, event)`. */
   constructor(element, data, { onMove, onSelect, onClick }) {
     Object.assign(this, { element, data, onMove, onSelect, onClick });
@@ -46,7 +46,7 @@ export class Curves {
     element.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
   }
 
-  /** Call it whenever other rows are shown, in another width, or with other bands. */
+  /** Call `call` whenever the visible rows, the width or the bands change. */
   watch(call) {
     this.watchers.push(call);
   }
@@ -55,7 +55,7 @@ export class Curves {
     for (const call of this.watchers) call();
   }
 
-  /** Draw the data that there is now; the visible part stays. */
+  /** Draw the present data. The view stays. */
   build() {
     for (const plot of this.plots) plot.destroy();
     this.plots = [];
@@ -76,7 +76,7 @@ export class Curves {
 
   makePlot({ share, scales, lines: all }, x, color) {
     const columns = this.data.columns;
-    const lines = all.filter(([name]) => columns[name]); // no run is chosen: nothing is predicted
+    const lines = all.filter(([name]) => columns[name]); // nothing is predicted without a run
     const text = color("--text");
     const grid = { stroke: color("--line"), width: 1 };
     const axis = (more) => ({ stroke: text, grid, ticks: grid, size: AXIS_WIDTH, font: "11px system-ui", ...more });
@@ -120,34 +120,34 @@ export class Curves {
       this.element,
     );
     plot.over.append(make("div", { className: "key" }, ...lines.map(([name]) => make("span", { className: name }, NAMES[name]))));
-    // not after a drag: uPlot keeps that one back
+    // uPlot suppresses the click after a drag
     plot.over.addEventListener("click", (event) => this.onClick(this.clamped(Math.round(plot.posToVal(event.offsetX, "x"))), event));
     return plot;
   }
 
-  /** Lines at round angles: degrees, or shares of full lock where those are not known. */
+  /** Grid lines at round angles, in degrees or in shares of full lock. */
   roundAngles() {
     const maxDeg = this.data.state.max_steering_deg;
-    const step = maxDeg === null ? 0.5 : ANGLES_DEG.find((each) => maxDeg / each < 3) / maxDeg;
-    const most = Math.floor(1 / step + 1e-6);
+    const step = maxDeg === null ? 0.5 : ANGLES_DEG.find((angle_deg) => maxDeg / angle_deg < 3) / maxDeg;
+    const lines = Math.floor(1 / step + 1e-6); // to each side
     return {
-      splits: () => Array.from({ length: 2 * most + 1 }, (_, at) => (at - most) * step),
+      splits: () => Array.from({ length: 2 * lines + 1 }, (_, at) => (at - lines) * step),
       values: (_, splits) => splits.map((at) => angle(at, maxDeg, 0)),
     };
   }
 
-  /** Positions at round times of driving, at most `most` of them. */
-  roundTimes(min, max, most) {
+  /** At most `maxCount` positions at round times of driving. */
+  roundTimes(min, max, maxCount) {
     const times = this.data.columns.driven_s;
     const [begin, end] = [Math.ceil(min), Math.floor(max)].map((at) => times[this.clamped(at)]);
-    const step = (this.tickS = STEPS_S.find((each) => (end - begin) / each <= most) ?? STEPS_S.at(-1));
-    const found = [];
+    const step = (this.tickS = STEPS_S.find((step_s) => (end - begin) / step_s <= maxCount) ?? STEPS_S.at(-1));
+    const positions = [];
     for (let at = this.clamped(Math.ceil(min)), next = Math.ceil(begin / step); at <= max && at < times.length; at += 1) {
       if (times[at] < next * step - 1e-6) continue;
-      found.push(at);
+      positions.push(at);
       next = Math.floor(times[at] / step + 1e-6) + 1;
     }
-    return found;
+    return positions;
   }
 
   /** The round time that was reached at a position. */
@@ -158,7 +158,7 @@ export class Curves {
 
   moved(plot) {
     const { left } = plot.cursor;
-    if (left < 0 || !plot.over.matches(":hover")) return; // moved by the other plot
+    if (left < 0 || !plot.over.matches(":hover")) return; // the mouse is over the other plot
     this.onMove(this.clamped(Math.round(plot.posToVal(left, "x"))));
   }
 
@@ -169,7 +169,7 @@ export class Curves {
       return;
     }
     const [first, last] = [left, left + width].map((at) => this.clamped(Math.round(plot.posToVal(at, "x"))));
-    for (const each of this.plots) each.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+    for (const drawn of this.plots) drawn.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
     this.onSelect({ first, last });
   }
 
@@ -190,7 +190,7 @@ export class Curves {
     this.zoom(Math.exp(event.deltaY / 500), min + ((event.clientX - box.left) / box.width) * (max - min));
   }
 
-  /** Show `factor` times as many rows, those around `center` in place. */
+  /** Show `factor` times as many rows; `center` stays in place. */
   zoom(factor, center = this.position) {
     if (!this.plots.length) return; // a log without rows
     const { min, max } = this.plots[0].scales.x;
@@ -205,26 +205,26 @@ export class Curves {
     this.show(min + rows, max + rows);
   }
 
-  /** Show these rows, or as many at the nearer end. */
+  /** Show these rows, or as many rows at the nearer end. */
   show(min, max) {
     if (!this.plots.length) return; // a log without rows
     const end = Math.max(this.data.length - 1, 1);
     const size = Math.min(max - min, end) || 1;
     const from = Math.max(0, Math.min(min, end - size));
-    this.view = size < end ? { min: from, max: from + size } : null; // all of it, also when it grows
+    this.view = size < end ? { min: from, max: from + size } : null; // the whole log, also when it grows
     const visible = { min: from, max: from + size };
-    for (const plot of this.plots) plot.batch(() => plot.setScale("x", visible)); // at once: the markers go by it
+    for (const plot of this.plots) plot.batch(() => plot.setScale("x", visible)); // at once, for the markers
     this.placeMarkers();
     this.changed();
   }
 
-  /** Bring a position into view, as closely as before. */
+  /** Bring a position into view. The zoom stays. */
   follow(position) {
     const { min, max } = this.view ?? { min: 0, max: Infinity };
     if (position < min || position > max) this.pan(position - (min + max) / 2);
   }
 
-  /** Bring a stretch into view, with as much again on either side. */
+  /** Bring a stretch into view, with as many rows on either side. */
   reveal({ first, last }) {
     if (!this.plots.length) return; // a log without rows
     const { min, max } = this.plots[0].scales.x;
@@ -255,7 +255,7 @@ export class Curves {
     this.changed();
   }
 
-  /** A plot's height in pixels: more in a higher window, unless Rerun needs the room. */
+  /** A plot's height in pixels, by the window's height; small while Rerun is open. */
   heightOf(share) {
     const isSmall = this.element.closest(".in-rerun");
     return Math.round(share * (isSmall ? MIN_WINDOW : Math.max(innerHeight, MIN_WINDOW)));

@@ -1,7 +1,7 @@
-// Who drove when, as a band below the curves.
+// A band below the curves that shows who drove.
 
 import { colourReader, make } from "../dom.js";
-import { contextBeside } from "./bands.js";
+import { fittedContext } from "./bands.js";
 import { DRIVERS } from "./course.js";
 
 export class DriverBand {
@@ -10,7 +10,7 @@ export class DriverBand {
     curves.watch(() => this.draw());
   }
 
-  /** The course is there: the names and shares, and the band. */
+  /** The course has changed: show names, shares and the band. */
   show() {
     const { shares } = this.course;
     this.figure.hidden = !shares.length;
@@ -23,7 +23,7 @@ export class DriverBand {
     const { canvas } = this;
     const [plot] = this.curves.plots;
     if (this.figure.hidden || !plot) return;
-    const context = contextBeside(canvas, plot);
+    const context = fittedContext(canvas, plot);
     const color = colourReader(canvas);
     const { min, max } = plot.scales.x;
     const across = (at) => ((at - min) / (max - min)) * canvas.width;

@@ -1,24 +1,24 @@
-// Handles at the edges of what is selected, to be dragged.
+// Handles to drag the edges of selected stretches.
 
 import { make } from "../dom.js";
 import { withEdge } from "./selection.js";
 
-const MOST = 40; // stretches; of more, an edge is a matter of keys
-const MIN_WIDTH = 16; // pixels of a stretch whose edges can be told apart
+const MAX_STRETCHES = 40; // with handles
+const MIN_WIDTH = 16; // pixels of a stretch with handles
 const SIDES = ["first", "last"];
 
 export class Edges {
-  /** `onChange(stretches)`: an edge is dragged. */
+  /** `onChange(stretches)`: an edge was dragged. */
   constructor(curves, { onChange }) {
     Object.assign(this, { curves, onChange, handles: new Map() });
     curves.watch(() => this.place());
   }
 
-  /** Put them where the edges are now; those that are dragged stay the same elements. */
+  /** Put the handles at the edges. A dragged handle stays the same element. */
   place() {
     const { plots, selection } = this.curves;
     for (const plot of plots) {
-      const handles = this.#handlesOf(plot, selection.length <= MOST ? selection.length : 0);
+      const handles = this.#handlesOf(plot, selection.length <= MAX_STRETCHES ? selection.length : 0);
       const width = plot.bbox.width / devicePixelRatio;
       handles.forEach((handle, at) => {
         const { first, last } = selection[at >> 1];
@@ -32,7 +32,7 @@ export class Edges {
 
   #handlesOf(plot, stretches) {
     const handles = this.handles.get(plot) ?? [];
-    if (!this.handles.has(plot)) this.handles = new Map(this.curves.plots.map((each) => [each, this.handles.get(each) ?? []]));
+    if (!this.handles.has(plot)) this.handles = new Map(this.curves.plots.map((drawn) => [drawn, this.handles.get(drawn) ?? []]));
     while (handles.length > 2 * stretches) handles.pop().remove();
     while (handles.length < 2 * stretches) handles.push(plot.over.appendChild(this.#handle(plot, handles.length)));
     this.handles.set(plot, handles);
@@ -41,7 +41,7 @@ export class Edges {
 
   #handle(plot, at) {
     const handle = make("div", { className: "edge" });
-    for (const event of ["mousedown", "click"]) handle.addEventListener(event, (each) => each.stopPropagation()); // the plot's
+    for (const name of ["mousedown", "click"]) handle.addEventListener(name, (event) => event.stopPropagation());
     handle.addEventListener("pointerdown", (event) => handle.setPointerCapture(event.pointerId));
     handle.addEventListener("gotpointercapture", () => (handle.isDragged = true));
     handle.addEventListener("lostpointercapture", () => (handle.isDragged = false));

@@ -1,5 +1,5 @@
-// The odd stretches that are gone through: all, those of one kind, or instead of them the rows with a flag, or those
-// for which a condition holds. A filter selects what it finds, so that it can be looked at and tagged at once.
+// The listed stretches: all odd stretches, those of one kind, the rows with a flag, or the rows that meet a condition.
+// A filter selects its stretches, so that the user can look at them and tag them at once.
 
 import { button, by, number } from "../dom.js";
 import { ask } from "./log_data.js";
@@ -8,46 +8,45 @@ import { grouped, left } from "./odd.js";
 const SURE = "sure";
 
 export class Filter {
-  /** `onChange(isSelected)`: other stretches are listed; they are to be selected, or not. */
+  /** `onChange(isSelected)`: other stretches are listed, and selected or not. */
   constructor(data, { onChange, showStatus }) {
-    Object.assign(this, { data, onChange, showStatus, kind: "", found: null, groups: [] });
+    Object.assign(this, { data, onChange, showStatus, kind: "", condition: null, groups: [] });
     by("where-form").addEventListener("submit", (event) => {
       event.preventDefault();
       this.find(by("where").value);
-      by("where").blur(); // the keys are the page's again
+      by("where").blur(); // keys are for the page again
     });
     by("where-clear").addEventListener("click", () => this.use(""));
   }
 
-  /** The log has other rows. */
+  /** The rows have changed. */
   refresh() {
-    if (this.found) this.found = null;
-    this.groups = this.#groupsOf(this.kind);
+    this.#list(this.kind);
   }
 
-  /** List the stretches of a kind, or with "" all that are odd. */
+  /** List the stretches of a kind, or with "" all odd stretches. */
   use(kind) {
-    this.kind = kind;
-    this.found = null;
-    this.groups = this.#groupsOf(kind);
+    this.#list(kind);
     this.onChange(Boolean(kind));
   }
 
-  /** List the rows for which a condition holds. */
+  #list(kind) {
+    Object.assign(this, { kind, condition: null, groups: this.#groupsOf(kind) });
+  }
+
+  /** List the rows that meet a condition. */
   async find(condition) {
     try {
       const answer = await ask(`${this.data.address}/where?condition=${encodeURIComponent(condition)}`);
-      this.found = (await answer.json()).map(([first, last]) => ({ first, last, flags: new Set(), causes: [] }));
-      this.kind = "";
-      this.groups = this.found;
-      this.condition = condition;
+      const groups = (await answer.json()).map(([first, last]) => ({ first, last, flags: new Set(), causes: [] }));
+      Object.assign(this, { kind: "", condition, groups });
       this.onChange(true);
     } catch (error) {
       this.showStatus(error.message);
     }
   }
 
-  /** Its stretches that nobody has dealt with yet. */
+  /** Its stretches that are neither excluded nor fine. */
   get toDo() {
     return left(this.groups, this.data.tags);
   }
@@ -62,8 +61,9 @@ export class Filter {
     return grouped(odd.filter(([flag, , , , isSure]) => !kind || (kind === SURE ? isSure : flag === kind)));
   }
 
-  /** The buttons of the kinds, each with the number of what is left of it. */
+  /** Show the buttons of the kinds, with the numbers of stretches that are neither excluded nor fine. */
   show() {
+    const isWhere = this.condition !== null;
     const { odd, flags } = this.data.state;
     const kinds = [...[...new Set(odd.map(([flag]) => flag))].sort(), ...Object.keys(flags)];
     if (odd.some((stretch) => stretch[4])) kinds.unshift(SURE);
@@ -77,10 +77,10 @@ export class Filter {
     const focused = document.activeElement?.dataset.kind;
     by("kinds").replaceChildren(...chips);
     if (focused) chips.find((chip) => chip.dataset.kind === focused)?.focus();
-    by("odd-title").textContent = this.found ? `Rows where ${this.condition}` : "Odd stretches";
-    by("where-clear").hidden = !this.found;
-    const query = this.found ? { where: this.condition } : { only: `with ${named(this.kind)}` };
-    by("everywhere").hidden = !this.found && (!this.kind || this.kind.endsWith("_picture")); // those, a list cannot know
+    by("odd-title").textContent = isWhere ? `Rows where ${this.condition}` : "Odd stretches";
+    by("where-clear").hidden = !isWhere;
+    const query = isWhere ? { where: this.condition } : { only: `with ${named(this.kind)}` };
+    by("everywhere").hidden = !isWhere && (!this.kind || this.kind.endsWith("_picture")); // the list lacks those kinds
     by("everywhere").href = `/sessions?${new URLSearchParams(query)}`;
   }
 }

@@ -1,4 +1,4 @@
-// The keys of the page. In a field that is typed into, they are letters.
+// The keys of a page. In a text field, they are letters.
 
 export function listen(actions) {
   document.addEventListener("keydown", (event) => {
@@ -9,7 +9,7 @@ export function listen(actions) {
     }
     if (isTyping || event.altKey) return;
     const name = event.ctrlKey || event.metaKey ? withControl(event) : event.key;
-    if (name === " " && event.target.matches("button, summary, a")) return; // presses it
+    if (name === " " && event.target.matches("button, summary, a")) return; // the key presses it
     const action = actions[name];
     if (!action) return;
     event.preventDefault();

@@ -1,10 +1,10 @@
-// The lists under the curves: odd stretches, tags, and the commands that do what was done here.
+// The lists below the curves: odd stretches, tags, events, worst moments.
 
 import { button, make, number } from "../dom.js";
 import { clock } from "./clock.js";
 import { words } from "./odd.js";
 
-const MOST = 200; // of each list; all of them are in the curves
+const MAX_ITEMS = 200; // of a list; the curves show all
 
 export function listOdd(element, groups, data, { isLeft, onPick }) {
   fill(element, groups, (group) => [
@@ -36,14 +36,14 @@ export function listWorst(element, moments, onPick) {
 }
 
 function fill(element, items, made) {
-  const lines = items.slice(0, MOST).map((item) => make("li", {}, ...made(item)));
-  if (items.length > MOST) lines.push(make("li", { className: "dim" }, `and ${number(items.length - MOST)} more`));
+  const lines = items.slice(0, MAX_ITEMS).map((item) => make("li", {}, ...made(item)));
+  if (items.length > MAX_ITEMS) lines.push(make("li", { className: "dim" }, `and ${number(items.length - MAX_ITEMS)} more`));
   if (!items.length) lines.push(make("li", { className: "dim" }, "none"));
   element.replaceChildren(...lines);
 }
 
-function rowsText(data, { first, last }, why = "") {
+function rowsText(data, { first, last }, cause = "") {
   const rows = data.rowsOf({ first, last });
-  const where = `rows ${rows[0]} to ${rows[1]}, at ${clock(data.columns.driven_s[first])}`;
-  return make("span", { className: "dim" }, why ? `${where}: ${why}` : where);
+  const text = `rows ${rows[0]} to ${rows[1]}, at ${clock(data.columns.driven_s[first])}`;
+  return make("span", { className: "dim" }, cause ? `${text}: ${cause}` : text);
 }

@@ -1,11 +1,12 @@
-// The page's data of its log, fetched again when the files change.
+// The data of a log, loaded again when the files change.
 
 import { reasonIn } from "../dom.js";
+import { NO_ANSWER } from "../live.js";
 
-const GAP_S = 1; // as recorder/rows/row_quality.py: behind a longer pause, or where time goes back, a new drive begins
+const GAP_S = 1; // as in recorder/rows/row_quality.py: after a longer pause, or where time goes back, a drive begins
 const POLL_MS = 2000;
 const WORK_POLL_MS = 400;
-const LOAD_SHARE = 5; // a log that is being recorded is read in full each time: that may take a fifth of the time
+const LOAD_SHARE = 5; // loading, which reads all of a growing log, may take a fifth of the time
 
 export class Refused extends Error {}
 
@@ -21,20 +22,21 @@ export function columnsOf(values, names) {
   return Object.fromEntries(names.map((name, at) => [name, values.subarray(at * length, (at + 1) * length)]));
 }
 
-/** Work that the server does: begun, and asked for until it is done. It is given up where it `isWanted()` no more. */
+/** Start work of the server, and wait until it is done or no longer wanted. Return its state. */
 export async function awaited(address, { isWanted, onProgress }) {
-  let found = await (await ask(address, { method: "POST" })).json();
-  while (isWanted() && !found.about && !found.problem) {
-    onProgress(found);
+  let state = await (await ask(address, { method: "POST" })).json();
+  while (isWanted() && !state.about && !state.problem) {
+    onProgress(state);
     await new Promise((resolve) => setTimeout(resolve, WORK_POLL_MS));
-    found = await (await ask(address)).json();
+    state = await (await ask(address)).json();
   }
-  if (isWanted() && found.problem) throw new Error(found.problem);
-  return found;
+  if (isWanted() && state.problem) throw new Error(state.problem);
+  return state;
 }
 
 export class LogData extends EventTarget {
-  /** Events: `rows` (all is new), `tags`, `lag` (of the steering: measured), and `problem` with its text as detail (empty: it is over). */
+  /** Events: `rows`, `tags` and `lag` (of the steering) when these have changed, `problem` with its text as detail
+   * ("": solved). */
   constructor(address) {
     super();
     this.address = address;
@@ -43,9 +45,8 @@ export class LogData extends EventTarget {
     this.breaks = [];
     this.length = 0;
     this.tags = [];
-    this.names = [];
-    this.tagsVersion = null; // of the file, as it was when it was read
-    this.storeProblem = ""; // why the store that the log is in does not answer
+    this.tagsVersion = null; // of the file that was read
+    this.storeProblem = ""; // why the log's store does not answer
     this.busyUntil = 0;
     this.tagRequests = 0;
   }
@@ -65,7 +66,7 @@ export class LogData extends EventTarget {
     await this.loadTags();
   }
 
-  /** `driven_s`: the time that was driven until each row; `breaks`: the rows that begin another drive. */
+  /** Find `driven_s`, the time driven until each row, and `breaks`, the rows that begin another drive. */
   countDriven() {
     const { time_s } = this.columns;
     const driven = (this.columns.driven_s = new Float64Array(this.length));
@@ -81,17 +82,16 @@ export class LogData extends EventTarget {
   async loadTags() {
     const request = (this.tagRequests += 1);
     try {
-      const found = await (await ask(`${this.address}/tags`)).json();
+      const { version, names, tags, stale } = await (await ask(`${this.address}/tags`)).json();
       if (request < this.tagRequests) return; // a later request has, or will have, the newer answer
-      this.tagsVersion = found.version;
-      this.names = found.names;
-      this.tags = found.tags.map(([first, last, name]) => ({
+      this.tagsVersion = version;
+      this.tags = tags.map(([first, last, name]) => ({
         first: this.position(first, false),
         last: this.position(last, true),
         rows: [first, last],
-        name: found.names[name],
+        name: names[name],
       }));
-      this.report(found.stale ? `${found.stale} tags beside this log are of what had its name before, and do not count` : "");
+      this.report(stale ? `${stale} tags belong to an earlier log with this name, and do not count` : "");
     } catch (error) {
       if (!(error instanceof Refused)) throw error;
       this.tags = [];
@@ -104,7 +104,7 @@ export class LogData extends EventTarget {
     this.dispatchEvent(new CustomEvent("problem", { detail: problem || this.state?.problem || "" }));
   }
 
-  /** The position of a row: of the first that is not before it or, `isLast`, the last that is not behind it. */
+  /** The position of the first row that is not before `row`; with `isLast`, of the last row that is not after it. */
   position(row, isLast) {
     const rows = this.columns.row;
     let low = 0;
@@ -131,32 +131,31 @@ export class LogData extends EventTarget {
     if (document.hidden || performance.now() < this.busyUntil || this.isPolling) return;
     this.isPolling = true;
     try {
-      const found = await (await ask(`${this.address}/version`)).json();
-      if (found.problem !== this.storeProblem) this.report((this.storeProblem = found.problem));
-      if (found.log !== this.state.version) await this.changed(found);
-      if (found.lag !== this.state.lag) {
-        this.state.lag = found.lag;
+      const { log, lag, tags, growing, problem } = await (await ask(`${this.address}/version`)).json();
+      if (problem !== this.storeProblem) this.report((this.storeProblem = problem));
+      if (log !== this.state.version) await this.changed(growing);
+      if (lag !== this.state.lag) {
+        this.state.lag = lag;
         this.dispatchEvent(new Event("lag"));
       }
-      if (found.tags !== this.tagsVersion) {
-        this.tagsVersion = found.tags; // fetched once, also where they cannot be read
+      if (tags !== this.tagsVersion) {
+        this.tagsVersion = tags; // before they are read: an unreadable file is read once
         await this.loadTags();
       }
     } catch (error) {
-      this.report(error instanceof Refused ? error.message : "bc-web does not answer: it was ended, or is restarted");
+      this.report(error instanceof Refused ? error.message : NO_ANSWER);
     } finally {
       this.isPolling = false;
     }
   }
 
-  async changed(found) {
-    const fingerprint = this.state.fingerprint;
-    if (found.growing || this.state.problem) {
-      await this.load(); // more of the same
+  async changed(isGrowing) {
+    if (isGrowing || this.state.problem) {
+      await this.load();
       return;
     }
-    const state = await (await ask(`${this.address}/state`)).json();
-    if (state.fingerprint === fingerprint) this.state.version = state.version; // touched, or copied
+    const { fingerprint, version } = await (await ask(`${this.address}/state`)).json();
+    if (fingerprint === this.state.fingerprint) this.state.version = version; // touched, or copied
     else this.report("this log has been replaced by another one: reload the page to see it");
   }
 }

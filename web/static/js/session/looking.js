@@ -1,4 +1,4 @@
-// The selected stretches as a grid of pictures, in the place of the cameras.
+// The selected stretches as a grid of pictures, in place of the cameras.
 
 import { fillGrid, spread } from "../grid.js";
 import { clock } from "./clock.js";
@@ -6,7 +6,7 @@ import { at } from "./selection.js";
 import { words } from "./odd.js";
 
 export class Looking {
-  /** `onPick(position)`: a picture was clicked; `onChange(stretches)`: the ones that are ticked are other ones. */
+  /** `onPick(position)`: a picture was clicked. `onChange(stretches)`: these stretches are ticked. */
   constructor(element, data, { onPick, onChange }) {
     Object.assign(this, { element, data, onPick, onChange, isOpen: false });
   }

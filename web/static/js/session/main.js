@@ -1,4 +1,4 @@
-// The page of a session: the actions of mouse and keys on its curves, pictures and tags.
+// The page of a session: the actions of its mouse and keys.
 
 import { by, make, number, showProblem, toggleHelp } from "../dom.js";
 import { showStatus } from "../live.js";
@@ -35,17 +35,17 @@ const filter = new Filter(data, { onChange: showFiltered, showStatus });
 const selected = new Selected(page, data, curves, filter, { onPick: goToPosition });
 new Overview(by("overview"), data, curves);
 const player = new Player(data, { onMove: move, onChange: () => by("play").setAttribute("aria-pressed", player.isPlaying) });
-const changes = new TagChanges({ change: changeRows, tag, said });
+const changes = new TagChanges({ change: changeRows, tag, describe });
 const rerun = new RerunFrame(by("rerun"), data, { onChange: showRerun, onProblem: showStatus });
 const runs = new RunTools(page, data, curves, { onPick: goToPosition, onChange: redraw });
-const course = by("course-map") && new Course(data); // of a log that was driven
+const course = by("course-map") && new Course(data); // null for a log without commands and poses
 const drivers = course && new DriverBand(by("drivers"), course, curves);
 const map = course && new CourseMap(by("course-map"), course, {
   picture: document.querySelector("figure[data-camera=center] img"), onPoint: point, onPick: goTo,
 });
 const round = new Round();
 
-/** The mouse points at a moment. While it plays, it does not: the mouse lies where it was left. */
+/** The mouse points at a moment. While the log plays, the mouse does not count. */
 function point(position) {
   if (!player.isPlaying) move(position);
 }
@@ -88,29 +88,29 @@ function goTo(stretch) {
   move(stretch.first);
 }
 
-/** After earlier changes are written: pressing x and j at once does both. */
+/** Waits until earlier changes are written, so that one can press x and j quickly. */
 function goToOdd(step) {
   changes.inOrder(() => {
     const [only] = selected.stretches.length === 1 ? selected.stretches : [{ first: curves.position - 1, last: curves.position }];
     const { toDo, groups } = filter;
     const interventions = left(course?.interventions ?? [], data.tags);
-    const found = round.next([interventions, toDo], step > 0 ? only.first : only.last, step);
-    if (!found) return showStatus(groups.length ? "all odd stretches are excluded or fine" : "nothing odd in this log");
-    goTo(found);
-    const number = interventions.indexOf(found) + 1;
-    if (number) showStatus(`${words(found)}; ${number} of ${interventions.length} interventions`);
-    else showStatus(`${words(found) || "found"}; ${toDo.length} of ${groups.length} ${filter.kind || filter.found ? "" : "odd "}stretches are left`);
+    const stretch = round.next([interventions, toDo], step > 0 ? only.first : only.last, step);
+    if (!stretch) return showStatus(groups.length ? "all odd stretches are excluded or fine" : "nothing odd in this log");
+    goTo(stretch);
+    const number = interventions.indexOf(stretch) + 1;
+    const place = number ? `${number} of ${interventions.length} interventions` : `${toDo.length} of ${groups.length} stretches are left`;
+    showStatus([words(stretch), place].filter(Boolean).join("; "));
   });
 }
 
-/** Add a name to stretches of rows, or remove it; what the server has done. */
+/** Add a name to stretches of rows, or remove it. Return what the server has changed. */
 async function changeRows(action, name, rows) {
   const done = await changeTags(`${data.address}/tags`, { action, name, rows, log: data.state.fingerprint });
   await data.loadTags();
   return done;
 }
 
-function said(rows) {
+function describe(rows) {
   return rows.length === 1 ? `rows ${rows[0].join(" to ")}` : counted(rows.map(([first, last]) => ({ first, last })));
 }
 
@@ -120,14 +120,14 @@ function tag(name) {
 
 async function tagAll(name, stretches) {
   if (data.state.problem) throw new Error(data.state.problem);
-  if (!stretches.length) throw new Error("nothing is left of it");
+  if (!stretches.length) throw new Error("nothing is left: all of it is excluded or fine");
   const rows = stretches.map((stretch) => data.rowsOf(stretch));
   const { notice, changed } = await changes.make("add", name, rows);
-  showStatus(notice || `${name}: ${said(rows)}${changed.length ? "" : ", as before"}`);
+  showStatus(notice || `${name}: ${describe(rows)}${changed.length ? "" : ", as before"}`);
 }
 
 function excludeSure() {
-  changes.inOrder(() => tagAll(EXCLUDE, filter.sure)); // those that are left when its turn comes
+  changes.inOrder(() => tagAll(EXCLUDE, filter.sure)); // evaluated after earlier changes
 }
 
 async function offerNames() {
@@ -140,8 +140,8 @@ async function copyCommands() {
     await navigator.clipboard.writeText(`${changes.commands.join("\n")}\n`);
     showStatus("copied");
   } catch {
-    getSelection().selectAllChildren(by("commands")); // no clipboard where the connection is not encrypted
-    showStatus("selected: copy it with ctrl c");
+    getSelection().selectAllChildren(by("commands")); // unencrypted pages have no clipboard
+    showStatus("selected: copy with ctrl c");
   }
 }
 
@@ -151,7 +151,7 @@ function showCourse() {
   listEvents(by("events"), course.events, ({ position }) => goToPosition(position));
   drivers.show();
   map.show();
-  page.dataset.course = data.length; // what is shown now, for scripts that wait for it
+  page.dataset.course = data.length; // for scripts that wait for it
 }
 
 function toggleRerun() {
@@ -159,29 +159,29 @@ function toggleRerun() {
   else rerun.open(curves.position);
 }
 
-/** Rerun shows the cameras, too: theirs make room for it. */
+/** While Rerun is open, it shows the cameras, and the page hides them. */
 function showRerun() {
   by("rerun-button").setAttribute("aria-pressed", rerun.isOpen);
   page.classList.toggle("in-rerun", rerun.isOpen);
   curves.resize();
 }
 
-/** The kinds of odd stretches, and those of the chosen kind. */
+/** Show the kinds of odd stretches, and the list. */
 function showOdd() {
   filter.show();
-  const undone = new Set(filter.toDo);
-  listOdd(by("odd"), filter.groups, data, { isLeft: (group) => undone.has(group), onPick: goTo });
+  const toDo = new Set(filter.toDo);
+  listOdd(by("odd"), filter.groups, data, { isLeft: (group) => toDo.has(group), onPick: goTo });
   by("exclude-odd").disabled = Boolean(data.state.problem) || !filter.sure.length;
 }
 
-/** Other stretches are listed: they are selected at once, and the curves show all of them. */
+/** Other stretches are listed. If they are selected, the curves show all of them. */
 function showFiltered(isSelected) {
   curves.odd = filter.groups;
   showOdd();
   selected.select(isSelected ? filter.toDo : []);
   if (!isSelected) return;
   curves.show(0, data.length - 1);
-  showStatus(filter.toDo.length ? `${counted(filter.toDo)} selected` : "nothing of it is left");
+  showStatus(filter.toDo.length ? `${counted(filter.toDo)} selected` : "nothing is left: all of it is excluded or fine");
 }
 
 function showTags() {
@@ -196,7 +196,7 @@ function showTags() {
   });
   curves.mark({});
   by("look").hidden = data.state.pictures_checked || !data.state.cameras.length;
-  page.dataset.tags = data.tags.length; // what is shown now, for scripts that wait for it
+  page.dataset.tags = data.tags.length; // for scripts that wait for it
 }
 
 function showRows() {
@@ -211,7 +211,7 @@ function showRows() {
   move(curves.position);
 }
 
-/** Frozen and broken pictures are found by decoding all of them, which is done on request. */
+/** Look for frozen and broken pictures, which decodes all pictures. */
 async function checkPictures() {
   by("look").disabled = true;
   try {
@@ -226,7 +226,7 @@ async function checkPictures() {
 async function checked() {
   const onProgress = ({ pictures, total, is_begun: isBegun }) => {
     const progress = pictures < total ? `looking: ${number(pictures)} of ${number(total)} pictures` : "comparing steering with pictures";
-    by("look").textContent = isBegun ? progress : "waits until the check before it has ended";
+    by("look").textContent = isBegun ? progress : "waiting for another check";
   };
   await awaited(`${data.address}/look`, { isWanted: () => true, onProgress });
   filter.use("");
@@ -246,13 +246,12 @@ function stepBy(rows) {
   curves.follow(curves.position);
 }
 
-/** Show the row, the kind of odd stretches and the run of the address: of a new page, and of a link within the page. */
+/** Show the row, the kind of odd stretches and the run that the address names. */
 function followAddress() {
-  const named = new URLSearchParams(location.hash.slice(1));
-  // revealed before the move: the mouse, if it is over the curves, points as well
-  if (named.has("row") && data.length) goToPosition(data.position(Number(named.get("row")), false));
-  if (named.get("kind")) filter.use(named.get("kind"));
-  if (named.has("run")) runs.choose(named.get("run"));
+  const query = new URLSearchParams(location.hash.slice(1));
+  if (query.has("row") && data.length) goToPosition(data.position(Number(query.get("row")), false));
+  if (query.get("kind")) filter.use(query.get("kind"));
+  if (query.has("run")) runs.choose(query.get("run"));
 }
 
 data.addEventListener("rows", showRows);
@@ -260,7 +259,7 @@ data.addEventListener("tags", showTags);
 data.addEventListener("lag", () => by("about").dispatchEvent(new Event("lag-changed")));
 data.addEventListener("problem", (event) => showProblem(event.detail));
 by("speed").addEventListener("change", () => setSpeed(Number(by("speed").value)));
-by("name").addEventListener("focus", () => offerNames().catch(() => {})); // they can be typed, too
+by("name").addEventListener("focus", () => offerNames().catch(() => {})); // names can be typed without it
 const clicks = {
   play: () => player.toggle(curves.position), next: () => goToOdd(1), before: () => goToOdd(-1), look: checkPictures, copy: copyCommands,
   "exclude-odd": excludeSure, "rerun-button": toggleRerun, "rerun-close": toggleRerun, "help-button": toggleHelp,

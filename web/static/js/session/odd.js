@@ -1,5 +1,6 @@
-// Odd stretches to go through: those that touch or overlap are one, with all its flags.
+// Odd stretches: their groups, and going from one to the next.
 
+/** Stretches that touch or overlap, as one group with all their flags. */
 export function grouped(stretches) {
   const groups = [];
   for (const [flag, first, last, cause] of stretches) {
@@ -15,35 +16,33 @@ export function grouped(stretches) {
   return groups;
 }
 
-/** Those with a row that has no tag of these names. */
+/** The groups with a row that has none of these tags. */
 export function left(groups, tags, names = ["exclude", "fine"]) {
   const done = tags.filter((tag) => names.includes(tag.name));
-  let at = 0;
-  const found = [];
-  for (const group of groups) {
-    while (at < done.length && done[at].last < group.first) at += 1;
-    let reached = group.first;
-    for (let each = at; each < done.length && done[each].first <= reached; each += 1) {
-      reached = Math.max(reached, done[each].last + 1);
+  let next = 0; // the first tag that does not end before the group
+  return groups.filter(({ first, last }) => {
+    while (next < done.length && done[next].last < first) next += 1;
+    let reached = first;
+    for (let at = next; at < done.length && done[at].first <= reached; at += 1) {
+      reached = Math.max(reached, done[at].last + 1);
     }
-    if (reached <= group.last) found.push(group);
-  }
-  return found;
+    return reached <= last;
+  });
 }
 
-/** Goes through lists of stretches, one list after the other; behind the last list comes the first one again. */
+/** Goes through lists of stretches, one list after the other. The first list follows the last one. */
 export class Round {
   #at = 0; // the list
 
-  /** The next one behind a position, or the one before it (`step` -1); null where all lists are empty. */
+  /** The next stretch after a position, or the one before it (`step` -1); null if all lists are empty. */
   next(lists, position, step) {
     const filled = lists.filter((list) => list.length);
     if (!filled.length) return null;
     this.#at = Math.min(this.#at, filled.length - 1);
     for (let tried = 0; tried <= filled.length; tried += 1) {
       const list = filled[this.#at];
-      const found = step > 0 ? list.find((each) => each.first > position) : list.findLast((each) => each.last < position);
-      if (found) return found;
+      const next = step > 0 ? list.find(({ first }) => first > position) : list.findLast(({ last }) => last < position);
+      if (next) return next;
       this.#at = (this.#at + step + filled.length) % filled.length;
       position = step > 0 ? -1 : Infinity;
     }

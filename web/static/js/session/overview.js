@@ -1,7 +1,7 @@
-// The whole log in a strip above the curves: its steering, its bands, and the part that the curves show. Drag the part
-// along, or drag over the strip to show another part.
+// The whole log in a strip above the curves: steering, bands, and the part that the curves show. Drag this part, or
+// drag over the strip to show another part.
 
-import { contextBeside, drawAll, drawTracks } from "./bands.js";
+import { drawAll, drawTracks, fittedContext } from "./bands.js";
 
 const LANE = 4;
 
@@ -32,7 +32,7 @@ export class Overview {
     else this.curves.show(Math.min(at, begun), Math.max(at, begun));
   }
 
-  /** A click shows what is there, as closely as before. */
+  /** A click shows this place. The zoom stays. */
   end(event) {
     if (this.dragged && !this.dragged.isMoved) {
       const { min, max } = this.curves.view ?? { min: 0, max: this.data.length / 10 };
@@ -53,7 +53,7 @@ export class Overview {
     canvas.hidden = !plot;
     if (!plot) return;
     const scale = devicePixelRatio;
-    const context = contextBeside(canvas, plot);
+    const context = fittedContext(canvas, plot);
     const across = (at) => (at / Math.max(data.length - 1, 1)) * canvas.width;
     const box = { top: 0, height: canvas.height, min: 0, max: data.length - 1, across };
     drawTracks(context, data, curves.odd, curves.colors, box, LANE * scale);
@@ -68,7 +68,7 @@ export class Overview {
     context.strokeRect(across(min) + scale / 2, scale / 2, across(max) - across(min) - scale, canvas.height - scale);
   }
 
-  /** From the lowest to the highest steering at each pixel. */
+  /** At each pixel, a line from the lowest to the highest steering. */
   drawSteering(context, across) {
     const { height, width } = this.canvas;
     const { steering } = this.data.columns;

@@ -1,5 +1,5 @@
-// The cameras' pictures at a moment. While the mouse moves, each camera loads one picture at a time, and then the
-// newest that is wanted: those in between are never fetched.
+// The cameras' pictures at a moment. While the mouse moves, each camera loads one picture at a time, then the newest
+// wanted one. Pictures in between are not loaded.
 
 export class Pictures {
   constructor(figures, data) {
@@ -22,7 +22,7 @@ export class Pictures {
     for (const camera of this.cameras) {
       if (camera.figure.hidden) continue;
       camera.wanted = `${this.data.address}/pictures/${camera.name}/${row}?v=${this.data.state.version}`;
-      if (!camera.isLoading) load(camera, row);
+      if (!camera.isLoading) load(camera);
     }
   }
 }
@@ -39,7 +39,7 @@ async function load(camera) {
       camera.figure.classList.remove("missing");
       camera.image.classList.toggle("enlarged", camera.image.naturalWidth < camera.image.clientWidth * devicePixelRatio);
     } catch {
-      camera.figure.classList.add("missing"); // none at this row, or one that does not decode
+      camera.figure.classList.add("missing"); // this row has no picture, or it does not decode
     }
     camera.figure.dataset.shown = address;
   }

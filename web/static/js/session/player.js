@@ -1,4 +1,4 @@
-// Playing at the speed of the recording: at each frame of the screen, the row whose moment has come.
+// Playing a log: at each frame of the screen, it shows the row of that moment.
 
 export class Player {
   constructor(data, { onMove, onChange }) {
@@ -24,7 +24,7 @@ export class Player {
       this.time += (Math.max(now - before, 0) / 1000) * this.speed;
       before = now;
       let at = this.at;
-      const { driven_s } = this.data.columns; // pauses are not waited for
+      const { driven_s } = this.data.columns; // without pauses
       while (at + 1 < this.data.length && driven_s[at + 1] <= this.time) at += 1;
       if (at !== this.at) this.onMove((this.at = at));
       if (at >= this.data.length - 1) this.pause();

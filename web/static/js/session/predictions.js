@@ -1,11 +1,10 @@
-// The predictions of a chosen run's network: started, waited for, and then a column beside the log's own and a list of
-// its worst moments.
+// The predictions of the chosen run's network: progress, then a column of the data and a list of worst moments.
 
 import { clock } from "./clock.js";
 import { ask, awaited } from "./log_data.js";
 
 export class Predictions {
-  /** `onChange()`: another run, further, or there. */
+  /** `onChange()`: another run, progress, or the result. */
   constructor(data, { onChange }) {
     Object.assign(this, { data, onChange });
     this.clear("");
@@ -16,12 +15,12 @@ export class Predictions {
     delete this.data.columns.predicted;
   }
 
-  /** Whether it is still being made. */
+  /** Whether the network is still predicting. */
   get isWaiting() {
     return Boolean(this.run) && !this.about && !this.problem;
   }
 
-  /** End what is being made; no run is chosen then. */
+  /** Stop the work. Then no run is chosen. */
   async stop() {
     if (!this.isWaiting) return;
     const { run } = this;
@@ -35,7 +34,7 @@ export class Predictions {
     this.onChange();
     if (!run) return;
     try {
-      const found = await awaited(this.address(run), {
+      const state = await awaited(this.address(run), {
         isWanted: () => this.run === run,
         onProgress: (progress) => {
           this.summary = waiting(progress);
@@ -43,12 +42,12 @@ export class Predictions {
         },
       });
       if (this.run !== run) return;
-      const column = await ask(`${this.data.address}/predictions/rows/${found.key}`);
+      const column = await ask(`${this.data.address}/predictions/rows/${state.key}`);
       const predicted = new Float64Array(await column.arrayBuffer());
-      if (this.run !== run) return; // another one was chosen meanwhile
+      if (this.run !== run) return;
       if (predicted.length !== this.data.length) throw new Error("the log has changed: choose the run again");
       this.data.columns.predicted = predicted;
-      this.show(found);
+      this.show(state);
     } catch (error) {
       if (this.run !== run) return;
       this.summary = this.problem = error.message;
@@ -62,12 +61,12 @@ export class Predictions {
 
   show({ name, about }) {
     this.about = about;
-    // without an angle, in shares of full lock: the degrees are of 25 at steering 1
+    // if the angle is unknown: in shares of full lock, which counts as 25 degrees
     const angle = (degrees, digits) =>
       about.max_deg === null ? `${(degrees * 4).toFixed(digits)} % of full lock` : `${degrees.toFixed(digits)}°`;
     const compared =
       about.rmse_deg === null
-        ? "nothing was recorded to compare with"
+        ? "the log has no steering to compare with"
         : `RMSE ${angle(about.rmse_deg, 2)}; always predicting the mean: ${angle(about.mean_rmse_deg, 2)}`;
     this.summary = [`${name}: ${about.frames.toLocaleString("en")} frames`, compared, ...about.notes].join(", ");
     this.worst = about.worst.map((moment) => {
@@ -92,8 +91,8 @@ export class Predictions {
 }
 
 function waiting({ is_begun: isBegun, pictures, total, left_s: leftS }) {
-  if (isBegun === false) return "waits until the prediction before it has ended";
-  if (!pictures) return "the network is loaded";
+  if (isBegun === false) return "waiting for another prediction";
+  if (!pictures) return "loading the network";
   const left = leftS === null ? "" : `, ${clock(leftS)} left`;
   return `${pictures.toLocaleString("en")} of ${total.toLocaleString("en")} pictures${left}`;
 }

@@ -1,10 +1,11 @@
 // The log in Rerun's viewer, in a frame of the page. It follows the page's moment. The request that opens it stays
-// open: when it ends, because the page is closed or Rerun is, so does the process that serves the log.
+// open. The process that serves the log ends with this request.
 
 import { make } from "../dom.js";
+import { NO_ANSWER } from "../live.js";
 
 export class RerunFrame {
-  /** `onProblem(why)`: it could not be opened, or has ended. */
+  /** `onProblem(reason)`: it could not be opened, or has ended. */
   constructor(section, data, { onChange, onProblem }) {
     Object.assign(this, { section, data, onChange, onProblem });
     this.status = section.querySelector("[role=status]");
@@ -25,22 +26,22 @@ export class RerunFrame {
     this.section.hidden = false;
     this.status.textContent = "Rerun starts";
     this.onChange();
-    let why = "Rerun has ended; open it again";
+    let reason = "Rerun has ended; open it again";
     try {
       const answer = await fetch(`${this.data.address}/rerun`, { method: "POST", signal: asking.signal });
       if (!answer.ok) throw new Error((await answer.json()).error);
       for await (const line of lines(answer.body)) {
         const message = JSON.parse(line);
-        if (message.problem) why = message.problem;
+        if (message.problem) reason = message.problem;
         else if (message.note) this.status.textContent = message.note;
         else this.show(message);
       }
     } catch (error) {
-      why = error instanceof TypeError ? "bc-web does not answer: it was ended, or is restarted" : error.message;
+      reason = error instanceof TypeError ? NO_ANSWER : error.message;
     }
     if (this.asking !== asking) return; // closed here
     this.close();
-    this.onProblem(why);
+    this.onProblem(reason);
   }
 
   close() {
@@ -72,7 +73,7 @@ export class RerunFrame {
     if (!this.frame || source !== this.frame.contentWindow || origin !== location.origin) return;
     if (data.is_ready) {
       this.isReady = true;
-      this.frame.blur(); // it takes the keys when it starts; they are the page's until the user clicks into it
+      this.frame.blur(); // Rerun takes the focus when it starts; the page's keys go on until the user clicks into it
       this.moveTo(this.position);
     }
     if (data.problem) this.onProblem(data.problem);

@@ -1,4 +1,4 @@
-// What is selected on the page of a session, and how: by drags, clicks, keys and the grid of its pictures.
+// The selected stretches on the page of a session: selecting by mouse, keys and the grid of pictures.
 
 import { by } from "../dom.js";
 import { showStatus } from "../live.js";
@@ -17,7 +17,7 @@ export class Selected {
     by("look-at").addEventListener("click", () => this.togglePictures());
   }
 
-  /** Select stretches; the grid of pictures shows them, too, unless it is where they were chosen. */
+  /** Select stretches. The grid of pictures shows them, unless the user chose them there. */
   select(stretches, isByGrid = false) {
     const { data } = this;
     const selection = (this.stretches = selecting.merged(stretches));
@@ -29,7 +29,7 @@ export class Selected {
     if (this.looking.isOpen && !isByGrid) this.showPictures(selection.length > 0);
   }
 
-  /** Trimming keeps the selected rows. Of a log in a store, nothing is made. */
+  /** Fill the form for a trimmed log, which a log in a store lacks. */
   fillTrim(stretch) {
     if (!by("make-trim")) return;
     const { elements } = by("make-trim");
@@ -37,13 +37,13 @@ export class Selected {
     if (by("make").open) by("make-trim").dispatchEvent(new Event("show"));
   }
 
-  /** A click selects the stretch that is there as a whole; with shift, or control, next to what is selected. */
+  /** A click selects the stretch there; with shift or control, it adds the stretch or removes it. */
   click(position, { shiftKey, ctrlKey, metaKey }) {
-    const found = selecting.at([...this.filter.groups, ...this.data.tags], position);
-    const chosen = selecting.at(this.stretches, position);
-    if (!shiftKey && !ctrlKey && !metaKey) this.select(found ? [found] : []);
-    else if (chosen) this.select(this.stretches.filter((each) => each !== chosen));
-    else if (found) this.select([...this.stretches, found]);
+    const clicked = selecting.at([...this.filter.groups, ...this.data.tags], position);
+    const selected = selecting.at(this.stretches, position);
+    if (!shiftKey && !ctrlKey && !metaKey) this.select(clicked ? [clicked] : []);
+    else if (selected) this.select(this.stretches.filter((stretch) => stretch !== selected));
+    else if (clicked) this.select([...this.stretches, clicked]);
   }
 
   grow(seconds) {
@@ -51,7 +51,7 @@ export class Selected {
     else showStatus(NONE);
   }
 
-  /** It begins, or ends, at the moment that is shown. */
+  /** Begin (`edge` "first") or end the selection at the present moment. */
   begin(edge) {
     if (!this.data.length) return;
     const at = this.curves.position;
@@ -64,13 +64,13 @@ export class Selected {
     else this.select([]);
   }
 
-  /** Call `change` with the stretches of now, whatever is selected when its turn comes. */
+  /** Call `change` with the selected stretches. */
   take(change) {
     if (this.stretches.length) change(this.stretches);
     else showStatus(NONE);
   }
 
-  /** The selected stretches as pictures, instead of the cameras at one moment. */
+  /** Show the selected stretches as pictures, or the cameras again. */
   showPictures(isShown) {
     if (isShown) this.looking.open(this.stretches, this.filter.groups);
     else this.looking.close();

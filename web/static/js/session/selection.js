@@ -1,18 +1,18 @@
-// Stretches that are selected: one, or many at once. They are in order and do not overlap.
+// Selected stretches. They are in order and do not overlap.
 
-/** In order, those that overlap as one. */
+/** The stretches in order. Overlapping ones become one. */
 export function merged(stretches) {
-  const found = [];
-  for (const { first, last } of [...stretches].sort((one, other) => one.first - other.first)) {
-    const before = found.at(-1);
+  const result = [];
+  for (const { first, last } of [...stretches].sort((a, b) => a.first - b.first)) {
+    const before = result.at(-1);
     if (before && first <= before.last) before.last = Math.max(before.last, last);
-    else found.push({ first, last });
+    else result.push({ first, last });
   }
-  return found;
+  return result;
 }
 
-/** All of them, begun so many seconds earlier and ended so many later; negative seconds shrink them. No stretch grows
- * into another drive, and each keeps a row. */
+/** The stretches, beginning and ending so many seconds earlier and later; negative seconds shorten them. No stretch
+ * grows into another drive, and each keeps a row. */
 export function grown(stretches, data, { earlierS = 0, laterS = 0 }) {
   return merged(stretches.map(({ first, last }) => {
     const begin = Math.min(moved(data, first, -earlierS), last);
@@ -20,7 +20,7 @@ export function grown(stretches, data, { earlierS = 0, laterS = 0 }) {
   }));
 }
 
-/** The position so many seconds later, or at the end of the drive. */
+/** The position so many seconds later, or the end of the drive. */
 function moved(data, position, seconds) {
   if (!seconds) return position;
   const step = Math.sign(seconds);
@@ -32,9 +32,9 @@ function moved(data, position, seconds) {
   return at;
 }
 
-/** With an edge of one of them elsewhere: at most up to its neighbours. */
+/** The stretches, with an edge of one of them moved to a position, but not over its neighbours. */
 export function withEdge(stretches, number, side, position) {
-  const changed = stretches.map((each) => ({ ...each }));
+  const changed = stretches.map((stretch) => ({ ...stretch }));
   const before = changed[number - 1]?.last ?? -1;
   const behind = changed[number + 1]?.first ?? Infinity;
   const stretch = changed[number];
@@ -43,10 +43,10 @@ export function withEdge(stretches, number, side, position) {
   return changed;
 }
 
-/** The shortest of those that hold a position; null where none does. */
+/** The shortest stretch at a position; null without one. */
 export function at(stretches, position) {
-  const found = stretches.filter(({ first, last }) => first <= position && position <= last);
-  return found.sort((one, other) => one.last - one.first - (other.last - other.first))[0] ?? null;
+  const around = stretches.filter(({ first, last }) => first <= position && position <= last);
+  return around.sort((a, b) => a.last - a.first - (b.last - b.first))[0] ?? null;
 }
 
 export function words(stretches, data) {

@@ -1,4 +1,4 @@
-// How long it takes from a key's event to the first painted frame in which it is in force.
+// The time from a key's event to the first painted frame in which the car obeys.
 
 const KEPT = 100;
 
@@ -6,13 +6,13 @@ export class Delays {
   newest = []; // ms
   #waiting = []; // [number of the control, time of its event]
 
-  /** An event has changed the control that is sent under this number. */
+  /** An event has changed the control that was sent under this number. */
   sent(number, event_ms) {
     this.#waiting.push([number, event_ms]);
     if (this.#waiting.length > KEPT) this.#waiting.shift();
   }
 
-  /** A frame is on the screen in which the control of this number is in force. */
+  /** A frame with the control of this number is on the screen. */
   painted(number) {
     const now = performance.now();
     while (this.#waiting.length && this.#waiting[0][0] <= number) {
@@ -21,12 +21,12 @@ export class Delays {
     }
   }
 
-  /** What waits will never be painted. */
+  /** Drop events whose frames will not come. */
   forget() {
     this.#waiting = [];
   }
 
-  /** Of the last ones; null before the first. */
+  /** The median of the latest delays; null before the first. */
   get median() {
     const sorted = [...this.newest].sort((a, b) => a - b);
     return sorted.length ? sorted[sorted.length >> 1] : null;

@@ -1,10 +1,10 @@
-// Steering by a drag of the mouse or of a finger, from where it began. The mouse is that of Udacity's training mode:
-// 170 pixels are full lock, and without the button the car goes straight. A finger also drives and brakes, up and down.
+// Steering by dragging the mouse or a finger from where the drag began. The mouse works as in Udacity's training mode:
+// 170 pixels are full lock, and without the button the car goes straight. A finger also drives (up) and brakes (down).
 
 const FULL_LOCK_PX = 170;
-const FINGER_LOCK_SHARE = 0.3; // of the width: a phone is narrow
+const FINGER_LOCK_SHARE = 0.3; // of the element's width, on narrow phones
 const FULL_THROTTLE_PX = 110;
-const THROTTLE_FROM_PX = 30; // nobody drags straight aside
+const THROTTLE_FROM_PX = 30; // a drag to the side also goes up or down a little
 
 const share = (moved, full) => Math.min(Math.max(moved / full, -1), 1);
 
@@ -14,12 +14,12 @@ export class Drag {
   isTouching = false;
   #pointer = null;
 
-  /** `device`: "mouse", or "touch" for fingers and pens. `onChange` is called with the event that has changed it. */
+  /** `device`: "mouse", or "touch" for fingers and pens. `onChange` gets the event that has changed the steering. */
   constructor(element, device, onChange) {
     this.device = device;
     element.addEventListener("pointerdown", (event) => {
       if ((event.pointerType === "mouse") !== (device === "mouse") || event.button !== 0 || this.#pointer) return;
-      element.setPointerCapture(event.pointerId); // it may leave the element
+      element.setPointerCapture(event.pointerId); // the pointer may leave the element
       const lock = Math.min(FULL_LOCK_PX, FINGER_LOCK_SHARE * element.clientWidth);
       this.#pointer = { id: event.pointerId, x: event.clientX, y: event.clientY, lock: device === "mouse" ? FULL_LOCK_PX : lock };
       this.isTouching = true;
@@ -55,6 +55,6 @@ export class Drag {
   }
 
   advance() {
-    // a hand is as fast as it is
+    // unlike keys, a hand sets the steering itself
   }
 }

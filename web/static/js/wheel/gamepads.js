@@ -1,11 +1,11 @@
-// Gamepads and wheels, by the Gamepad API. The one that was moved last is used. One that is not at rest when it appears
-// is not heeded before it has been: a stick that hangs aside, a pedal that was never pressed.
+// Gamepads and wheels, by the Gamepad API. The one moved last is used. A device must be at rest once before it counts:
+// a stick may hang to the side, and a pedal that was never pressed reads 0.
 
 const STANDARD = { steering: 0, brake: 6, throttle: 7 }; // an axis, two triggers
 const TRIGGER_FROM = 0.05;
 const POLLS_TO_BEGIN = 2; // a single spike is noise
 const PEDAL_AT_REST = 0.9; // an axis of -1 .. 1 rests at one of its ends
-const FLIPS_OF_NOISE = 8; // from side to side in a second: no hand does that
+const FLIPS_OF_NOISE = 8; // from side to side in NOISE_MS: no hand does that
 const NOISE_MS = 1000;
 
 const finite = (value) => (Number.isFinite(value) ? Math.min(Math.max(value, -1), 1) : 0);
@@ -28,18 +28,18 @@ export class Gamepads {
   #settings;
   #onProblem;
 
-  /** `onProblem` is called with a text when there is a problem that the person should know. */
+  /** `onProblem` gets messages for the person. */
   constructor(settings, onProblem) {
     this.#settings = settings;
     this.#onProblem = onProblem;
   }
 
-  /** Their names, for the page. */
+
   get names() {
     return [...this.#pads.values()].map((pad) => pad.name);
   }
 
-  /** The window has lost the focus: they must be at rest before they steer again. */
+  /** The window has lost the focus: devices must be at rest before they steer again. */
   release() {
     for (const pad of this.#pads.values()) Object.assign(pad, { hasRested: false, moved: 0 });
     this.#rest();
@@ -50,12 +50,12 @@ export class Gamepads {
     const pads = this.#connected();
     for (const index of this.#pads.keys()) if (!pads.has(index)) this.#unplug(index);
     for (const [index, pad] of pads) {
-      const known = this.#pads.get(index) ?? this.#plug(index, pad);
-      Object.assign(known, this.#read(known, pad, now));
-      const isMoved = known.steering !== 0 || known.throttle !== 0;
-      if (!isMoved) known.hasRested = true;
-      known.moved = isMoved && known.hasRested ? known.moved + 1 : 0;
-      if (known.moved === POLLS_TO_BEGIN) this.#index = index;
+      const state = this.#pads.get(index) ?? this.#plug(index, pad);
+      Object.assign(state, this.#read(state, pad, now));
+      const isMoved = state.steering !== 0 || state.throttle !== 0;
+      if (!isMoved) state.hasRested = true;
+      state.moved = isMoved && state.hasRested ? state.moved + 1 : 0;
+      if (state.moved === POLLS_TO_BEGIN) this.#index = index;
     }
     const used = this.#pads.get(this.#index);
     if (!used || used.moved < POLLS_TO_BEGIN) return this.#rest();
@@ -75,9 +75,9 @@ export class Gamepads {
   }
 
   #plug(index, pad) {
-    const known = { name: String(pad.id).slice(0, 60) || "gamepad", moved: 0, hasRested: false, flips: [], side: 0, rests: {} };
-    this.#pads.set(index, known);
-    return known;
+    const state = { name: String(pad.id).slice(0, 60) || "gamepad", moved: 0, hasRested: false, flips: [], side: 0, rests: {} };
+    this.#pads.set(index, state);
+    return state;
   }
 
   #unplug(index) {
@@ -93,25 +93,25 @@ export class Gamepads {
     this.isSteering = this.isTouching = false;
   }
 
-  #read(known, pad, now) {
+  #read(state, pad, now) {
     const { dead_zone, curve, steer_axis, throttle_axis, brake_axis } = this.#settings;
     const isStandard = pad.mapping === "standard";
     const steering = shaped(pad.axes[isStandard ? STANDARD.steering : steer_axis], dead_zone, curve);
-    if (this.#isNoise(known, steering, now)) return { steering: 0, throttle: 0 };
-    const pedal = (button, axis) => Math.max(trigger(pad.buttons[button]), isStandard ? 0 : pressed(known, pad.axes, axis));
+    if (this.#isNoise(state, steering, now)) return { steering: 0, throttle: 0 };
+    const pedal = (button, axis) => Math.max(trigger(pad.buttons[button]), isStandard ? 0 : pressed(state, pad.axes, axis));
     return { steering, throttle: pedal(STANDARD.throttle, throttle_axis) - pedal(STANDARD.brake, brake_axis) };
   }
 
-  #isNoise(known, steering, now) {
+  #isNoise(state, steering, now) {
     const side = Math.sign(steering);
-    if (side && side !== known.side) {
-      known.flips.push(now);
-      known.side = side;
+    if (side && side !== state.side) {
+      state.flips.push(now);
+      state.side = side;
     }
-    known.flips = known.flips.filter((at) => now - at < NOISE_MS);
-    const isNoise = known.flips.length > FLIPS_OF_NOISE;
-    if (isNoise && !known.isNoisy) this.#onProblem(`${known.name} sends noise and is ignored: give it a larger dead zone`);
-    known.isNoisy = isNoise;
+    state.flips = state.flips.filter((at) => now - at < NOISE_MS);
+    const isNoise = state.flips.length > FLIPS_OF_NOISE;
+    if (isNoise && !state.isNoisy) this.#onProblem(`${state.name} sends noise and is ignored: give it a larger dead zone`);
+    state.isNoisy = isNoise;
     return isNoise;
   }
 }
@@ -121,12 +121,12 @@ function trigger(button) {
   return value > TRIGGER_FROM ? value : 0;
 }
 
-/** How far a pedal is pressed. An axis reads 0 before it was moved: it counts once it has been at one of its ends. */
-function pressed(known, axes, axis) {
+/** How far a pedal is pressed, 0 to 1. An axis counts after it was at one of its ends: before, it reads 0. */
+function pressed(state, axes, axis) {
   if (axis < 0 || axis >= axes.length) return 0;
   const value = finite(axes[axis]);
-  if (Math.abs(value) >= PEDAL_AT_REST) known.rests[axis] ??= Math.sign(value);
-  const rest = known.rests[axis];
-  const way = rest ? (1 - rest * value) / 2 : 0;
-  return way > TRIGGER_FROM ? way : 0;
+  if (Math.abs(value) >= PEDAL_AT_REST) state.rests[axis] ??= Math.sign(value);
+  const rest = state.rests[axis];
+  const share = rest ? (1 - rest * value) / 2 : 0;
+  return share > TRIGGER_FROM ? share : 0;
 }

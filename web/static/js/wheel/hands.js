@@ -1,4 +1,4 @@
-// One control out of all devices: the one whose steering began last steers; throttle and brake come from any.
+// One control from all devices. The device whose steering began last steers. Throttle and brake come from any device.
 
 export class Hands {
   #devices;
@@ -16,7 +16,7 @@ export class Hands {
     for (const device of this.#devices) device.release();
   }
 
-  /** The control after so many more seconds, as it is sent. */
+  /** The control after so many more seconds. */
   control(seconds) {
     for (const device of this.#devices) device.advance(seconds);
     const begun = (name) => this.#devices.find((device) => device[name] && !this.#before.get(device)?.[name]);

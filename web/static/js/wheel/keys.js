@@ -1,5 +1,5 @@
-// Arrow keys and WASD, by the rule of Unity's input axes: 3 of full lock a second there and back; a key of the other
-// side jumps to 0 first; both at once are none.
+// Arrow keys and WASD, by the rule of Unity's input axes: the steering moves 3 times full lock a second, out and back. A
+// key of the other side jumps to 0 first. Two opposite keys cancel out.
 
 const PER_S = 3;
 const SIDES = {
@@ -29,8 +29,8 @@ export class Keys {
   #steering = new Axis();
   #throttle = new Axis();
 
-  /** Whether a key (a place on the keyboard, whatever letter is there) is for driving. */
-  static isOne(code) {
+  /** Whether a key, by its place on the keyboard, is for driving. */
+  static drives(code) {
     return code in SIDES;
   }
 
@@ -42,7 +42,7 @@ export class Keys {
     this.#held.delete(code);
   }
 
-  /** All keys are let go, and the steering is 0: a page that is not seen cannot bring it back bit by bit. */
+  /** Release all keys. The steering is 0 at once, because a hidden page gets no frames. */
   release() {
     this.#held.clear();
     this.#steering.value = this.#throttle.value = 0;

@@ -1,7 +1,7 @@
 // The socket to the process that drives. It is opened again when it breaks.
 
 const RETRY_MS = [250, 2000]; // first, longest
-const MAX_WAITING_BYTES = 1 << 16; // that the network has not taken: an old control helps nobody
+const MAX_WAITING_BYTES = 1 << 16; // not sent yet; with more, new controls are dropped
 
 export class Link {
   #socket = null;
@@ -18,14 +18,14 @@ export class Link {
     return this.#socket?.readyState === WebSocket.OPEN;
   }
 
-  /** False if it was not sent. */
+  /** Send a message; false if that fails. */
   send(message) {
     if (!this.isOpen || this.#socket.bufferedAmount > MAX_WAITING_BYTES) return false;
     this.#socket.send(JSON.stringify(message));
     return true;
   }
 
-  /** Not opened again. */
+  /** Close the socket for good. */
   close() {
     this.#isOver = true;
     this.#socket.close();

@@ -12,13 +12,13 @@ import { Panel, write } from "./panel.js";
 import { Picture } from "./picture.js";
 import { heldBefore, keepHeld, loadSettings, saveSetting } from "./settings.js";
 
-const AT_LEAST_EVERY_MS = 100;
-const LONGEST_STEP_S = 0.1; // the steering does not jump after a pause
+const SEND_MS = 100; // at most, between two controls
+const MAX_STEP_S = 0.1; // the steering does not jump after a pause
 const FRAME_MS = 1000 / 60;
 const MAX_EVENTS = 30;
 const BAD_S = 5;
-const STALE_MS = 100; // an event that has changed nothing by then, such as a button that went down
-const ASK_AGAIN = { times: 4, ms: 2000 }; // a connection that broke may hold the wheel for some seconds
+const STALE_MS = 100; // after this, an event that has changed nothing does not count
+const ASK_AGAIN = { times: 4, ms: 2000 }; // a broken connection may hold the wheel for some seconds
 const page = by("wheel");
 
 export const settings = loadSettings();
@@ -35,7 +35,7 @@ let number = 0;
 let sent = {};
 let sent_ms = -Infinity;
 let before_ms = performance.now();
-let event_ms = null; // of the first event that is not sent yet
+let event_ms = null; // time of the first event that is not sent yet
 let isHolder = false;
 let wasHolder = heldBefore(page.dataset.at); // its old connection may still hold the wheel for a moment
 let asksLeft = 0;
@@ -46,13 +46,13 @@ let isRecording = false;
 
 const link = new Link(`${page.dataset.at}/socket`, { onText: hear, onFrame: show, onChange: connected });
 
-/** A key, a button or a finger has done something. */
+/** The mouse or a finger has moved. */
 function touched(event) {
   event_ms ??= event.timeStamp;
   steer();
 }
 
-/** A key goes down or up: until now, the steering went on as before. What it does within a frame is sent at once. */
+/** A key goes down or up. Until now, the steering went on as before. Its effect within a frame is sent at once. */
 function turn(event, change) {
   steer();
   change();
@@ -60,16 +60,16 @@ function turn(event, change) {
   steer(FRAME_MS);
 }
 
-/** Send the control of now, or of so much later, if it has changed or the last one was long ago. */
+/** Send the control of now, or of `ahead_ms` later, if it has changed or the last one was long ago. */
 function steer(ahead_ms = 0) {
   const now = performance.now();
   const passed_ms = Math.max(now + ahead_ms - before_ms, 0);
-  const control = hands.control(Math.min(passed_ms, 1000 * LONGEST_STEP_S) / 1000);
+  const control = hands.control(Math.min(passed_ms, 1000 * MAX_STEP_S) / 1000);
   before_ms += passed_ms;
   by("stick").value = pads.steering;
   const hasChanged = Object.entries(control).some(([name, value]) => sent[name] !== value);
-  if (isHolder && isAwake() && (hasChanged || now - sent_ms >= AT_LEAST_EVERY_MS)) send(control, now);
-  else if (isFree && isAwake() && control.touching) askOrGive(); // the first touch takes it
+  if (isHolder && isAwake() && (hasChanged || now - sent_ms >= SEND_MS)) send(control, now);
+  else if (isFree && isAwake() && control.touching) askOrGive(); // the first touch takes the wheel
 }
 
 function send(control, now) {
@@ -87,7 +87,7 @@ function send(control, now) {
 
 const isAwake = () => !document.hidden && document.hasFocus() && !by("confirm").open;
 
-/** The page is not seen any more: everything is let go, and that is sent at once. */
+/** Release all controls, and send that at once. */
 function letGo() {
   const { device } = hands.control(0);
   hands.release();
@@ -109,7 +109,7 @@ function connected(isOpen) {
   hands.release();
   delays.forget();
   if (isOver) return;
-  showProblem("The connection is lost, and all keys are let go. The page connects again by itself.");
+  showProblem("The connection is lost, and all keys are released. The page connects again by itself.");
   findOut();
 }
 
@@ -119,7 +119,7 @@ async function findOut() {
     const answer = await fetch(page.dataset.at, { method: "HEAD" });
     if (answer.status === 404) ended({ why: "its process has ended" });
   } catch {
-    showProblem("bc-web does not answer, and all keys are let go. The drive goes on without it, and the page connects again by itself.");
+    showProblem("bc-web does not answer, and all keys are released. The drive goes on. The page connects again by itself.");
   }
 }
 
@@ -132,7 +132,7 @@ function hear(message) {
   else if (message.type === "ended") ended(message);
 }
 
-/** Who holds the wheel: this page, or another one. */
+/** Show who has the wheel: this page, or another one. */
 function seat({ holder, asked, free }) {
   isHolder = holder;
   isAsked = asked;
@@ -141,12 +141,12 @@ function seat({ holder, asked, free }) {
   page.dataset.holder = holder;
   if (holder) asksLeft = 0;
   else if (wasHolder) {
-    asksLeft = ASK_AGAIN.times; // it was this page, before the connection was lost
+    asksLeft = ASK_AGAIN.times; // this page had it before the connection was lost
     link.send({ type: "ask" });
   }
   wasHolder = false;
-  let [text, action] = ["Another page has the wheel: this one watches.", "Ask for it"];
-  if (free) [text, action] = ["Nobody has the wheel. Steer, and you have it.", "Take the wheel"];
+  let [text, action] = ["Another page has the wheel.", "Ask for it"];
+  if (free) [text, action] = ["Nobody has the wheel. Steer to take it.", "Take the wheel"];
   if (asked) [text, action] = ["Another page asks for the wheel.", "Give it"];
   by("seat").hidden = holder && !asked;
   by("seat").firstElementChild.textContent = text;
@@ -156,7 +156,7 @@ function seat({ holder, asked, free }) {
 
 function askOrGive() {
   if (isAsked) link.send({ type: "give" });
-  else if (!isHolder && link.send({ type: "ask" }) && !isFree) showStatus("You have asked for the wheel. You get it at once if nobody steers.");
+  else if (!isHolder && link.send({ type: "ask" }) && !isFree) showStatus("You have asked for the wheel. If nobody steers, you get it at once.");
   isFree = false; // asked once
 }
 
@@ -233,7 +233,7 @@ const buttons = { record: "r", bad: "x", "hand-back": "h", "put-back-button": "b
 for (const [id, key] of Object.entries(buttons)) {
   by(id).addEventListener("click", (event) => {
     actions[key]();
-    if (event.detail) by(id).blur(); // the mouse has pressed it: keys are for driving again
+    if (event.detail) by(id).blur(); // after a click, keys are for driving again
   });
 }
 by("seat").lastElementChild.addEventListener("click", askOrGive);
@@ -245,9 +245,9 @@ for (const name of ["hold_mph", "dead_zone", "curve", "steer_axis", "throttle_ax
 const isTyping = ({ target }) => target.matches?.("input:not([type=checkbox]), select, textarea");
 document.addEventListener("keydown", (event) => {
   if (isOver || by("confirm").open) return;
-  if (event.ctrlKey || event.altKey || event.metaKey) return letGo(); // the browser's: a key's end may never be heard
+  if (event.ctrlKey || event.altKey || event.metaKey) return letGo(); // a browser shortcut: the page may miss its keyup
   if (isTyping(event)) return event.key === "Escape" && event.target.blur();
-  if (Keys.isOne(event.code)) {
+  if (Keys.drives(event.code)) {
     event.preventDefault(); // the page does not scroll
     if (!event.repeat) turn(event, () => keys.down(event.code));
     return;
@@ -258,7 +258,7 @@ document.addEventListener("keydown", (event) => {
   event.preventDefault();
   action();
 });
-document.addEventListener("keyup", (event) => Keys.isOne(event.code) && turn(event, () => keys.up(event.code)));
+document.addEventListener("keyup", (event) => Keys.drives(event.code) && turn(event, () => keys.up(event.code)));
 document.addEventListener("focusin", (event) => isTyping(event) && letGo());
 addEventListener("blur", letGo);
 addEventListener("pagehide", () => {
@@ -269,12 +269,12 @@ document.addEventListener("visibilitychange", () => document.hidden && letGo());
 for (const name of ["gamepadconnected", "gamepaddisconnected"]) {
   addEventListener(name, () => {
     steer();
-    write("pads", pads.names.join(" · ") || "None is there: press a button of it.");
+    write("pads", pads.names.join(" · ") || "None is connected: press one of its buttons.");
   });
 }
 
 showSettings();
-setInterval(steer, AT_LEAST_EVERY_MS);
+setInterval(steer, SEND_MS);
 setInterval(() => asksLeft-- > 0 && link.send({ type: "ask" }), ASK_AGAIN.ms);
 (function eachFrame() {
   if (isOver) return;

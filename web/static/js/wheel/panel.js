@@ -1,42 +1,39 @@
-// What a frame has beside its picture: numbers, the steering wheel, the map, who drives.
+// The data of a frame besides its picture: numbers, the steering wheel, the map, who drives.
 
 import { by, number } from "../dom.js";
 import { RoadMap } from "../road_map.js";
 
 const WHEEL_DEG = 135; // of the steering wheel at full lock
 const SLOW_PACE = 0.97;
-const shows = new Map();
 
-/** Only what has changed is written: a screen reader reads it, and nothing is laid out anew. */
+/** Write a text if it has changed: screen readers read every new text, and the browser lays it out. */
 export function write(id, text) {
-  if (shows.get(id) === text) return;
-  shows.set(id, text);
-  by(id).textContent = text;
+  if (by(id).textContent !== text) by(id).textContent = text;
 }
 
 export class Panel {
   #map = new RoadMap(by("map"));
   #hello = {};
 
-  /** What is the same for the whole drive. */
+  /** Show the data that stay the same for the whole drive. */
   greet(hello) {
     this.#hello = hello;
     this.#map.show(hello.road ?? null);
     for (const element of document.querySelectorAll(".of-network")) element.hidden = hello.kind !== "drive";
-    const isBuiltIn = Boolean(hello.track); // others put their car back themselves, and have one picture
+    const isBuiltIn = Boolean(hello.track); // other simulators put their car back themselves, and have one picture
     for (const id of ["laps", "put-back"]) by(id).parentElement.hidden = !isBuiltIn;
     for (const id of ["put-back-button", "recorded"]) by(id).hidden = !isBuiltIn;
-    by("record").hidden = hello.kind === "drive"; // all of it is recorded
+    by("record").hidden = hello.kind === "drive"; // a drive is recorded as a whole
   }
 
-  /** The numbers of a frame; `isHolder` if this page has the wheel, `delay_ms` what was measured here. */
+  /** Show a frame. `isHolder`: this page has the wheel. `delay_ms` was measured in this page. */
   show(frame, isHolder, delay_ms) {
     write("speed", (frame.speed_mph ?? 0).toFixed(1));
     write("rows", `${number(frame.rows)} rows`);
     write("time", clock(frame.recorded_s ?? frame.time_s));
     write("sent", side(frame.steering ?? 0));
     write("pedals", pedal(frame.throttle));
-    const wanted = frame.predicted == null ? null : Math.min(Math.max(frame.predicted, -1), 1); // what would be sent
+    const wanted = frame.predicted == null ? null : Math.min(Math.max(frame.predicted, -1), 1); // as it would be sent
     write("predicted", wanted === null ? "-" : side(wanted));
     write("takeovers", String(frame.takeovers ?? 0));
     write("laps", frame.laps == null ? "-" : frame.laps.toFixed(2));

@@ -10,7 +10,7 @@ export class Picture {
     this.#context = canvas.getContext("2d", { alpha: false });
   }
 
-  /** Paint a frame; true once it is on the screen, false where a newer one was painted before, or it does not decode. */
+  /** Paint a frame. True once it is on the screen; false if a newer one is, or if it does not decode. */
   async paint(number, jpeg) {
     const image = await createImageBitmap(jpeg).catch(() => null);
     if (!image || number < this.#newest) return false;
