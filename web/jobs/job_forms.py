@@ -67,7 +67,6 @@ class JobForm:
     fields: tuple[Field, ...]
     folders: tuple[str, ...]  # of the project; if they are not the usual ones, the command gets their flags
     made: Callable[[Mapping[str, str]], str]  # the page of its output
-
     to_store: str = ""  # the flag for the folder of its sessions, if that is in a store
     names_run: bool = False  # a run without a name gets one, so that its page is known
     fills_project: bool = False  # its `--folder` is the project, if none of the project's folders exists yet
