@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,12 +12,12 @@ from common.command import flags_given, usage_errors
 from common.errors import UsageError
 from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
 from recorder.errors import RecordingError
+from recorder.sources.frame_rate import check_row_rate
 from recorder.sources.imported_rows import Imported
 from recorder.sources.settings import ListenSettings, SimulatedDrive
 from simulator.driving.drive_limits import MAX_SPEED_MPH
 
 if TYPE_CHECKING:
-    from recorder.sources.record_person import PersonDrive
     from recorder.teleop.wheel import Wheel
 
 
@@ -46,7 +48,7 @@ def record_at_the_wheel(
         else:
             from recorder.sources.record_person import record_person  # OpenCV
 
-            done = record_person(_person_drive(drive, rate), log, overwrite=overwrite, on_wheel=serve_page)
+            done = record_person(_at_rate(drive, rate), log, overwrite=overwrite, on_wheel=serve_page)
         if serves:
             wait_until_left(done.path)
         return done
@@ -65,14 +67,13 @@ def check_at_the_wheel(drive: SimulatedDrive, rate: float | None, *, listens: bo
         if flags := flags_given(drive, "track", "laps", "start") or ("--rate" if rate is not None else ""):
             raise UsageError(f"{flags}: the simulator that connects decides; not with --listen --driver me")
         return
-    from recorder.sources.record_person import check_person_drive
-
     with usage_errors(RecordingError):
-        check_person_drive(_person_drive(drive, rate))
+        check_row_rate(_at_rate(drive, rate).rate)
+    if not 0 <= drive.start < math.inf:
+        raise UsageError(f"--start {drive.start:g}: a number of metres, 0 or more, was expected")
+    if drive.laps is not None and not 0 < drive.laps < math.inf:
+        raise UsageError(f"--laps {drive.laps:g}: a number above 0 was expected")
 
 
-def _person_drive(drive: SimulatedDrive, rate: float | None) -> PersonDrive:
-    from recorder.sources.record_person import PersonDrive
-
-    rate_hz = drive.rate if rate is None else rate
-    return PersonDrive(drive.track, drive.laps, drive.speed[0], rate_hz, drive.start)
+def _at_rate(drive: SimulatedDrive, rate: float | None) -> SimulatedDrive:
+    return drive if rate is None else replace(drive, rate=rate)

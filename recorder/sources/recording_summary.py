@@ -1,4 +1,5 @@
-"""What a recording is, before it is imported: its kind, rows, oddities, and what an import has to be given."""
+"""A summary of a recording before its import: its kind, rows and oddities, and the settings that an import
+needs."""
 
 from __future__ import annotations
 
@@ -28,21 +29,21 @@ Needs = Literal["", "topics", "columns"]
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """A recording in short. `problem`: why it cannot be imported; "" if nothing is known against it."""
+    """A recording in short. `problem`: why it cannot be imported; "" if none is known."""
 
     path: Path
     kind: str
-    rows: str = ""  # counted, in words; "" where only an import counts them
-    oddities: tuple[str, ...] = ()  # what an import leaves out, or cannot find
-    needs: Needs = ""  # what an import has to be given
-    names: tuple[str, ...] = ()  # the topics or columns to choose among
-    pictures: tuple[str, ...] = ()  # those of the topics that are pictures
-    is_own: bool = False  # a log of this toolkit: a session as it is
+    rows: str = ""  # their number, in words; "" if only an import counts them
+    oddities: tuple[str, ...] = ()  # parts that an import skips or cannot find
+    needs: Needs = ""  # the settings that an import needs
+    names: tuple[str, ...] = ()  # the topics or columns to choose from
+    pictures: tuple[str, ...] = ()  # the topics with pictures
+    is_own: bool = False  # a log of this toolkit, which needs no import
     problem: str = field(default="", compare=False)
 
 
 def summarize_recording(source: Path) -> RecordingSummary:
-    """The summary of a recording that `find_recording` has found. At most `MAX_COUNTED_ROWS` rows are read."""
+    """The summary of a recording that `find_recording` found. Reads at most `MAX_COUNTED_ROWS` rows."""
     try:
         return _summary(source)
     except (UserError, OSError) as error:

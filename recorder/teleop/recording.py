@@ -47,7 +47,7 @@ class Recording(LastRows):
         self.is_on = False
         self.gap_why = ""  # why the rows before the next one were not recorded; empty if none is missing
 
-    def heed(self, request: Request) -> list[str]:
+    def handle(self, request: Request) -> list[str]:
         """Begin, pause, or exclude the last rows, as the person requests; returns the events for the log."""
         match request.kind:
             case "record":
