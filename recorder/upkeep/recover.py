@@ -79,15 +79,13 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
             copy_rest(log, records, writer, skipped)
             tags += _bad_rows(log)
             close_with_tags(writer, tags_of_rows(tags, rows))
+    lost_kind = "stretches of bytes without anything whole" if log.problem else "damaged chunks"
     for start, end in log.lost:
-        if log.problem:
-            skipped.add("stretches of bytes without anything whole", f"{start:,} to {end:,}")
-        else:
-            skipped.add("damaged chunks", f"bytes {start:,} to {end:,}")
+        skipped.add(lost_kind, f"bytes {start:,} to {end:,}")
     notices = [f"{path}: {line}" for line in out_of_order.lines()]
-    lost_count = (log.message_count or 0) - count - left_out
+    lost_count = log.message_count - count - left_out
     if lost_count > 0:
-        notices.append(f"{path}: lost in all: {lost_count:,} of {counted(log.message_count or 0, 'message')}")
+        notices.append(f"{path}: lost in all: {lost_count:,} of {counted(log.message_count, 'message')}")
     if log.is_ours and not rows and len(skipped):
         notices.append(f"{path}: no complete row in it: the new log has no rows")
     if not len(skipped) and is_damaged_beside_chunks(path):
