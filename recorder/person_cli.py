@@ -1,4 +1,4 @@
-"""`bc-record --driver me`: a person drives, the built-in simulator or one that connects."""
+"""`bc-record --driver me`: a person drives the built-in simulator, or one that connects."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def record_at_the_wheel(
     serves: bool,
     overwrite: bool,
 ) -> Imported:
-    """Record a person in the built-in simulator, or in one that connects as `listens` says. `serves` the page to
-    drive on, and `opens` the browser; else a bc-web that runs already has the page."""
+    """Record a person in the built-in simulator, or, with `listens`, in one that connects. `serves`: serve the
+    page to drive on (otherwise, a running bc-web has it). `opens`: open the browser."""
     if serves:
         check_wheel_page()
     with ExitStack() as stack:
@@ -55,7 +55,7 @@ def record_at_the_wheel(
 
 
 def check_at_the_wheel(drive: SimulatedDrive, rate: float | None, *, listens: bool) -> None:
-    """Raise UsageError for flags that are others' than a person's."""
+    """Raise UsageError for flags that do not fit a person's drive."""
     if flags := flags_given(drive, "recovery", "noise", "seed"):
         raise UsageError(f"{flags}: only for a simulated driver, not with --driver me")
     if len(drive.speed) != 1 or not 0 < drive.speed[0] <= MAX_SPEED_MPH:

@@ -1,4 +1,4 @@
-"""What `bc-record` does: it records or imports, and prints what is in the log."""
+"""The work of `bc-record`: it records or imports, and prints what is in the log."""
 
 from __future__ import annotations
 
