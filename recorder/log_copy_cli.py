@@ -8,20 +8,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 import tyro
 
 from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, warn
-from common.errors import StoreError, UsageError, as_user_error, counted, printable
+from common.errors import UsageError, as_user_error, counted
 from common.location import Location, Url
 from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result
 from recorder.log.logs_in_folder import logs_at, logs_in
 from recorder.log_flag import named_log
-
-_MAX_NAMED: Final = 8
 
 
 @dataclass(frozen=True)
@@ -104,20 +102,11 @@ def refuse_taken_name(log: Url, overwrite: bool) -> None:
 
 
 def copy_recording(log: Path, to: Location, overwrite: bool, *, prog: str = "bc-record") -> int:
-    """Copy a new recording, and list the logs next to it that are not copied. Exit code 3 if it is not copied: it
-    is recorded all the same."""
-    code = DONE if copy_logs([log], to, overwrite=overwrite, prog=prog) == DONE else DONE_BUT_SKIPPED
-    try:
-        names_stored = {other.name for other in logs_in(to)}
-    except StoreError:  # reported already
-        names_stored = set()
-    finished = (other.name for other in logs_in(log.parent) if other.suffix == ".mcap")
-    missing = [name for name in finished if name not in names_stored]
-    if missing:
-        names = ", ".join(map(printable, missing[:_MAX_NAMED]))
-        more = f" and {len(missing) - _MAX_NAMED:,} more" if len(missing) > _MAX_NAMED else ""
-        print_message(f"not in {to} yet: {names}{more}; `bc-log copy {log.parent} {to}` copies them")
-    return code
+    """Copy a new recording. Exit code 3 if it is not copied: it is recorded all the same."""
+    code = copy_logs([log], to, overwrite=overwrite, prog=prog)
+    if code == FAILED:
+        print_message(f"`bc-log copy {shlex.quote(str(log))} {shlex.quote(str(to))}` copies it later")
+    return DONE if code == DONE else DONE_BUT_SKIPPED
 
 
 @contextlib.contextmanager

@@ -137,7 +137,7 @@ def _odd_lines(odd: Sequence[OddStretch], tags: Sequence[Tag], log: Location) ->
     from recorder.log.tagged_rows import TaggedRows
     from recorder.rows.odd_stretches import odd_advice, odd_lines
 
-    left = TaggedRows(tags, EXCLUDE).left(odd)
+    left = TaggedRows(tags, EXCLUDE).untagged(odd)
     excluded = len(odd) - len(left)
     lines = [f"{counted(excluded, 'odd stretch is', 'odd stretches are')} excluded"] if excluded else []
     return [*odd_lines(left), *lines, *odd_advice(left, log)]
@@ -168,7 +168,7 @@ def step_of_info(info: LogInfo) -> NextStep:
     if any(stretch.is_sure for stretch in left):
         return NextStep(1, exclude_command(left, log), _EXCLUDES)
     if left:
-        return NextStep(2, _command("check", log), "it looks at the pictures of what is perhaps odd")
+        return NextStep(2, _command("check", log), "it checks the pictures of perhaps odd stretches")
     return _go_on(log)
 
 
@@ -178,7 +178,7 @@ def step_of_check(info: LogInfo, odd: Sequence[OddStretch], *, is_damaged: bool)
 
     log = location(info.path)
     if is_damaged:
-        return NextStep(0, _command("recover", log), "it writes what is sound to a new log")
+        return NextStep(0, _command("recover", log), "it writes the sound parts to a new log")
     left = [stretch for stretch in _left(info, odd) if stretch.is_sure]
     return NextStep(1, exclude_command(left, log), _EXCLUDES) if left else _go_on(log)
 
@@ -194,7 +194,7 @@ def step_of_list(logs: Sequence[LogInfo]) -> NextStep:
     rows = {info.path: sum(stretch.rows for stretch in _left(info) if stretch.is_sure) for info in logs}
     odd = max(rows, key=lambda path: rows[path])
     if rows[odd]:
-        return NextStep(1, _command("info", location(odd)), "what is odd in it")
+        return NextStep(1, _command("info", location(odd)), "it shows the odd stretches")
     return _go_on(location(max(logs, key=lambda info: info.start).path))
 
 
@@ -202,7 +202,7 @@ def _left(info: LogInfo, odd: Sequence[OddStretch] | None = None) -> list[OddStr
     """The odd stretches of a log that are not excluded."""
     from recorder.log.tagged_rows import TaggedRows  # NumPy
 
-    return TaggedRows(info.tags, EXCLUDE).left(odd or info.odd or ())
+    return TaggedRows(info.tags, EXCLUDE).untagged(odd or info.odd or ())
 
 
 def _go_on(log: Location) -> NextStep:

@@ -112,7 +112,7 @@ class NameRows:
         else:
             sure = [stretch for stretch in odd if stretch.is_sure]
             if not self.remove:
-                sure = fine_rows(self.log).left(sure)
+                sure = fine_rows(self.log).untagged(sure)
             chosen = [Tag(stretch.first_row, stretch.last_row, name) for stretch in sure]
             words = [str(stretch) for stretch in sure]
         for line in words[:MAX_LINES]:

@@ -156,7 +156,7 @@ class RowPictures:
                 return None
             size = self._size_readers[camera].width_and_height(picture)
             if size is None or not is_whole_picture(picture):
-                self._skip("rows with a picture that is no whole JPEG or PNG", number)
+                self._skip("rows with a picture that is not a whole JPEG or PNG", number)
                 return None
             expected = self._sizes.get(camera, size)
             if size != expected:

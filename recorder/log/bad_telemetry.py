@@ -23,7 +23,7 @@ class BadTelemetry:
         self.counts[kind] += 1
         return f"{_PREFIX}{reason}" if self.counts[kind] <= MAX_OF_EACH else None
 
-    def left(self) -> list[str]:
+    def remaining(self) -> list[str]:
         """The events at the end of a log, for telemetries that were only counted."""
         return [
             f"{_PREFIX}{kind} ({count - MAX_OF_EACH:,} more)"

@@ -134,7 +134,7 @@ class Log(Closeable):
         middle = sum(end - start for start, end in self.lost if end < self.size)
         also = f", and {middle:,} bytes before it are damaged" if middle else ""
         return (
-            f"{self.path}: {self.problem}{also}; what is complete in it is read."
+            f"{self.path}: {self.problem}{also}; its complete parts are read."
             f" `bc-log recover {self.path}` makes a finished log of it"
         )
 
@@ -363,10 +363,10 @@ class Log(Closeable):
             stored = stored_message(records, start)
             channel = self.channels.get(stored.channel)
             if channel is None or max(stored.log_time_ns, stored.publish_time_ns) > LAST_TIME_NS:
-                what = "a topic that is not known" if channel is None else "a time that cannot be"
+                fault = "a topic that is not known" if channel is None else "a time that cannot be"
                 if skipped is None:
-                    raise self._file.damaged(f"a message of {what}")
-                skipped.add(f"messages of {what}", f"channel {stored.channel}, number {stored.sequence}")
+                    raise self._file.damaged(f"a message of {fault}")
+                skipped.add(f"messages of {fault}", f"channel {stored.channel}, number {stored.sequence}")
                 continue
             data = records[stored.offset : stored.offset + stored.length]
             message = McapMessage(

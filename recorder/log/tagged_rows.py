@@ -25,14 +25,14 @@ class TaggedRows:
                 self._first.append(first)
                 self._last.append(last)
 
-    def hold(self, first_row: int, last_row: int) -> bool:
+    def cover(self, first_row: int, last_row: int) -> bool:
         """True if all rows of a stretch have the tag."""
         at = bisect_right(self._first, first_row) - 1
         return at >= 0 and last_row <= self._last[at]
 
-    def left(self, odd: Iterable[OddStretch]) -> list[OddStretch]:
+    def untagged(self, odd: Iterable[OddStretch]) -> list[OddStretch]:
         """The stretches with a row that lacks the tag."""
-        return [stretch for stretch in odd if not self.hold(stretch.first_row, stretch.last_row)]
+        return [stretch for stretch in odd if not self.cover(stretch.first_row, stretch.last_row)]
 
 
 def fine_rows(path: Location) -> TaggedRows:

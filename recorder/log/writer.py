@@ -109,7 +109,6 @@ class LogWriter:
         self.same_as = ""
         """Fingerprint of the log that is rewritten; empty for other logs."""
         self._session = metadata
-        self._is_split = metadata is not None
         self._center_channels = set[int]()
         self._has_commands = False
         self._states = StatesWritten()
@@ -137,7 +136,7 @@ class LogWriter:
             lock(self._stream)
         if live:
             self._sync = files.BackgroundSync(self._stream.fileno())
-        self._chunks = SplitChunks(self._stream)
+        self._chunks = SplitChunks(self._stream, is_split=metadata is not None)
         self._copied_channels = CopiedChannels(self._chunks.mcap)
         self._to_disk(self._chunks.mcap.start, profile, f"{topics.LIBRARY} {version_of()}")
         if metadata is not None:
@@ -201,7 +200,8 @@ class LogWriter:
     def copy(self, schema: Schema | None, channel: Channel, message: McapMessage, sequence: int) -> None:
         """Write a message of another log, unchanged except for its sequence number."""
         is_picture = is_image_channel(schema, channel)
-        add = self._adder(partial(self._copied_channels.number_of, schema, channel), is_picture=is_picture)
+        number_of = partial(self._copied_channels.number_of, schema, channel)
+        add = partial(self._chunks.add, number_of, is_picture=is_picture)
         self._message(add, message.log_time, message.publish_time, sequence, message.data)
         if channel.topic == topics.VEHICLE and schema is not None and schema.name == VEHICLE_STATE.name:
             try:
@@ -241,8 +241,8 @@ class LogWriter:
 
     @property
     def notices(self) -> list[str]:
-        """Lines to print about the cameras' pictures until now."""
-        return self._sizes.notices()
+        """Lines to print about cameras whose pictures have changed their size."""
+        return [f"pictures of different sizes on {topic}: {sizes}" for topic, sizes in self._sizes.mixed().items()]
 
     def flush_if_due(self) -> None:
         """Close the open chunks if the last flush is long enough ago. Call it also if nothing arrives."""
@@ -294,8 +294,8 @@ class LogWriter:
     def _measured_lag(self, states: States, habits: SteeringHabits) -> dict[str, str]:
         """The lag for the log's summary. It is measured at the end: the choice of pictures depends on all rows,
         and the page cache still has them."""
-        session = self._session or {}
-        if not self._is_split or not goes_by_lag(habits, machine_of(session, has_commands=self._has_commands)):
+        session = self._session
+        if session is None or not goes_by_lag(habits, machine_of(session, has_commands=self._has_commands)):
             return {}
         self._to_disk(self._chunks.flush)  # whatever fails after this, no row is lost
         self._to_disk(self._stream.flush)
@@ -353,14 +353,8 @@ class LogWriter:
         if add is None:
             is_picture = message.DESCRIPTOR.full_name == COMPRESSED_IMAGE.name
             number_of = cache(partial(self._register, topic, type(message)))
-            add = self._adders[topic] = self._adder(number_of, is_picture=is_picture)
+            add = self._adders[topic] = partial(self._chunks.add, number_of, is_picture=is_picture)
         self._message(add, time_ns, time_ns, sequence, message.SerializeToString())
-
-    def _adder(self, number_of: Callable[[], int], *, is_picture: bool) -> AddMessage:
-        """A function that adds messages to the channel with the number from `number_of`."""
-        if not self._is_split:
-            return partial(self._chunks.add_mixed, number_of)
-        return partial(self._chunks.add_picture if is_picture else self._chunks.add, number_of)
 
     def _message(self, add: AddMessage, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
         try:  # as `_to_disk`, without another call for every message

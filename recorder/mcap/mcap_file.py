@@ -223,11 +223,12 @@ class McapFile(Closeable):
         """True if the CRC matches `content`, or the file has none."""
         return zlib.crc32(content) == crc or (crc == 0 and not self.promises_crcs)
 
-    def has_crc(self, chunk: Chunk) -> bool:
-        return has_crc_in(chunk, self.read(chunk.start, min(CHUNK_HEADER.size, chunk.end - chunk.start)))
-
     def have_crcs(self, chunks: Iterable[Chunk]) -> bool:
-        return self.promises_crcs or all(map(self.has_crc, chunks))
+        """True if all these chunks have CRCs."""
+        return self.promises_crcs or all(
+            has_crc_in(chunk, self.read(chunk.start, min(CHUNK_HEADER.size, chunk.end - chunk.start)))
+            for chunk in chunks
+        )
 
     def records(self, chunk: Chunk) -> bytes:
         """The unpacked records of a chunk. Raises LogError if the chunk is damaged."""
@@ -342,19 +343,20 @@ class McapFile(Closeable):
     def _most_messages(self) -> int:
         return self.size // MIN_MESSAGE_BYTES + FREE_MESSAGES
 
-    def _too_many(self, what: str) -> LogError:
-        return self.damaged(f"{what} in {self.size:,} bytes, which hold {self._most_messages:,} at most")
+    def _too_many(self, count: str) -> LogError:
+        return self.damaged(f"{count} in {self.size:,} bytes, which hold {self._most_messages:,} at most")
 
-    def damaged(self, what: str) -> LogError:
+    def damaged(self, problem: str) -> LogError:
+        """The error for this damaged file."""
         path = self.path
         if self._copy is not None:  # then the next command fetches it anew
             with contextlib.suppress(OSError):
                 self._copy.unlink(missing_ok=True)
         if not isinstance(path, Path):
             return LogError(
-                f"{path}: damaged: {what}; `bc-log copy {path} FOLDER` brings it here, for `bc-log recover`"
+                f"{path}: damaged: {problem}; `bc-log copy {path} FOLDER` brings it here, for `bc-log recover`"
             )
-        return LogError(f"{path}: damaged: {what}; `bc-log recover {path}` saves the rest")
+        return LogError(f"{path}: damaged: {problem}; `bc-log recover {path}` saves the rest")
 
 
 def has_crc_in(chunk: Chunk, head: bytes) -> bool:

@@ -29,7 +29,9 @@ class SplitChunks:
     Messages of one topic stay in order.
     """
 
-    def __init__(self, stream: BinaryIO) -> None:
+    def __init__(self, stream: BinaryIO, *, is_split: bool) -> None:
+        """`is_split`: False mixes pictures and other messages in the same chunks."""
+        self._is_split = is_split
         self._stream = _ChunkStream(stream)
         self.mcap = Writer(
             cast(BinaryIO, self._stream),  # the library uses only its methods
@@ -46,30 +48,29 @@ class SplitChunks:
         """SHA-256 over the headers of all chunks until now, without the open chunk."""
         return self._stream.digest.hexdigest()
 
-    def add_picture(
-        self, number_of: Callable[[], int], log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
+    def add(
+        self,
+        number_of: Callable[[], int],
+        log_time_ns: int,
+        data: bytes,
+        publish_time_ns: int,
+        sequence: int,
+        *,
+        is_picture: bool,
     ) -> None:
-        """Add a message with a picture. `number_of` returns the channel's number, and may register the channel."""
+        """Add a message to the channel with the number from `number_of`, which may register the channel."""
+        if self._is_split and not is_picture:
+            self._waiting.append((number_of, log_time_ns, data, publish_time_ns, sequence))
+            self._waiting_bytes += len(data) + MESSAGE.size
+            if self._waiting_bytes > min(CHUNK_BYTES, ROWS_CHUNK_BYTES):
+                self.flush()
+            return
         number = number_of()
-        self._stream.places.channels.add(number)
+        if self._is_split:
+            self._stream.places.channels.add(number)
         self.mcap.add_message(number, log_time_ns, data, publish_time_ns, sequence)
         if self._stream.places.count >= PLACES_AT_ONCE:
             self._write_places()
-
-    def add(
-        self, number_of: Callable[[], int], log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
-    ) -> None:
-        """Add any other message."""
-        self._waiting.append((number_of, log_time_ns, data, publish_time_ns, sequence))
-        self._waiting_bytes += len(data) + MESSAGE.size
-        if self._waiting_bytes > min(CHUNK_BYTES, ROWS_CHUNK_BYTES):
-            self.flush()
-
-    def add_mixed(
-        self, number_of: Callable[[], int], log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
-    ) -> None:
-        """Add a message to a file without separate chunks."""
-        self.mcap.add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
 
     def flush(self) -> None:
         """Close the open chunk of pictures, then the other one."""

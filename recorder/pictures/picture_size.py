@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections import Counter
 from typing import Final
 
 from common.errors import counted
@@ -114,22 +113,6 @@ class PictureSizes:
     def first(self) -> dict[str, tuple[int, int]]:
         """Width and height of the first picture of each topic that has any."""
         return {topic: next(iter(sizes)) for topic, sizes in sorted(self._sizes.items()) if sizes}
-
-    def notices(self) -> list[str]:
-        """Lines to print about a recording with pictures of several sizes, of all cameras together."""
-        counts: Counter[tuple[int, int]] = Counter()
-        for sizes in self._sizes.values():
-            counts.update({size: count for size, (count, _) in sizes.items()})
-        if len(counts) < 2:
-            return []
-        parts = [
-            f"{width:,} x {height:,} px ({count:,})"
-            for (width, height), count in sorted(counts.items(), reverse=True)
-        ]
-        return [
-            f"pictures of different sizes: {', '.join(parts)}. A network sees the same share of each: they should"
-            " show the same part of the world"
-        ]
 
 
 def _frame(jpeg: bytes) -> int:

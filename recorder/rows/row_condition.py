@@ -43,10 +43,10 @@ def rows_where(states: States, condition: str) -> Mask:
     try:
         return np.broadcast_to(_mask(ast.parse(text, mode="eval").body, columns), states.row.shape)
     except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError) as error:
-        what = (
+        problem = (
             error.args[0] if isinstance(error, _ExpectedError) else "comparisons joined by and, or were expected"
         )
-        raise UsageError(f"--where {condition!r}: {what}; columns are {', '.join(COLUMNS)}") from None
+        raise UsageError(f"--where {condition!r}: {problem}; columns are {', '.join(COLUMNS)}") from None
 
 
 class _ExpectedError(ValueError):
@@ -63,8 +63,8 @@ def _mask(node: ast.expr, columns: Mapping[str, NDArray[Any]]) -> Mask:
                 joined = join(joined, mask)
             return joined
         case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in _COMPARE:
-            one, other = _value(left, columns), _value(right, columns)
-            holds: Mask = np.asarray(_COMPARE[type(op)](one, other) & ~np.isnan(one) & ~np.isnan(other))
+            first, second = _value(left, columns), _value(right, columns)
+            holds: Mask = np.asarray(_COMPARE[type(op)](first, second) & ~np.isnan(first) & ~np.isnan(second))
             return holds
     raise _ExpectedError(f"a comparison (<, <=, >, >=, =, !=) was expected, not {ast.unparse(node)}")
 

@@ -23,8 +23,8 @@ LANDING_PAGE: Final = (
     "This port is for driving simulators: start one in autonomous mode, and it connects by itself.\n"
 )
 
-NOTICE_BROWSER: Final = "somebody looks at this port with a browser: start the simulator's autonomous mode instead"
-NOTICE_TLS: Final = "somebody connects by TLS, which is not spoken here: begin the address with ws:// or http://"
+NOTICE_BROWSER: Final = "a browser has opened this port: start the simulator's autonomous mode instead"
+NOTICE_TLS: Final = "a client uses TLS, which this port does not support: begin the address with ws:// or http://"
 NOTICE_NOT_HTTP: Final = "a program that is not a simulator uses this port: give one of the two another port"
 NOTICE_SILENT: Final = (
     f"disconnected a client that sent nothing for {REQUEST_S:g} s: a simulator sends at once, start one"

@@ -31,7 +31,7 @@ MAX_MESSAGE_BYTES: Final = 4 * MAX_IMAGE_BYTES
 """Longer messages close the connection. Pictures that are only too large still fit, and are answered."""
 
 NOTICE_NO_TELEMETRY: Final = (
-    f"somebody has opened a websocket and sent nothing for {NO_TELEMETRY_S:g} s: start the simulator's autonomous"
+    f"a client has opened a websocket and sent nothing for {NO_TELEMETRY_S:g} s: start the simulator's autonomous"
     " mode; other clients have to speak Socket.IO"
 )
 NOTICE_POLLING: Final = (
@@ -231,10 +231,10 @@ class TelemetryServer:
             start_response("400 Bad Request", [("Content-Length", "0")])
             return []
 
-    def _refuse(self, what: str) -> None:
+    def _refuse(self, reason: str) -> None:
         if not self._has_refused:  # once: a page that tries many names must not fill the screen
             self._has_refused = True
-            self._notify_once(NOTICE_REFUSED.format(printable(what[:MAX_SHOWN_CHARACTERS])))
+            self._notify_once(NOTICE_REFUSED.format(printable(reason[:MAX_SHOWN_CHARACTERS])))
 
     def _on_connection(self, engine_sid: str, environ: dict[str, Any]) -> Any:
         transport = parse_qs(str(environ.get("QUERY_STRING", ""))).get("transport", [""])[0]

@@ -95,13 +95,8 @@ def record_simulated(
             raise UserError(f"{laps:g} laps: too short to record a single row")
         if folder is not None:
             folder.finish()
-    notices = []
-    if put_back:
-        notices.append(
-            f"off the road {counted(put_back, 'time')}: the car was put back on its line, with a gap in the times,"
-            " as if somebody had stopped recording to drive back"
-        )
-    return Imported(log, rows, rows * len(MOUNT_LEFT_M), Skipped(), notices)
+    notice = f"off the road {counted(put_back, 'time')}: the car was put back on its line, with a gap in the times"
+    return Imported(log, rows, rows * len(MOUNT_LEFT_M), Skipped(), [notice] if put_back else [])
 
 
 def simulation_on(track: str) -> Simulation:

@@ -82,7 +82,7 @@ class CsvColumns:
                 text = io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace", newline="")
                 yield from self._rows(path, text, scale, skipped)
         except csv.Error as error:
-            raise RecordingError(f"{path}: no csv ({error})") from None
+            raise RecordingError(f"{path}: not a csv ({error})") from None
 
     def _rows(self, path: Path, text: io.TextIOWrapper, scale: float, skipped: Skipped) -> Iterator[CsvRow]:
         lines = _lines(text)
@@ -126,7 +126,7 @@ class CsvColumns:
                 text = values[key].replace(",", ".") if has_comma else values[key]
                 numbers[key] = _number(text)
         if not math.isfinite(numbers["steering"]):
-            return "rows whose steering is no number"
+            return "rows whose steering is not a number"
         time_ns: int | None = None
         for key in _TIMES.keys() & values.keys():  # at most one
             time_ns = _time_ns(key, values[key], numbers[key])

@@ -91,7 +91,7 @@ def folders_in(folder: Path) -> list[Path]:
     """The folders in a folder, by name; none if it cannot be read."""
     try:
         with os.scandir(folder) as entries:
-            some = islice(entries, 100 * _MAX_FOLDERS)
-            return sorted(path for entry in some if (path := folder / entry.name).is_dir())
+            limited = islice(entries, 100 * _MAX_FOLDERS)
+            return sorted(path for entry in limited if (path := folder / entry.name).is_dir())
     except OSError:
         return []

@@ -113,7 +113,7 @@ class GymnasiumCar(Closeable):
 
     def reset(self, seed: int) -> GymnasiumMoment:
         self._steps = 0
-        with _their_errors(f"--gym {self.name}", f"its reset with seed {seed}"):
+        with _errors_of(f"--gym {self.name}", f"its reset with seed {seed}"):
             observation, info = self.env.reset(seed=seed)
         return self._moment(observation, info)
 
@@ -121,7 +121,7 @@ class GymnasiumCar(Closeable):
         """One step by an action in the environment's form, limited to its range."""
         self._steps += 1
         sent = np.clip(action.reshape(self._space.shape), self._space.low, self._space.high)
-        with _their_errors(f"--gym {self.name}", f"its step {self._steps}"):
+        with _errors_of(f"--gym {self.name}", f"its step {self._steps}"):
             observation, given, terminated, truncated, info = self.env.step(sent.astype(self._space.dtype))
             reward = float(given)
         end = "terminated" if terminated else "truncated" if truncated else ""
@@ -130,7 +130,7 @@ class GymnasiumCar(Closeable):
     def expert_action(self, moment: GymnasiumMoment) -> NDArray[np.float64]:
         """The expert's action (N,). Raises RecordingError for anything else."""
         assert self._expert is not None  # noqa: S101
-        with _their_errors(f"--expert {self._flags.expert}", f"at step {self._steps} it"):
+        with _errors_of(f"--expert {self._flags.expert}", f"at step {self._steps} it"):
             given = self._expert(self.env, moment.observation)
         try:
             action = np.asarray(given, np.float64)
@@ -138,8 +138,8 @@ class GymnasiumCar(Closeable):
             action = np.zeros(0)
         where = f"--expert {self._flags.expert}: at step {self._steps}"
         if action.size != len(self.actions):
-            what = f"an array of shape {action.shape}" if action.size else f"{type(given).__name__}"
-            raise RecordingError(f"{where} it gave {what}; an action of {len(self.actions)} numbers was expected")
+            kind = f"an array of shape {action.shape}" if action.size else f"{type(given).__name__}"
+            raise RecordingError(f"{where} it gave {kind}; an action of {len(self.actions)} numbers was expected")
         if not np.isfinite(action).all():
             raise RecordingError(f"{where} it gave {action.ravel().tolist()}: finite numbers were expected")
         return action.ravel()
@@ -226,12 +226,12 @@ def _make(name: str, arguments: dict[str, Any]) -> gymnasium.Env[Any, Any]:
 
 
 @contextlib.contextmanager
-def _their_errors(what: str, where: str) -> Iterator[None]:
+def _errors_of(code: str, action: str) -> Iterator[None]:
     """Turn an error in other people's code into one line."""
     try:
         yield
     except Exception as error:
-        raise RecordingError(f"{what}: {where} failed ({in_one_line(error)})") from error
+        raise RecordingError(f"{code}: {action} failed ({in_one_line(error)})") from error
 
 
 def _parse_action(text: str) -> ActionMap:

@@ -65,9 +65,9 @@ def import_tub(
     return write_log(log, metadata, frames, events, without_rows, overwrite=overwrite)
 
 
-def _frames(tub: Tub, step_ms: float | None, what: str, skipped: Skipped) -> Iterator[ImportedRow]:
+def _frames(tub: Tub, step_ms: float | None, bar: str, skipped: Skipped) -> Iterator[ImportedRow]:
     named: set[str] = set()
-    for record in track(tub.records(skipped), what, tub.count):
+    for record in track(tub.records(skipped), bar, tub.count):
         try:
             yield _frame(tub, record, step_ms, named)
         except _UnusableRecordError as error:

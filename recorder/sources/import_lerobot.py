@@ -161,7 +161,7 @@ def _frames(
                 skipped.add("frames without a picture", name)
                 continue
             if not math.isfinite(values[0]):
-                skipped.add("frames with a steering that is no finite number", name)
+                skipped.add("frames whose steering is not a finite number", name)
                 continue
             if abs(values[0]) > 1:
                 skipped.add(STEERING_OUT_OF_RANGE, f"{name}: {values[0]:g}")

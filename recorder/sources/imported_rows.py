@@ -23,7 +23,7 @@ STEERING_OUT_OF_RANGE: Final = (
     "rows with steering beyond -1..1 (kept, but an index leaves them out; is --steering-scale right?)"
 )
 """The remark on these rows, which are kept."""
-NOT_WHOLE: Final = "pictures that are no whole JPEG or PNG"
+NOT_WHOLE: Final = "pictures that are not whole JPEG or PNG files"
 FROM_1970: Final = {"start": "1970, because the recording does not have it"}
 """Metadata of a log whose recording has no date."""
 

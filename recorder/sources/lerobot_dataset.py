@@ -117,13 +117,10 @@ def open_dataset(folder: Path) -> LeRobotFolder:
 
 def _dataset(folder: Path, info: dict[str, Any]) -> LeRobotFolder:
     version = str(info["codebase_version"])
-    if version.startswith(("v1", "v2")):
-        raise RecordingError(
-            f"{folder}: a LeRobot dataset of format {printable(version)}; {VERSION} was expected. {_CONVERT}"
-        )
     if not version.startswith("v3."):
+        advice = f". {_CONVERT}" if version.startswith(("v1", "v2")) else ""
         raise RecordingError(
-            f"{folder}: a LeRobot dataset of format {printable(version[:40])}; {VERSION} was expected"
+            f"{folder}: a LeRobot dataset of format {printable(version[:40])}; {VERSION} was expected{advice}"
         )
     features = {str(name): _feature(stored) for name, stored in info["features"].items()}
     dataset = LeRobotFolder(

@@ -189,7 +189,7 @@ class _Session:
 
     def finish(self) -> None:
         """Write the last events, when nothing more will come."""
-        for text in self._bad.left():
+        for text in self._bad.remaining():
             self._event(time.perf_counter_ns(), text, "WARNING")
 
     def is_idle_for(self, idle_s: float) -> bool:
@@ -279,11 +279,11 @@ class _Session:
         gap_s = (time_ns - self._last_row_ns) / 1e9 - MAX_ROW_S
         return MeantGap(gap_s, why) if self.rows and why and gap_s > 0 else None
 
-    def _note_unusable(self, what: str, received_ns: int, kind: str, reason: str) -> None:
+    def _note_unusable(self, noun: str, received_ns: int, kind: str, reason: str) -> None:
         """Note an unusable telemetry, or an unusable picture of a side camera."""
         if kind not in self._bad.counts:
-            print_message(f"{'telemetry' if what == 'telemetries' else 'a picture'} that cannot be used: {reason}")
-        self.skipped.add(f"{what} that cannot be used ({kind})", f"number {self._telemetries}")
+            print_message(f"{'telemetry' if noun == 'telemetries' else 'a picture'} that cannot be used: {reason}")
+        self.skipped.add(f"{noun} that cannot be used ({kind})", f"number {self._telemetries}")
         if (text := self._bad.take(kind, reason)) is not None:
             self._event(received_ns, text, "WARNING")
 

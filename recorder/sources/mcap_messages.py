@@ -93,7 +93,7 @@ def number_in(message: object, field: str) -> float:
             parents = f"{parents}{name}."
         if not isinstance(value, int | float) or isinstance(value, bool):
             has = f"; it has {_listed(fields)}" if (fields := _names(value)) else ""
-            raise FieldError(f"{brief(field) or 'the message'} is no number but {_kind(value)}{has}")
+            raise FieldError(f"{brief(field) or 'the message'} is not a number but {_kind(value)}{has}")
     except FieldError as error:
         is_typed = isinstance(message, ProtobufMessage | SimpleNamespace)
         error.is_final = is_typed and not any(name.isdecimal() for name in names)  # lists may be longer elsewhere
@@ -103,7 +103,7 @@ def number_in(message: object, field: str) -> float:
     except OverflowError:  # a whole number of over 308 digits
         number = math.inf
     if not math.isfinite(number):
-        raise FieldError(f"{brief(field)} is no finite number")
+        raise FieldError(f"{brief(field)} is not a finite number")
     return number
 
 
@@ -118,7 +118,7 @@ def picture_in(message: object) -> bytes:
             return bytes(data)
     except (binascii.Error, TypeError, ValueError):
         pass
-    raise FieldError("data is no picture")
+    raise FieldError("data is not a picture")
 
 
 def needs_ros() -> str:

@@ -61,8 +61,8 @@ def import_recording(
             f"{source}: --image and --steering are for other programs' logs and LeRobot datasets; this is neither"
         )
     if rate_hz is not None and kind in ("log", "lerobot"):
-        what = "messages" if kind == "log" else "frames"
-        raise RecordingError(f"{source}: --rate: its {what} have their times; leave it out")
+        noun = "messages" if kind == "log" else "frames"
+        raise RecordingError(f"{source}: --rate: its {noun} have their times; leave it out")
     if kind == "log":
         return import_mcap(source, log, topics, car=car, overwrite=overwrite)
     if kind == "lerobot":

@@ -79,11 +79,8 @@ def _log(source: Path, skipped: Skipped) -> RecordingSummary:
 
 
 def _udacity(source: Path, skipped: Skipped) -> RecordingSummary:
-    count = 0
-    for _ in islice(UdacityRecording(source, skipped).rows(), MAX_COUNTED_ROWS):
-        count += 1
-    rows = f"{counted(count, 'row')}{' or more' if count == MAX_COUNTED_ROWS else ''}"
-    return RecordingSummary(source, "recording of Udacity's simulator", rows, _lines(skipped))
+    count = sum(1 for _ in islice(UdacityRecording(source, skipped).rows(), MAX_COUNTED_ROWS))
+    return RecordingSummary(source, "recording of Udacity's simulator", _rows(count), _lines(skipped))
 
 
 def _csv(source: Path) -> RecordingSummary:
@@ -94,10 +91,13 @@ def _csv(source: Path) -> RecordingSummary:
             count = sum(1 for _ in islice(lines, MAX_COUNTED_ROWS))
         names = next(csv.reader([first], delimiter=max(",;\t", key=first.count)), [])
     except csv.Error as error:
-        raise RecordingError(f"{source}: no csv ({error})") from None
-    rows = f"{counted(count, 'row')}{' or more' if count == MAX_COUNTED_ROWS else ''}"
+        raise RecordingError(f"{source}: not a csv ({error})") from None
     columns = tuple(printable(name.strip()) for name in names[:_MAX_LISTED])
-    return RecordingSummary(source, "pictures with a csv", rows, needs="columns", names=columns)
+    return RecordingSummary(source, "pictures with a csv", _rows(count), needs="columns", names=columns)
+
+
+def _rows(count: int) -> str:
+    return f"{counted(count, 'row')}{' or more' if count == MAX_COUNTED_ROWS else ''}"
 
 
 def _lines(skipped: Skipped, more: tuple[str, ...] = ()) -> tuple[str, ...]:

@@ -115,8 +115,8 @@ class SqliteFile:
         with self._open() as database:
             return {str(name): str(kind) for name, kind in database.execute("SELECT name, type FROM topics")}
 
-    def messages(self, topic: str, what: str) -> Iterator[tuple[Schema, Channel, Message]]:
-        """The messages on `topic` by time, as from an MCAP file, with a progress bar named `what`."""
+    def messages(self, topic: str, bar: str) -> Iterator[tuple[Schema, Channel, Message]]:
+        """The messages on `topic` by time, as from an MCAP file, with a progress bar named `bar`."""
         with self._open() as database:
             channels = {}
             for number, kind, encoding in database.execute(
@@ -128,7 +128,7 @@ class SqliteFile:
             where = f"FROM messages WHERE topic_id IN ({places})"
             ((count,),) = database.execute(f"SELECT COUNT(*) {where}", tuple(channels))
             order = f"SELECT topic_id, timestamp, data {where} ORDER BY timestamp, id"
-            for number, time_ns, data in track(database.execute(order, tuple(channels)), what, count):
+            for number, time_ns, data in track(database.execute(order, tuple(channels)), bar, count):
                 yield *channels[number], Message(number, time_ns, data, time_ns, 0)
 
     @contextmanager
@@ -160,13 +160,13 @@ class SqliteFile:
     def _definition(self, database: sqlite3.Connection, kind: str) -> bytes:
         tables = database.execute("SELECT name FROM sqlite_master WHERE name = 'message_definitions'")
         if tables.fetchone() is not None:
-            held = database.execute(
+            row = database.execute(
                 "SELECT encoded_message_definition FROM message_definitions"
                 " WHERE topic_type = ? AND encoding = 'ros2msg'",
                 (kind,),
             ).fetchone()
-            if held is not None:
-                return str(held[0]).encode()
+            if row is not None:
+                return str(row[0]).encode()
         text = _DEFINITIONS.get(kind) or self._standard_definition(kind)
         if text is None:
             raise RecordingError(

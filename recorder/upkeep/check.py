@@ -99,8 +99,8 @@ def check(path: Location, *, look: bool = True) -> Checked:
             if are_swapped(log):
                 left_out = "`bc-index --cameras center` leaves them out"
                 findings.append(Finding("side cameras that are swapped", f"left and right; {left_out}"))
-    odd = fine.left(odd)
-    findings += odd_findings(excluded.left(odd))
+    odd = fine.untagged(odd)
+    findings += odd_findings(excluded.untagged(odd))
     pauses = [finding for finding in findings if finding.kind == GAPS and is_paused_by_people]
     return Checked(
         path,

@@ -36,7 +36,7 @@ ODD_FINDINGS: Final = {
     "steering_against_pictures": "stretches of steering against the pictures",
 }
 """Without coasting and creeping, which only `bc-log info` names."""
-_MISFIT: Final = "messages that are not what their schema says"
+_MISFIT: Final = "messages that do not match their schema"
 
 
 class Finding(NamedTuple):
@@ -93,7 +93,7 @@ class Contents:
             return
         self.counts[topic] += 1
         if message.log_time_ns > LAST_TIME_NS:
-            self._findings.append(Finding("times that no clock shows", f"{topic} row {message.sequence}"))
+            self._findings.append(Finding("impossible times", f"{topic} row {message.sequence}"))
             return
         if message.channel in self._in_order:
             if message.sequence <= self._last_row.get(topic, -1):
@@ -139,7 +139,7 @@ class Contents:
             where = f"{topic} row {self._image_check.pictures[topic].rows[at]}"
             self._findings.append(Finding("pictures that do not decode", where))
         for reason, count in self._bad_telemetry.most_common():
-            self._findings.append(Finding("kinds of telemetry that could not be used", f"{reason} ({count:,})"))
+            self._findings.append(Finding("kinds of unusable telemetry", f"{reason} ({count:,})"))
         for topic, sizes in self._sizes.mixed().items():
             self._findings.append(Finding("cameras with pictures of several sizes", f"{topic}: {sizes}"))
         states = self._states.states()
@@ -150,7 +150,7 @@ class Contents:
         meant = self._not_recorded.gaps(states)
         self.meant_gaps = [f"before row {row}" for row in states.row[meant].tolist()]
         for row in states.row[row_flags(states)["gap"] & ~meant].tolist():
-            if not self._fine.hold(row, row):
+            if not self._fine.cover(row, row):
                 self._findings.append(Finding(GAPS, f"before row {row}"))
         self.odd = odd_stretches(states)
 
@@ -164,18 +164,18 @@ class Contents:
     def _check_pictures(
         self, topic: str, pictures: TopicPictures, speed_mph: dict[tuple[int, int], float]
     ) -> None:
-        held = set(zip(pictures.rows, pictures.times_ns, strict=True))
+        with_picture = set(zip(pictures.rows, pictures.times_ns, strict=True))
         expects_rows = self._is_ours or bool(speed_mph)  # other programs' logs may have none
         for kind, keys in (
-            ("stretches of rows without a picture", speed_mph.keys() - held),
-            ("stretches of pictures without a row", held - speed_mph.keys() if expects_rows else set()),
+            ("stretches of rows without a picture", speed_mph.keys() - with_picture),
+            ("stretches of pictures without a row", with_picture - speed_mph.keys() if expects_rows else set()),
         ):
             for first, last in consecutive(sorted({row for row, _ in keys})):
                 self._findings.append(Finding(kind, f"{topic} {rows_named(first, last)}"))
         standing = {key for key, speed in speed_mph.items() if speed < STANDING_MPH}  # False for NaN
         for first, last in pictures.frozen(standing):
             rows = (pictures.rows[first], pictures.rows[last])
-            if not self._fine.hold(*rows):
+            if not self._fine.cover(*rows):
                 self._findings.append(Finding("stretches of frozen pictures", f"{topic} {rows_named(*rows)}"))
 
 

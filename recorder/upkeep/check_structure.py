@@ -54,7 +54,7 @@ def _without_end(file: McapFile, structure: Structure, findings: list[Finding]) 
     """The chunks of a log without a readable end, which the search has checked."""
     findings.append(Finding("no readable end", structure.problem))
     for start, end in structure.lost:
-        findings.append(Finding("bytes without anything whole", f"{start:,} to {end:,}"))
+        findings.append(Finding("unreadable bytes", f"{start:,} to {end:,}"))
     count = 0
     for chunk in structure.chunks:
         records = file.records(chunk)
@@ -93,7 +93,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
             chunk = Chunk(position, position + len(record))
             listed = indexed.pop(position, chunk)
             if listed.end != chunk.end:
-                findings.append(Finding("chunks that are not where the summary says", f"at byte {position:,}"))
+                findings.append(Finding("chunks with wrong places in the summary", f"at byte {position:,}"))
             try:
                 records = file.unpacked(record, position)
                 messages = list(file.messages(records))
@@ -106,7 +106,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
                 _, _, first_ns, last_ns, _, _ = CHUNK_HEADER.unpack_from(record)
                 times = [message.log_time_ns for message in messages] or [0]
                 if (min(times), max(times)) != (first_ns, last_ns):
-                    findings.append(Finding("chunks of other times than they declare", f"at byte {position:,}"))
+                    findings.append(Finding("chunks with wrong times in their headers", f"at byte {position:,}"))
                 places.add(listed, record, {message.channel for message in messages})
                 yield records, messages
         elif opcode == Opcode.MESSAGE and indexed.pop(position, None) is not None:  # of a file without chunks
@@ -119,7 +119,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
                 findings.append(Finding("indexes that do not fit their chunk", f"at byte {position:,}"))
         position += len(record)
     findings.extend(
-        Finding("chunks that are not where the summary says", f"at byte {start:,}") for start in sorted(indexed)
+        Finding("chunks with wrong places in the summary", f"at byte {start:,}") for start in sorted(indexed)
     )
     # other programs may write no statistics
     stored_counts = structure.statistics.channel_message_counts if structure.statistics is not None else counts
@@ -128,7 +128,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
             topic = structure.channels[channel].topic if channel in structure.channels else f"channel {channel}"
             findings.append(
                 Finding(
-                    "other numbers of messages than the summary says",
+                    "wrong message counts in the summary",
                     f"{topic}: {counts[channel]:,} of {stored_counts.get(channel, 0):,}",
                 )
             )
@@ -177,9 +177,9 @@ class PlacesCheck:
             return
         self._crcs = read_chunk_crcs(file, structure)
         if self._crcs is None:
-            findings.append(Finding("lists that are not about this file", CHUNKS_ATTACHMENT))
+            findings.append(Finding("lists that describe another file", CHUNKS_ATTACHMENT))
         elif (places := stored_places(file, structure)) is None or read_places(file, structure) is None:
-            findings.append(Finding("lists that are not about this file", PICTURES_ATTACHMENT))
+            findings.append(Finding("lists that describe another file", PICTURES_ATTACHMENT))
         else:
             self._places = places
             # for all chunks together: a search for each chunk would copy the whole column
@@ -189,17 +189,17 @@ class PlacesCheck:
         """Check a sound chunk. `indexed`: its entry in the summary; `channels`: of its messages."""
         where = f"at byte {indexed.start:,}"
         if indexed.channels is not None and indexed.channels != channels:
-            self._findings.append(Finding("chunks of other topics than the summary says", where))
+            self._findings.append(Finding("chunks with wrong topics in the summary", where))
         if indexed.head and indexed.head != record[: len(indexed.head)]:
-            self._findings.append(Finding("chunks of other times or sizes than the summary says", where))
+            self._findings.append(Finding("chunks with wrong times or sizes in the summary", where))
         number = self._numbers.get(indexed.start)
         if number is None or self._crcs is None:
             return
         *_, crc = CHUNK_HEADER.unpack_from(record)
         if self._crcs[number] != crc:
-            self._findings.append(Finding("chunks of other CRCs than are listed", where))
+            self._findings.append(Finding("chunks with wrong CRCs in the list", where))
         if self._places is None or indexed.compression:
             return
         first, end = self._edges[number : number + 2]
         if self._places[first:end].tobytes() != places_in(record, number, self._images):
-            self._findings.append(Finding("chunks of other pictures than are listed", where))
+            self._findings.append(Finding("chunks with wrong pictures in the list", where))

@@ -139,7 +139,7 @@ def describe(
             drives=_count(quality.get("drives")) if quality else None,
             flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS} if quality else None,
             stretches=[FlaggedRows(*values) for values in stretches or ()],
-            odd=TaggedRows(tags).left(odd) if odd is not None else None,
+            odd=TaggedRows(tags).untagged(odd) if odd is not None else None,
             steering=steering,
             lag=finding.lag if finding else None,
             lacks_lag=finding is None and goes_by,

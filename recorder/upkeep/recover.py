@@ -79,7 +79,7 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
             copy_rest(log, records, writer, skipped)
             tags += _bad_rows(log)
             close_with_tags(writer, tags_of_rows(tags, rows))
-    lost_kind = "stretches of bytes without anything whole" if log.problem else "damaged chunks"
+    lost_kind = "stretches of unreadable bytes" if log.problem else "damaged chunks"
     for start, end in log.lost:
         skipped.add(lost_kind, f"bytes {start:,} to {end:,}")
     notices = [f"{path}: {line}" for line in out_of_order.lines()]
@@ -137,7 +137,7 @@ class LostRows:
         """The reason why the rest of a row is left out; empty if it is kept."""
         if row > self.last_row:
             return "messages of a row that was never finished"
-        return "messages of a row of which the rest is lost" if row in self.torn else ""
+        return "messages of a row whose other parts are lost" if row in self.torn else ""
 
 
 def lost_rows(log: Log, skipped: Skipped, out_of_order: Skipped) -> LostRows:
@@ -186,7 +186,7 @@ def _late(chunks: Sequence[tuple[Chunk, _Rows]]) -> Iterator[tuple[str, str]]:
         for topic in highest.keys() & rows.keys():
             if min(rows[topic]) <= highest[topic]:
                 where = f"{rows_named(min(rows[topic]), max(rows[topic]))} at byte {chunk.start:,}"
-                yield "chunks out of order, or there twice, which stay where they are", where
+                yield "chunks out of order or doubled, which are kept in place", where
                 break
         for topic in highest.keys() & rows.keys():
             highest[topic] = max(highest[topic], *rows[topic])
