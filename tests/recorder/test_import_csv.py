@@ -186,7 +186,7 @@ def test_folders_that_have_no_csv_several_or_no_pictures_are_one_line(tmp_path: 
         imported(folder, "image=p", "steering=s", rate_hz=10.0)
     (folder / "a.jpg").write_bytes(jpeg("center", 0))
     (folder / "labels.csv").write_text("p,s\n" + "x" * 200_000)
-    with pytest.raises(RecordingError, match=r"no csv .a line of over 100,000 characters"):
+    with pytest.raises(RecordingError, match=r"not a csv .a line of over 100,000 characters"):
         imported(folder, "image=p", "steering=s", rate_hz=10.0)
     (folder / "more.csv").write_text("")
     with pytest.raises(RecordingError, match=r"which csv\? .* labels.csv, more.csv"):
