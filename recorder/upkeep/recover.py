@@ -79,9 +79,11 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
             copy_rest(log, records, writer, skipped)
             tags += _bad_rows(log)
             close_with_tags(writer, tags_of_rows(tags, rows))
-    lost_kind = "stretches of unreadable bytes" if log.problem else "damaged chunks"
     for start, end in log.lost:
-        skipped.add(lost_kind, f"bytes {start:,} to {end:,}")
+        if log.problem:
+            skipped.add("stretches of unreadable bytes", f"{start:,} to {end:,}")
+        else:
+            skipped.add("damaged chunks", f"bytes {start:,} to {end:,}")
     notices = [f"{path}: {line}" for line in out_of_order.lines()]
     lost_count = log.message_count - count - left_out
     if lost_count > 0:
