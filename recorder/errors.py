@@ -1,4 +1,4 @@
-"""The errors of the recorder: of logs, of recordings, and of the port on which telemetry arrives."""
+"""The recorder's errors: of logs, of recordings, and of the port for telemetry."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from common.location import Location
 
 
 class LogError(UserError):
-    """A log that is missing, damaged, unfinished, or of another program."""
+    """A log that is missing, damaged, unfinished, or another program's."""
 
 
 class RecordingError(UserError):
@@ -32,5 +32,5 @@ def readable(path: Path) -> Iterator[None]:
 
 
 def damaged_pictures(log: Location) -> str:
-    """The kind of what is skipped where pictures of a log are damaged, and the others are used."""
+    """The reason for skipped pictures in damaged chunks of a log."""
     return f"pictures in damaged chunks of {log} (`bc-log recover {log}` saves the others)"

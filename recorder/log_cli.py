@@ -107,8 +107,8 @@ Command = (
 
 
 def _each(logs: tuple[Location, ...], action: Callable[[Location, list[NextStep]], int]) -> int:
-    """Do it for every log, also behind one that cannot be read, and print the step that comes first of those that
-    it adds; the worst of the exit codes."""
+    """Do `action` for every log, also after an unreadable one, and print the most important next step; the worst
+    of the exit codes."""
     refuse_fewer(logs)
     codes, steps = [], list[NextStep]()
     for path in logs:

@@ -1,4 +1,4 @@
-"""`bc-log copy`: logs to a store, and from one."""
+"""`bc-log copy`: copies logs to and from a store."""
 
 from __future__ import annotations
 
@@ -8,20 +8,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 import tyro
 
 from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, warn
-from common.errors import StoreError, UsageError, as_user_error, counted, printable
+from common.errors import UsageError, as_user_error, counted
 from common.location import Location, Url
 from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result
 from recorder.log.logs_in_folder import logs_at, logs_in
 from recorder.log_flag import named_log
-
-_MAX_NAMED: Final = 8
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,7 @@ class CopyLogs:
 
 
 def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = False, prog: str = "bc-log") -> int:
-    """Copy logs and folders of logs, also those behind one that cannot be; the worst of the exit codes."""
+    """Copy logs and folders of logs, also after a failure; the worst of the exit codes."""
     from common.progress import progress_bar
     from recorder.upkeep.copy_log import copy_log  # obstore, an extra
 
@@ -82,21 +80,21 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
 
 
 def _unreadable_or_full(log: Location, target: Location, error: OSError) -> UserError:
-    """The error to raise where the system refuses to read a file of this machine, or to write any more to it."""
+    """The error for a file of this machine that cannot be read or written."""
     if error.filename is None and isinstance(target, Path):
         return UserError(f"{target}: {error.strerror}; the same command continues")
     return UserError(f"{error.filename or log}: {error.strerror}")
 
 
 def refuse_copying(to: Location) -> None:
-    """Raise UserError, before anything is recorded, for a place that logs cannot be copied to."""
+    """Raise UserError, before a recording, if logs cannot be copied to a place."""
     if not isinstance(to, Url) or to.suffix == ".mcap":
         raise UsageError(f"{to}: a folder in a store was expected, such as s3://BUCKET/sessions")
     logs_in(to)
 
 
 def refuse_taken_name(log: Url, overwrite: bool) -> None:
-    """Raise UserError, before anything is driven, for a log that is there already; StoreError."""
+    """Raise UserError, before a recording, if the log exists already; StoreError."""
     from common.object_store import find_object  # an extra
 
     if find_object(log) is not None and not overwrite:
@@ -104,25 +102,17 @@ def refuse_taken_name(log: Url, overwrite: bool) -> None:
 
 
 def copy_recording(log: Path, to: Location, overwrite: bool, *, prog: str = "bc-record") -> int:
-    """Copy a log that was just recorded, and list those beside it that are not there. Exit code 3 if it is not
-    copied: it is recorded all the same."""
-    code = DONE if copy_logs([log], to, overwrite=overwrite, prog=prog) == DONE else DONE_BUT_SKIPPED
-    try:
-        names_stored = {other.name for other in logs_in(to)}
-    except StoreError:  # reported already
-        names_stored = set()
-    missing = [each for each in logs_in(log.parent) if each.suffix == ".mcap" and each.name not in names_stored]
-    if missing:
-        names = ", ".join(printable(each.name) for each in missing[:_MAX_NAMED])
-        more = f" and {len(missing) - _MAX_NAMED:,} more" if len(missing) > _MAX_NAMED else ""
-        print_message(f"not in {to} yet: {names}{more}; `bc-log copy {log.parent} {to}` copies them")
-    return code
+    """Copy a new recording. Exit code 3 if it is not copied: it is recorded all the same."""
+    code = copy_logs([log], to, overwrite=overwrite, prog=prog)
+    if code == FAILED:
+        print_message(f"`bc-log copy {shlex.quote(str(log))} {shlex.quote(str(to))}` copies it later")
+    return DONE if code == DONE else DONE_BUT_SKIPPED
 
 
 @contextlib.contextmanager
 def brought_here(places: Sequence[Location]) -> Iterator[tuple[Path, ...]]:
-    """The same logs as files of this machine: those in a store as copies, which are gone afterwards. Raises what
-    `copy_log` does."""
+    """The logs as files of this machine. Logs in a store are copied, and the copies removed afterwards. Raises as
+    `copy_log`."""
     import tempfile
 
     from common.progress import progress_bar
@@ -145,7 +135,7 @@ def brought_here(places: Sequence[Location]) -> Iterator[tuple[Path, ...]]:
 
 
 def _pairs(places: Sequence[Location], to: Location) -> list[tuple[Location, Location]]:
-    """Each log, and the place of its copy."""
+    """Each log with the place of its copy."""
     logs: list[Location] = []
     for place in places:
         inside = [log for log in logs_at(place) if log.suffix == ".mcap" or log == place]
@@ -165,7 +155,7 @@ def _pairs(places: Sequence[Location], to: Location) -> list[tuple[Location, Loc
 
 
 def size_of(log: Location) -> int | None:
-    """Bytes of a log; None if it is not there. Raises StoreError."""
+    """The bytes of a log; None if it does not exist. Raises StoreError."""
     if isinstance(log, Url):
         from common.object_store import find_object
 

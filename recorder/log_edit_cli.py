@@ -1,4 +1,4 @@
-"""`bc-log recover`, `trim`, `merge`, `rewrite`, `split`: new logs made of logs of this machine."""
+"""`bc-log recover`, `trim`, `merge`, `rewrite`, `split`: make new logs from logs of this machine."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ def remark_crcs(path: Location, has_crcs: bool) -> None:
 
 
 def noted(path: Location) -> int:
-    """Say it of an unfinished log before it is used, and of one without CRCs."""
+    """Warn of an unfinished log, or a log without CRCs, before its use; the exit code."""
     from recorder.log.reader import Log
 
     with Log(path) as log:

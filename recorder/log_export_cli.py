@@ -1,4 +1,4 @@
-"""`bc-log export`: logs in the format of another toolkit."""
+"""`bc-log export`: writes logs in another toolkit's format."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ class ExportLogs:
 
 
 def refuse_no_text(*flags: tuple[str, str | None]) -> None:
-    """Raise UsageError for the value of a flag that is given and is no line of text."""
+    """Raise UsageError if a given flag's value is not a line of text."""
     for name, text in flags:
         if text is not None and (not text.strip() or not text.isprintable()):
             raise UsageError(f"{name} {text!r}: a line of text was expected")
 
 
 def print_exported(done: Exported, *, has_licence: bool, is_video: bool) -> int:
-    """Say what was written and what was not; the exit code."""
+    """Print what was written and what was not; the exit code."""
     code = warn_skipped(done.skipped)
     for notice in done.notices:
         print_message(notice)

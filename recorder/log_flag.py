@@ -1,4 +1,4 @@
-"""Arguments of commands that take a log: its path, its URL, or the name of a session or drive of this folder."""
+"""Arguments that name a log: its path, its URL, or the name of a session or drive in this folder."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ FOLDERS: Final = (SESSIONS, Path("drives"))  # where logs are looked for by name
 
 
 def named_log(place: Location) -> Location:
-    """The log of a session or drive of this name, if there is one and `place` is no file itself; else `place`.
+    """The log of the session or drive named `place`, if there is one; `place` itself for other logs and files.
 
-    Raises UserError for a name that a session and a drive have.
+    Raises UserError if a session and a drive have this name.
     """
     if isinstance(place, Url) or len(place.parts) != 1 or place.suffix in (".mcap", ".part"):
         return place

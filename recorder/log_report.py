@@ -1,4 +1,4 @@
-"""The output of `bc-log`: the contents of a log, its findings, what was written, and what to do next."""
+"""The output of `bc-log`: the contents of a log, its findings, new logs, and the next step."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:  # NumPy
     from recorder.upkeep.derived_log import Written
     from recorder.upkeep.log_info import LogInfo
 
-MAX_PLACES: Final = 6  # so many are named of a kind; --json names all
+MAX_PLACES: Final = 6  # named for each kind; --json names all
 MAX_LINES: Final = 200
-"""So many topics, settings and tags are shown of a log: a terminal takes a millisecond for each."""
+"""The most topics, settings and tags shown of a log: a terminal takes a millisecond for each."""
 _LONG_VALUE: Final = 400  # characters
 _EXCLUDES: Final = "excludes all that is surely odd"
 
@@ -76,7 +76,7 @@ def print_checked(checked: Checked, tags: Sequence[Tag]) -> None:
     print_result(f"{checked.path}: {counted(checked.messages, 'message')}{decoded}: {verdict}")
     places = Skipped()
     for finding in checked.findings:
-        if finding.kind not in ODD_FINDINGS.values():  # those are named with their causes
+        if finding.kind not in ODD_FINDINGS.values():  # odd stretches are named below, with their causes
             places.add(finding.kind, finding.where)
     for line in places.lines(MAX_PLACES):
         print_result(f"  {line}")
@@ -96,7 +96,7 @@ def print_checked(checked: Checked, tags: Sequence[Tag]) -> None:
 
 
 def print_written(written: Written) -> int:
-    """Print what a new log holds and lacks. Returns the exit code, which is 3 if it lacks something."""
+    """Print what a new log holds and lacks; the exit code, 3 if it lacks something."""
     code = max([warn_skipped(written.skipped), *map(warn, written.notices)])
     size_mb = written.path.stat().st_size / 1e6
     contents = f"{counted(written.rows, 'row')}, {counted(written.messages, 'message')}, {size_mb:,.1f} MB"
@@ -133,11 +133,11 @@ def _print_drives(info: LogInfo) -> None:
 
 
 def _odd_lines(odd: Sequence[OddStretch], tags: Sequence[Tag], log: Location) -> list[str]:
-    """What is odd in a log, and what to do about it; what is excluded is counted."""
+    """The odd stretches of a log, and what to do about them; excluded ones are only counted."""
     from recorder.log.tagged_rows import TaggedRows
     from recorder.rows.odd_stretches import odd_advice, odd_lines
 
-    left = TaggedRows(tags, EXCLUDE).left(odd)
+    left = TaggedRows(tags, EXCLUDE).untagged(odd)
     excluded = len(odd) - len(left)
     lines = [f"{counted(excluded, 'odd stretch is', 'odd stretches are')} excluded"] if excluded else []
     return [*odd_lines(left), *lines, *odd_advice(left, log)]
@@ -148,12 +148,12 @@ def _in_short(value: str) -> str:
 
 
 def plain(text: str) -> str:
-    """Somebody else's text in a table: without markup, in one line."""
+    """Untrusted text for a table: without markup, in one line."""
     return escape(printable(text))
 
 
 class NextStep(NamedTuple):
-    """A command, and why; of several, the one with the smallest `order` comes next."""
+    """A command and its reason. Of several, the one with the smallest `order` is printed."""
 
     order: int
     command: str
@@ -161,52 +161,52 @@ class NextStep(NamedTuple):
 
 
 def step_of_info(info: LogInfo) -> NextStep:
-    """What to do about a log, by its numbers."""
+    """The next step for a log, from its numbers."""
     from recorder.rows.odd_stretches import exclude_command
 
     log, left = location(info.path), _left(info)
     if any(stretch.is_sure for stretch in left):
         return NextStep(1, exclude_command(left, log), _EXCLUDES)
     if left:
-        return NextStep(2, _command("check", log), "it looks at the pictures of what is perhaps odd")
+        return NextStep(2, _command("check", log), "it checks the pictures of perhaps odd stretches")
     return _go_on(log)
 
 
 def step_of_check(info: LogInfo, odd: Sequence[OddStretch], *, is_damaged: bool) -> NextStep:
-    """What to do about a log whose file, rows and pictures were checked, and showed what is `odd`."""
+    """The next step for a log after its check, which found the stretches `odd`."""
     from recorder.rows.odd_stretches import exclude_command
 
     log = location(info.path)
     if is_damaged:
-        return NextStep(0, _command("recover", log), "it writes what is sound to a new log")
+        return NextStep(0, _command("recover", log), "it writes the sound parts to a new log")
     left = [stretch for stretch in _left(info, odd) if stretch.is_sure]
     return NextStep(1, exclude_command(left, log), _EXCLUDES) if left else _go_on(log)
 
 
 def print_first(steps: Sequence[NextStep]) -> None:
-    """Print the step that comes first, if there is any."""
+    """Print the most important step, if there is any."""
     if steps:
         print_next(*min(steps, key=lambda step: step.order)[1:])
 
 
 def step_of_list(logs: Sequence[LogInfo]) -> NextStep:
-    """What to do about one of these logs: that with most odd rows, else the newest."""
+    """The next step for the log with the most odd rows, or for the newest log."""
     rows = {info.path: sum(stretch.rows for stretch in _left(info) if stretch.is_sure) for info in logs}
     odd = max(rows, key=lambda path: rows[path])
     if rows[odd]:
-        return NextStep(1, _command("info", location(odd)), "what is odd in it")
+        return NextStep(1, _command("info", location(odd)), "it shows the odd stretches")
     return _go_on(location(max(logs, key=lambda info: info.start).path))
 
 
 def _left(info: LogInfo, odd: Sequence[OddStretch] | None = None) -> list[OddStretch]:
-    """What is odd in a log and not excluded."""
+    """The odd stretches of a log that are not excluded."""
     from recorder.log.tagged_rows import TaggedRows  # NumPy
 
-    return TaggedRows(info.tags, EXCLUDE).left(odd or info.odd or ())
+    return TaggedRows(info.tags, EXCLUDE).untagged(odd or info.odd or ())
 
 
 def _go_on(log: Location) -> NextStep:
-    """A session is learnt from, a drive looked at."""
+    """The next step for a log without problems: index a session, play a drive."""
     return NextStep(3, "bc-index" if log.parent == SESSIONS else f"bc-play {shlex.quote(str(log))}")
 
 

@@ -112,7 +112,7 @@ class NameRows:
         else:
             sure = [stretch for stretch in odd if stretch.is_sure]
             if not self.remove:
-                sure = fine_rows(self.log).left(sure)
+                sure = fine_rows(self.log).untagged(sure)
             chosen = [Tag(stretch.first_row, stretch.last_row, name) for stretch in sure]
             words = [str(stretch) for stretch in sure]
         for line in words[:MAX_LINES]:
@@ -129,8 +129,8 @@ class NameRows:
         return ask(f"Tag {in_all} {self.tag!r}?") is not False  # without a terminal nobody is asked
 
     def _notice_of_new(self, name: str) -> str:
-        """The notice for a name that nobody has used yet; "" for any other. Where it is perhaps mistyped, a person
-        is asked first: its rows would be trained on."""
+        """The notice for a new name; "" for other names. If it may be mistyped, the user is asked first: its rows
+        would be trained on."""
         used = names_used(self.log.parent)
         if name in used:
             return ""
@@ -179,7 +179,7 @@ class NameRows:
 
 
 def warn_stale(path: Location, count: int) -> int:
-    """Tags of what had this name before are not lost in silence."""
+    """Warn of tags for an earlier content of the log; the exit code."""
     if not count:
         return DONE
     tags = f"{counted(count, 'tag is', 'tags are')} of another content of {path.name} and"

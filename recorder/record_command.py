@@ -1,4 +1,4 @@
-"""What `bc-record` does: it records or imports, and prints what is in the log."""
+"""The work of `bc-record`: it records or imports, and prints what is in the log."""
 
 from __future__ import annotations
 
@@ -14,22 +14,24 @@ from common.errors import UsageError, counted, printable
 from common.location import Url, local_path
 from common.output import print_message, print_next, print_result
 from common.preview import preview
+from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
 from recorder.errors import RecordingError
 from recorder.log.session_car import named_car
 from recorder.log_copy_cli import copy_recording, refuse_copying, refuse_taken_name
-from recorder.person_cli import check_at_the_wheel, record_at_the_wheel
 from recorder.rows.odd_stretches import odd_advice, odd_lines
 from recorder.sources.built_in_simulator import check_drive, record_simulated
-from recorder.sources.frame_rate import check_rate
+from recorder.sources.frame_rate import check_rate, check_row_rate
 from recorder.sources.gymnasium_flags import GYM_FLAGS
 from recorder.sources.imported_rows import Imported
 from recorder.sources.recording_kinds import import_recording, refuse_to_watch
 from recorder.sources.settings import ListenSettings, SimulatedDrive, Topics
 from recorder.upkeep.log_info import describe
+from simulator.driving.drive_limits import MAX_SPEED_MPH
 
 if TYPE_CHECKING:
     from recorder.cli import Record
     from recorder.sources.record_gymnasium import GymRecording
+    from recorder.teleop.wheel import Wheel
 
 
 def record(config: Record) -> int:
@@ -72,15 +74,7 @@ def _record_to(config: Record, log: Path) -> Imported:
 
         settings = ListenSettings(config.host, config.port, config.idle, car, show)
         if config.drive.driver == "me":
-            return record_at_the_wheel(
-                config.drive,
-                config.rate,
-                log,
-                settings if config.listen else None,
-                opens=config.open,
-                serves=config.page,
-                overwrite=config.force,
-            )
+            return _record_at_the_wheel(config, log, settings)
         if config.listen:
             from recorder.sources.live_telemetry import listen_for_telemetry  # Socket.IO: a second to load
 
@@ -118,6 +112,30 @@ def _record_to(config: Record, log: Path) -> Imported:
                 " --from FOLDER imports a recording"
             )
         return record_simulated(_drive_of(config), log, udacity=config.udacity, overwrite=config.force)
+
+
+def _record_at_the_wheel(config: Record, log: Path, settings: ListenSettings) -> Imported:
+    """Record a person in the built-in simulator, or, with --listen, in one that connects."""
+    if config.page:
+        check_wheel_page()
+    with contextlib.ExitStack() as stack:
+
+        def serve_page(wheel: Wheel) -> None:
+            if config.page:
+                stack.enter_context(wheel_page(wheel.key, {"sessions": log.parent}, opens=config.open))
+
+        if config.listen:
+            from recorder.sources.person_of_telemetry import listen_at_the_wheel  # Socket.IO: a second to load
+
+            speed_mph = config.drive.speed[0]
+            done = listen_at_the_wheel(settings, log, speed_mph, overwrite=config.force, on_wheel=serve_page)
+        else:
+            from recorder.sources.record_person import record_person  # OpenCV
+
+            done = record_person(_drive_of(config), log, overwrite=config.force, on_wheel=serve_page)
+        if config.page:
+            wait_until_left(done.path)
+        return done
 
 
 def _drive_of(config: Record) -> SimulatedDrive:
@@ -178,7 +196,7 @@ def _refuse_contradictions(config: Record) -> None:
     if (flags := flags_given(config.environment, *GYM_FLAGS)) or (flags := flags_given(config, "wander")):
         raise UsageError(f"{flags}: only with --gym ID")
     if config.drive.driver == "me":
-        check_at_the_wheel(config.drive, config.rate, listens=config.listen)
+        _check_at_the_wheel(config)
         return
     with usage_errors(RecordingError):
         if config.source is not None:
@@ -195,3 +213,25 @@ def _refuse_beside_gym(config: Record) -> None:
     if replace(config.drive, seed=0) != SimulatedDrive():
         raise UsageError("--track, --driver and so on are for the built-in simulator, not for --gym")
     check_recording(_gym_recording(config))
+
+
+def _check_at_the_wheel(config: Record) -> None:
+    """Raise UsageError for flags that do not fit a person's drive."""
+    drive = config.drive
+    if flags := flags_given(drive, "recovery", "noise", "seed"):
+        raise UsageError(f"{flags}: only for a simulated driver, not with --driver me")
+    if len(drive.speed) != 1 or not 0 < drive.speed[0] <= MAX_SPEED_MPH:
+        raise UsageError(
+            f"--speed: with --driver me, give the one speed that the page holds, above 0 mph and up to"
+            f" {MAX_SPEED_MPH}"
+        )
+    if config.listen:
+        if flags := flags_given(drive, "track", "laps", "start"):
+            raise UsageError(f"{flags}: the simulator that connects decides; not with --listen --driver me")
+        return
+    with usage_errors(RecordingError):
+        check_row_rate(_drive_of(config).rate)
+    if not 0 <= drive.start < math.inf:
+        raise UsageError(f"--start {drive.start:g}: a number of metres, 0 or more, was expected")
+    if drive.laps is not None and not 0 < drive.laps < math.inf:
+        raise UsageError(f"--laps {drive.laps:g}: a number above 0 was expected")

@@ -1,7 +1,7 @@
-"""The registry of what a log holds: its topics, their messages, and how these are drawn.
+"""The registry of a log's topics, their messages, and how they are drawn.
 
-A new topic is one more entry in `TOPICS`: what writes, checks, edits and plays logs reads it from there.
-A new camera is one more name in `common.car.Camera`.
+A new topic is an entry in `TOPICS`, which writing, checking, editing and playing logs use. A new camera is a name
+in `common.car.Camera`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ PROFILE: Final = "bc"
 LIBRARY: Final = "behavioural-cloning-toolkit"  # of an MCAP file's header, before the version
 SESSION_METADATA: Final = "bc.session"
 QUALITY_METADATA: Final = "bc.quality"
-REWRITTEN_METADATA: Final = "bc.rewritten"  # which log this one holds the same content as
+REWRITTEN_METADATA: Final = "bc.rewritten"  # the original of a rewritten log
 DRIVE_METADATA: Final = "bc.drive"  # a drive's own summary
 PERSON_METADATA: Final = "bc.person"  # what a person chose while driving
 
@@ -36,7 +36,7 @@ ColorName = Literal["blue", "orange", "green", "violet", "grey", "red"]
 
 @dataclass(frozen=True)
 class MessageType:
-    """A Protobuf message: its full name, and the module that has its Python class."""
+    """A Protobuf message: its full name, and the module of its Python class."""
 
     name: str
     module: str
@@ -49,13 +49,13 @@ class MessageType:
 
 @dataclass(frozen=True)
 class Plot:
-    """Axes that lines share."""
+    """The axes of one or several lines."""
 
     path: str  # in the viewer; the lines are under it
     name: str
     unit: str = ""
-    range: tuple[float, float] | None = None  # of the upright axis; None: that of the values
-    height: float = 1.0  # beside other plots
+    range: tuple[float, float] | None = None  # of the vertical axis; None: from the values
+    height: float = 1.0  # relative to other plots
 
     @property
     def title(self) -> str:
@@ -64,9 +64,9 @@ class Plot:
 
 @dataclass(frozen=True)
 class Line:
-    """A number in the messages of a topic that is drawn over time."""
+    """A number in the messages of a topic, drawn over time."""
 
-    field: str  # of the message; "acceleration.x" is a field of its field
+    field: str  # of the message; "acceleration.x" is a field of a field
     plot: Plot
     name: str  # under the plot's path
     label: str
@@ -80,16 +80,13 @@ class Line:
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic of a log.
-
-    Pictures (`COMPRESSED_IMAGE`) are shown in a view called `title`, numbers as `lines`.
-    """
+    """A topic of a log. Pictures (`COMPRESSED_IMAGE`) are shown in a view named `title`, numbers as `lines`."""
 
     name: str
     message: MessageType
     title: str = ""
-    has_row: bool = True  # the sequence number of a message is the number of its row
-    is_in_order: bool = False  # by row; others may come late
+    has_row: bool = True  # a message's sequence number is its row's number
+    is_in_order: bool = False  # messages ascend by row; on other topics, they may come late
     camera: Camera | None = None
     lines: tuple[Line, ...] = ()
 
@@ -162,7 +159,7 @@ TOPICS: Final[Mapping[str, Topic]] = {
         Topic(EVENTS, LOG_MESSAGE, "events", has_row=False),
     )
 }
-"""Every topic that is written, by name; besides them, a log of predictions has one for each run."""
+"""Every written topic, by name. In addition, a log of predictions has a topic for each run."""
 
 VEHICLE_COLUMNS: Final = ("steering", "throttle", "brake", "speed_mph")
 PLOTS: Final = tuple(dict.fromkeys(line.plot for topic in TOPICS.values() for line in topic.lines))

@@ -97,7 +97,7 @@ class DriveLog(Closeable):
         if self._is_closed:
             return
         self._is_closed = True
-        for text in self._bad.left():
+        for text in self._bad.remaining():
             self._problem(text)
         for count, items in ((self.dropped_pictures, "pictures"), (self.dropped_rows, "rows and events")):
             if count:

@@ -1,1 +1,1 @@
-"""LeRobot datasets that are made of logs."""
+"""Exports logs as LeRobot datasets."""

@@ -20,7 +20,7 @@ class CardSession:
 
     name: str
     fingerprint: str
-    session: Mapping[str, str]  # of the log's metadata: where it comes from
+    session: Mapping[str, str]  # the log's metadata about its origin
     rows: int
     episodes: int
     excluded: int

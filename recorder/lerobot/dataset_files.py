@@ -1,4 +1,4 @@
-"""The files of a dataset, written episode by episode, and at the end those that describe the episodes."""
+"""Writes the files of a dataset: episode by episode, and at the end the files that describe the episodes."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from recorder.lerobot.dataset_format import DATA_FILE_MB, DATA_PATH, IMAGE_TYPE,
 from recorder.lerobot.log_episodes import Sizes
 from recorder.lerobot.video_files import VideoFiles
 
-_EPISODES_AT_ONCE: Final = 64  # are kept until they are written to meta/episodes
+_EPISODES_AT_ONCE: Final = 64  # written to meta/episodes together
 _BYTES_A_ROW: Final = 150  # of a row without its pictures, at most
 
 
 class DatasetFiles:
-    """Writes the files of a dataset. As a context manager it ends them."""
+    """Writes the files of a dataset. As a context manager, it finishes them."""
 
     def __init__(self, root: Path, fps: int, *, has_speed: bool, is_video: bool, has_split: bool = False) -> None:
         self.root = root
@@ -38,7 +38,7 @@ class DatasetFiles:
         self._episodes_writer: pq.ParquetWriter | None = None
 
     def begin_episode(self, sizes: Sizes, frames: int, pictures_bytes: int) -> None:
-        """Begin an episode of at most so many frames, whose pictures have at most so many bytes."""
+        """Begin an episode. `frames` and `pictures_bytes` are upper limits."""
         if self._data is None:
             self.columns = form.features(
                 sizes, has_speed=self._has_speed, is_video=self.is_video, has_split=self._has_split
@@ -51,7 +51,7 @@ class DatasetFiles:
             video.begin_episode()
 
     def add_to_videos(self, pictures: Sequence[NDArray[np.uint8]]) -> None:
-        """One decoded picture (height, width, 3) BGR of each camera."""
+        """Add a decoded picture (height, width, 3) BGR of each camera."""
         for video, picture in zip(self._videos, pictures, strict=True):
             video.add(picture)
 
@@ -61,7 +61,7 @@ class DatasetFiles:
         self._data.write(columns)
 
     def end_episode(self, about: dict[str, Any]) -> None:
-        """Write what meta/episodes has about the episode."""
+        """Write the episode's entry in meta/episodes."""
         assert self._data is not None  # noqa: S101
         number = self._data.number
         places: dict[str, Any] = {"data/chunk_index": number.chunk, "data/file_index": number.file}
@@ -86,7 +86,7 @@ class DatasetFiles:
         if kind is None:
             self.close()
             return
-        with contextlib.suppress(Exception):  # the error that was raised counts; nothing of the folder stays
+        with contextlib.suppress(Exception):  # the first exception counts; the folder is removed
             self.close()
 
     def _write_episodes(self) -> None:
@@ -106,7 +106,7 @@ def write_json(path: Path, content: object) -> None:
 
 
 def write_tasks(root: Path, task: str) -> None:
-    """Write the tasks as pandas writes a table with an index, in which LeRobot finds a task by its words."""
+    """Write the tasks as a pandas table whose index is the task's text, as LeRobot reads it."""
     kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
     columns = [
         {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy_kind, "metadata": None}
@@ -118,9 +118,9 @@ def write_tasks(root: Path, task: str) -> None:
 
 
 class DataFiles:
-    """Writes the frames of one episode after the other.
+    """Writes the frames of episodes, one after the other.
 
-    An episode begins a new file if the file might become larger than the format's size. It is always in one file.
+    Each episode is in one file. It begins a new file if the old one might become larger than the format's size.
     """
 
     def __init__(self, root: Path, schema: pa.Schema, file_bytes: int = DATA_FILE_MB * MEBIBYTE) -> None:
@@ -132,7 +132,7 @@ class DataFiles:
         self._bytes = 0
 
     def begin_episode(self, frames: int, pictures_bytes: int) -> None:
-        """Begin an episode of at most so many frames, whose pictures have at most so many bytes."""
+        """Begin an episode. `frames` and `pictures_bytes` are upper limits."""
         size = pictures_bytes + frames * _BYTES_A_ROW
         if self._writer is not None and self._bytes + size > self._file_bytes:
             self.close()
@@ -160,7 +160,7 @@ class DataFiles:
         return pq.ParquetWriter(
             path,
             self._schema,
-            # a JPEG is compressed already, no two are the same, and their order means nothing
+            # JPEGs are compressed already, and have no dictionary or order
             compression=dict.fromkeys(others, "zstd") | dict.fromkeys(pictures, "none"),
             use_dictionary=[field.name for field in self._schema if field.type == pa.string()],
             write_statistics=others,
@@ -169,5 +169,5 @@ class DataFiles:
 
 
 def _leaf(field: pa.Field) -> str:
-    """A column's name among parquet's: that of a list is its values'."""
+    """A column's name in parquet; a list has the name of its values."""
     return f"{field.name}.list.element" if pa.types.is_fixed_size_list(field.type) else str(field.name)

@@ -1,6 +1,6 @@
-"""LeRobot's dataset format v3.0: its files, its features, and their description for the libraries that read it.
+"""LeRobot's dataset format v3.0: its files, its features, and their descriptions for other libraries.
 
-After lerobot 0.6.1: `datasets/utils.py`, `datasets/feature_utils.py`, `datasets/dataset_writer.py`.
+Source: lerobot 0.6.1, `datasets/utils.py`, `datasets/feature_utils.py`, `datasets/dataset_writer.py`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ VERSION: Final = "v3.0"
 FILES_A_CHUNK: Final = 1000  # files in a folder `chunk-000`
 DATA_FILE_MB: Final = 100
 VIDEO_FILE_MB: Final = 200
-MEBIBYTE: Final = 1 << 20  # what the format calls MB
+MEBIBYTE: Final = 1 << 20  # the format's MB
 
 INFO_PATH: Final = "meta/info.json"
 STATS_PATH: Final = "meta/stats.json"
@@ -32,19 +32,19 @@ STATE: Final = "observation.state"
 ACTION: Final = "action"
 ACTION_NAMES: Final = ("steering", "throttle", "brake")
 PREVIOUS_NAMES: Final = ("previous_steering", "previous_throttle", "previous_brake")
-"""Numbers of the state: what was in force when the picture was taken. LeRobot makes a scalar of a state of one
-number, and its policies then fail."""
+"""Numbers of the state: the controls in force when the picture was taken. LeRobot turns a state of one number into
+a scalar, and its policies then fail."""
 LOG_TIME: Final = "log_time_ns"
 LOG_ROW: Final = "log_row"
-LOG_VEHICLE: Final = "log_vehicle"  # the vehicle state as the log has it: the format's own columns have 32 bits
+LOG_VEHICLE: Final = "log_vehicle"  # the log's vehicle state in 64 bits: the format's own columns have 32 bits
 LOG_FINGERPRINT: Final = "log_fingerprint"
 LOG_CAR: Final = "log_car"
 """A column of meta/episodes: the car of the episode's log, as JSON; empty if it is unknown."""
 LOG_NOT_RECORDED: Final = "log_not_recorded"
-"""A column of meta/episodes: the event about the time before the first frame that was left out on purpose
+"""A column of meta/episodes: the event about time left out on purpose before the first frame
 (`recorder.log.meant_gaps`); empty without one."""
 LOG_NOT_RECORDED_S: Final = "log_not_recorded_s"
-"""A column of meta/episodes: the seconds of that time; exports of version 0.3 and earlier have the event alone."""
+"""A column of meta/episodes: the seconds of that time; exports of version 0.3 and earlier only have the event."""
 SPLIT: Final = "split"
 """A column of data files and of meta/episodes: the side of an index's split, `train` or `validation`."""
 REQUIRED: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index")
@@ -83,7 +83,7 @@ def image_key(camera: Camera) -> str:
 def features(
     sizes: Mapping[Camera, tuple[int, int]], *, has_speed: bool, is_video: bool, has_split: bool = False
 ) -> dict[str, Feature]:
-    """The columns of a dataset of ours; `sizes` are width and height of each camera's pictures."""
+    """The columns of our datasets. `sizes`: width and height of each camera's pictures."""
     images = {
         image_key(camera): Feature(
             "video" if is_video else "image", (height, width, 3), ("height", "width", "channels")
@@ -127,9 +127,9 @@ def info(
 
 
 def data_schema(features: Mapping[str, Feature]) -> pa.Schema:
-    """The schema of the data files, with the description of their columns that the library `datasets` reads."""
+    """The schema of the data files, with the column descriptions for the library `datasets`."""
     columns = {name: feature for name, feature in features.items() if feature.dtype != "video"}
-    described = {name: _as_datasets_has_it(feature) for name, feature in columns.items()}
+    described = {name: _description(feature) for name, feature in columns.items()}
     fields = [pa.field(name, _arrow_type(feature)) for name, feature in columns.items()]
     return pa.schema(fields, {"huggingface": json.dumps({"info": {"features": described}})})
 
@@ -141,7 +141,7 @@ def _arrow_type(feature: Feature) -> pa.DataType:
     return kind if feature.shape == (1,) else pa.list_(kind, feature.shape[0])
 
 
-def _as_datasets_has_it(feature: Feature) -> dict[str, object]:
+def _description(feature: Feature) -> dict[str, object]:
     if feature.dtype == "image":
         return {"_type": "Image"}
     value: dict[str, object] = {"dtype": feature.dtype, "_type": "Value"}

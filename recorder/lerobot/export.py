@@ -1,4 +1,4 @@
-"""Logs as a LeRobot dataset: a folder that appears whole or not at all."""
+"""Exports logs as a LeRobot dataset: a folder that appears whole or not at all."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ from recorder.topics import EVENTS
 
 TASK: Final = "Drive along the road."
 ROBOT: Final = "car"
-_WRITTEN_BYTES: Final = 1 << 26  # so many bytes of pictures wait in memory, and are then a row group
+_WRITTEN_BYTES: Final = 1 << 26  # bytes of pictures in a row group
 
 Columns = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class Exported:
-    """A dataset that was written, and the parts of its logs that are not in it."""
+    """A new dataset, and the parts of its logs that are not in it."""
 
     folder: Path
     episodes: int
@@ -56,7 +56,7 @@ class Exported:
     pictures: int
     size_bytes: int
     excluded: int
-    """Rows that are tagged `exclude`."""
+    """Rows tagged `exclude`."""
     skipped: Skipped
     notices: Sequence[str]
 
@@ -73,11 +73,9 @@ def export_lerobot(
 ) -> Exported:
     """Write the logs at `paths` as the new LeRobot dataset `folder`, an episode for each drive.
 
-    With `chosen`, only these rows of each log, with the side of the split that each is on. Of `cameras`, those
-    that every log has. Pictures are in its parquet files byte for byte, or, with `is_video`, encoded anew in
-    videos.
-    Raises LogError if a log cannot be read or nothing in it can be used, and UserError if `folder` exists or
-    cannot be written.
+    `chosen`: only these rows of each log, with their sides of a split. `cameras`: used if every log has them.
+    Pictures are in the parquet files byte for byte or, with `is_video`, encoded anew in videos. Raises LogError if
+    a log cannot be read or nothing can be used, and UserError if `folder` exists or cannot be written.
     """
     if is_video:
         require_av()
@@ -107,10 +105,10 @@ def export_lerobot(
 
 
 class _Export:
-    """The episodes that were written until now, and what is known of them."""
+    """The episodes written until now, and their statistics."""
 
     def __init__(self, plan: ExportPlan, files: DatasetFiles, task: str, advance: Callable[[], object]) -> None:
-        """`advance` is called for every row."""
+        """Calls `advance` for every row."""
         self._plan, self._files, self._task, self._advance = plan, files, task, advance
         self.skipped = Skipped()
         self.episodes = self.frames = 0
@@ -120,7 +118,7 @@ class _Export:
         self._example = b""
 
     def add(self, log: Log, chosen: ChosenRows | None = None) -> None:
-        """Write the episodes of a log, or of rows that are chosen of it. Raises LogError where it is damaged."""
+        """Write the episodes of a log, or of its `chosen` rows. Raises LogError for a damaged log."""
         if log.notice:
             self.skipped.add("parts of logs that are not finished", log.notice)
         taken = log_episodes(log, self._plan.cameras, self.skipped, chosen)
@@ -151,12 +149,12 @@ class _Export:
         is_video = self._files.is_video
         of_pictures = {camera: PictureStatistics() for camera in self._plan.cameras}
         sampled_rows = set((sampled(len(rows)) + rows.start).tolist())
-        kept: list[int] = []  # rows whose pictures can be used
-        waiting: list[list[bytes]] = []  # pictures of the last of them, which are not written yet
+        kept: list[int] = []  # rows with usable pictures
+        waiting: list[list[bytes]] = []  # pictures of the last kept rows, not written yet
         waiting_bytes = 0
         for number in rows:
             self._advance()
-            # an episode whose first pictures cannot be used needs a sample, too
+            # an episode with unusable first pictures needs a sample, too
             is_sampled = number in sampled_rows or not kept
             encoded = pictures.read(number)
             decoded = pictures.decode(number, encoded) if encoded and (is_video or is_sampled) else []
@@ -192,7 +190,7 @@ class _Export:
         self.frames += len(kept)
 
     def _write(self, log: Log, taken: LogEpisodes, kept: list[int], pictures: list[list[bytes]]) -> None:
-        """Write the last of an episode's rows, which have these pictures."""
+        """Write the last of an episode's rows with their pictures."""
         count = len(pictures)
         numbers = self._numbers(taken, kept)
         columns = {name: _arrow(values[-count:]) for name, values in numbers.items()}
@@ -210,7 +208,7 @@ class _Export:
         self._files.write(columns)
 
     def _numbers(self, taken: LogEpisodes, kept: list[int]) -> Columns:
-        """The columns of an episode's rows that are numbers."""
+        """The number columns of an episode's rows."""
         states = taken.states.part(kept)
         frame = np.arange(len(kept))
         vehicle = np.stack([states.steering, states.throttle, states.brake, states.speed_mph], axis=1)
@@ -245,7 +243,7 @@ class _Export:
         }
 
     def write_rest(self, licence: str | None) -> None:
-        """Write the files that describe the episodes, now that all of them are there."""
+        """Write the files that describe the episodes."""
         plan, root, is_video = self._plan, self._files.root, self._files.is_video
         info = form.info(
             self._files.columns,
@@ -276,7 +274,7 @@ class _Export:
 
 
 def _statistics(numbers: Columns, pictures: dict[Camera, PictureStatistics]) -> dict[str, Statistics]:
-    """Without those of our own columns: nothing learns from them, and a speed may be unknown."""
+    """Statistics of an episode, without our own columns: nothing learns from them, and a speed may be NaN."""
     of_pictures = {form.image_key(camera): statistics.statistics() for camera, statistics in pictures.items()}
     own = {form.LOG_TIME, form.LOG_ROW, form.LOG_VEHICLE}
     return of_pictures | {name: number_statistics(values) for name, values in numbers.items() if name not in own}
@@ -289,7 +287,7 @@ def _arrow(values: NDArray[Any]) -> pa.Array:
 
 
 def _car(log: Log) -> str:
-    """The car of a log, as logs keep it; empty if it is unknown."""
+    """The car of a log as JSON; empty if unknown."""
     car = stored_car(log)
     if car is None and (degrees := known_max_steering_deg(log)) is not None:
         car = Car(max_steering_deg=degrees)
@@ -297,7 +295,7 @@ def _car(log: Log) -> str:
 
 
 def _left_out(log: Log) -> dict[int, tuple[float, str]]:
-    """The seconds before a row that were left out on purpose, and the event there, by the row's log time."""
+    """The seconds left out on purpose before a row, and their event, by the row's log time."""
     states = States.of(log.vehicle())
     seconds = NotRecorded.of(log).seconds(states)
     events = {at.log_time_ns: event.message for at, event in log.decoded(EVENTS)} if EVENTS in log.counts else {}
@@ -314,7 +312,7 @@ def _name(log: Log) -> str:
 
 @contextlib.contextmanager
 def _refused(folder: Path) -> Iterator[None]:
-    """Turn what a full or failing disk raises into one line."""
+    """Turn errors of a full or failing disk into one line."""
     try:
         yield
     except (OSError, pa.ArrowException) as error:

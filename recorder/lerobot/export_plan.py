@@ -1,4 +1,4 @@
-"""The plan of an export, made before anything is written: the cameras, rate and speed of all frames."""
+"""The plan of an export, made before writing: cameras, rate and speed."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from recorder.rows.row_quality import usual_step
 from recorder.topics import camera_topic
 
 RATES_DIFFER: Final = 1.2
-"""Sessions whose rates differ by this factor get a notice: the format has one rate for all."""
+"""A notice is shown if sessions' rates differ by this factor: the format has one rate for all."""
 
 
 @dataclass(frozen=True)
 class ExportPlan:
     cameras: tuple[Camera, ...]
     has_speed: bool
-    """Every row has one."""
+    """Every row has a speed."""
     rate_hz: float
     max_steering_deg: float | None  # of the front wheels at steering 1; None: unknown
     rows: int
-    """At most so many frames."""
+    """The most frames."""
     notices: tuple[str, ...]
 
     @property
     def fps(self) -> int:
-        """A whole number, as the format wants it."""
+        """The rate as a whole number, as the format requires."""
         return max(1, round(self.rate_hz))
 
 
@@ -89,7 +89,7 @@ def plan_export(
 
 
 def _cameras(paths: Sequence[Location], wanted: Sequence[Camera]) -> tuple[tuple[Camera, ...], list[str]]:
-    """The wanted cameras whose pictures each of the logs has, and lines about the others."""
+    """The wanted cameras that all logs have, and lines about the others."""
     having: dict[Camera, list[str]] = {camera: [] for camera in CAMERAS if camera in wanted}
     for path in paths:
         with Log(path) as log:

@@ -1,8 +1,8 @@
 """Statistics of a dataset's features: of each episode, and of all episodes together.
 
-As lerobot's `datasets/compute_stats.py` has them: images as shares of 255, one number a channel, from pictures
-that are spread over the episode; quantiles of a dataset are the means of its episodes', by their counts. Where
-LeRobot estimates an episode's quantiles from histograms, here they are exact.
+As in lerobot's `datasets/compute_stats.py`: images are shares of 255, with one number a channel, from pictures
+spread over the episode. A dataset's quantiles are the means of its episodes' quantiles, weighted by their counts.
+LeRobot estimates an episode's quantiles from histograms; here they are exact.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 MIN_PICTURES: Final = 10
 PICTURE_SHARE: Final = 0.1
-"""At most this share of an episode's pictures is sampled: decoding is by far the dearest part of an export.
-LeRobot samples N ** 0.75 of them, and at least 100."""
+"""The largest sampled share of an episode's pictures. Decoding takes most of an export's time. LeRobot samples N
+** 0.75 of them, and at least 100."""
 
 Values = NDArray[np.float64]
 Statistics = dict[str, Values]
@@ -46,21 +46,21 @@ def number_statistics(values: NDArray[np.number]) -> Statistics:
 
 
 class PictureStatistics:
-    """Statistics of pictures, as they come: 256 counts for each channel."""
+    """Collects statistics of pictures: 256 counts for each channel."""
 
     def __init__(self) -> None:
         self.count = 0
         self._counts = np.zeros((3, 256), np.int64)  # red, green, blue
 
     def add(self, bgr: NDArray[np.uint8]) -> None:
-        """A picture (height, width, 3)."""
+        """Add a picture (height, width, 3)."""
         self.count += 1
         for channel in range(3):
             counts = cv2.calcHist([bgr], [channel], None, [256], [0, 256])
             self._counts[2 - channel] += counts.ravel().astype(np.int64)
 
     def statistics(self) -> Statistics:
-        """Statistics of the pictures added until now, at least one; each of shape (3, 1, 1)."""
+        """Statistics of the pictures until now, at least one; each of shape (3, 1, 1)."""
         level = np.arange(256) / 255
         share = self._counts / self._counts.sum(axis=1, keepdims=True)
         below = np.cumsum(share, axis=1)
@@ -70,7 +70,7 @@ class PictureStatistics:
             "max": level[255 - np.argmax(self._counts[:, ::-1] > 0, axis=1)],
             "mean": mean,
             "std": np.sqrt(np.maximum(share @ level**2 - mean**2, 0.0)),
-            # the rounding of the sum must not take the first level of a share that is just reached
+            # a rounding error must not miss the first level that just reaches a share
             **{
                 name: level[np.argmax(below >= share_below - 1e-12, axis=1)]
                 for name, share_below in QUANTILES.items()
@@ -81,7 +81,7 @@ class PictureStatistics:
 
 
 class DatasetStatistics:
-    """The statistics of all episodes of a dataset, from those of each."""
+    """Combines the statistics of all episodes of a dataset."""
 
     def __init__(self) -> None:
         self._sums: dict[str, Statistics] = {}
@@ -117,7 +117,7 @@ class DatasetStatistics:
 
 
 def as_json(statistics: Mapping[str, Statistics]) -> dict[str, dict[str, list[object]]]:
-    """Statistics as lists of numbers; counts are whole."""
+    """Statistics as lists of numbers; counts are whole numbers."""
     return {
         feature: {
             name: values.astype(np.int64).tolist() if name == "count" else values.tolist()

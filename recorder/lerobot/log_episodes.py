@@ -1,4 +1,4 @@
-"""The rows of a log that become frames of a dataset, their pictures, and the episodes that they make."""
+"""The rows of a log that become frames of a dataset, their pictures and their episodes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Sizes = dict[Camera, tuple[int, int]]  # width and height of each camera's pictu
 
 @dataclass(frozen=True)
 class ChosenRows:
-    """The wanted rows of a log, and the side of a split that each is on: `train`, `validation`."""
+    """The wanted rows of a log, with their sides of a split: `train` or `validation`."""
 
     row: NDArray[np.int64]  # (N,), ascending
     split: NDArray[np.str_]  # (N,)
@@ -34,37 +34,38 @@ class ChosenRows:
 
 @dataclass(frozen=True)
 class LogEpisodes:
-    """The rows taken of a log, and their episodes."""
+    """The used rows of a log, and their episodes."""
 
-    states: States  # (N,) of the rows that are taken
-    previous: NDArray[np.float64]  # (N, 3) of these rows: steering, throttle and brake of the row before
-    places: dict[Camera, NDArray[np.int64]]  # (N,) for each camera: which of `pictures` belongs to the row
+    states: States  # (N,)
+    previous: NDArray[np.float64]  # (N, 3): steering, throttle and brake of the row before
+    places: dict[
+        Camera, NDArray[np.int64]
+    ]  # (N,) for each camera: the position of the row's picture in `pictures`
     pictures: dict[Camera, Pictures]
     episodes: list[slice]
-    excluded: int  # rows that somebody has tagged so
-    split: NDArray[np.str_] | None  # (N,) of the rows that are taken; None where all of the log was wanted
+    excluded: int  # rows tagged `exclude`
+    split: NDArray[np.str_] | None  # (N,); None if the whole log was wanted
 
     @property
     def steps_ns(self) -> NDArray[np.int64]:
-        """The time from row to row, within the episodes."""
+        """The times from row to row in the episodes."""
         steps = [np.diff(self.states.time_ns[episode]) for episode in self.episodes]
         return np.concatenate([np.zeros(0, np.int64), *steps])
 
     def pictures_bytes(self, rows: range) -> int:
-        """The size of all pictures of these rows (positions among those that are taken)."""
-        used = slice(rows.start, rows.stop)
-        return sum(int(stored.length[self.places[camera][used]].sum()) for camera, stored in self.pictures.items())
+        """The size of all pictures of these rows (positions among the used rows)."""
+        part = slice(rows.start, rows.stop)
+        return sum(int(stored.length[self.places[camera][part]].sum()) for camera, stored in self.pictures.items())
 
 
 def log_episodes(
     log: Log, cameras: Sequence[Camera], skipped: Skipped, chosen: ChosenRows | None = None
 ) -> LogEpisodes:
-    """The rows of a log, or those of them that are `chosen`, with a picture of each of `cameras`, and steering and
-    pedals in their ranges.
+    """The rows of a log, or its `chosen` rows, with a picture of each of `cameras`, and steering and pedals in
+    range.
 
-    A new episode begins as a drive does: after more than a second without a row that is taken, or where time goes
-    back; also where the side of the split changes. Rows tagged `exclude` are left out and counted; others that are
-    left out are skipped.
+    A new episode begins after more than a second without a used row, where time goes back, or where the side of
+    the split changes. Rows tagged `exclude` are left out and counted; other unused rows are added to `skipped`.
     Raises LogError for a damaged log, or damaged tags.
     """
     states = States.of(log.vehicle())
@@ -95,8 +96,8 @@ def log_episodes(
 
 
 def _previous(states: States, is_usable: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """For each row of a log (N, 3) the steering, throttle and brake that were in force before it: of the last
-    usable row before it in the same drive; 0 where there is none."""
+    """The steering, throttle and brake before each row (N, 3), from the last usable row of the same drive; 0
+    without one."""
     vehicle = np.stack([states.steering, states.throttle, states.brake], axis=1)
     usable = np.flatnonzero(is_usable)
     if not len(usable):
@@ -117,7 +118,7 @@ def _is_tagged(rows: NDArray[np.int64], log: Log) -> NDArray[np.bool_]:
 
 
 def _first_of_each(sequence: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """For each of `rows` the first position of its number in `sequence`; -1 where it is not there."""
+    """The first position of each of `rows` in `sequence`; -1 if missing."""
     numbers, first = np.unique(sequence, return_index=True)
     if not len(numbers):
         return np.full(len(rows), -1, np.int64)
@@ -131,10 +132,10 @@ def _skip(skipped: Skipped, reason: str, rows: Iterable[np.int64]) -> None:
 
 
 class RowPictures:
-    """Reads the pictures of rows; those that cannot be used are skipped."""
+    """Reads the pictures of rows; rows with unusable pictures are skipped."""
 
     def __init__(self, log: Log, taken: LogEpisodes, sizes: Sizes, skipped: Skipped) -> None:
-        """`sizes` are those of the dataset; the first pictures that are read set them."""
+        """`sizes`: of the dataset; the first pictures set them."""
         self._log, self._rows, self._sizes, self._skipped = log, taken.states.row, sizes, skipped
         self._places = {
             camera: [
@@ -145,7 +146,7 @@ class RowPictures:
         self._size_readers = {camera: SizeReader() for camera in taken.pictures}
 
     def read(self, number: int) -> list[bytes] | None:
-        """The cameras' pictures of one of the rows that are taken; None, and skipped, where one cannot be used."""
+        """The cameras' pictures of a used row; None, and skipped, if one is unusable."""
         pictures, sizes = [], Sizes()
         for camera, (offset, length, chunk) in self._places.items():
             try:
@@ -155,7 +156,7 @@ class RowPictures:
                 return None
             size = self._size_readers[camera].width_and_height(picture)
             if size is None or not is_whole_picture(picture):
-                self._skip("rows with a picture that is no whole JPEG or PNG", number)
+                self._skip("rows with a picture that is not a whole JPEG or PNG", number)
                 return None
             expected = self._sizes.get(camera, size)
             if size != expected:
@@ -169,7 +170,7 @@ class RowPictures:
         return pictures
 
     def decode(self, number: int, encoded: Sequence[bytes]) -> list[NDArray[np.uint8]] | None:
-        """The pictures of a row (height, width, 3) BGR; None, and skipped, where one does not decode."""
+        """The pictures of a row (height, width, 3) BGR; None, and skipped, if one does not decode."""
         decoded = [decode_picture(picture, cv2.IMREAD_COLOR) for picture in encoded]
         sound = [picture for picture in decoded if picture is not None]
         if len(sound) < len(decoded):

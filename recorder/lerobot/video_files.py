@@ -1,4 +1,4 @@
-"""The video files of a dataset: `videos/KEY/chunk-000/file-000.mp4`, episode after episode, in H.264.
+"""Writes the video files of a dataset: `videos/KEY/chunk-000/file-000.mp4`, in H.264.
 
 PyAV is an extra: `pip install ".[video]"`.
 """
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
     from av.container import OutputContainer
 
 CODEC: Final = "libx264"
-# g: every other picture can be jumped to, as in LeRobot's own; bf: none is stored out of its order
+# g: every other picture is a key frame, as in LeRobot's videos; bf: pictures are stored in order
 _ENCODER: Final = {"preset": "veryfast", "crf": "23", "g": "2", "bf": "0"}
 _BT601: Final = 6  # SMPTE 170M, which swscale converts to
 
 
 class VideoFiles:
-    """Writes the pictures of one camera; the episode after the format's size of a file begins a new one."""
+    """Writes the pictures of one camera. An episode begins a new file if the old one has the format's size."""
 
     def __init__(self, root: Path, key: str, fps: int, size: tuple[int, int]) -> None:
-        """`size`: width and height. Raises UserError where there is no PyAV, or for an odd size."""
+        """`size`: width and height. Raises UserError without PyAV, or for an odd size."""
         self._av = require_av()
         if size[0] % 2 or size[1] % 2:
             raise UserError(f"--video: pictures of {size[0]} x {size[1]} pixels: H.264 needs even numbers")
@@ -49,7 +49,7 @@ class VideoFiles:
         self._first = self._frames
 
     def add(self, bgr: NDArray[np.uint8]) -> None:
-        """A picture (height, width, 3)."""
+        """Add a picture (height, width, 3)."""
         frame = self._av.VideoFrame.from_ndarray(bgr, format="bgr24")
         frame.pts, frame.time_base = self._frames, Fraction(1, self._fps)
         if self._container is None:
@@ -58,7 +58,7 @@ class VideoFiles:
         self._frames += 1
 
     def episode_columns(self) -> dict[str, float | int]:
-        """The place of the episode that was begun last, for `meta/episodes`."""
+        """The place of the last episode, for `meta/episodes`."""
         return {
             f"videos/{self._key}/chunk_index": self._number.chunk,
             f"videos/{self._key}/file_index": self._number.file,

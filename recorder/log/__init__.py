@@ -1,1 +1,1 @@
-"""The log itself: an MCAP file, its topics, its reader, writer, checks and edits."""
+"""The log: its reader and writer, tags, car, times and gaps."""

@@ -1,7 +1,7 @@
-"""Logs of stores on this machine's disk: fetched whole, once, and read from then on as any file.
+"""Copies of stores' logs on this machine's disk: fetched once, and then read as files.
 
-They are in the user's cache. BC_CACHE names another folder. BC_CACHE_GB limits the size of all of them (100). If
-the cache is full, the least recently used logs are removed. A gigabyte of the disk always stays free.
+They are in the user's cache. BC_CACHE names another folder. BC_CACHE_GB limits their total size (100). If the
+cache is full, the least recently used logs are removed. A gigabyte of the disk always stays free.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ _STAYS_FREE: Final = 10**9  # bytes of the disk
 
 
 def bring_here(logs: Iterable[Log]) -> None:
-    """Let open logs be read from this machine's disk: those in stores are fetched, unless that was done before.
+    """Let open logs read from this machine's disk: logs in stores are fetched, unless their copies exist.
 
-    Raises UserError where there is no room for all of them, or the cache cannot be written; StoreError.
+    Raises UserError if there is no room for all of them, or the cache cannot be written; StoreError.
     """
     remote = [log for log in logs if log.is_remote]
     try:
@@ -50,7 +50,7 @@ def bring_here(logs: Iterable[Log]) -> None:
 
 
 def read_kept(log: Log) -> bool:
-    """Let an open log of a store be read from its copy here; False if there is none. Raises OSError."""
+    """Let an open log of a store read from its copy; False if there is none. Raises OSError."""
     path = _copy_of(log)
     with contextlib.suppress(FileNotFoundError):
         if path.stat().st_size == log.size:
@@ -81,7 +81,7 @@ def _fetch(logs: Sequence[Log]) -> None:
 
 
 def _make_room(kept: Collection[Path], size: int) -> None:
-    """Remove the logs that were not used for longest, but none that are to be `kept`, until `size` bytes fit."""
+    """Remove the least recently used logs, without those in `kept`, until `size` bytes fit."""
     folder = _folder()
     shutil.rmtree(users_cache() / "chunks", ignore_errors=True)  # of earlier versions
     for part in folder.glob(f"*{PART_SUFFIX}"):  # of killed processes: the lock is held

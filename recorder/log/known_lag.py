@@ -1,5 +1,5 @@
-"""The lag of a log's steering as it is known: noted by the log's writer, or measured later and kept in
-NAME.lag.json beside it, for one content of the log."""
+"""The known lag of a log's steering: noted by the log's writer, or measured later and kept next to the log in
+NAME.lag.json, for one content of the log."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ class _Kept(msgspec.Struct):
 
 
 def lag_note(finding: LagFinding) -> dict[str, str]:
-    """What a log's writer notes of the lag in the summary of its rows."""
+    """The lag in a log's summary of its rows."""
     return {_KEY: json.dumps(finding.lag and asdict(finding.lag), allow_nan=False)}
 
 
 def noted_lag(quality: Mapping[str, str]) -> LagFinding | None:
-    """The lag in a log's summary of its rows; None where its writer did not measure it."""
+    """The lag from a log's summary of its rows; None if its writer did not measure it."""
     return json_as(f'{{"lag":{quality.get(_KEY, "")}}}', LagFinding)
 
 
@@ -49,18 +49,18 @@ def lag_path(log: Location) -> Location:
 
 
 def known_lag(log: Log) -> LagFinding | None:
-    """The lag of a log's steering; None where nobody has measured it. Raises StoreError."""
+    """The lag of a log's steering; None if it was never measured. Raises StoreError."""
     return noted_lag(log.read_metadata(topics.QUALITY_METADATA)) or kept_lag(log)
 
 
 def kept_lag(log: Log) -> LagFinding | None:
-    """The lag kept beside a log for this content of it; None without, or if the file is damaged."""
-    data = _beside(lag_path(log.path))
+    """The lag in the file next to a log, for its present content; None without one, or if the file is damaged."""
+    data = _read(lag_path(log.path))
     kept = json_as(data, _Kept) if data else None
     return LagFinding(kept.lag) if kept is not None and kept.log == log.fingerprint else None
 
 
-def _beside(path: Location) -> bytes | None:
+def _read(path: Location) -> bytes | None:
     if isinstance(path, Url) or (path.is_file() and not path.is_symlink()):
         with contextlib.suppress(OSError):
             return read_bytes(path, _MAX_BYTES)
@@ -68,17 +68,17 @@ def _beside(path: Location) -> bytes | None:
 
 
 def keep_lag(log: Log, finding: LagFinding) -> bool:
-    """Keep the lag beside a log that has its name; False where nothing can be written."""
+    """Keep the lag next to a finished log; False if it cannot be written."""
     if log.path.suffix != ".mcap":
-        return False  # it still grows, or is recovered: then it is measured again
+        return False  # an unfinished log: its lag will be measured again
     return _keep(lag_path(log.path), msgspec.json.encode(_Kept(1, log.fingerprint, finding.lag)) + b"\n")
 
 
 def copy_lag(log: Location, to: Location) -> None:
-    """Copy the lag kept beside a log to its copy. Where that fails, it is measured again there."""
+    """Copy the lag next to a log to the log's copy. If that fails, it will be measured again there."""
     with contextlib.suppress(UserError):
-        data = _beside(lag_path(log))
-        if data is not None and _beside(lag_path(to)) != data:
+        data = _read(lag_path(log))
+        if data is not None and _read(lag_path(to)) != data:
             _keep(lag_path(to), data)
 
 
@@ -97,7 +97,7 @@ def _keep(path: Location, data: bytes) -> bool:
 
 
 class WrittenPictures(Closeable):
-    """The centre camera's pictures of a log that is being written, read back from its file to measure the lag."""
+    """The centre camera's pictures of a log while it is written, read back from its file to measure the lag."""
 
     def __init__(self, part: Path, pictures: Pictures) -> None:
         """Raises OSError."""

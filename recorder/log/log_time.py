@@ -1,4 +1,4 @@
-"""The log times of what comes live: never the same, never back."""
+"""Log times of live rows and events, strictly ascending."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from typing import Final
 from recorder.rows.row_quality import GAP_S
 
 LONGEST_STEP_S: Final = 60.0
-"""Simulated time that jumps farther than this from one telemetry to the next is another clock."""
+"""A longer jump of simulated time between two telemetries means another clock."""
 STANDS_S: Final = 1.0
-"""So long a simulated clock may stand, or only go back, while this computer's runs on; then it is not used."""
-BREAK_NS: Final = round(1.5 * GAP_S * 1e9)  # rows that far apart belong to two drives
+"""A simulated clock that stands, or goes back, for this time of this computer's clock is not used any more."""
+BREAK_NS: Final = round(1.5 * GAP_S * 1e9)  # between rows of two drives
 
 
 class StandingClock:
-    """Finds out whether a simulated clock stands, or only goes back, for `STANDS_S` of this computer's.
+    """Recognises a simulated clock that stands, or goes back, for `STANDS_S` of this computer's clock.
 
-    Pauses (`recorder.rows.row_quality.GAP_S`) do not count: a simulator in its menu stops its clock. One that
-    stood is not trusted any more.
+    Pauses (`recorder.rows.row_quality.GAP_S`) do not count: a simulator in its menu stops its clock.
     """
 
     def __init__(self) -> None:
-        self.stands = False
-        self.stood_s = 0.0  # the time that it has stood now, by this computer's clock
+        self.stands = False  # stays True
+        self.stood_s = 0.0  # how long it has stood until now, by this computer's clock
         self._now_s = 0.0
         self._simulated_s: float | None = None
 
     def note(self, now_s: float, simulated_s: float | None) -> bool:
-        """Note the simulated clock's time, None without one, at `now_s` of this computer's. Returns `stands`."""
+        """Note the simulated clock's time (None: no clock) at `now_s` of this computer's clock. Returns
+        `stands`."""
         passed_s, self._now_s = now_s - self._now_s, now_s
         last_s, self._simulated_s = self._simulated_s, simulated_s
         if simulated_s is None or last_s is None or simulated_s > last_s:
@@ -42,29 +42,29 @@ class StandingClock:
 class LogClock:
     """Gives every row and every event its time.
 
-    A row's is that of the simulated clock, from the moment at which its first telemetry came; where no such clock
-    is there, or it stands, the moment at which its telemetry came. Rows on either side of another clock, or of one
-    that begins anew, are so far apart that nobody takes them for neighbours.
+    A row's time is the simulated clock's, counted from the arrival of the first telemetry. Without such a clock,
+    or if it stands, it is the telemetry's time of arrival. If the clock changes or starts again, the rows before
+    and after are `BREAK_NS` apart.
 
-    Moments are nanoseconds of `time.perf_counter_ns`: the wall clock is read once, so that setting it while
-    the car drives moves no row.
+    Arguments are nanoseconds of `time.perf_counter_ns`. The wall clock is read only once, so that a change of it
+    during a drive moves no row.
     """
 
     def __init__(self) -> None:
         self._wall_ns = time.time_ns() - time.perf_counter_ns()
         self._shift_ns = self._wall_ns  # from the clock in use to log time
-        self._simulated_ns: int | None = None  # of the last row; None: the clock in use is ours
+        self._simulated_ns: int | None = None  # of the last row; None: this computer's clock is in use
         self._last_ns = 0
         self._has_rows = False
         self._standing = StandingClock()
 
     @property
     def stands(self) -> bool:
-        """True once the simulated clock was found not to run."""
+        """True if the simulated clock stood."""
         return self._standing.stands
 
     def row(self, received_ns: int, simulated_s: float | None) -> int:
-        """The log time of a row; `simulated_s` is what the simulated clock shows there."""
+        """The log time of a row. `simulated_s`: the simulated clock's time there."""
         if self._standing.note(received_ns / 1e9, simulated_s):
             simulated_s = None
         simulated_ns = None if simulated_s is None else round(simulated_s * 1e9)
@@ -77,7 +77,7 @@ class LogClock:
         return self._after_last(clock_ns + self._shift_ns)
 
     def event(self, happened_ns: int) -> int:
-        """The log time of an event: right after the last row, where the clock is a simulated one."""
+        """The log time of an event; with a simulated clock, right after the last row."""
         return self._after_last(happened_ns + self._shift_ns if self._simulated_ns is None else 0)
 
     def _is_another(self, simulated_ns: int | None) -> bool:

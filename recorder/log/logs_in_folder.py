@@ -1,4 +1,4 @@
-"""The logs of a folder, here or in a store."""
+"""The logs of a folder, on this machine or in a store."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def logs_in(folder: Url) -> list[Url]: ...
 
 
 def logs_in(folder: Location) -> list[Path] | list[Url]:
-    """The logs of a folder by name, finished and not. Raises StoreError for what cannot be listed."""
+    """The logs of a folder by name, finished and unfinished. Raises StoreError."""
     if isinstance(folder, Url):
         from common.object_store import list_objects  # an extra
 
@@ -27,6 +27,6 @@ def logs_in(folder: Location) -> list[Path] | list[Url]:
 
 
 def logs_at(place: Location) -> Sequence[Location]:
-    """The logs of a folder; anything else is a log itself. Raises StoreError for what cannot be listed."""
+    """The logs of a folder, or the log at `place`. Raises StoreError."""
     is_folder = place.suffix != ".mcap" if isinstance(place, Url) else place.is_dir()
     return logs_in(place) if is_folder else [place]

@@ -1,8 +1,8 @@
-"""Time that a log leaves out on purpose, so that a check does not take it for lost rows: a car is pushed off its
-line, a person pauses, or a human drives and the simulator sends nothing.
+"""Time that a log leaves out on purpose, in contrast to lost rows: a car is pushed off its line, a person pauses,
+or a human drives and the simulator sends nothing.
 
-The row behind it has its seconds (`VehicleState.not_recorded_s`), and an event says why. Rows of logs of version
-0.3 and earlier have no seconds: there the events are read.
+The row after the gap has its seconds (`VehicleState.not_recorded_s`), and an event has the reason. Logs of version
+0.3 and earlier only have the events.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from recorder.topics import EVENTS, VEHICLE
 MEANT_GAPS: Final = "meant_gaps"
 HUMAN_DRIVES: Final = "manual: a human drives"
 PILOT_DRIVES_AGAIN: Final = "manual: the pilot drives again"
-"""At the first row behind a stretch that a human drove; logs of earlier versions have it right before that row."""
+"""At the first row after a stretch that a human drove; in logs of earlier versions, right before that row."""
 HUMAN_HAS_STOPPED: Final = "manual: telemetry comes again"  # the same in a recording
-DISCONNECTED: Final = "disconnected: "  # the beginning of an event, which ends such a stretch too
+DISCONNECTED: Final = "disconnected: "  # the beginning of an event that also ends a human's stretch
 
 MAX_S: Final = 1e6
 _EARLIER_EVENT: Final = re.compile(r"not recorded: ([0-9]{1,6}(?:\.[0-9]{1,3})?) s, ")
 
 
 class MeantGap(NamedTuple):
-    """Time before a row that was left out on purpose, besides the usual time between two rows."""
+    """Time before a row that was left out on purpose, in addition to the usual time between rows."""
 
     seconds: float
     why: str
@@ -60,13 +60,13 @@ class HumanDriving:
             self._since_ns = None
 
     def take_s(self) -> float:
-        """Its seconds, which are counted anew from here on."""
+        """The seconds driven since the last call."""
         driven_ns, self._driven_ns = self._driven_ns, 0
         return driven_ns / 1e9
 
 
 class NotRecorded:
-    """The times that were left out of a log on purpose."""
+    """The times that a log leaves out on purpose."""
 
     def __init__(self) -> None:
         self._of_rows = dict[int, float]()  # seconds, by log time
@@ -76,7 +76,7 @@ class NotRecorded:
 
     @classmethod
     def of(cls, log: Log) -> NotRecorded:
-        """Those of a log that is read. Raises LogError for a damaged log."""
+        """The times of an open log. Raises LogError for a damaged log."""
         times = cls()
         rows = log.numbers(VEHICLE, ["not_recorded_s"])
         for time_ns, seconds in zip(
@@ -92,7 +92,7 @@ class NotRecorded:
             self._of_rows[time_ns] = seconds
 
     def add_event(self, time_ns: int, text: str) -> None:
-        """An event, which counts in logs of earlier versions; to be called in the order of the log."""
+        """Note an event, which counts in logs of earlier versions. Call it in the log's order."""
         if text == HUMAN_DRIVES:
             self._human_since_ns = time_ns if self._human_since_ns is None else self._human_since_ns
         elif text in (PILOT_DRIVES_AGAIN, HUMAN_HAS_STOPPED) or text.startswith(DISCONNECTED):
@@ -103,7 +103,7 @@ class NotRecorded:
             self._of_events[time_ns] += earlier_seconds(text)
 
     def seconds(self, states: States) -> NDArray[np.float64]:
-        """The time before each row (N,) that was left out."""
+        """The time left out before each row (N,), in seconds."""
         times_ns: list[int] = states.time_ns.tolist()
         of_rows = np.array([self._of_rows.get(time_ns, 0.0) for time_ns in times_ns], np.float64)
         of_events = np.array([self._of_events.get(time_ns, 0.0) for time_ns in times_ns], np.float64)
@@ -111,19 +111,17 @@ class NotRecorded:
         return declared
 
     def gaps(self, states: States) -> NDArray[np.bool_]:
-        """The rows (N,) behind a gap that was meant.
-
-        One that is longer than it should be, by more than a gap takes, has lost rows as well.
-        """
+        """The rows (N,) after a gap that was meant. If a gap is longer than declared by more than `GAP_S`, rows
+        were lost, too."""
         step_s = np.diff(states.time_ns, prepend=states.time_ns[:1]) / 1e9
         declared_s = self.seconds(states)
         meant: NDArray[np.bool_] = (step_s > 0) & (declared_s > 0) & (step_s - declared_s <= GAP_S)
         return row_flags(states)["gap"] & meant if meant.any() else meant
 
     def _human_s(self, time_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """The seconds before each row (N,), since the row before it, that a human drove."""
+        """The seconds that a human drove between the previous row and each row (N,)."""
         begin_ns, end_ns = np.array(self._human_ns, np.int64).reshape(-1, 2).T
-        row = np.searchsorted(time_ns, end_ns)  # the first one that is not before the end
+        row = np.searchsorted(time_ns, end_ns)  # the first row that is not before the end
         is_between = (row > 0) & (row < len(time_ns))
         row, begin_ns, end_ns = row[is_between], begin_ns[is_between], end_ns[is_between]
         is_between = (time_ns[row - 1] <= begin_ns) & (begin_ns <= end_ns) & (end_ns <= time_ns[row])
@@ -132,17 +130,18 @@ class NotRecorded:
         return seconds
 
     def summary(self, states: States) -> dict[str, str]:
-        """The log's note of them, beside `row_quality.summary`; empty without any."""
+        """The rows after meant gaps, as a log's `bc.quality` keeps them next to `row_quality.summary`; empty
+        without any."""
         rows: list[int] = states.row[self.gaps(states)].tolist()
         return {MEANT_GAPS: json.dumps(rows)} if rows else {}
 
 
 def earlier_seconds(event: str) -> float:
-    """The seconds in the text of an event about a `MeantGap`, for logs and exports of version 0.3 and earlier."""
+    """The seconds in the event of a `MeantGap`, for logs and exports of version 0.3 and earlier."""
     matched = _EARLIER_EVENT.match(event)
     return float(matched[1]) if matched else 0.0
 
 
 def meant_rows(quality: Mapping[str, str]) -> list[int]:
-    """The rows behind gaps that were meant, from a log's `bc.quality`; somebody else may have written it."""
+    """The rows after meant gaps, from a log's `bc.quality`, which is untrusted."""
     return json_as(quality.get(MEANT_GAPS, "[]"), list[int]) or []

@@ -1,7 +1,7 @@
-"""Reading a log: its metadata, its messages, and the place of each picture in the file.
+"""Reads a log: its metadata, its messages, and the place of each picture in the file.
 
-Nothing is given out of a chunk whose CRC does not hold; a chunk of pictures is read when one of them is needed.
-A log that was never finished is read as far as it goes, and has a notice (`Log.notice`).
+Chunks with a wrong CRC are never used. Chunks of pictures are read only when needed. An unfinished log is read as
+far as it goes, and has a notice (`Log.notice`).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ if TYPE_CHECKING:  # training reads pictures where protobuf is not installed; a 
 _PLACE: Final = ("offset", "length", "chunk")
 _ROWS_AT_ONCE: Final = 4096
 _PART: Final = 1 << 23
-_NEAR_BYTES: Final = 4096  # takes as long to read, and for its CRC, as a message to be read alone
+_NEAR_BYTES: Final = 4096  # reading and checking so many bytes takes as long as reading one message alone
 
 Decoded = TypeVar("Decoded", bound="ProtobufMessage")
 
@@ -56,17 +56,17 @@ class Message:
 
     sequence: int
     log_time_ns: int
-    offset: int  # from the start of the file, or within `chunk` unpacked
+    offset: int  # in the file, or in its unpacked chunk
     length: int
-    chunk: int = UNCOMPRESSED  # where in the file the compressed chunk begins that holds it
+    chunk: int = UNCOMPRESSED  # start of its compressed chunk in the file
 
 
 class Log(Closeable):
     """A log, open for reading. Use it as a context manager, or call `close()`.
 
-    `salvages`: with whole chunks that lie elsewhere than they should, or have a damaged header, for a recovery.
-    `shows_progress`: with a progress bar while all of it is read, which is when messages are first read.
-    Raises LogError where the file is missing, not an MCAP file, or damaged.
+    `salvages`: for a recovery, also find whole chunks in wrong places or with a damaged header. `shows_progress`:
+    show a progress bar while the log is read, at the first use of messages. Raises LogError if the file is
+    missing, damaged or not an MCAP file.
     """
 
     def __init__(
@@ -82,20 +82,19 @@ class Log(Closeable):
         try:
             self._structure = self._as_found = read_structure(self._file)
             if not salvages:
-                self._file.check_count(self.message_count or 0)
+                self._file.check_count(self.message_count)
             else:
                 self._as_found = replace(self._structure, chunks=list(self.chunks))
                 salvage(self._file, self._structure)
             self.size = self._file.size
-            """Bytes of the file when it was opened."""
+            """Bytes of the file at its opening."""
         except BaseException:
             self._file.close()
             raise
         self.problem = self._structure.problem
-        """The reason why the log counts as unfinished; empty for a finished one."""
+        """The reason why the log is unfinished; empty for a finished log."""
         self.lost = self._structure.lost
-        """Stretches of bytes (from, to) in which nothing whole was found. Of a finished log nobody looks for them,
-        unless it `salvages`."""
+        """Stretches of bytes (from, to) without anything whole. In a finished log, only `salvages` finds them."""
         self.channels = self._structure.channels
         self._copied_from: set[int] = set()
         self._copied = 0
@@ -120,52 +119,52 @@ class Log(Closeable):
         return self._file.is_remote
 
     def all_bytes(self) -> Iterator[bytes]:
-        """All of the file, in parts. Raises LogError, StoreError."""
+        """The whole file, in parts. Raises LogError, StoreError."""
         return self._file.read_many((at, min(_PART, self.size - at)) for at in range(0, self.size, _PART))
 
     def read_from(self, copy: Path) -> None:
-        """Read a copy of the file from now on; `path` stays the log's own. Raises OSError."""
+        """Read a copy of the file from now on; `path` stays unchanged. Raises OSError."""
         self._file.read_from(copy)
 
     @property
     def notice(self) -> str:
-        """A line to print before an unfinished log is used; empty for a finished one."""
+        """A line to print before an unfinished log is used; empty for a finished log."""
         if not self.problem:
             return ""
         middle = sum(end - start for start, end in self.lost if end < self.size)
         also = f", and {middle:,} bytes before it are damaged" if middle else ""
         return (
-            f"{self.path}: {self.problem}{also}; what is complete in it is read."
+            f"{self.path}: {self.problem}{also}; its complete parts are read."
             f" `bc-log recover {self.path}` makes a finished log of it"
         )
 
     @property
     def has_crcs(self) -> bool:
-        """True if all of it has CRCs. Other programs may do without: damage in their logs is then not noticed."""
+        """True if all chunks have CRCs. Other programs may write none: then damage is not noticed."""
         return self._file.have_crcs(self.chunks)
 
     @property
     def is_ours(self) -> bool:
-        """True for a log of this toolkit, whose topics and row numbers are those of docs/log-format.md."""
+        """True for a log of this toolkit, with the topics and row numbers of docs/log-format.md."""
         return self._file.is_ours
 
     @property
     def schemas(self) -> dict[str, str]:
-        """The name of the schema of each topic; empty where it has none."""
+        """The schema's name of each topic; empty without a schema."""
         names = {number: schema.name for number, schema in self._structure.schemas.items()}
         return {channel.topic: names.get(channel.schema_id, "") for channel in self.channels.values()}
 
     @property
     def metadata(self) -> dict[str, str]:
-        """The record `bc.session`: the source of the log. Empty if it has none."""
+        """The record `bc.session`: the source of the log; empty without one."""
         return self.read_metadata(topics.SESSION_METADATA)
 
     def read_metadata(self, name: str) -> dict[str, str]:
-        """The last metadata record called `name`, or {}."""
+        """The last metadata record named `name`, or {}."""
         return dict(self.all_metadata()).get(name, {})
 
     def all_metadata(self) -> list[tuple[str, dict[str, str]]]:
-        """Every metadata record, by name and in the order of the file."""
+        """Names and values of all metadata records, in the file's order."""
         return [self.metadata_record(offset) for offset in self.metadata_records]
 
     @property
@@ -174,15 +173,14 @@ class Log(Closeable):
         return sorted(self._structure.metadata_at)
 
     def metadata_record(self, offset: int) -> tuple[str, dict[str, str]]:
-        """Name and values of a metadata record. Only the CRC of all data of a finished log covers it, which is not
-        compared here, because that means reading all of the file; `bc-log check` does."""
+        """Name and values of a metadata record. Only a finished log's CRC of all data covers it. `bc-log check`
+        compares this CRC, which takes reading the whole file."""
         record = self._file.metadata(offset)
         return record.name, dict(record.metadata)
 
     @property
     def attachments(self) -> list[int]:
-        """Offsets of the attachments (MCAP's files within a log), but those with the places of this file's
-        pictures."""
+        """Offsets of the attachments (MCAP's files in a log), without those with the places of pictures."""
         names = self._structure.attachment_names
         return [at for at in sorted(self._structure.attachments_at) if not is_about_places(names.get(at, ""))]
 
@@ -190,13 +188,13 @@ class Log(Closeable):
         return self._file.attachment(offset)
 
     @property
-    def message_count(self) -> int | None:
-        """Number of messages by the log's own statistics; None where it has none."""
-        return None if self._structure.statistics is None else self._structure.statistics.message_count
+    def message_count(self) -> int:
+        """The number of messages by the log's own statistics; 0 without statistics."""
+        return 0 if self._structure.statistics is None else self._structure.statistics.message_count
 
     @property
     def counts(self) -> dict[str, int]:
-        """Messages by topic: from the summary, if there is one."""
+        """The number of messages of each topic, from the summary if there is one."""
         if self._structure.statistics is not None:
             by_channel = self._structure.statistics.channel_message_counts
         else:
@@ -209,7 +207,7 @@ class Log(Closeable):
 
     @property
     def time_range_ns(self) -> tuple[int, int]:
-        """The first and the last log time; (0, 0) without messages."""
+        """The lowest and the highest log time; (0, 0) without messages."""
         if self._structure.statistics is not None:
             statistics = self._structure.statistics
             return statistics.message_start_time, statistics.message_end_time
@@ -218,28 +216,29 @@ class Log(Closeable):
 
     @cached_property
     def fingerprint(self) -> str:
-        """A name for this content: that of the file, or that of the log which `bc-log rewrite` made it of and
-        which holds the same messages at other places."""
+        """A name for this content: `file_fingerprint`, or the fingerprint of the original if `bc-log rewrite` made
+        this log, with the same messages at other places."""
         rewritten: dict[str, str] = {}
         for offset in self.metadata_records if self.is_ours else ():
-            with contextlib.suppress(LogError):  # a damaged one raises where it is read itself
+            with contextlib.suppress(LogError):  # a damaged record raises when it is used
                 name, values = self.metadata_record(offset)
                 rewritten = values if name == topics.REWRITTEN_METADATA else rewritten
         original = rewritten.get("fingerprint", "")
-        # the record is about these chunks: another program, or an earlier version, may have copied it with others
+        # another program, or an earlier version, may have copied the record to a log with other chunks
         is_about_this = original and rewritten.get("chunks") == _sha256(*self._chunk_headers)
         return original if is_about_this else self.file_fingerprint
 
     @cached_property
     def file_fingerprint(self) -> str:
-        """A name for this file, in which pictures have their places: SHA-256 over its size and the chunks' headers
-        (with the CRC of each chunk's content). It changes with any picture."""
+        """A name for this file: SHA-256 over its size and the chunks' headers, which contain CRCs. It changes with
+        any picture and with its place."""
         return _sha256(struct.pack("<Q", self.size), *self._chunk_headers)
 
     @cached_property
     def _chunk_headers(self) -> list[bytes]:
-        """The header of each chunk, from the end of a log of ours; else they are read, some 50 bytes a chunk."""
-        # also of a salvaged one, whose tags are of this fingerprint
+        """The header of each chunk, from the end of a log of ours; for other logs, some 50 bytes a chunk are
+        read."""
+        # of a salvaged log, the chunks before the salvage: its tags have their fingerprint
         chunks = self.chunks if self._as_found is self._structure else self._as_found.chunks
         crcs = read_chunk_crcs(self._file, self._as_found) if self.is_ours else None
         if crcs is not None:
@@ -253,14 +252,14 @@ class Log(Closeable):
         ]
 
     def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes:
-        """`length` bytes from `offset`, as `Pictures` and `Message` give them. May be called from several threads.
+        """`length` bytes from `offset`, as in `Pictures` and `Message`. Thread-safe.
 
-        Raises LogError where the CRC of the chunk around them does not hold; it is computed once for each chunk.
+        Raises LogError if the CRC of their chunk does not match; it is computed once for each chunk.
         """
         return self._chunk_reader.read(offset, length, chunk)
 
     def frames(self) -> pa.Table:
-        """The cameras' pictures, one a row, in the order of the file: row (the frame's number in the log), camera,
+        """The cameras' pictures, one a row, in the file's order: row (the frame's number in the log), camera,
         log_time_ns, offset, length and chunk (for `read`)."""
         import pyarrow as pa
 
@@ -277,18 +276,18 @@ class Log(Closeable):
 
     def vehicle(self) -> pa.Table:
         """The vehicle states, one a row: row, log_time_ns, steering (-1 left .. 1 right), throttle and brake
-        (0 .. 1), speed_mph (NaN where the source has none)."""
+        (0 .. 1), speed_mph (NaN if the source has none)."""
         return self.numbers(topics.VEHICLE, topics.VEHICLE_COLUMNS)
 
     def devices(self) -> NDArray[np.int8]:
-        """The device that a person steered with in each vehicle state (N,), as its position in `DEVICES`."""
+        """A person's device in each vehicle state (N,), as its position in `DEVICES`."""
         numbers = self.numbers(topics.VEHICLE, ["device"])["device"].to_numpy()
         is_known = (numbers >= 0) & (numbers < len(DEVICES))  # a later version may know more
         return np.where(is_known, numbers, 0).astype(np.int8)
 
     def numbers(self, topic_name: str, fields: Sequence[str]) -> pa.Table:
         """Fields of the messages on a topic of the registry, one message a row: row, log_time_ns, and each field
-        by its name; NaN where a message lacks one that is optional."""
+        by its name; NaN for a missing optional field."""
         import pyarrow as pa
         from google.protobuf.message import DecodeError
 
@@ -305,7 +304,7 @@ class Log(Closeable):
         return pa.table(columns | dict(zip(fields, values, strict=True)))
 
     def picture(self, row: int, camera: Camera = "center") -> bytes:
-        """The JPEG (or PNG) of a camera at a row, byte for byte. Raises LogError if there is none."""
+        """The JPEG or PNG of a camera at a row, byte for byte. Raises LogError if there is none."""
         pictures = self.pictures(camera_topic(camera))
         (at,) = np.nonzero(pictures.sequence == row)
         if not len(at):
@@ -323,7 +322,7 @@ class Log(Closeable):
         return self._pictures[topic]
 
     def rows_and_times(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Number and log time of every vehicle state, in the order of the log."""
+        """Number and log time of every vehicle state, in the log's order."""
         entries = self._of_topic(topics.VEHICLE)
         return entries["sequence"].astype(np.int64), entries["log_time_ns"].astype(np.int64)
 
@@ -332,7 +331,7 @@ class Log(Closeable):
         return _messages(self._of_topic(topic))
 
     def decoded(self, topic: str) -> Iterator[tuple[Message, Any]]:
-        """The messages on a topic of the registry. Raises LogError for one of another form."""
+        """The messages on a topic of the registry. Raises LogError for a message of another type."""
         return self._decoded(topic, topics.TOPICS[topic].message.load())
 
     def vehicle_states(self) -> Iterator[tuple[Message, VehicleState]]:
@@ -350,9 +349,9 @@ class Log(Closeable):
     def messages_of(
         self, chunk: Chunk, skipped: Skipped | None = None
     ) -> Iterator[tuple[Schema | None, Channel, McapMessage]]:
-        """The messages of one chunk with what describes them, for copying them into another log.
+        """The messages of one chunk with their schemas and channels, for copying them into another log.
 
-        Those that no log can hold are added to `skipped`; without it, they raise LogError.
+        Invalid messages are added to `skipped`; without it, they raise LogError.
         """
         records = self._file.records(chunk)
         starts = self._file.parts(records).messages
@@ -364,10 +363,10 @@ class Log(Closeable):
             stored = stored_message(records, start)
             channel = self.channels.get(stored.channel)
             if channel is None or max(stored.log_time_ns, stored.publish_time_ns) > LAST_TIME_NS:
-                what = "a topic that is not known" if channel is None else "a time that cannot be"
+                fault = "a topic that is not known" if channel is None else "a time that cannot be"
                 if skipped is None:
-                    raise self._file.damaged(f"a message of {what}")
-                skipped.add(f"messages of {what}", f"channel {stored.channel}, number {stored.sequence}")
+                    raise self._file.damaged(f"a message of {fault}")
+                skipped.add(f"messages of {fault}", f"channel {stored.channel}, number {stored.sequence}")
                 continue
             data = records[stored.offset : stored.offset + stored.length]
             message = McapMessage(
@@ -389,7 +388,7 @@ class Log(Closeable):
 
     @property
     def is_mixed(self) -> bool:
-        """True if its rows cannot be read without its pictures, whose places are not listed."""
+        """True if rows cannot be read without pictures, because the pictures' places are not listed."""
         return len(self._index) > 0 and self._is_mixed
 
     def _tracked(self, chunks: int) -> Callable[[Iterable[Read]], Iterable[Read]]:
@@ -417,13 +416,14 @@ class Log(Closeable):
                 raise self._no_such_message(topic, kind) from error
 
     def _contents(self, entries: NDArray[np.void]) -> Iterator[bytes]:
-        """The contents of messages of the index; of messages that lie together, the chunk is read once."""
-        # Where they lie far apart, among pictures, each is read alone: the rest of its chunk is not needed.
+        """The contents of messages of the index. For messages close together, the chunk is read once; messages far
+        apart, among pictures, are read one by one."""
         is_near = np.diff(entries["offset"], prepend=-_NEAR_BYTES, append=2**62) < _NEAR_BYTES
-        are_near = is_near[:-1] | is_near[1:]  # the one before, or the next
+        has_neighbour = is_near[:-1] | is_near[1:]
         records_at, records = 0, b""
-        for offset, length, chunk, is_beside in _in_plain_numbers(*(entries[name] for name in _PLACE), are_near):
-            if chunk != UNCOMPRESSED or not is_beside:
+        columns = (*(entries[name] for name in _PLACE), has_neighbour)
+        for offset, length, chunk, is_with_others in _in_plain_numbers(*columns):
+            if chunk != UNCOMPRESSED or not is_with_others:
                 yield self._chunk_reader.read(offset, length, chunk)
                 continue
             if not records_at <= offset <= offset + length <= records_at + len(records):
@@ -440,7 +440,7 @@ def _messages(entries: NDArray[np.void]) -> list[Message]:
 
 
 def _in_plain_numbers(*columns: NDArray[Any]) -> Iterator[tuple[Any, ...]]:
-    """The rows of columns of one length, a part at a time: an int of Python's takes 32 bytes."""
+    """The rows of columns of one length, converted in parts: a Python int takes 32 bytes."""
     for start in range(0, len(columns[0]), _ROWS_AT_ONCE):
         yield from zip(*(column[start : start + _ROWS_AT_ONCE].tolist() for column in columns), strict=True)
 

@@ -1,4 +1,5 @@
-"""Where the car of a log was on a built-in road: how far beyond its edge in each row, and where it stood last."""
+"""The positions of a log's car on a built-in road: its distance from the edge in each row, and its last
+position."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ from recorder.rows.row_quality import States
 if TYPE_CHECKING:
     from foxglove_schemas_protobuf.Pose_pb2 import Pose
 
-_MAX_M: Final = 1e6  # from the origin; a place beyond is none
+_MAX_M: Final = 1e6  # from the origin; positions beyond count as unknown
 _FIELDS: Final = (
     "pose.position.x", "pose.position.y",
     "pose.orientation.x", "pose.orientation.y", "pose.orientation.z", "pose.orientation.w",
@@ -25,7 +26,7 @@ _FIELDS: Final = (
 
 
 class CarPlaces:
-    """The places of a log that is being written: 56 bytes a row."""
+    """The positions of a log while it is written: 56 bytes a row."""
 
     def __init__(self, session: Mapping[str, str] | None) -> None:
         self._session = session or {}
@@ -37,13 +38,14 @@ class CarPlaces:
             self._values.extend((row, at.x, at.y, turned.x, turned.y, turned.z, turned.w))
 
     def placed(self, states: States) -> States:
-        """The states, with where the car was."""
+        """The states with the distances from the road's edge."""
         row, *places = np.array(self._values, np.float64).reshape(-1, 1 + len(_FIELDS)).T
         return _placed(states, self._session, row, places)
 
 
 def states_of(log: Log) -> States:
-    """The states of a log. Raises LogError for a damaged log."""
+    """The states of a log, with the distances from the road's edge, if known. Raises LogError for a damaged
+    log."""
     states = States.of(log.vehicle())
     if not log.counts.get(topics.POSE) or not log.metadata.get("track"):
         return states
@@ -66,10 +68,8 @@ def _placed(states: States, session: Mapping[str, str], row: Values, places: lis
 
 
 def last_place_m(log: Log) -> float | None:
-    """Metres along the track's centre line from its start; None without a pose, or where the track is unknown.
-
-    Raises LogError for a damaged log.
-    """
+    """The last position, in metres along the track's centre line from its start; None without a pose, or if the
+    track is unknown. Raises LogError for a damaged log."""
     from simulator.driving.vehicle import AXLE_TO_CENTRE_M
     from simulator.roads.track import load_track
 

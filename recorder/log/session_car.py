@@ -1,6 +1,6 @@
-"""The car of a session: its steering, its wheelbase, the unit of its simulator's speeds.
+"""The car of a session: its steering, its wheelbase, and the unit of its simulator's speeds.
 
-These are settings of a session, kept in its log; the defaults are those of Udacity's simulator.
+A session's log keeps these settings. The defaults are those of Udacity's simulator.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from recorder.errors import LogError, RecordingError
 from recorder.log.reader import Log
 
 _OF_UNKNOWN_CARS: Final = ("donkeycar", "csv", "mcap", "ros2 bag", "lerobot", "gymnasium")
-"""Sources whose sessions do not say how far the wheels turn, unless they have a car."""
+"""Sources whose sessions only have the wheels' largest angle if they have a car."""
 
-CAR_KEY: Final = "car"  # of a car in a log's metadata: JSON
+CAR_KEY: Final = "car"  # of a car in a log's metadata, as JSON
 
 SpeedUnit = Literal["mph", "km/h", "m/s"]
 MPH_OF: Final[Mapping[SpeedUnit, float]] = {"mph": 1.0, "km/h": 1 / 3.6 / MPS_PER_MPH, "m/s": 1 / MPS_PER_MPH}
@@ -30,17 +30,17 @@ MPH_OF: Final[Mapping[SpeedUnit, float]] = {"mph": 1.0, "km/h": 1 / 3.6 / MPS_PE
 
 @dataclass(frozen=True)
 class Car:
-    """A car that turns as a bicycle does; by default Udacity's."""
+    """A car that turns like a bicycle; by default Udacity's."""
 
     EARLIER_ONLY: ClassVar[Mapping[str, Any]] = dict.fromkeys(
         ("lag_s", "focal", "horizon", "height_m", "forward_m", "left_m", "bonnet"), ...
     )
-    max_steering_deg: float = MAX_STEERING_DEG  # how far the front wheels turn at steering 1
+    max_steering_deg: float = MAX_STEERING_DEG  # angle of the front wheels at steering 1
     wheelbase_m: float = 3.0  # Udacity's: docs/studies/warped-pictures.md
     speed_unit: SpeedUnit = "mph"  # of its simulator's speeds; logs hold mph
 
     def __post_init__(self) -> None:
-        """Raises ValueError, which names the setting, for a value that no car has."""
+        """Raises ValueError, which names the setting, for an impossible value."""
         if not 0.1 <= self.max_steering_deg < 90:  # a comparison with NaN is false
             raise ValueError(f"max_steering_deg {self.max_steering_deg:g}: expected 0.1 to less than 90")
         if not 0.01 <= self.wheelbase_m <= 100:
@@ -52,7 +52,7 @@ class Car:
 
     @property
     def mph(self) -> float:
-        """The mph of one of its simulator's units of speed."""
+        """One of its simulator's units of speed, in mph."""
         return MPH_OF[self.speed_unit]
 
 
@@ -61,20 +61,20 @@ UDACITY: Final = Car()
 
 def built_in() -> Car:
     """The built-in simulator's car."""
-    from simulator.driving import vehicle  # loads the client, too
+    from simulator.driving import vehicle  # also loads the client
 
     return Car(wheelbase_m=vehicle.WHEELBASE_M)
 
 
 def metadata_of(car: Car | None) -> dict[str, str]:
-    """The entry of a car in a log's `bc.session`; empty for None."""
+    """A car's entry in a log's `bc.session`; empty for None."""
     return {} if car is None else {CAR_KEY: json.dumps(asdict(car))}
 
 
 def named_car(name: str) -> Car:
-    """The car that `udacity`, `built-in` or the path of a TOML file with settings of `Car` names.
+    """The car with a name: `udacity`, `built-in`, or the path of a TOML file with settings of `Car`.
 
-    Raises RecordingError for a file that is not there, or has other settings.
+    Raises RecordingError for a missing file, or unknown settings.
     """
     if name == "udacity":
         return UDACITY
@@ -90,18 +90,18 @@ def named_car(name: str) -> Car:
 
 
 def stored_car(log: Log) -> Car | None:
-    """The car that is stored in a log; None if there is none, as in those of earlier versions, or several.
+    """The car in a log; None if there is none, as in logs of earlier versions, or several.
 
-    Raises LogError for settings that no car has.
+    Raises LogError for impossible settings.
     """
     cars = [car_in(session, log.path) for session in _sessions(log)]
     return cars[0] if cars and all(car == cars[0] for car in cars) else None
 
 
 def max_steering_deg_of(log: Log) -> float:
-    """The angle of the front wheels at steering 1; Udacity's if the log has none: see `known_max_steering_deg`.
+    """The angle of the front wheels at steering 1; Udacity's if the log has none (see `known_max_steering_deg`).
 
-    Raises LogError for a merged log whose sessions differ in it, and for settings that no car has.
+    Raises LogError for a merged log with different angles, and for impossible settings.
     """
     cars = (car_in(session, log.path) or UDACITY for session in _sessions(log))
     angles_deg = {car.max_steering_deg for car in cars} or {MAX_STEERING_DEG}
@@ -112,26 +112,26 @@ def max_steering_deg_of(log: Log) -> float:
 
 
 def known_max_steering_deg(log: Log) -> float | None:
-    """`max_steering_deg_of`; None for a session of others' data that does not say it."""
+    """`max_steering_deg_of`; None for an imported session without the angle."""
     degrees = max_steering_deg_of(log)
     return None if any(map(is_angle_unknown, _sessions(log))) else degrees
 
 
 def is_angle_unknown(session: Mapping[str, str]) -> bool:
-    """Whether the metadata of a session, or of predictions for one, do not say how far the wheels turn."""
+    """True if the metadata of a session, or of predictions for one, do not have the wheels' largest angle."""
     return CAR_KEY not in session and session.get("log_source", session.get("source")) in _OF_UNKNOWN_CARS
 
 
 def foreign_source(log: Log) -> str:
-    """The source of a log of others' data, such as a tub; of a merged one, if all of its logs have it. Else
-    empty."""
+    """The source of a log of other people's data, such as a tub, also if it is merged of such logs; empty for
+    other logs."""
     sources = {session.get("log_source", session.get("source", "")) for session in _sessions(log)}
     source = sources.pop() if len(sources) == 1 else ""
     return source if source in _OF_UNKNOWN_CARS else ""
 
 
 def _sessions(log: Log) -> list[dict[str, str]]:
-    """The metadata of a log; of a merged one, that of each of its logs."""
+    """The metadata of a log; for a merged log, of each of its logs."""
     if not _is_merged(log.metadata):
         return [log.metadata]
     of_another = f"{topics.SESSION_METADATA} of "
@@ -144,10 +144,8 @@ def _is_merged(session: Mapping[str, str]) -> bool:
 
 
 def car_in(session: Mapping[str, str], where: Location) -> Car | None:
-    """The car in the metadata of a session, from the log at `where`; None if there is none.
-
-    Raises LogError for settings that no car has.
-    """
+    """The car in the metadata of a session, from the log at `where`; None without one. Raises LogError for
+    impossible settings."""
     if CAR_KEY not in session:
         return None
     try:

@@ -1,4 +1,4 @@
-"""Rows with a tag: `fine`, somebody has looked at what is odd in them, and it is nothing; or `exclude`."""
+"""Rows with a tag: `fine` (somebody looked at odd rows, and nothing is wrong), or `exclude`."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from recorder.rows.odd_stretches import OddStretch
 
 
 class TaggedRows:
-    """The rows that a log's tags call by a name."""
+    """The rows of a log with a tag."""
 
     def __init__(self, tags: Iterable[Tag], name: str = FINE) -> None:
-        self._first = list[int]()  # of stretches that do not touch, in order
+        self._first = list[int]()  # of separate stretches, in order
         self._last = list[int]()
         for first, last, _ in sorted(tag for tag in tags if tag.name == name):
             if self._last and first <= self._last[-1] + 1:
@@ -25,21 +25,21 @@ class TaggedRows:
                 self._first.append(first)
                 self._last.append(last)
 
-    def hold(self, first_row: int, last_row: int) -> bool:
-        """Whether all rows of a stretch have the tag."""
+    def cover(self, first_row: int, last_row: int) -> bool:
+        """True if all rows of a stretch have the tag."""
         at = bisect_right(self._first, first_row) - 1
         return at >= 0 and last_row <= self._last[at]
 
-    def left(self, odd: Iterable[OddStretch]) -> list[OddStretch]:
-        """The stretches in which some row lacks it."""
-        return [stretch for stretch in odd if not self.hold(stretch.first_row, stretch.last_row)]
+    def untagged(self, odd: Iterable[OddStretch]) -> list[OddStretch]:
+        """The stretches with a row that lacks the tag."""
+        return [stretch for stretch in odd if not self.cover(stretch.first_row, stretch.last_row)]
 
 
 def fine_rows(path: Location) -> TaggedRows:
-    """The rows of a log that its tags call fine; none where the log or its tags cannot be read."""
+    """The rows of a log tagged `fine`; none if the log or its tags cannot be read."""
     try:
         tags = tags_by_content(path)
-        if not any(tag.name == FINE for of_one in tags.values() for tag in of_one):
+        if not any(tag.name == FINE for content_tags in tags.values() for tag in content_tags):
             return TaggedRows(())
         with Log(path) as log:  # its fingerprint
             return TaggedRows(tags[log.fingerprint])

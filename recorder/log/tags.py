@@ -1,8 +1,8 @@
-"""Names for stretches of a log ("recovery", "exclude", anything), kept beside it in NAME.tags.jsonl.
+"""Tags: names for stretches of a log ("recovery", "exclude", anything), kept next to it in NAME.tags.jsonl.
 
-Each line adds or removes one: a journal that is only ever appended to, so that two people who tag at once, or
-a crash, lose nothing. A line holds for one content of the log, by its fingerprint: a log that was recorded anew
-under the same name does not inherit the old one's tags.
+The file is a journal: each line adds or removes a tag, and lines are only appended. So nothing is lost if two
+people tag at once, or after a crash. A line is for one content of the log, by its fingerprint: a new recording of
+the same name does not inherit tags.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from common.random_access import read_bytes
 from recorder.errors import LogError
 
 EXCLUDE: Final = "exclude"  # rows with this tag are never trained on
-FINE: Final = "fine"  # odd rows with this tag were looked at, and do not count as odd
+FINE: Final = "fine"  # odd rows with this tag were checked, and do not count as odd
 _ENDING: Final = ".tags.jsonl"
 _LONGEST_NAME: Final = 64
 _MAX_ROWS: Final = 2**32
@@ -43,7 +43,7 @@ class Tag(NamedTuple):
 
 
 class _Line(msgspec.Struct):
-    """A line of the journal; of the first two, one is there."""
+    """A line of the journal, with either `add` or `remove`."""
 
     rows: tuple[_Row, _Row]
     log: str
@@ -67,12 +67,12 @@ def tags_path(log: Location) -> Location:
 
 
 def read_tags(log: Location, fingerprint: str) -> list[Tag]:
-    """The tags of the log with this fingerprint, by their rows. Raises LogError for a damaged file."""
+    """The tags of the log with this fingerprint, sorted by rows. Raises LogError for a damaged file."""
     return sorted(tags_by_content(log)[fingerprint])
 
 
 def names_used(folder: Location) -> set[str]:
-    """The names of the tags of all logs in a folder; EXCLUDE and FINE are always among them. Raises StoreError."""
+    """The names of the tags of all logs in a folder, with EXCLUDE and FINE. Raises StoreError."""
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor() as pool:  # each file of a store is a request
@@ -91,22 +91,22 @@ def _tag_files(folder: Location) -> list[Path] | list[Url]:
 def _names_in(path: Location) -> set[str]:
     try:
         tagged = tags_by_content(path.with_name(path.name.removesuffix(_ENDING)))
-    except LogError:  # it is raised where that journal itself is read
+    except LogError:  # reported when this log's own tags are read
         return set()
     return {tag.name for tags in tagged.values() for tag in tags}
 
 
 def add_tags(log: Location, fingerprint: str, tags: Sequence[Tag]) -> None:
-    """Add all of them or, where anything is raised, none.
+    """Add all tags, or none if an exception is raised.
 
-    Raises LogError for a name or rows that no tag can have, or if the file cannot be written; StoreError, also
-    where somebody else has tagged that log in the store at this moment.
+    Raises LogError for invalid names or rows, or if the file cannot be written; StoreError, also if somebody else
+    changes the tags in the store at the same moment.
     """
     _append(log, "add", fingerprint, tags)
 
 
 def remove_tags(log: Location, fingerprint: str, tags: Sequence[Tag]) -> None:
-    """Remove all of them, if they are there. Raises what `add_tags` does."""
+    """Remove all existing ones of these tags. Raises as `add_tags`."""
     _append(log, "remove", fingerprint, tags)
 
 
@@ -125,9 +125,9 @@ def _checked(tag: Tag) -> Tag:
 
 
 def tags_by_content(log: Location) -> defaultdict[str, set[Tag]]:
-    """The tags by the fingerprint that they are for. Raises LogError for a damaged file."""
+    """The tags by fingerprint. Raises LogError for a damaged file."""
     tags: defaultdict[str, set[Tag]] = defaultdict(set)
-    names = set[str]()  # that are some
+    names = set[str]()  # checked already
     for number, line in enumerate(_lines(log), start=1):
         try:
             entry = _LINE.decode(line)
@@ -139,7 +139,7 @@ def tags_by_content(log: Location) -> defaultdict[str, set[Tag]]:
                 names.add(check_name(name))
             if entry.rows[0] > entry.rows[1]:
                 raise ValueError(entry.rows)
-        except (ValueError, RecursionError):  # of msgspec, too
+        except (ValueError, RecursionError):  # msgspec's errors are ValueErrors
             raise LogError(f"{tags_path(log)}: line {number} is not a tag; correct or remove it") from None
         tag = Tag(*entry.rows, name)
         if is_added:
@@ -180,7 +180,7 @@ def _append(log: Location, action: str, fingerprint: str, tags: Sequence[Tag]) -
 
 
 def _append_there(url: Url, lines: bytes) -> None:
-    """Write a journal in a store anew, with more lines, unless somebody else has meanwhile."""
+    """Replace a journal in a store by one with more lines, unless somebody else has changed it meanwhile."""
     import tempfile
 
     from common.object_file import ObjectFile, ObjectVersion  # an extra
@@ -207,7 +207,7 @@ def _append_here(path: Path, lines: bytes) -> None:
         with _locked(path) as stream:
             stream.seek(0)
             data = stream.read()
-            before = data.rfind(b"\n") + 1  # what a crash cut off was never confirmed to anybody
+            before = data.rfind(b"\n") + 1  # a line that a crash cut off was never confirmed
             stream.truncate(before)
             try:
                 while lines:
@@ -216,7 +216,7 @@ def _append_here(path: Path, lines: bytes) -> None:
             except BaseException:
                 stream.truncate(before)
                 if not before:
-                    with contextlib.suppress(OSError):  # Windows removes no open file
+                    with contextlib.suppress(OSError):  # Windows does not remove open files
                         path.unlink()
                 raise
     except OSError as error:
@@ -224,7 +224,7 @@ def _append_here(path: Path, lines: bytes) -> None:
 
 
 def _locked(path: Path) -> IO[bytes]:
-    """The file, locked until it is closed: what another one is writing must not be taken for cut off."""
+    """The file, locked until it is closed: another process's unfinished line must not count as cut off."""
     while True:
         stream = path.open("ab+", buffering=0)
         try:
@@ -236,19 +236,19 @@ def _locked(path: Path) -> IO[bytes]:
         except BaseException:
             stream.close()
             raise
-        stream.close()  # the lock's holder has removed the file: what is written here would be lost
+        stream.close()  # the lock's holder removed the file: lines written to it would be lost
 
 
 def _plain(path: Path) -> Path:
-    """A link that came with somebody's logs could lead to any file of this machine."""
+    """Raise LogError for a link: in other people's logs, it could lead to any file of this machine."""
     if path.is_symlink() or (path.exists() and not path.is_file()):
         raise LogError(f"{path}: not a plain file; remove it")
     return path
 
 
 def driven_badly(first_row: int, last_row: int) -> str:
-    """The event of rows that a person finds bad while they are recorded: they are tagged when the log is finished,
-    or, if its recording is killed, when it is recovered. Until then its content changes all the time."""
+    """The event of rows that a person marks as bad during a recording. They are tagged when the log is finished or
+    recovered: until then, its content changes."""
     return f"driven badly: rows {first_row} to {last_row}"
 
 

@@ -1,4 +1,4 @@
-"""Writing a log: an MCAP file that appears under its name only when it is whole."""
+"""Writes a log: an MCAP file that gets its name only when it is complete."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ from recorder.topics import (
 )
 
 _CENTER: Final = camera_topic("center")
-FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush can come late, and the disk takes its time
+FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush may be late, and the disk takes time
 
 EventLevel = Literal["INFO", "WARNING", "ERROR"]
 AddMessage = Callable[[int, bytes, int, int], object]
@@ -65,20 +65,20 @@ def timestamp(time_ns: int) -> Timestamp:
 
 
 class LogWriter:
-    """One log being written, as `NAME.mcap.XXXXXX.part` until `close()` gives it its name. Until then the file is
-    locked, which shows others that it still grows.
+    """A log while it is written, as `NAME.mcap.XXXXXX.part` until `close()` gives it its name. Until then the file
+    is locked, which shows other processes that it still grows.
 
-    Chunks are uncompressed, so that every picture lies in the file byte for byte and can be read by its
-    offset. Pictures have chunks of their own, and so has everything else; only copies of other programs' logs mix
-    them, as those did. All messages of one frame share a log time and a sequence number (the frame's number in
-    the log). Messages of one topic are kept in the order in which they are written, whatever their times. Text
-    that is not UTF-8 (a name of a file may not be) is written with such bytes escaped.
+    Chunks are uncompressed, so that every picture is in the file byte for byte, and is read by its offset.
+    Pictures and other messages have separate chunks, except in copies of other programs' logs. All messages of one
+    frame share a log time and a sequence number (the frame's number in the log). Messages of one topic stay in the
+    order of writing, whatever their times. In text that is not UTF-8, such as a file's name, invalid bytes are
+    escaped.
 
-    ``live=True`` closes the open chunks and brings them to the disk twice a second, so that a killed process, or a
-    pulled plug, costs at most a second; an import leaves it off, and its bytes then depend on its input alone.
+    ``live=True`` writes the open chunks to the disk twice a second, so that a killed process or a power failure
+    costs at most a second. Imports leave it off: their bytes then depend only on their input.
 
-    As a context manager it closes the log, or discards it if anything was raised; what was recorded live is
-    kept even then, because nobody can record it again.
+    As a context manager, it closes the log, or discards it after an exception. A live recording is kept even then:
+    nobody can record it again.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class LogWriter:
         live: bool = False,
         profile: str = topics.PROFILE,
     ) -> None:
-        """`metadata` is about the source of the log; None for copies of other programs' logs, which have none.
+        """`metadata`: the source of the log; None for copies of other programs' logs without metadata.
 
         Raises UserError if `path` exists and may not be overwritten, or cannot be written.
         """
@@ -98,7 +98,7 @@ class LogWriter:
         self.path = path
         self.part = files.part_path(path)
         self._overwrite = overwrite
-        self._live = False  # until its beginning is written, nothing of it is worth keeping
+        self._live = False  # until its beginning is written, there is nothing to keep
         self._is_broken = False
         self._is_whole = False
         self._last_flush_s = time.monotonic()
@@ -107,9 +107,8 @@ class LogWriter:
         self._has_messages = False
         self._max_steering_deg = UDACITY.max_steering_deg
         self.same_as = ""
-        """Fingerprint of the log that this one holds the content of, at other places; empty if of none."""
+        """Fingerprint of the log that is rewritten; empty for other logs."""
         self._session = metadata
-        self._is_split = metadata is not None
         self._center_channels = set[int]()
         self._has_commands = False
         self._states = StatesWritten()
@@ -137,28 +136,29 @@ class LogWriter:
             lock(self._stream)
         if live:
             self._sync = files.BackgroundSync(self._stream.fileno())
-        self._chunks = SplitChunks(self._stream)
+        self._chunks = SplitChunks(self._stream, is_split=metadata is not None)
         self._copied_channels = CopiedChannels(self._chunks.mcap)
         self._to_disk(self._chunks.mcap.start, profile, f"{topics.LIBRARY} {version_of()}")
         if metadata is not None:
             self.add_metadata(topics.SESSION_METADATA, {"toolkit": version_of(), **metadata})
-            with contextlib.suppress(LogError):  # copied of another log; its readers report it
+            with contextlib.suppress(LogError):  # copied from another log; readers report it
                 self._max_steering_deg = (car_in(metadata, self.path) or UDACITY).max_steering_deg
 
     def picture(
         self, camera: Camera, time_ns: int, sequence: int, picture: bytes, size: tuple[int, int] | None = None
     ) -> None:
-        """A camera's JPEG or PNG, byte for byte. `size` is its width and height, where they are known already."""
+        """Write a camera's JPEG or PNG, byte for byte. `size`: its width and height, if known already."""
         kind = "png" if picture.startswith(PNG_START) else "jpeg"
         self._sizes.add(camera_topic(camera), sequence, size or self._size_reader.width_and_height(picture))
         self._image(camera_topic(camera), time_ns, sequence, picture, kind)
 
     def crop(self, time_ns: int, sequence: int, png: bytes) -> None:
-        """The picture that the network saw, as PNG (lossless)."""
+        """Write the network's input picture, as PNG (lossless)."""
         self._image(topics.PILOT_INPUT, time_ns, sequence, png, "png")
 
     def vehicle(self, time_ns: int, sequence: int, state: VehicleState, gap: MeantGap | None = None) -> None:
-        """`gap`: time before this row that was left out on purpose; an event says why."""
+        """Write a vehicle state. `gap`: time before this row that was left out on purpose; an event has the
+        reason."""
         if gap is not None:
             state.not_recorded_s = gap.seconds
         self._write(topics.VEHICLE, state, time_ns, sequence)
@@ -174,13 +174,13 @@ class LogWriter:
         self._write(topics.PILOT_COMMAND, command, time_ns, sequence)
 
     def message(self, topic: str, time_ns: int, sequence: int, message: Message) -> None:
-        """A message on a topic of the registry without a method of its own. Raises ValueError for another type."""
+        """Write a message on any topic of the registry. Raises ValueError for another type of message."""
         if TOPICS[topic].message.name != message.DESCRIPTOR.full_name:
             raise ValueError(f"{topic}: a {message.DESCRIPTOR.full_name}, not a {TOPICS[topic].message.name}")
         self._write(topic, message, time_ns, sequence)
 
     def prediction(self, run: str, time_ns: int, sequence: int, prediction: Prediction) -> None:
-        """The prediction of a run's network for a recorded picture."""
+        """Write the prediction of a run's network for a recorded picture."""
         self._write(prediction_topic(_utf8(run)), prediction, time_ns, sequence)
 
     def pose(self, time_ns: int, sequence: int, pose: PoseInFrame) -> None:
@@ -188,7 +188,7 @@ class LogWriter:
         self._places.add(sequence, pose.pose)
 
     def event(self, time_ns: int, text: str, level: EventLevel = "INFO", name: str = "") -> None:
-        """Write an event: `name` is where it happened (`recorder`, `drive`), `text` what."""
+        """Write an event: `text` is what happened, `name` is where (`recorder`, `drive`)."""
         message = LogMessage(
             timestamp=timestamp(time_ns),
             level=LogMessage.Level.Value(level),
@@ -198,9 +198,10 @@ class LogWriter:
         self._write(topics.EVENTS, message, time_ns, 0)
 
     def copy(self, schema: Schema | None, channel: Channel, message: McapMessage, sequence: int) -> None:
-        """A message of another log, as it is but for its sequence number."""
+        """Write a message of another log, unchanged except for its sequence number."""
         is_picture = is_image_channel(schema, channel)
-        add = self._adder(partial(self._copied_channels.number_of, schema, channel), is_picture=is_picture)
+        number_of = partial(self._copied_channels.number_of, schema, channel)
+        add = partial(self._chunks.add, number_of, is_picture=is_picture)
         self._message(add, message.log_time, message.publish_time, sequence, message.data)
         if channel.topic == topics.VEHICLE and schema is not None and schema.name == VEHICLE_STATE.name:
             try:
@@ -235,16 +236,16 @@ class LogWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Size of the file until now; the open chunks are not in it yet."""
+        """The size of the file until now, without the open chunks."""
         return self._stream.tell()
 
     @property
     def notices(self) -> list[str]:
-        """Lines to print about the cameras' pictures until now."""
-        return self._sizes.notices()
+        """Lines to print about cameras whose pictures have changed their size."""
+        return [f"pictures of different sizes on {topic}: {sizes}" for topic, sizes in self._sizes.mixed().items()]
 
     def flush_if_due(self) -> None:
-        """Close the open chunks if the last flush is long enough ago (call it also while nothing arrives)."""
+        """Close the open chunks if the last flush is long enough ago. Call it also if nothing arrives."""
         now_s = time.monotonic()
         if self._sync is not None and now_s - self._last_flush_s >= FLUSH_S:
             self._to_disk(self._chunks.flush)
@@ -258,8 +259,8 @@ class LogWriter:
     def close(self) -> None:
         """Write the summary and give the log its name.
 
-        Raises UserError if the name was taken meanwhile: the whole log is then still there, and named. If anything
-        else is raised, a Ctrl-C too, nothing stays, but what was recorded live: that is finished all the same.
+        Raises UserError if the name was taken meanwhile: the error names the complete temporary file. After any
+        other exception, also Ctrl-C, nothing stays, except a live recording, which is finished.
         """
         with uninterrupted() if self._live else contextlib.nullcontext():
             try:
@@ -291,14 +292,14 @@ class LogWriter:
         self._to_disk(self._finish)
 
     def _measured_lag(self, states: States, habits: SteeringHabits) -> dict[str, str]:
-        """The lag as a log notes it, measured when all is written: which pictures are looked at depends on all
-        rows, and the page cache still has them."""
-        session = self._session or {}
-        if not self._is_split or not goes_by_lag(habits, machine_of(session, has_commands=self._has_commands)):
+        """The lag for the log's summary. It is measured at the end: the choice of pictures depends on all rows,
+        and the page cache still has them."""
+        session = self._session
+        if session is None or not goes_by_lag(habits, machine_of(session, has_commands=self._has_commands)):
             return {}
-        self._to_disk(self._chunks.flush)  # whatever happens from here on, nothing of what was recorded is lost
+        self._to_disk(self._chunks.flush)  # whatever fails after this, no row is lost
         self._to_disk(self._stream.flush)
-        with contextlib.suppress(Exception):  # of OpenCV, for pictures of strangers: it is then not measured
+        with contextlib.suppress(Exception):  # OpenCV may fail on untrusted pictures: then nothing is measured
             from recorder.seen.steering_lag import measure_lag
 
             with WrittenPictures(self.part, self._chunks.pictures(self._center_channels)) as pictures:
@@ -306,13 +307,13 @@ class LogWriter:
         return {}
 
     def publish(self) -> None:
-        """Give the finished log its name. Raises what `close` does."""
+        """Give the finished log its name. Raises as `close`."""
         with uninterrupted():
-            self._is_whole = True  # from here on an error names it
+            self._is_whole = True  # from now on, errors name the temporary file
             files.publish(self.part, self.path, self._overwrite)
 
     def discard(self) -> None:
-        """Give up: nothing of this log stays, nor of the folders that were made for it."""
+        """Remove this log, and the folders that were made for it."""
         with uninterrupted():
             self._abandon()
             self.part.unlink(missing_ok=True)
@@ -323,24 +324,24 @@ class LogWriter:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
-            if not self._stream.closed:  # by its user
+            if not self._stream.closed:  # not closed before by its user
                 self._end(kind is None)
         except KeyboardInterrupt:
-            if not self._stream.closed:  # it came before anything was done
+            if not self._stream.closed:  # it came too early for `_end`
                 self._end(is_sound=False)
             raise
 
     def _end(self, is_sound: bool) -> None:
         is_kept = self._live and self._has_messages
         if self._is_broken and is_kept:
-            self._abandon()  # the error that broke it names the file, which stays
+            self._abandon()  # the error names the file, which stays
         elif is_sound or is_kept:
             self.close()
         else:
             self.discard()
 
     def _image(self, topic: str, time_ns: int, sequence: int, data: bytes, kind: str) -> None:
-        # Rerun gives every entity a frame of this name; with none, or another, its views warn of a missing one.
+        # Rerun gives every entity a frame of this name; without it, its views warn of a missing frame.
         frame_id = f"tf#{topic}"
         seconds, nanos = divmod(time_ns, 1_000_000_000)
         stamp = {"seconds": seconds, "nanos": nanos}  # a Timestamp would take a third of the time
@@ -352,17 +353,11 @@ class LogWriter:
         if add is None:
             is_picture = message.DESCRIPTOR.full_name == COMPRESSED_IMAGE.name
             number_of = cache(partial(self._register, topic, type(message)))
-            add = self._adders[topic] = self._adder(number_of, is_picture=is_picture)
+            add = self._adders[topic] = partial(self._chunks.add, number_of, is_picture=is_picture)
         self._message(add, time_ns, time_ns, sequence, message.SerializeToString())
 
-    def _adder(self, number_of: Callable[[], int], *, is_picture: bool) -> AddMessage:
-        """A function that adds messages to the channel whose number `number_of` gives."""
-        if not self._is_split:
-            return partial(self._chunks.add_mixed, number_of)
-        return partial(self._chunks.add_picture if is_picture else self._chunks.add, number_of)
-
     def _message(self, add: AddMessage, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
-        try:  # as _to_disk does, without the cost of another call for every message
+        try:  # as `_to_disk`, without another call for every message
             add(log_time, data, publish_time, sequence)
         except OSError as error:
             raise self._broken(error) from None
@@ -395,7 +390,7 @@ class LogWriter:
             raise self._broken(error) from None
 
     def _broken(self, error: OSError) -> UserError:
-        """The error for a disk that is full, or gone."""
+        """The error for a disk that is full or gone."""
         self._is_broken = True
         if not self._live:
             return UserError(f"{self.path}: cannot be written ({error.strerror}); nothing was kept of it")
@@ -407,7 +402,7 @@ class LogWriter:
     def _abandon(self) -> None:
         if self._sync is not None:
             self._sync.close()
-        self._stream.raw.close()  # what is left in the buffer would meet the full disk again
+        self._stream.raw.close()  # flushing the buffer would meet the full disk again
 
 
 def _utf8(text: str) -> str:

@@ -1,1 +1,1 @@
-"""The file: chunks, CRCs, byte ranges of pictures, what damage left."""
+"""The MCAP file: chunks, CRCs, byte ranges of pictures, salvage."""

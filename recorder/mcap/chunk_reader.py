@@ -1,4 +1,4 @@
-"""Byte ranges of a log's chunks, from any thread, and only of chunks whose CRC holds."""
+"""Byte ranges of a log's chunks, from any thread, and only of chunks with a matching CRC."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from typing import Final
 from recorder.mcap.mcap_file import Chunk, McapFile
 from recorder.mcap.message_index import UNCOMPRESSED
 
-_CACHED_CHUNKS: Final = 8  # unpacked ones, about a megabyte each,
-_CACHED_BYTES: Final = 1 << 26  # and fewer of larger ones
+_CACHED_CHUNKS: Final = 8  # unpacked, about a megabyte each
+_CACHED_BYTES: Final = 1 << 26  # together
 
 
 class ChunkReader:
-    """Reads from chunks of a file, and compares the CRC of each once. The last few chunks that were compressed, or
-    fetched from a store, stay in memory."""
+    """Reads from chunks of a file, and checks the CRC of each once. Keeps the last few chunks that were compressed
+    or fetched from a store in memory."""
 
     def __init__(self, file: McapFile, chunks: Sequence[Chunk]) -> None:
         self._file = file
@@ -28,19 +28,19 @@ class ChunkReader:
         self._lock = threading.Lock()
 
     def set_verified(self, chunks: Iterable[Chunk]) -> None:
-        """Note that these chunks have been read, and that their CRCs hold."""
+        """Note that these chunks were read, and that their CRCs match."""
         for chunk in chunks:
             self._is_verified[bisect.bisect_left(self._starts, chunk.start)] = True
 
     def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes:
-        """`length` bytes from `offset`: in the file, or among the unpacked records of the chunk that begins at
-        byte `chunk`. Raises LogError where they lie in no chunk, or its CRC does not hold."""
+        """`length` bytes from `offset`: in the file, or in the unpacked records of the chunk that begins at byte
+        `chunk`. Raises LogError if they are in no chunk, or its CRC does not match."""
         if chunk != UNCOMPRESSED:
             data = self._unpacked_records(chunk)[offset : offset + length]
             if offset < 0 or len(data) != length:
                 raise self._file.damaged(f"bytes {offset} to {offset + length} lie outside their chunk")
             return data
-        if self._file.is_remote:  # a chunk is one request, and so is a picture of it
+        if self._file.is_remote:  # one request, as for a single picture
             start, records = self.records_around(offset, length)
             return records[offset - start : offset - start + length]
         number = self._number_of(offset, length)
@@ -50,8 +50,8 @@ class ChunkReader:
         return self._file.read(offset, length)
 
     def records_around(self, offset: int, length: int) -> tuple[int, bytes]:
-        """The offset in the file of the records of the uncompressed chunk that has these bytes, and the records.
-        Raises what `read` does."""
+        """The records of the uncompressed chunk that has these bytes, and their offset in the file. Raises as
+        `read`."""
         number = self._number_of(offset, length)
         chunk = self._chunks[number]
         records = self._unpacked_records(chunk.start) if self._file.is_remote else self._file.records(chunk)

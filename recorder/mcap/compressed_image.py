@@ -1,4 +1,4 @@
-"""Recognising messages that are pictures, and finding the picture within a serialised foxglove.CompressedImage."""
+"""Recognises messages that are pictures, and finds the picture in a serialised foxglove.CompressedImage."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _DATA_FIELD: Final = 2
 
 
 def is_protobuf_channel(schema: Schema | None, channel: Channel, name: str) -> bool:
-    """True if a channel has messages of the schema `name` in Protobuf; other programs write some as JSON too."""
+    """True if a channel has messages of the schema `name` in Protobuf; other programs may use JSON."""
     return schema is not None and (schema.name, channel.message_encoding) == (name, MessageEncoding.Protobuf)
 
 
@@ -23,13 +23,14 @@ def is_image_channel(schema: Schema | None, channel: Channel) -> bool:
 
 
 def image_data(data: bytes | memoryview, offset: int, length: int) -> tuple[int, int]:
-    """Offset and length of the picture in the message of `length` bytes at `offset` of `data`; (-1, 0) if none.
+    """Offset and length of the picture in the message of `length` bytes at `offset` of `data`; (-1, 0) if the
+    message is damaged.
 
-    Walks the message's fields (https://protobuf.dev/programming-guides/encoding/), whatever their order.
+    Walks the message's fields in any order (https://protobuf.dev/programming-guides/encoding/).
     """
     position, end = offset, offset + length
     while position < end:
-        # most numbers are of one to three bytes: a call for each would be half of the time
+        # most numbers have one to three bytes: a call for each would take half of the time
         tag, position = (data[position], position + 1) if data[position] < 0x80 else _varint(data, position, end)
         if position < end and (first := data[position]) < 0x80:
             size, position = first, position + 1
@@ -39,16 +40,16 @@ def image_data(data: bytes | memoryview, offset: int, length: int) -> tuple[int,
             size, position = first & 0x7F | (second & 0x7F) << 7 | third << 14, position + 3
         else:
             size, position = _varint(data, position, end)
-        if tag & 7 != 2 or size < 0 or position + size > end:  # each field of it is length-delimited
+        if tag & 7 != 2 or size < 0 or position + size > end:  # all its fields are length-delimited
             return -1, 0
         if tag >> 3 == _DATA_FIELD:
             return position, size
         position += size
-    return end, 0  # protobuf leaves an empty field out
+    return end, 0  # Protobuf leaves an empty field out
 
 
 def _varint(data: bytes | memoryview, position: int, end: int) -> tuple[int, int]:
-    """A base-128 varint and the position behind it; (-1, end) if it is cut off or longer than ten bytes."""
+    """A base-128 varint and the position after it; (-1, end) if it is cut off or longer than ten bytes."""
     value, shift = 0, 0
     for i in range(position, min(end, position + 10)):
         value |= (data[i] & 0x7F) << shift

@@ -1,7 +1,7 @@
-"""The physical side of an MCAP file: its records at any place, and the content of a chunk, its CRC checked.
+"""The bytes of an MCAP file: its records at any offset, and the content of chunks, with their CRCs checked.
 
-The file is untrusted: no length is believed before it is compared with the file's size. Record layouts:
-https://mcap.dev/spec; all integers are little-endian.
+The file is untrusted: every length is first compared with the file's size. Record layouts: https://mcap.dev/spec.
+All integers are little-endian.
 """
 
 from __future__ import annotations
@@ -37,30 +37,33 @@ RECORD: Final = struct.Struct("<BQ")  # opcode, length of the content
 MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 CHUNK_HEADER: Final = struct.Struct("<BQQQQI")  # opcode, length, start time, end time, uncompressed bytes, CRC
 RECORDS_AT: Final = CHUNK_HEADER.size + 12
-"""Offset of the records of an uncompressed chunk: behind the length of its compression's name, and their own."""
-_OP_MESSAGE: Final = int(Opcode.MESSAGE)  # compared once a message: as a plain number that is quicker
-_MIN_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of one without data
+"""Offset of the records in an uncompressed chunk, after the lengths of its compression's name and of the
+records."""
+_OP_MESSAGE: Final = int(Opcode.MESSAGE)  # compared for each message: a plain number is quicker
+_MIN_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of a message without data
 _DEFINITIONS: Final = frozenset((int(Opcode.SCHEMA), int(Opcode.CHANNEL)))
 _LONGEST_HEADER: Final = 1 << 12
-_MAX_DEFINITIONS: Final = 1 << 17  # a chunk's schemas and channels: there are as many numbers for them
+_MAX_DEFINITIONS: Final = 1 << 17  # a chunk's schemas and channels: the format has 16-bit numbers for each
 
 MAX_CHUNK_BYTES: Final = 1 << 28
-"""The most that a chunk may unpack to; writers use 0.25 to 4 MB, and a damaged length must not take all memory."""
+"""The largest unpacked chunk. Writers use 0.25 to 4 MB; a damaged length must not take all memory."""
 MAX_RECORD_BYTES: Final = MAX_CHUNK_BYTES + (1 << 20)
-"""The most that is read at once: the largest chunk, with its header."""
+"""The longest read: the largest chunk with its header."""
 MIN_MESSAGE_BYTES: Final = 4
-"""Of a file, for each of its messages: empty ones of the most regular times take five of zstd's bytes, but those
-that were made to fill a memory hardly any."""
-FREE_MESSAGES: Final = 1 << 16  # so many more are taken of any file
+"""The least bytes of a file for each message. Compressed by zstd, the smallest regular messages take five;
+messages made to fill the memory take hardly any."""
+FREE_MESSAGES: Final = 1 << 16  # allowed in addition, in any file
 
 WITHOUT_CRCS: Final = "written without CRCs: damage to it cannot be noticed"
-"""The notice, given once, of another program's log that does without them."""
+"""The notice for another program's log without CRCs."""
 _MAX_COMPRESSED: Final = 100
-"""Times its size that a file may unpack to, and one chunk besides. Pictures hardly compress; text does tenfold."""
+"""The largest unpacked size of a file, in multiples of its size, plus one chunk. Pictures hardly compress; text
+compresses tenfold."""
 _MAX_BESIDE_CHUNKS: Final = 16
-"""Times its size that a file may have attachments and metadata: those of a summary that lies may overlap."""
+"""The most bytes of attachments and metadata, in multiples of a file's size: a false summary may let them
+overlap."""
 NOT_UNPACKED: Final = (zstandard.ZstdError, RuntimeError, ValueError)  # the exceptions of `unpack`
-# What mcap's parsers raise on bytes that are no record.
+# Exceptions of mcap's parsers if bytes are not a record.
 UNREADABLE: Final = (McapError, ValueError, EOFError, KeyError, OverflowError, struct.error)
 
 
@@ -79,19 +82,19 @@ def unpack(stored: bytes | memoryview, compression: bytes, size: int) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """A chunk as it lies in the file, from `start` to `end`; or a message outside of chunks, taken as one."""
+    """A chunk in the file, from byte `start` to `end`; or a message outside chunks, handled as a chunk."""
 
     start: int
     end: int
     compression: str = ""
     is_message: bool = False
-    mended: bytes = b""  # what its first bytes should be, where its header is damaged
-    channels: frozenset[int] | None = None  # of its messages, by the summary; None: unknown
-    head: bytes = b""  # its header without the CRC, by the summary
+    mended: bytes = b""  # the correct first bytes, if its header is damaged
+    channels: frozenset[int] | None = None  # of its messages, from the summary; None: unknown
+    head: bytes = b""  # its header without the CRC, from the summary
 
 
 class StoredMessage(NamedTuple):
-    """A message within a chunk's records: it begins at `start`, its content is `length` bytes from `offset`."""
+    """A message in a chunk's records. It begins at `start`; its content is `length` bytes from `offset`."""
 
     channel: int
     sequence: int
@@ -108,10 +111,10 @@ class Parts(NamedTuple):
 
 
 class McapFile(Closeable):
-    """A file open for reading at any place, from any thread."""
+    """A file open for reading at any offset, from any thread."""
 
     def __init__(self, path: Location) -> None:
-        """Raises LogError if it cannot be opened or is of another kind; StoreError."""
+        """Raises LogError if the file cannot be opened or is not an MCAP file; StoreError."""
         self.path = path
         try:
             self._bytes = open_for_reading(path)
@@ -121,9 +124,9 @@ class McapFile(Closeable):
             advice = _advice(path) if isinstance(path, Path) else "give the command again"
             raise LogError(f"{path}: cannot be opened ({error.strerror}); {advice}") from None
         self._copy: Path | None = None
-        self._unpacked_at = set[int]()  # compressed chunks that count in the bytes unpacked
+        self._unpacked_at = set[int]()  # compressed chunks that count in `_unpacked_bytes`
         self._unpacked_bytes = 0
-        self._beside_chunks_at = set[int]()  # attachments and metadata that were read
+        self._beside_chunks_at = set[int]()  # attachments and metadata that count in `_beside_chunks_bytes`
         self._beside_chunks_bytes = 0
         self.size = 0
         self.grow()
@@ -138,23 +141,23 @@ class McapFile(Closeable):
 
     @property
     def is_remote(self) -> bool:
-        """True where a request takes long, however few bytes it is for."""
+        """True if each read is a request to a store."""
         return self._bytes.is_remote
 
     def read_from(self, copy: Path) -> None:
-        """Read a whole copy of this file from now on, which is removed when damage is found. Raises OSError."""
+        """Read from a complete copy of this file from now on. If it is damaged, it is removed. Raises OSError."""
         opened = LocalFile(copy)
         self._bytes.close()
         self._bytes, self._copy = opened, copy
 
     def grow(self) -> bool:
-        """Take in what was written behind the end since; False if the file has been deleted."""
-        is_there = self._bytes.grow()
+        """Update the size of a growing file; False if the file was deleted."""
+        exists = self._bytes.grow()
         self.size = self._bytes.size
-        return is_there
+        return exists
 
     def read(self, offset: int, length: int) -> bytes:
-        """Raises LogError for what lies outside the file, is too long for any record, or is not readable."""
+        """Raises LogError for a range outside the file or longer than any record, or if reading fails."""
         self._check_range(offset, length)
         try:
             data = self._bytes.read(offset, length)
@@ -166,15 +169,15 @@ class McapFile(Closeable):
         return data
 
     def read_chunks(self, chunks: Sequence[Chunk]) -> Iterator[tuple[Chunk, bytes]]:
-        """Chunks, and the records of each, unpacked; of a file in a store, several are requested at a time. Raises
-        what `records` does."""
+        """Each chunk with its unpacked records; several requests at a time for a file in a store. Raises as
+        `records`."""
         ranges = ((chunk.start, chunk.end - chunk.start) for chunk in chunks)
         for chunk, data in zip(chunks, self.read_many(ranges), strict=True):
             yield chunk, self.records_in(chunk, data)
 
     def read_many(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
-        """The bytes of each range; of a file in a store, several are requested at a time, and nothing beside is
-        read. Raises what `read` does."""
+        """The bytes of each range, and no others; several requests at a time for a file in a store. Raises as
+        `read`."""
         if not self.is_remote:
             yield from (self.read(offset, length) for offset, length in ranges)
             return
@@ -194,8 +197,8 @@ class McapFile(Closeable):
 
     @cached_property
     def profile_and_library(self) -> tuple[bytes, bytes]:
-        """The fields of the file's first record: rules that its content follows, program that wrote it; empty if
-        damaged."""
+        """The fields of the file's first record: the profile of its content, and the program that wrote it. Empty
+        if damaged."""
         try:
             opcode, length = RECORD.unpack(self.read(len(MAGIC), RECORD.size))
             header = self.read(len(MAGIC) + RECORD.size, min(length, _LONGEST_HEADER))
@@ -212,37 +215,38 @@ class McapFile(Closeable):
 
     @property
     def promises_crcs(self) -> bool:
-        """True if a CRC of 0, which in MCAP means none, is damage: all that this toolkit writes has CRCs, copies
-        of other programs' logs too."""
+        """True if a CRC of 0, in MCAP "no CRC", is damage. This toolkit writes CRCs in all its files, also in
+        copies of other programs' logs."""
         return self.is_ours or self.profile_and_library[1].startswith(LIBRARY.encode())
 
     def may_have_crc(self, crc: int, content: bytes) -> bool:
-        """True if the CRC holds for `content`, or there is none."""
+        """True if the CRC matches `content`, or the file has none."""
         return zlib.crc32(content) == crc or (crc == 0 and not self.promises_crcs)
 
-    def has_crc(self, chunk: Chunk) -> bool:
-        return has_crc_in(chunk, self.read(chunk.start, min(CHUNK_HEADER.size, chunk.end - chunk.start)))
-
     def have_crcs(self, chunks: Iterable[Chunk]) -> bool:
-        return self.promises_crcs or all(map(self.has_crc, chunks))
+        """True if all these chunks have CRCs."""
+        return self.promises_crcs or all(
+            has_crc_in(chunk, self.read(chunk.start, min(CHUNK_HEADER.size, chunk.end - chunk.start)))
+            for chunk in chunks
+        )
 
     def records(self, chunk: Chunk) -> bytes:
-        """The records of a chunk, unpacked. Raises LogError where it is damaged, as far as its CRC shows."""
+        """The unpacked records of a chunk. Raises LogError if the chunk is damaged."""
         return self.records_in(chunk, self.read(chunk.start, chunk.end - chunk.start))
 
     def records_in(self, chunk: Chunk, record: bytes) -> bytes:
-        """The same of a chunk's `record` that was read already."""
+        """`records` of a chunk whose bytes, `record`, were read before."""
         if chunk.mended:
             record = chunk.mended + record[len(chunk.mended) :]
         return record if chunk.is_message else self.unpacked(record, chunk.start)
 
     def unpacked(self, record: bytes, start: int) -> bytes:
-        """The records within a chunk's `record`, which begins at byte `start`. Raises what `records` does."""
+        """The records in a chunk's `record`, which begins at byte `start`. Raises as `records`."""
         where = f"the chunk at byte {start:,}"
         try:
             opcode, length, _, _, size, crc = CHUNK_HEADER.unpack_from(record)
-            named = prefixed(record, CHUNK_HEADER.size)
-            stored_at = CHUNK_HEADER.size + 4 + len(named) + 8
+            compression = prefixed(record, CHUNK_HEADER.size)
+            stored_at = CHUNK_HEADER.size + 4 + len(compression) + 8
             (stored_size,) = struct.unpack_from("<Q", record, stored_at - 8)
         except struct.error:
             raise self.damaged(f"{where} is cut off") from None
@@ -250,14 +254,14 @@ class McapFile(Closeable):
             raise self.damaged(f"{where} does not have its declared length")
         if size > MAX_CHUNK_BYTES:
             raise self.damaged(f"{where} would unpack to {size:,} bytes")
-        if named and start not in self._unpacked_at:
+        if compression and start not in self._unpacked_at:
             if self._unpacked_bytes + size > _MAX_COMPRESSED * self.size + MAX_CHUNK_BYTES:
                 raise self.damaged(f"with {where} it would unpack to more than {self._unpacked_bytes:,} bytes")
             self._unpacked_at.add(start)
             self._unpacked_bytes += size
         stored = memoryview(record)[stored_at:]
         try:
-            records = unpack(stored, named, size)
+            records = unpack(stored, compression, size)
         except NOT_UNPACKED:
             raise self.damaged(f"{where} cannot be unpacked") from None
         if len(records) != size:
@@ -267,11 +271,11 @@ class McapFile(Closeable):
         return records
 
     def records_at(self, chunk: Chunk) -> int:
-        """Offset in the file of the records of an uncompressed chunk."""
+        """The offset in the file of an uncompressed chunk's records."""
         return chunk.start if chunk.is_message else chunk.start + RECORDS_AT
 
     def messages(self, records: bytes) -> Iterator[StoredMessage]:
-        """The messages in a chunk's records, in their order. Raises LogError at once if one is damaged."""
+        """The messages in a chunk's records, in order. Raises LogError at once if a record is damaged."""
         return (stored_message(records, start) for start in self.parts(records).messages)
 
     def metadata(self, offset: int) -> MetadataRecord:
@@ -293,8 +297,8 @@ class McapFile(Closeable):
         return attachment
 
     def _content(self, offset: int, opcode: int) -> bytes:
-        stored, length = RECORD.unpack(self.read(offset, RECORD.size))
-        if stored != opcode:
+        stored_opcode, length = RECORD.unpack(self.read(offset, RECORD.size))
+        if stored_opcode != opcode:
             raise self.damaged("a record is not where the summary says")
         if offset not in self._beside_chunks_at:
             self._beside_chunks_at.add(offset)
@@ -306,7 +310,7 @@ class McapFile(Closeable):
     def parts(self, records: bytes) -> Parts:
         """The messages and definitions among a chunk's records. Raises LogError if one is damaged."""
         parts = Parts(array("q"), [])
-        unpack, is_message = RECORD.unpack_from, parts.messages.append
+        unpack, add_message = RECORD.unpack_from, parts.messages.append
         position, size = 0, len(records)
         for _ in range(self._most_messages):
             if position > size - RECORD.size:
@@ -316,7 +320,7 @@ class McapFile(Closeable):
             if opcode == _OP_MESSAGE:
                 if length < _MIN_MESSAGE:
                     raise self.damaged("a message is cut off")
-                is_message(position)
+                add_message(position)
             elif opcode in _DEFINITIONS:
                 if len(parts.definitions) == _MAX_DEFINITIONS:
                     raise self.damaged("more schemas and channels than a file can have")
@@ -331,7 +335,7 @@ class McapFile(Closeable):
         return parts
 
     def check_count(self, messages: int) -> None:
-        """Raise LogError if that many messages cannot be in a file of this size."""
+        """Raise LogError if a file of this size cannot hold so many messages."""
         if messages > self._most_messages:
             raise self._too_many(counted(messages, "message"))
 
@@ -339,23 +343,24 @@ class McapFile(Closeable):
     def _most_messages(self) -> int:
         return self.size // MIN_MESSAGE_BYTES + FREE_MESSAGES
 
-    def _too_many(self, what: str) -> LogError:
-        return self.damaged(f"{what} in {self.size:,} bytes, which hold {self._most_messages:,} at most")
+    def _too_many(self, count: str) -> LogError:
+        return self.damaged(f"{count} in {self.size:,} bytes, which hold {self._most_messages:,} at most")
 
-    def damaged(self, what: str) -> LogError:
+    def damaged(self, problem: str) -> LogError:
+        """The error for this damaged file."""
         path = self.path
         if self._copy is not None:  # then the next command fetches it anew
             with contextlib.suppress(OSError):
                 self._copy.unlink(missing_ok=True)
         if not isinstance(path, Path):
             return LogError(
-                f"{path}: damaged: {what}; `bc-log copy {path} FOLDER` brings it here, for `bc-log recover`"
+                f"{path}: damaged: {problem}; `bc-log copy {path} FOLDER` brings it here, for `bc-log recover`"
             )
-        return LogError(f"{path}: damaged: {what}; `bc-log recover {path}` saves the rest")
+        return LogError(f"{path}: damaged: {problem}; `bc-log recover {path}` saves the rest")
 
 
 def has_crc_in(chunk: Chunk, head: bytes) -> bool:
-    """True if a chunk has a CRC, by the first bytes of its record."""
+    """True if a chunk has a CRC. `head`: the first bytes of its record."""
     crc_at = CHUNK_HEADER.size - 4
     return not chunk.is_message and len(head) >= CHUNK_HEADER.size and any(head[crc_at : CHUNK_HEADER.size])
 
@@ -368,10 +373,10 @@ def stored_message(records: bytes, start: int) -> StoredMessage:
 
 
 def _advice(path: Path) -> str:
-    """A guess at the file that was meant: sessions are known by their names, logs by their files."""
-    for meant in (path.with_name(f"{path.name}.mcap"), Path("sessions") / f"{path.name}.mcap"):
-        if meant.is_file():
-            return f"did you mean {meant}?"
+    """A hint at the file that was meant: perhaps the name of a session was given."""
+    for log in (path.with_name(f"{path.name}.mcap"), Path("sessions") / f"{path.name}.mcap"):
+        if log.is_file():
+            return f"did you mean {log}?"
     parts = sorted(path.parent.glob("*.part")) if path.parent.is_dir() else []
     for part in parts:
         if part.name.startswith(f"{path.name}."):
@@ -381,6 +386,6 @@ def _advice(path: Path) -> str:
 
 
 def prefixed(data: bytes, at: int) -> bytes:
-    """A string of MCAP: its length, then its bytes; no longer than what is there."""
+    """An MCAP string: its length, then its bytes. Shorter if `data` ends before."""
     (length,) = struct.unpack_from("<I", data, at)
     return data[at + 4 : at + 4 + length]

@@ -1,4 +1,4 @@
-"""The index of a log's messages, and of the pictures within them, made in one pass over the file."""
+"""The index of a log's messages and pictures, made in one pass over the file."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from recorder.mcap.compressed_image import image_data
 from recorder.mcap.mcap_file import MESSAGE, RECORD, Chunk, McapFile
 from recorder.mcap.scan import Structure
 
-UNCOMPRESSED: Final = -1  # in the place of a chunk's offset: the bytes lie in the file as they are
-LAST_TIME_NS: Final = 2**63 - 1  # MCAP's times are unsigned, but those of files, tables and NumPy are not
+UNCOMPRESSED: Final = -1  # instead of a chunk's offset: the bytes are in the file itself
+LAST_TIME_NS: Final = 2**63 - 1  # MCAP's times are unsigned; those of files, tables and NumPy are signed
 
 ENTRY: Final = np.dtype(
     [
         ("channel", np.uint16),
         ("sequence", np.uint32),
         ("log_time_ns", np.uint64),
-        ("offset", np.int64),  # of the message's content, from the start of the file or within its chunk unpacked
+        ("offset", np.int64),  # of the message's content, in the file or in its unpacked chunk
         ("length", np.int64),
-        ("picture", np.int64),  # as offset, of a CompressedImage's data; -1 where the message is none
+        ("picture", np.int64),  # the same for a CompressedImage's data; -1 for other messages
         ("picture_length", np.int64),
-        ("chunk", np.int64),  # where the compressed chunk begins that holds it, or UNCOMPRESSED
+        ("chunk", np.int64),  # start of the message's compressed chunk, or UNCOMPRESSED
     ]
 )
 
-Read = tuple[Chunk, bytes]  # a chunk, and its records
+Read = tuple[Chunk, bytes]  # a chunk and its records
 
 _HEAD: Final = np.dtype(
     [
@@ -49,9 +49,9 @@ def index_messages(
     chunks: Sequence[Chunk],
     track: Callable[[Iterable[Read]], Iterable[Read]] = lambda read: read,
 ) -> NDArray[np.void]:
-    """One ENTRY for each message in these chunks, in their order. `track` shows how far it is.
+    """One ENTRY for each message in these chunks, in order. `track` shows the progress.
 
-    Raises LogError for a damaged chunk, or a time that no clock of ours can hold.
+    Raises LogError for a damaged chunk, or a time above LAST_TIME_NS.
     """
     images = np.array(sorted(structure.image_channels), np.uint16)
     parts, count = [], 0
@@ -80,13 +80,13 @@ def chunk_entries(
 ) -> NDArray[np.void]:
     """One ENTRY for each message of a chunk's records.
 
-    `starts` are the offsets of the messages' records, `images` the channels of pictures. `base` is added to all
-    offsets; `chunk` is that of the entries.
+    `starts`: offsets of the messages' records. `images`: channels of pictures. `base` is added to all offsets.
+    `chunk`: the entries' chunk.
     """
     table = np.empty(len(starts), ENTRY)
     if not len(starts):
         return table
-    # every message's head at once, wherever they begin: a tuple of each would take 300 bytes
+    # all messages' heads at once: a tuple for each would take 300 bytes
     heads = sliding_window_view(np.frombuffer(records, np.uint8), MESSAGE.size)[starts].view(_HEAD)[:, 0]
     for name in ("channel", "sequence", "log_time_ns"):
         table[name] = heads[name]

@@ -1,4 +1,4 @@
-"""The numbers of many Protobuf messages at once: of doubles, and of values of an enum."""
+"""Decodes the numbers of many Protobuf messages at once: doubles and values of an enum."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ _LAST_NUMBER: Final = 15  # of the fields whose tag is one byte
 
 
 def decode_numbers(contents: Sequence[bytes], kind: type[Message], names: Sequence[str]) -> NDArray[np.float64]:
-    """The fields `names` of N serialised messages of a type: an array (len(names), N). A field that a message may
-    lack (`optional`) is NaN where it does.
+    """The fields `names` of N serialised messages of a type: an array (len(names), N). A missing `optional` field
+    is NaN.
 
-    What writers write, each field at most once and in the order of their numbers
-    (https://protobuf.dev/programming-guides/encoding/), is taken from all messages at once; any other message, and
-    all of a type that has fields of other kinds, are decoded by Protobuf. Raises DecodeError as that does.
+    Usual messages have each field at most once, in the order of their numbers
+    (https://protobuf.dev/programming-guides/encoding/). They are decoded together. Protobuf decodes other
+    messages, and all messages of types with fields of other kinds. Raises DecodeError as Protobuf does.
     """
     values = np.zeros((len(names), len(contents)))
     is_done = np.zeros(len(contents), np.bool_)
     fields: list[Any] = sorted(kind.DESCRIPTOR.fields, key=attrgetter("number"))
     if all(map(_is_plain, fields)) and len(contents):
-        # a field that is cut off ends beyond its message: within the last one's, too
+        # the padding lets a cut-off field of the last message end beyond it
         data = np.frombuffer(b"".join(contents) + bytes(2 * _DOUBLE_BYTES), np.uint8)
         end = np.cumsum([len(content) for content in contents])
         at = np.concatenate([[0], end[:-1]])
         for field in fields:
             is_double = field.type == field.TYPE_DOUBLE
-            is_here = (data[at] == (field.number << 3 | is_double)) & (at < end)  # wire type 1: of eight bytes
+            is_present = (data[at] == (field.number << 3 | is_double)) & (at < end)  # wire type 1: eight bytes
             if not is_double:
-                is_here &= data[at + 1] < 0x80
-            (present,) = np.nonzero(is_here)
+                is_present &= data[at + 1] < 0x80
+            (present,) = np.nonzero(is_present)
             if field.name in names:
                 row = values[names.index(field.name)]
                 if field.has_presence:

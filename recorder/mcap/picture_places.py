@@ -1,8 +1,10 @@
-"""The places of a log's pictures, kept at its end: what is in its other chunks is read without reading pictures.
+"""The places of a log's pictures, kept at its end, so that readers of other messages skip the pictures.
 
-Two attachments, which MCAP gives a CRC each. `bc.pictures`: a `PLACE` for each picture, in the order of writing; a
-long log has several of them. `bc.chunks`: a `CHUNK_CRC` for each chunk, which shows whether these lists are about
-this file: another program that writes a log anew copies attachments as they are.
+They are in two kinds of attachments, each with a CRC:
+
+- `bc.pictures`: a `PLACE` for each picture, in the order of writing. A long log has several.
+- `bc.chunks`: a `CHUNK_CRC` for each chunk. It shows whether the lists describe this file: programs that rewrite a
+  log copy attachments unchanged.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from recorder.mcap.scan import Structure
 PICTURES_ATTACHMENT: Final = "bc.pictures"
 CHUNKS_ATTACHMENT: Final = "bc.chunks"
 MEDIA_TYPE: Final = "application/octet-stream"
-PLACES_AT_ONCE: Final = 1 << 20  # pictures that one attachment is about: 34 MB
+PLACES_AT_ONCE: Final = 1 << 20  # pictures in one attachment: 34 MB
 
 PLACE: Final = np.dtype(
     [
@@ -34,16 +36,16 @@ PLACE: Final = np.dtype(
         ("chunk", "<u4"),  # number of the chunk, in the order of the file
         ("offset", "<u4"),  # of the message's content, from the start of the chunk's records
         ("length", "<u4"),
-        ("picture", "<u4"),  # as offset, of the JPEG or PNG itself; NO_PICTURE where the message has none
+        ("picture", "<u4"),  # the same for the JPEG or PNG itself; NO_PICTURE if the message has none
         ("picture_length", "<u4"),
     ]
 )
-# compared once a message: as plain numbers they are quicker
+# used for each message: plain numbers are quicker
 _OP_MESSAGE: Final = int(Opcode.MESSAGE)
 _RECORD_BYTES: Final = RECORD.size
 _CONTENT_AT: Final = MESSAGE.size  # of a message, in its record
-_MIN_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of one without data
-_PLACE: Final = struct.Struct("<HIQIIIII")  # the same: for a few at once, quicker than an array of them
+_MIN_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of a message without data
+_PLACE: Final = struct.Struct("<HIQIIIII")  # as PLACE; quicker than an array for a few pictures
 CHUNK_CRC: Final = np.dtype([("start", "<u8"), ("crc", "<u4")])  # offset in the file; CRC-32 of the records
 NO_PICTURE: Final = 2**32 - 1
 
@@ -52,33 +54,33 @@ Attached = tuple[int, int, str, str, bytes]  # create time, log time, name, medi
 
 @dataclass(frozen=True)
 class Pictures:
-    """Places in a log of the pictures of one topic; arrays of one length, in the order of writing."""
+    """Places of the pictures of one topic in a log; arrays of one length, in the order of writing."""
 
     sequence: NDArray[np.int64]
     log_time_ns: NDArray[np.int64]
-    offset: NDArray[np.int64]  # of the JPEG or PNG itself, from the start of the file, or within `chunk` unpacked
+    offset: NDArray[np.int64]  # of the JPEG or PNG itself, in the file or in its unpacked chunk
     length: NDArray[np.int64]  # bytes
-    chunk: NDArray[np.int64]  # where in the file the compressed chunk begins that holds it; else UNCOMPRESSED
+    chunk: NDArray[np.int64]  # start of the picture's compressed chunk in the file, or UNCOMPRESSED
 
 
 class PlacesWritten:
-    """Collects where the pictures of a file lie while it is written: 34 bytes a picture."""
+    """Collects the places of a file's pictures while it is written: 34 bytes a picture."""
 
     def __init__(self) -> None:
-        self.channels: set[int] = set()  # those of pictures
-        self.count = 0  # pictures that are not taken yet
+        self.channels: set[int] = set()  # of pictures
+        self.count = 0  # pictures since `take_pictures`
         self._places = bytearray()
         self._chunks: list[tuple[int, int]] = []
 
     def add_chunk(self, start: int, record: bytes) -> None:
-        """A chunk that begins at byte `start` of the file."""
+        """Note a chunk that begins at byte `start` of the file."""
         *_, crc = CHUNK_HEADER.unpack_from(record)
         self._places += places_in(record, len(self._chunks), self.channels)
         self.count = len(self._places) // _PLACE.size
         self._chunks.append((start, crc))
 
     def pictures(self, channels: set[int]) -> Pictures:
-        """Those on some channels that were not taken yet."""
+        """The places on some channels since `take_pictures`."""
         places = np.frombuffer(bytes(self._places), PLACE)
         places = places[np.isin(places["channel"], list(channels)) & (places["picture"] != NO_PICTURE)]
         starts = np.array([start for start, _ in self._chunks], np.int64)
@@ -91,7 +93,7 @@ class PlacesWritten:
         )
 
     def take_pictures(self) -> Attached:
-        """The attachment about the pictures that were not taken yet."""
+        """The attachment with all places since the last call."""
         content = bytes(self._places)
         self._places, self.count = bytearray(), 0
         return 0, 0, PICTURES_ATTACHMENT, MEDIA_TYPE, content
@@ -101,7 +103,8 @@ class PlacesWritten:
 
 
 def places_in(record: bytes, number: int, channels: set[int]) -> bytes:
-    """The PLACE of each picture in a sound chunk: its record, its number in the file, the channels of pictures."""
+    """The PLACE of each picture in a sound chunk. `record`: the chunk's; `number`: of the chunk in the file;
+    `channels`: of pictures."""
     places, position, end = bytearray(), RECORDS_AT, len(record) if channels else 0
     while position < end:
         opcode, length = RECORD.unpack_from(record, position)
@@ -119,12 +122,12 @@ def places_in(record: bytes, number: int, channels: set[int]) -> bytes:
 
 
 def is_about_places(name: str) -> bool:
-    """True for the attachments of this module, which are about one file, and never copied into another."""
+    """True for the attachments of this module. They describe one file, and are not copied into another."""
     return name in (PICTURES_ATTACHMENT, CHUNKS_ATTACHMENT)
 
 
 def read_chunk_crcs(file: McapFile, structure: Structure) -> list[int] | None:
-    """The CRC of each chunk, as the end of a log of ours has them; None without a list of this file."""
+    """The CRC of each chunk, from the end of a log of ours; None without a list that describes this file."""
     content = _attached(file, structure, CHUNKS_ATTACHMENT, len(structure.chunks) * CHUNK_CRC.itemsize)
     if content is None:
         return None
@@ -138,7 +141,7 @@ def read_chunk_crcs(file: McapFile, structure: Structure) -> list[int] | None:
 def read_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None:
     """An ENTRY for each message in the chunks of pictures, from the lists at the end of a log of ours.
 
-    None where that is missing, or does not fit the file's summary: then all of the file has to be read.
+    None if the lists are missing or do not fit the file's summary: then the whole file has to be read.
     """
     places = None if read_chunk_crcs(file, structure) is None else stored_places(file, structure)
     if places is None:
@@ -147,10 +150,9 @@ def read_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None
     of_pictures = [number for number, chunk in enumerate(structure.chunks) if is_of_pictures(chunk, images)]
     if np.unique(places["chunk"]).tolist() != of_pictures:
         return None
-    counted = dict(
-        zip(*(column.tolist() for column in np.unique(places["channel"], return_counts=True)), strict=True)
-    )
-    if counted != _picture_counts(structure) or (places["log_time_ns"] > LAST_TIME_NS).any():
+    channels, counts = np.unique(places["channel"], return_counts=True)
+    listed_counts = dict(zip(channels.tolist(), counts.tolist(), strict=True))
+    if listed_counts != _picture_counts(structure) or (places["log_time_ns"] > LAST_TIME_NS).any():
         return None
     starts = np.array([chunk.start for chunk in structure.chunks], np.int64)
     ends = np.array([chunk.end for chunk in structure.chunks], np.int64)
@@ -169,34 +171,34 @@ def read_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None
 
 
 def stored_places(file: McapFile, structure: Structure) -> NDArray[np.void] | None:
-    """The PLACE of each picture as they are stored, whether or not they are true; None where they cannot be."""
+    """The stored PLACE of each picture, unchecked; None if their number is wrong or an attachment is damaged."""
     count = sum(_picture_counts(structure).values())
     content = _attached(file, structure, PICTURES_ATTACHMENT, count * PLACE.itemsize)
     return None if content is None else np.frombuffer(content, PLACE)
 
 
 def _picture_counts(structure: Structure) -> dict[int, int]:
-    """The number of messages on each channel of pictures that has any, by the summary."""
+    """The number of messages on each channel with pictures, from the summary."""
     counts = {} if structure.statistics is None else structure.statistics.channel_message_counts
     return {number: counts[number] for number in structure.image_channels if counts.get(number)}
 
 
 def is_of_pictures(chunk: Chunk, images: set[int]) -> bool:
-    """True for an uncompressed chunk that has, by the summary, messages of these channels and no others."""
+    """True if, by the summary, a chunk is uncompressed and has only messages of the channels `images`."""
     return chunk.channels is not None and not chunk.compression and chunk.channels <= images
 
 
 def _attached(file: McapFile, structure: Structure, name: str, size: int) -> bytes | None:
-    """The contents of the attachments of this name, one after the other; None if they are not `size` bytes."""
+    """The joined contents of all attachments with this name; None if they are not `size` bytes together."""
     if not 0 < size <= file.size:
         return None
-    parts, left = [], size
-    for at in sorted(at for at, stored in structure.attachment_names.items() if stored == name):
+    parts, missing_bytes = [], size
+    for offset in sorted(offset for offset, stored in structure.attachment_names.items() if stored == name):
         try:
-            parts.append(file.attachment(at).data)
+            parts.append(file.attachment(offset).data)
         except LogError:
             return None
-        left -= len(parts[-1])
-        if left < 0:
+        missing_bytes -= len(parts[-1])
+        if missing_bytes < 0:
             return None
-    return None if left else b"".join(parts)
+    return None if missing_bytes else b"".join(parts)

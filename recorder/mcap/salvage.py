@@ -1,7 +1,7 @@
-"""Finding what is whole in a damaged file, for a recovery.
+"""Finds the whole chunks of a damaged file, for a recovery.
 
-Readers take a chunk only with a sound header, and where the summary, or the record before it, has one. Here chunks
-are found too whose header is damaged, or which are elsewhere, if the CRC of their records holds.
+Readers accept a chunk only with a sound header, at the place that the summary or the previous record gives. A
+salvage also finds chunks with a damaged header, and chunks elsewhere, if the CRC of their records matches.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ _LONGEST_HEADER: Final = CHUNK_HEADER.size + _LENGTH.size + max(map(len, _COMPRE
 
 
 def salvage(file: McapFile, structure: Structure) -> None:
-    """Leave in the structure the chunks whose CRC holds, in the file's order, also those with a damaged header.
-    Put into its `lost` the stretches without one."""
+    """Set the structure's chunks to those with a matching CRC, in the file's order, also if their header is
+    damaged. Set its `lost` to the other stretches."""
     stretches = structure.lost if structure.problem else _drop_damaged(file, structure)
     structure.lost = []
     search = _Search(file, structure)
@@ -49,7 +49,7 @@ def salvage(file: McapFile, structure: Structure) -> None:
 
 
 def _drop_damaged(file: McapFile, structure: Structure) -> list[tuple[int, int]]:
-    """Drop the chunks that are not whole where the summary has them; where they should be."""
+    """Drop the chunks that are damaged at their place in the summary; returns these places."""
     whole, damaged = list[Chunk](), list[tuple[int, int]]()
     for chunk in structure.chunks:
         try:
@@ -63,7 +63,7 @@ def _drop_damaged(file: McapFile, structure: Structure) -> list[tuple[int, int]]
 
 
 class _Search:
-    """Adds to `found` what is whole in stretches of the file, and what is lost in them."""
+    """Searches stretches of the file, and adds whole chunks and lost bytes to the structure."""
 
     def __init__(self, file: McapFile, structure: Structure) -> None:
         self._file = file
@@ -96,7 +96,8 @@ class _Search:
         return None
 
     def _guesses(self, start: int, end: int) -> Iterator[Chunk]:
-        """Chunks that may begin there: a header has its chunk's length in several ways; one may be damaged."""
+        """Chunks that may begin at `start`. A header has its chunk's length in several ways; one may be
+        damaged."""
         head = self._file.read(start, min(_LONGEST_HEADER, end - start))
         for name in _COMPRESSIONS:
             stored_at = CHUNK_HEADER.size + _LENGTH.size + len(name) + _SIZE.size
@@ -115,11 +116,11 @@ class _Search:
                     mended = _mended(head, length, name, size, length - stored_at)
                     if head.startswith(mended):
                         yield Chunk(start, start + length, name.decode())
-                    elif crc:  # where there is none, anything would do
+                    elif crc:  # without one, any bytes would match
                         yield Chunk(start, start + length, name.decode(), mended=mended)
 
     def _sizes(self, start: int, length: int, stored_at: int, name: bytes, stated: int) -> Iterator[int]:
-        """Sizes that the chunk may unpack to: the stated one, and that which it does unpack to."""
+        """Possible unpacked sizes of the chunk: the stated size and the real one."""
         if not name:
             yield length - stored_at
             return
@@ -134,7 +135,7 @@ class _Search:
             yield size
 
     def _behind_records(self, start: int, end: int) -> int:
-        """The end of the sound records that lie before the next chunk: indexes, metadata, the file's header."""
+        """The end of the sound records from `start` to the next chunk: indexes, metadata, the file's header."""
         while end - start >= RECORD.size:
             opcode, length = RECORD.unpack(self._file.read(start, RECORD.size))
             following = start + RECORD.size + length
@@ -149,7 +150,7 @@ class _Search:
 
 
 def _mended(head: bytes, length: int, compression: bytes, size: int, stored_size: int) -> bytes:
-    """The header of a chunk, with times and CRC as they are."""
+    """The header of a chunk, with the times and the CRC of `head`."""
     return b"".join(
         (
             RECORD.pack(Opcode.CHUNK, length - RECORD.size),

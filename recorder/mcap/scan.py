@@ -1,7 +1,7 @@
 """The structure of an MCAP file, from the summary at its end or by walking through it.
 
-A file without a readable end (its recording was killed, goes on still, or it is damaged) is walked through from
-its start, past stretches that make no sense, and every chunk is found whose CRC holds.
+A file has no readable end if its recording was killed or still continues, or if it is damaged. Then it is walked
+through from its start. Unreadable stretches are skipped, and every chunk with a matching CRC is found.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ KILLED: Final = "unfinished: its recording was killed, or it was cut off"
 
 _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, CRC
 _CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # first and last time, start, length, bytes of the map that follows
-_MAP_ENTRY_BYTES: Final = 2 + 8  # a channel, and where the index of its messages lies
-_MAX_MAP_BYTES: Final = _MAP_ENTRY_BYTES << 16  # there are as many numbers for channels
+_MAP_ENTRY_BYTES: Final = 2 + 8  # a channel, and the offset of its message index
+_MAX_MAP_BYTES: Final = _MAP_ENTRY_BYTES << 16  # channels have 16-bit numbers
 
-# A chunk of less than 16 MiB: opcode, length, times, uncompressed size, CRC, compression.
+# A chunk below 16 MiB: opcode, length, times, uncompressed size, CRC, compression.
 _CHUNK_START: Final = re.compile(
     rb"\x06.{3}\x00{5}.{16}.{3}\x00{5}.{4}(?:\x00{4}|\x04\x00{3}zstd|\x03\x00{3}lz4)", re.DOTALL
 )
@@ -54,7 +54,7 @@ _MIN_BUDGET: Final = 1 << 24
 
 @dataclass
 class Structure:
-    """The chunks and other records of a file, and their places."""
+    """The chunks and other records of a file, and their offsets."""
 
     chunks: list[Chunk] = field(default_factory=list)
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -62,15 +62,15 @@ class Structure:
     metadata_at: list[int] = field(default_factory=list)  # offsets of the records
     attachments_at: list[int] = field(default_factory=list)
     statistics: Statistics | None = None  # of a finished file
-    problem: str = ""  # why the file had to be walked through; empty for a finished one
-    has_end: bool = True  # whether the data section is finished
-    attachment_names: dict[int, str] = field(default_factory=dict)  # by their offsets; by the summary
-    has_quality: bool = False  # by the summary; every log of ours with rows whose data section has a CRC does
-    lost: list[tuple[int, int]] = field(default_factory=list)  # stretches of bytes that make no sense
+    problem: str = ""  # why the file had to be walked through; empty for a finished file
+    has_end: bool = True  # the data section is finished
+    attachment_names: dict[int, str] = field(default_factory=dict)  # by offset; from the summary
+    has_quality: bool = False  # from the summary; our logs with rows and a CRC of all data have it
+    lost: list[tuple[int, int]] = field(default_factory=list)  # unreadable stretches of bytes
 
     @property
     def image_channels(self) -> set[int]:
-        """The channels of pictures, whatever their topics."""
+        """The channels of pictures, on any topic."""
         return {
             number
             for number, channel in self.channels.items()
@@ -78,25 +78,25 @@ class Structure:
         }
 
     def is_protobuf(self, channel: int, schema: str) -> bool:
-        """True if a channel's messages are of this schema, in Protobuf."""
+        """True if a channel's messages have this schema, in Protobuf."""
         record = self.channels[channel]
         return is_protobuf_channel(self.schemas.get(record.schema_id), record, schema)
 
 
 def read_structure(file: McapFile) -> Structure:
-    """The structure of the file: from its end if that is sound, else by walking through it."""
+    """The structure of the file, from its end or, if that is damaged, by walking through it."""
     structure = read_summary(file)
     if structure is None:
         return walk(file)
     if is_complete(structure):
         return structure
-    # other programs may leave out of the summary what can be found by walking; the file is a finished one
+    # other programs may write an incomplete summary, although the file is finished
     walked = walk(file)
     return replace(walked, problem="") if walked.has_end and not walked.lost else walked
 
 
 def is_complete(summary: Structure) -> bool:
-    """True if a summary lists all that it counts."""
+    """True if a summary lists as many records as it counts."""
     statistics = summary.statistics
     return (
         statistics is not None
@@ -110,13 +110,12 @@ def is_complete(summary: Structure) -> bool:
 
 
 def walk_on(file: McapFile, position: int, structure: Structure) -> tuple[int, bool]:
-    """Take into `structure` what has been completed behind `position` of a file that grows.
+    """Add the records that were completed after `position` of a growing file to `structure`.
 
-    Returns the position to go on from next time, and True if nothing more will come. Start at `len(MAGIC)`; the
-    file has its new size afterwards. Raises LogError where the file was deleted before its end was written, or is
-    damaged all over.
+    Start at `len(MAGIC)`. Returns the position for the next call, and True if nothing more will come. Updates the
+    file's size. Raises LogError if the file was deleted before its end was written, or has too much damage.
     """
-    is_there = file.grow()
+    exists = file.grow()
     wasted, max_waste = 0, search_budget(file)
     while file.size - position >= RECORD.size:
         opcode, length = RECORD.unpack(file.read(position, RECORD.size))
@@ -124,7 +123,7 @@ def walk_on(file: McapFile, position: int, structure: Structure) -> tuple[int, b
         if opcode == Opcode.DATA_END and length == 4:
             return position, True
         if end > file.size and length <= MAX_CHUNK_BYTES:
-            break  # it is being written
+            break  # this record is being written
         try:
             if end > file.size:
                 raise file.damaged("no record")
@@ -138,13 +137,13 @@ def walk_on(file: McapFile, position: int, structure: Structure) -> tuple[int, b
                 break  # the next chunk may still come
             structure.lost.append((position, end))
         position = end
-    if not is_there:
+    if not exists:
         raise LogError(f"{file.path}: deleted before it was finished; nothing more will come")
     return position, False
 
 
 def read_summary(file: McapFile) -> Structure | None:
-    """The structure as the summary at the file's end lists it; None if that is not sound."""
+    """The structure from the summary at the file's end; None if the summary is missing or damaged."""
     tail = _FOOTER.size + len(MAGIC)
     if file.size < 2 * len(MAGIC) + _FOOTER.size:
         return None
@@ -162,7 +161,7 @@ def read_summary(file: McapFile) -> Structure | None:
         for record in StreamReader(
             io.BytesIO(others),
             skip_magic=True,
-            emit_chunks=True,  # it would unpack one, to whatever size
+            emit_chunks=True,  # otherwise it unpacks chunks to any size
             record_size_limit=len(summary),
         ).records:
             match record:
@@ -188,8 +187,8 @@ def read_summary(file: McapFile) -> Structure | None:
 
 
 def _take_chunk_indexes(summary: bytes, chunks: list[Chunk]) -> bytes:
-    """Add to `chunks` those that a summary lists; return its other records. A long log has tens of thousands, each
-    of which takes MCAP's own reader 30 us. Raises what is `UNREADABLE`."""
+    """Add the chunks that a summary lists to `chunks`, and return its other records. A long log has tens of
+    thousands of chunks, and MCAP's own reader takes 30 us for each. Raises UNREADABLE."""
     others, kinds, position = [], dict[bytes, frozenset[int]](), 0
     while position + RECORD.size <= len(summary):
         opcode, length = RECORD.unpack_from(summary, position)
@@ -219,10 +218,10 @@ def _take_chunk_indexes(summary: bytes, chunks: list[Chunk]) -> bytes:
 
 
 def walk(file: McapFile) -> Structure:
-    """The structure as it is found from the file's start to its end; what makes no sense is in `lost`."""
+    """The structure from a walk from the file's start to its end; unreadable stretches are in `lost`."""
     structure = Structure(problem=GOES_ON if is_being_written(file.path) else KILLED, has_end=False)
     position, wasted, max_waste = len(MAGIC), 0, search_budget(file)
-    unsure = position  # from here on no CRC has held: a damaged length may have led past whole chunks
+    unsure = position  # no CRC has matched after it: a damaged length may have led past whole chunks
     while file.size - position >= RECORD.size:
         opcode, length = RECORD.unpack(file.read(position, RECORD.size))
         end = position + RECORD.size + length
@@ -250,12 +249,13 @@ def walk(file: McapFile) -> Structure:
             if opcode in (Opcode.CHUNK, Opcode.MESSAGE):
                 unsure = end
     if position < file.size and not structure.has_end:
-        structure.lost.append((position, file.size))  # a few bytes of a record that was being written
+        structure.lost.append((position, file.size))  # the beginning of a record that was being written
     return structure
 
 
 def add_record(file: McapFile, opcode: int, start: int, end: int, structure: Structure) -> None:
-    """Add to `structure` the record of a data section from `start` to `end`. Raises LogError where it is none."""
+    """Add the data section's record from `start` to `end` to `structure`. Raises LogError if it is not a
+    record."""
     if opcode == Opcode.CHUNK:
         add_definitions(file, file.records(Chunk(start, end)), structure)
         compression = prefixed(file.read(start, CHUNK_HEADER.size + 8), CHUNK_HEADER.size)
@@ -273,11 +273,12 @@ def add_record(file: McapFile, opcode: int, start: int, end: int, structure: Str
         file.attachment(start)
         structure.attachments_at.append(start)
     elif not (opcode == Opcode.MESSAGE_INDEX and _is_index(file, start, end)) and start != len(MAGIC):
-        raise file.damaged("no record of a data section")  # but the header, which is the first
+        raise file.damaged("no record of a data section")  # except the header, which is the first record
 
 
 def _is_message(file: McapFile, start: int, end: int, structure: Structure) -> bool:
-    """Files without chunks exist, not of ours; no file has both, and a damaged chunk may look like a message."""
+    """True for a message of a file without chunks, from another program. In files with chunks, damage may look
+    like a message."""
     has_chunks = bool(structure.chunks) and not structure.chunks[0].is_message
     if file.promises_crcs or end - start < MESSAGE.size or has_chunks:
         return False
@@ -285,7 +286,7 @@ def _is_message(file: McapFile, start: int, end: int, structure: Structure) -> b
 
 
 def _cost(file: McapFile, start: int, end: int) -> int:
-    """Bytes that were read, and at most unpacked, to find out that a record is damaged."""
+    """The most bytes that were read and unpacked to find that a record is damaged."""
     if end > file.size:
         return 0
     head = file.read(start, min(CHUNK_HEADER.size, end - start))
@@ -294,18 +295,18 @@ def _cost(file: McapFile, start: int, end: int) -> int:
 
 
 def _is_index(file: McapFile, start: int, end: int) -> bool:
-    """A chunk whose first byte is damaged may look like its index too."""
+    """True for an index of messages; a chunk with a damaged first byte may look like one."""
     length = end - start - RECORD.size
     return length >= 6 and struct.unpack("<I", file.read(start + RECORD.size + 2, 4))[0] == length - 6
 
 
 def search_budget(file: McapFile) -> int:
-    """The bytes that a search for what is whole may read or unpack in vain."""
+    """The most bytes that a search for whole records may read or unpack in vain."""
     return _MAX_WASTE * file.size + _MIN_BUDGET
 
 
 def next_chunk(file: McapFile, position: int) -> int:
-    """Offset of the next bytes that look like a chunk; the file's size if there are none."""
+    """Offset of the next bytes that look like a chunk; the file's size without any."""
     while position < file.size:
         block = file.read(position, min(_SEARCH_BYTES + 64, file.size - position))
         if (match := _CHUNK_START.search(block)) is not None:
@@ -317,7 +318,7 @@ def next_chunk(file: McapFile, position: int) -> int:
 def _add_definition(
     file: McapFile, opcode: int, content: bytes, structure: Structure, *, exactly: bool = False
 ) -> None:
-    """`exactly`: as it would be written, which outside of chunks is all that distinguishes it from other bytes."""
+    """`exactly`: accept only bytes as a writer writes them. Outside chunks, no CRC protects a definition."""
     try:
         record: Schema | Channel = (Schema if opcode == Opcode.SCHEMA else Channel).read(
             ReadDataStream(io.BytesIO(content))
@@ -333,7 +334,7 @@ def _add_definition(
 
 
 def add_definitions(file: McapFile, records: bytes, structure: Structure) -> None:
-    """Add the schemas and channels that are among `records`."""
+    """Add the schemas and channels among `records`."""
     for opcode, start, end in file.parts(records).definitions:
         _add_definition(file, opcode, records[start + RECORD.size : end], structure)
 

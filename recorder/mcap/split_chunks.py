@@ -1,4 +1,4 @@
-"""An MCAP file whose pictures lie in chunks of their own, so that everything else is read without them."""
+"""Writes an MCAP file with pictures in separate chunks, so that other messages are read without them."""
 
 from __future__ import annotations
 
@@ -16,77 +16,78 @@ from recorder.mcap.picture_places import PLACES_AT_ONCE, Pictures, PlacesWritten
 
 CHUNK_BYTES: Final = 256 * 1024
 ROWS_CHUNK_BYTES: Final = 32 * 1024
-"""What is no picture is written when there is so much of it, some 500 rows: one wrong bit, or a copy that was cut
-off, costs no more of them, and still there is one such chunk for a hundred of pictures."""
+"""The size of chunks without pictures, some 500 rows. A wrong bit, or a copy that is cut off, costs no more rows,
+and there is still only one of these chunks for a hundred with pictures."""
 _CHUNK: Final = bytes([Opcode.CHUNK])  # the first byte of its record
 
 
 class SplitChunks:
     """Writes messages into chunks of two kinds: pictures, and everything else.
 
-    The open chunk of the MCAP library holds pictures; other messages wait here until they fill a chunk, or are
-    flushed. They are always written after the pictures that came before them: whatever is cut off, no row is there
-    whose pictures were not written. Messages of one topic stay in their order.
+    The MCAP library's open chunk holds pictures. Other messages wait until they fill a chunk or are flushed. They
+    are written after all earlier pictures, so that a file that is cut off has no row without its pictures.
+    Messages of one topic stay in order.
     """
 
-    def __init__(self, stream: BinaryIO) -> None:
+    def __init__(self, stream: BinaryIO, *, is_split: bool) -> None:
+        """`is_split`: False mixes pictures and other messages in the same chunks."""
+        self._is_split = is_split
         self._stream = _ChunkStream(stream)
         self.mcap = Writer(
-            cast(BinaryIO, self._stream),  # it uses no more than is there
+            cast(BinaryIO, self._stream),  # the library uses only its methods
             chunk_size=CHUNK_BYTES,
             compression=CompressionType.NONE,
             enable_data_crcs=True,
         )
-        """The writer of all that is no message: the file's start, channels, schemas, metadata, attachments."""
-        self._waiting = deque[tuple[Callable[[], int], int, bytes, int, int]]()  # as `add` got them
+        """For everything but messages: the file's start, channels, schemas, metadata, attachments."""
+        self._waiting = deque[tuple[Callable[[], int], int, bytes, int, int]]()  # arguments of `add`
         self._waiting_bytes = 0
 
     @property
     def content_digest(self) -> str:
-        """SHA-256 over the headers of all chunks until now; the open one is not in it."""
+        """SHA-256 over the headers of all chunks until now, without the open chunk."""
         return self._stream.digest.hexdigest()
 
-    def add_picture(
-        self, number_of: Callable[[], int], log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
+    def add(
+        self,
+        number_of: Callable[[], int],
+        log_time_ns: int,
+        data: bytes,
+        publish_time_ns: int,
+        sequence: int,
+        *,
+        is_picture: bool,
     ) -> None:
-        """A message on a picture's channel; `number_of` gives the channel's number, and may register it."""
+        """Add a message to the channel with the number from `number_of`, which may register the channel."""
+        if self._is_split and not is_picture:
+            self._waiting.append((number_of, log_time_ns, data, publish_time_ns, sequence))
+            self._waiting_bytes += len(data) + MESSAGE.size
+            if self._waiting_bytes > min(CHUNK_BYTES, ROWS_CHUNK_BYTES):
+                self.flush()
+            return
         number = number_of()
-        self._stream.places.channels.add(number)
+        if self._is_split:
+            self._stream.places.channels.add(number)
         self.mcap.add_message(number, log_time_ns, data, publish_time_ns, sequence)
         if self._stream.places.count >= PLACES_AT_ONCE:
             self._write_places()
 
-    def add(
-        self, number_of: Callable[[], int], log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
-    ) -> None:
-        """Any other message."""
-        self._waiting.append((number_of, log_time_ns, data, publish_time_ns, sequence))
-        self._waiting_bytes += len(data) + MESSAGE.size
-        if self._waiting_bytes > min(CHUNK_BYTES, ROWS_CHUNK_BYTES):
-            self.flush()
-
-    def add_mixed(
-        self, number_of: Callable[[], int], log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
-    ) -> None:
-        """A message of a file that has no chunks of its own for pictures."""
-        self.mcap.add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
-
     def flush(self) -> None:
-        """Close the open chunks: that of the pictures, then the other one."""
+        """Close the open chunk of pictures, then the other one."""
         self.mcap.flush()  # type: ignore[no-untyped-call]
         if self._waiting:
             self._waiting_bytes = 0
-            while self._waiting:  # one by one: whatever interrupts this, a Ctrl-C too, the others still wait
+            while self._waiting:  # one by one: if this is interrupted, as by Ctrl-C, the others still wait
                 number_of, log_time_ns, data, publish_time_ns, sequence = self._waiting.popleft()
                 self.mcap.add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
             self.mcap.flush()  # type: ignore[no-untyped-call]
 
     def pictures(self, channels: set[int]) -> Pictures:
-        """The pictures on some channels in the chunks until now; of millions, the last."""
+        """The last pictures, up to `PLACES_AT_ONCE`, on some channels in the chunks until now."""
         return self._stream.places.pictures(channels)
 
     def finish(self) -> None:
-        """Write what lies where, and the summary. Nothing else may be written afterwards."""
+        """Write the lists of pictures and chunks, and the summary. Nothing may be written afterwards."""
         self.flush()
         if self._stream.places.channels:
             self._write_places()
@@ -98,9 +99,9 @@ class SplitChunks:
 
 
 class _ChunkStream:
-    """Passes what the MCAP library writes on to a file, and notes of each chunk what is in it.
+    """Passes the MCAP library's output to a file, and notes the contents of each chunk.
 
-    The library writes a chunk by one call.
+    The library writes a chunk in one call.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -118,7 +119,7 @@ class _ChunkStream:
 
 
 class CopiedChannels:
-    """Registers each channel once: logs that are merged share those that are alike."""
+    """Registers each channel once: merged logs share equal channels."""
 
     def __init__(self, writer: Writer) -> None:
         self._writer = writer
@@ -127,10 +128,10 @@ class CopiedChannels:
         self._schemas: dict[tuple[str, str, bytes], int] = {}
 
     def number_of(self, schema: Schema | None, channel: Channel) -> int:
-        """The number of a channel of another log in this one."""
+        """The number in this log of a channel of another log."""
         entry = self._by_id.get(id(channel))
         if entry is None:
-            # keeping the channel keeps its id from being used again
+            # a kept channel's id is not reused
             entry = self._by_id[id(channel)] = (channel, self._register(schema, channel))
         return entry[1]
 

@@ -1,1 +1,1 @@
-"""Camera pictures as bytes: how large they are, whether they are whole, whether they decode and change."""
+"""Camera pictures as bytes: sizes, completeness, decoding, repetitions."""

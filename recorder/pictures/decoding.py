@@ -1,4 +1,4 @@
-"""Decoding and scaling pictures that may be anything, and recognising those that are whole."""
+"""Decodes and scales untrusted pictures, and recognises whole ones."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from recorder.pictures.picture_size import PNG_START, decoding_problem
 from recorder.pictures.whole_picture import is_whole_jpeg
 
 _REDUCED_GRAYSCALE_8: Final = 64
-"""cv2.IMREAD_REDUCED_GRAYSCALE_8: a fraction of the time, and the whole picture is still read through."""
+"""cv2.IMREAD_REDUCED_GRAYSCALE_8: faster, but it still reads the whole picture."""
 MIN_ROWS: Final = 2
-MAX_HEIGHT: Final = 4  # times the width: one column of 60,000 pixels would become gigabytes
+MAX_HEIGHT: Final = 4  # multiple of the width: otherwise, a column of 60,000 pixels would become gigabytes
 
 
 def decode_picture(picture: bytes, flags: int) -> NDArray[np.uint8] | None:
     """A JPEG or PNG as OpenCV decodes it with these flags (cv2.IMREAD_...), (height, width) or (height, width, 3).
 
-    None for what is neither, has too many pixels or scans, or does not decode to its end. Wrong bytes within the
-    coded picture that end where they should decode to a wrong picture: nothing distinguishes it from a right one.
+    None for other bytes, too many pixels or scans, or an incomplete picture. Wrong bytes inside the coded picture
+    may decode to a wrong picture, which nothing distinguishes from a right one.
     """
     if decoding_problem(picture):
         return None
-    import cv2  # what looks at no picture needs none of its memory
+    import cv2  # only users of pictures need its memory
 
     try:
         decoded = cv2.imdecode(np.frombuffer(picture, np.uint8), flags)
@@ -44,8 +44,8 @@ def is_whole_picture(picture: bytes) -> bool:
 
 
 def scaled_to_width(picture: NDArray[np.uint8], width_px: int) -> NDArray[np.uint8] | None:
-    """A picture (height, width) of at least one row as one of this width; None if that has fewer than `MIN_ROWS`
-    rows, or is more than `MAX_HEIGHT` times as high as it is wide."""
+    """A picture (height, width) of at least one row, scaled to a width; None if the result has fewer than
+    `MIN_ROWS` rows, or is more than `MAX_HEIGHT` times as high as wide."""
     import cv2
 
     height, width = picture.shape

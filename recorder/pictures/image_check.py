@@ -1,4 +1,4 @@
-"""Checking pictures: those that do not decode, and cameras that show the very same one again and again."""
+"""Checks pictures: finds those that do not decode, and cameras that repeat the same picture."""
 
 from __future__ import annotations
 
@@ -16,20 +16,21 @@ from common.stretches import stretches
 from recorder.pictures.decoding import decodes
 
 FROZEN_PICTURES: Final = 3
-"""So many equal pictures in a row from a moving car are a frozen camera: a slow one may repeat a picture once."""
+"""So many equal pictures in a row from a moving car mean a frozen camera. A slow camera may repeat a picture
+once."""
 
-_PICTURES_A_JOB: Final = 32  # one by one, handing them over would cost a tenth of the time
+_PICTURES_A_JOB: Final = 32  # jobs of one picture would take a tenth longer
 _JOB_BYTES: Final = 1 << 20
 _MAX_WAITING_BYTES: Final = 1 << 24
-_OVERHEAD_BYTES: Final = 256  # of a picture that waits, besides its own
+_OVERHEAD_BYTES: Final = 256  # of a waiting picture, in addition to its own bytes
 
-_DECODER_BYTES: Final = (224 + 64 * (os.cpu_count() or 1)) << 20  # of addresses: what OpenCV and its threads take
+_DECODER_BYTES: Final = (224 + 64 * (os.cpu_count() or 1)) << 20  # address space of OpenCV and its threads
 
 _Place = tuple[str, int]  # topic, and position among its pictures
 
 
 class TopicPictures:
-    """The pictures of one topic that were checked, in their order, without their bytes: 17 bytes each."""
+    """The checked pictures of one topic, in order, without their bytes: 17 bytes each."""
 
     def __init__(self) -> None:
         self.rows = array("q")
@@ -51,9 +52,9 @@ class TopicPictures:
         return any(self._is_repeated)
 
     def frozen(self, standing: Collection[tuple[int, int]]) -> list[tuple[int, int]]:
-        """First and last position of each stretch of equal pictures from a moving car.
+        """The first and the last position of each stretch of equal pictures from a moving car.
 
-        `standing` holds row and time of the vehicle states in which it stands: there, equal pictures are right.
+        `standing`: row and time of the vehicle states in which the car stands, where equal pictures are right.
         """
         is_held = np.array(self._is_repeated, np.bool_)
         for at in np.flatnonzero(is_held).tolist():
@@ -63,10 +64,11 @@ class TopicPictures:
 
 
 class ImageCheck:
-    """Decodes pictures of several topics as they are added, in the order of their log, and notes repeated ones."""
+    """Decodes the pictures of a log's topics, added in the log's order, and notes repeated ones."""
 
     def __init__(self, pool: Executor | None, on_decoded: Callable[[int], object] = lambda count: None) -> None:
-        """Pictures are decoded on `pool`, `on_decoded` is given how many more are done; without a pool none is."""
+        """`pool` decodes the pictures; None: no picture is decoded. `on_decoded` gets the number of newly decoded
+        pictures."""
         if pool is not None:
             _load_decoder()
         self._pool = pool
@@ -78,10 +80,10 @@ class ImageCheck:
         self.pictures: dict[str, TopicPictures] = {}  # by topic
         self.decoded = 0
         self.broken: list[_Place] = []
-        """The pictures that do not decode, in the order in which they were taken; whole after `finish`."""
+        """The pictures that do not decode, in the order of adding; complete after `finish`."""
 
     def add(self, topic: str, row: int, time_ns: int, picture: bytes) -> None:
-        """Waits while too many bytes are still to be decoded. `time_ns` must be below 2**63."""
+        """Add a picture. Waits while too many bytes wait for decoding. `time_ns` must be below 2**63."""
         pictures = self.pictures.setdefault(topic, TopicPictures())
         pictures.add(row, time_ns, picture)
         if self._pool is None:
@@ -115,7 +117,7 @@ class ImageCheck:
 
 
 def _load_decoder() -> None:
-    """Raises MemoryError where there is no room for OpenCV, which would end the process without a word."""
+    """Raises MemoryError if there is no room for OpenCV: it would end the process without a message."""
     try:
         mmap.mmap(-1, _DECODER_BYTES).close()
     except OSError:

@@ -1,33 +1,32 @@
-"""What decoding a JPEG or PNG takes, before it is done: a few kilobytes may be gigabytes, or minutes."""
+"""The size of a JPEG or PNG, and the cost of decoding it: a few kilobytes may take gigabytes, or minutes."""
 
 from __future__ import annotations
 
 import struct
-from collections import Counter
 from typing import Final
 
 from common.errors import counted
 
 MAX_PIXELS: Final = 1 << 26
-"""No larger picture is decoded: in memory it is up to 200 MB, and a car's camera gives a hundredth of it."""
+"""The largest decoded picture: up to 200 MB in memory. A car's camera has a hundredth of it."""
 
 MAX_SCANS: Final = 100
-"""A progressive picture has some ten. Each is decoded over the whole picture: thousands of them, which fit into
-50 KB, take seconds."""
+"""A progressive picture has some ten scans. Each covers the whole picture: thousands of scans fit into 50 KB, and
+take seconds."""
 
-_MAX_SIZES: Final = 8  # of one camera's pictures, listed
+_MAX_SIZES: Final = 8  # listed for each camera
 
 PNG_START: Final = b"\x89PNG\r\n\x1a\n"
 
 _JPEG_START: Final = b"\xff\xd8"
 _SCAN_START: Final = b"\xff\xda"
 _WITHOUT_LENGTH: Final = frozenset({0x00, 0x01, *range(0xD0, 0xD8)})
-_NO_FRAMES: Final = frozenset({0xC4, 0xC8, 0xCC})  # tables among the numbers of the frames
+_NO_FRAMES: Final = frozenset({0xC4, 0xC8, 0xCC})  # tables, numbered among the frames
 _SCAN_OR_END: Final = frozenset({0xD9, 0xDA})
 
 
 def width_and_height(picture: bytes) -> tuple[int, int] | None:
-    """Width and height of a JPEG or PNG; None if it is neither, or cut off before that."""
+    """Width and height of a JPEG or PNG; None for other bytes, or if it is cut off before them."""
     size_at = _size_at(picture)
     return None if size_at is None else size_at[0]
 
@@ -48,14 +47,14 @@ def _size_at(picture: bytes) -> tuple[tuple[int, int], int] | None:
 
 
 class SizeReader:
-    """Gives the sizes of many pictures. A picture that begins as the one before is not searched through."""
+    """Reads the sizes of many pictures. A picture with the same beginning as the last one is not searched."""
 
     def __init__(self) -> None:
         self._header = b""
         self._size = 0, 0
 
     def width_and_height(self, picture: bytes) -> tuple[int, int] | None:
-        """The same as the function `width_and_height`, quicker for pictures with the header of the last one."""
+        """As the function `width_and_height`, but quicker for pictures with the last one's header."""
         if not self._header or not picture.startswith(self._header):
             size_at = _size_at(picture)
             if size_at is None:
@@ -66,14 +65,14 @@ class SizeReader:
 
 
 def pixels(picture: bytes) -> int:
-    """Width x height of a JPEG or PNG; 0 if it is neither, or cut off before that."""
+    """Width x height of a JPEG or PNG; 0 for other bytes, or if it is cut off before them."""
     width, height = width_and_height(picture) or (0, 0)
     return width * height
 
 
 def decoding_problem(picture: bytes) -> str:
-    """Why a picture is not to be decoded, by its header and its markers; empty for what begins as a JPEG or PNG of
-    at most `MAX_PIXELS` and, as a JPEG, of at most `MAX_SCANS`."""
+    """The reason not to decode a picture, from its header and its markers; empty for a JPEG or PNG within
+    `MAX_PIXELS` and `MAX_SCANS`."""
     size = pixels(picture)
     if not size:
         return f"{counted(len(picture), 'byte')} that are not a picture"
@@ -83,25 +82,25 @@ def decoding_problem(picture: bytes) -> str:
 
 
 def has_too_many_scans(picture: bytes) -> bool:
-    """True for a JPEG of more than `MAX_SCANS`. Coded data has no marker in it: those in comments count, too."""
+    """True for a JPEG with more than `MAX_SCANS` markers of scans. Coded data has no markers; comments may."""
     return picture.startswith(_JPEG_START) and picture.count(_SCAN_START) > MAX_SCANS
 
 
 class PictureSizes:
-    """Counts the sizes of each camera's pictures, to report one that changes its size within a session."""
+    """Counts the sizes of each camera's pictures, to report a camera that changes its size."""
 
     def __init__(self) -> None:
         self._sizes: dict[str, dict[tuple[int, int], tuple[int, int]]] = {}  # topic, size -> count, first row
 
     def add(self, topic: str, row: int, size: tuple[int, int] | None) -> None:
-        """A picture of this width and height; None for one that has none."""
+        """Count a picture of this width and height; None if unknown."""
         sizes = self._sizes.setdefault(topic, {})
         if size is not None and (size in sizes or len(sizes) < _MAX_SIZES):
             count, first_row = sizes.get(size, (0, row))
             sizes[size] = count + 1, first_row
 
     def mixed(self) -> dict[str, str]:
-        """For each topic with pictures of several sizes what they are, the first of them listed."""
+        """The sizes of each topic with several, the first size first."""
         return {
             topic: ", ".join(
                 f"{counted(count, 'picture')} of {width}x{height} (first: row {row})"
@@ -112,28 +111,12 @@ class PictureSizes:
         }
 
     def first(self) -> dict[str, tuple[int, int]]:
-        """Width and height of the first picture of each topic; not of one that has none."""
+        """Width and height of the first picture of each topic that has any."""
         return {topic: next(iter(sizes)) for topic, sizes in sorted(self._sizes.items()) if sizes}
-
-    def notices(self) -> list[str]:
-        """Lines to print about a recording whose pictures are not all of one size, on whatever camera."""
-        counts: Counter[tuple[int, int]] = Counter()
-        for sizes in self._sizes.values():
-            counts.update({size: count for size, (count, _) in sizes.items()})
-        if len(counts) < 2:
-            return []
-        parts = [
-            f"{width:,} x {height:,} px ({count:,})"
-            for (width, height), count in sorted(counts.items(), reverse=True)
-        ]
-        return [
-            f"pictures of different sizes: {', '.join(parts)}. A network sees the same share of each: they should"
-            " show the same part of the world"
-        ]
 
 
 def _frame(jpeg: bytes) -> int:
-    """Offset of the content of the first frame's header (T.81, B.2.2), searched as libjpeg does.
+    """Offset of the content of the first frame's header (T.81, B.2.2), found as libjpeg finds it.
 
     Raises IndexError or ValueError if there is none.
     """

@@ -1,9 +1,9 @@
-"""Telling a whole JPEG or PNG from one that is cut off, half-written or something else, without decoding it.
+"""Recognises a whole JPEG or PNG without decoding it.
 
-A JPEG is walked from marker to marker (ITU-T T.81, annex B) up to its end; the coded picture is searched for
-markers that do not belong into it. Decoding it instead takes 13 times as long (an import of 15,000 pictures a
-second comes down to 5,200), and seconds for 30 KB of hundreds of scans. A PNG is walked from chunk to chunk
-(https://www.w3.org/TR/png/#5Chunk-layout): OpenCV prints an error for each that is cut off.
+A JPEG is walked from marker to marker (ITU-T T.81, annex B) up to its end, and its coded data is searched for
+wrong markers. Decoding takes 13 times as long (an import falls from 15,000 to 5,200 pictures a second), and
+seconds for 30 KB with hundreds of scans. A PNG is walked from chunk to chunk
+(https://www.w3.org/TR/png/#5Chunk-layout): OpenCV would print an error for each picture that is cut off.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ PADDING_BYTES: Final = 64  # some cameras pad the end of a file
 _START: Final = b"\xff\xd8"
 _END, _SOS, _DHT = 0xD9, 0xDA, 0xC4
 _WITHOUT_LENGTH: Final = frozenset(range(0xD0, 0xD9))
-_FRAMES: Final = frozenset((0xC0, 0xC1, 0xC2))  # baseline and progressive ones, coded by Huffman tables
+_FRAMES: Final = frozenset((0xC0, 0xC1, 0xC2))  # baseline and progressive, with Huffman tables
 _OTHER_FRAMES: Final = frozenset(range(0xC0, 0xD0)) - _FRAMES - {_DHT}
-# In the coded data, 0xFF is followed by 0 where it is itself coded, or begins a filling or a restart.
+# In coded data, 0xFF is followed by 0 if it is data; otherwise it is filling or begins a restart.
 _SCAN_END: Final = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
 
 # Of a PNG.
@@ -37,19 +37,19 @@ def is_whole_jpeg(data: bytes) -> bool:
 
 
 def whole_jpeg_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height of a JPEG that is complete, as `is_whole_jpeg` defines it; None if it is not."""
+    """Width and height of a JPEG that is complete (`is_whole_jpeg`); None for other bytes."""
     size = width_and_height(data) if data.startswith(_START) and not has_too_many_scans(data) else None
     if size is None or not 0 < size[0] * size[1] <= MAX_PIXELS:
         return None
     try:
         end = _find_end(data)
-    except (ValueError, IndexError):  # an index past the end: cut off
+    except (ValueError, IndexError):  # IndexError: cut off
         return None
     return size if len(data) - end <= PADDING_BYTES else None
 
 
 def _find_end(data: bytes) -> int:
-    """Offset of the bytes after the end marker. Raises ValueError or IndexError if there is no sound end."""
+    """The offset after the end marker. Raises ValueError or IndexError if the picture has no sound end."""
     has_scan, position = False, len(_START)
     while True:
         if data[position] != 0xFF:
@@ -70,7 +70,7 @@ def _find_end(data: bytes) -> int:
 
 
 def whole_png_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height of a PNG whose chunks are all there, with CRCs that hold; None for anything else."""
+    """Width and height of a PNG with all its chunks and matching CRCs; None for other bytes."""
     if not data.startswith(PNG_START):
         return None
     at, kinds = len(PNG_START), list[bytes]()

@@ -1,1 +1,1 @@
-"""What the numbers of rows show: quality, odd stretches, how somebody steers."""
+"""Findings from the numbers of rows: quality, odd stretches, steering habits."""

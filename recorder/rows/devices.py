@@ -1,4 +1,4 @@
-"""The devices that a person steers with: their names, by their numbers in the rows of a log."""
+"""The devices that a person steers with. Rows of a log hold their numbers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Device = Literal["keyboard", "mouse", "gamepad", "touch"]
 RowDevice = Device | Literal[""]
 DEVICES: Final[tuple[RowDevice, ...]] = ("", *get_args(Device))
-"""In the order of VehicleState.Device; empty for rows that nobody steered by hand, or where it is unknown."""
+"""In the order of VehicleState.Device; empty if nobody steered by hand, or the device is unknown."""
 
 
 def device_value(device: Device | None) -> str | None:
@@ -20,11 +20,11 @@ def device_value(device: Device | None) -> str | None:
 
 
 def most_used(rows: Mapping[int, int]) -> RowDevice:
-    """The device of most rows, from the rows of each number; empty where no device is known."""
+    """The device of most rows, from the number of rows by device number; empty if no device is known."""
     by_hand = {number: count for number, count in rows.items() if 0 < number < len(DEVICES) and count}
     return DEVICES[max(by_hand, key=lambda number: by_hand[number])] if by_hand else ""
 
 
 def most_used_of(numbers: NDArray[np.int8]) -> RowDevice:
-    """The same, from the number of each row."""
+    """`most_used` of the device numbers (N,) of rows."""
     return most_used(dict(enumerate(np.bincount(numbers, minlength=len(DEVICES)).tolist())))

@@ -1,8 +1,8 @@
 """Rows in which a car drives backwards, from speed and pedals alone.
 
-Udacity's simulator records the speed without its sign. Between two stands a car keeps its direction: where the
-speed rises while the brake is held, it drives backwards, from the stand before to the next one. Without a brake
-it may as well roll downhill: that is never sure.
+Udacity's simulator records the speed without its sign. Between two stops, a car keeps its direction. If its speed
+rises while the driver brakes, it drives backwards, from the previous stop to the next. If its speed rises without
+any pedal, it may also roll downhill: that is never sure.
 """
 
 from __future__ import annotations
@@ -19,31 +19,31 @@ Mask = NDArray[np.bool_]
 
 SIGNED_MPH: Final = -0.5
 SURELY_MPH: Final = -1.0
-"""A session with a speed below that has the sign of its speeds; a stretch backwards reaches it, noise does not."""
+"""A session with a lower speed than this records signs. Every stretch backwards reaches it, noise does not."""
 TURN_MPH: Final = 2.0
-"""A car that changes its direction has a row slower than that: at 5 rows a second, the simulator's engine changes
-its speed by 2.4 mph from one to the next."""
+"""A car that changes its direction has a slower row than this: at 5 rows a second, the simulator's engine changes
+the speed by 2.4 mph from row to row."""
 PEDAL: Final = 0.05
-FIRM_BRAKE: Final = 0.3  # the built-in mountain, 12 % steep, speeds up a car that brakes by a fifth
+FIRM_BRAKE: Final = 0.3  # the built-in mountain, 12 % steep, speeds up a car that brakes by 0.2
 RISE_MPH: Final = 1.5
-"""A smaller rise with the brake held is rounding, or what a slope adds to a car that begins to brake."""
+"""A smaller rise under braking is rounding, or a slope that pushes a car that begins to brake."""
 ROLL_MPH: Final = 3.0
 IMPACT_MPH_PER_S: Final = 25.0
-"""No pedal takes speed faster than tyres can (22 mph a second): what falls faster has hit something."""
+"""Tyres can brake by 22 mph a second: a speed that falls faster shows an impact."""
 
 
 class Backwards(NamedTuple):
     """Masks of the rows (N,)."""
 
     sure: Mask
-    perhaps: Mask  # backwards, or downhill: it gathers speed without throttle
+    perhaps: Mask  # backwards or downhill: the speed rises without throttle
 
 
 def driven_backwards(
     speed_mph: Values, throttle: Values, brake: Values, time_s: Values, drive: NDArray[np.int64]
 ) -> Backwards:
-    """The rows (N,) in which the car drives backwards; `time_s` is that of `elapsed_s`, `drive` numbers the
-    drives. No numbers raise anything, and an unknown speed, NaN, ends what was known of the direction."""
+    """The rows (N,) in which the car drives backwards. `time_s`: from `elapsed_s`; `drive`: the number of each
+    row's drive. Takes any numbers. After an unknown speed (NaN), the direction is unknown."""
     nothing = np.zeros(len(speed_mph), np.bool_)
     is_known = np.abs(speed_mph) < 1e6  # False for NaN
     brake = np.fmax(brake, -throttle)  # some sources have one pedal, -1..1
@@ -60,10 +60,10 @@ def driven_backwards(
     is_pushed = _both(throttle > PEDAL)  # False for NaN
     is_braked = _both((brake > PEDAL) & ~(throttle > PEDAL))
     is_firm = is_braked & (brake > FIRM_BRAKE)[1:]
-    is_free = _both(~(throttle > PEDAL)) & ~is_firm & is_pushed.any()  # else no throttle was recorded
+    is_free = _both(~(throttle > PEDAL)) & ~is_firm & is_pushed.any()  # without any, no throttle was recorded
 
     def total(change_mph: Values, when: Mask) -> Values:
-        """The sum of what is above 0, over each move."""
+        """The sum of the changes above 0 in each move."""
         return np.bincount(move, np.where(when, np.maximum(change_mph, 0.0), 0.0)).astype(np.float64)
 
     first = np.flatnonzero(np.diff(move, prepend=-1))  # of each move
@@ -88,10 +88,10 @@ def _reaching(signed_mph: Values, drive: NDArray[np.int64]) -> Mask:
 
 
 def _moves(mph: Values, is_joined: Mask) -> NDArray[np.int64]:
-    """Numbers the moves from one stand to the next from 0, for each pair of neighbouring rows (N - 1,)."""
+    """The number of the move, from one stop to the next, for each pair of neighbouring rows (N - 1,)."""
     is_turn = np.zeros(len(mph), np.bool_)
     is_turn[1:-1] = (mph[1:-1] < TURN_MPH) & (mph[1:-1] <= mph[:-2]) & (mph[1:-1] < mph[2:])
-    is_first = is_turn[:-1] | ~is_joined  # the pair that begins at that row
+    is_first = is_turn[:-1] | ~is_joined  # pairs that begin a move
     is_first[1:] |= ~is_joined[:-1]
     number: NDArray[np.int64] = np.cumsum(is_first) - int(is_first[0])
     return number

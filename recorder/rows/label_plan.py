@@ -1,8 +1,7 @@
-"""The plan of a session's labels: how its steering is smoothed and shifted, by how it was steered.
+"""The plan of a session's labels: how its steering is smoothed and shifted, depending on how it was steered.
 
-What somebody with a keyboard meant lies between the presses, and they press after they have seen. A network that
-learns each press as it was learns when keys are pressed; the mean over half a second is nearer to what the road
-asked for.
+A person at a keyboard presses keys for moments, and late. A network that learns each press learns when keys are
+pressed. The mean over half a second is nearer to the steering that the road needs.
 """
 
 from __future__ import annotations
@@ -15,22 +14,21 @@ from recorder.rows.devices import Device
 from recorder.rows.steering_habits import LagFinding, SteeringHabits, SteeringLag
 
 SMOOTH_S: Final = 0.5
-"""A press lasts 0.2 to 1 s and pauses are as long: half a second holds one, and is shorter than any bend."""
+"""Presses and pauses last 0.2 to 1 s: half a second holds one, and is shorter than any bend."""
 REACTION_S: Final = 0.2
-"""A person's reaction to what the picture shows; with the smoothing above, the error of a network trained on a
-keyboard driver fell by 28 % (RMSE, against steering as recorded)."""
+"""A person's reaction time. Together with the smoothing, it lowered the error of a network trained on a keyboard
+driver by 28 % (RMSE, compared with steering as recorded)."""
 RESPONSE_S: Final = 0.1
-"""The car turns so long after the steering in recordings of the simulator, in all four that were measured."""
+"""The time from the steering to the turn of the car, in all four measured recordings of the simulator."""
 IN_TIME_S: Final = (-0.45, 0.1)
-"""Lags that a car explains: none turns before it is steered (0.1 s are rows and rounding), and wheels follow a
-command within 0.4 s."""
+"""Lags that a car explains: it does not turn before it is steered (0.1 s are rows and rounding), and wheels follow
+a command within 0.4 s."""
 MAX_LATE_S: Final = 0.5
-"""Later than that no recorder notes the steering. What is measured there, or before `IN_TIME_S`, is a fault of the
-measurement, and no label goes by it."""
-MIN_HZ: Final = 4.0  # fewer rows a second than that leave nothing to smooth in half a second
+"""No recorder is later. A lag above this, or below `IN_TIME_S`, is a measuring error, and labels ignore it."""
+MIN_HZ: Final = 4.0  # at fewer rows a second, half a second has nothing to smooth
 LATE_DEVICES: Final = frozenset[Device](("keyboard", "mouse"))
-"""They are let go between presses and drags, and steer to 0 then. A stick or a finger is held, and steers all the
-time. The wheel's steering is recorded as it is in force, so no lag is measured."""
+"""Between presses and drags, they steer to 0. A stick or a finger steers all the time. For known devices, rows
+hold the steering in force, so their lag is not measured."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +37,8 @@ class LabelPlan:
 
     smooth_s: float
     shift_s: float
-    without_crashes: bool  # rows of crashes are not learnt
-    why: str  # in words; empty for steering in steps, which is what smoothing is for
+    without_crashes: bool  # rows of crashes are left out
+    why: str  # in words; empty for steering in steps, the usual reason to smooth
 
     def __str__(self) -> str:
         parts = [f"mean of {self.smooth_s:g} s"] * (self.smooth_s > 0)
@@ -51,13 +49,12 @@ class LabelPlan:
 
 AS_RECORDED: Final = LabelPlan(0.0, 0.0, False, "asked for")
 NOT_MEASURED: Final = "lag not measured"
-"""Why presses are taken to be in time, as those of all recordings that were measured are."""
+"""Presses then count as in time, as in all recordings that were measured."""
 
 
 def plan_labels(habits: SteeringHabits, finding: LagFinding | None, driven_by: str = "") -> LabelPlan:
-    """The plan of a session; `finding` is None where its lag was never measured. `driven_by` names the machine
-    that drove it, if one did. The device that a person steered with goes before it: in a drive of both, the
-    person's rows are those to learn."""
+    """The plan of a session. `finding`: None if its lag was never measured. `driven_by`: the machine that drove,
+    if one did. A person's device counts first: of a drive by both, the network learns the person's rows."""
     if habits.device:
         is_late = habits.device in LATE_DEVICES and (habits.rate_hz or 0.0) >= MIN_HZ
         return LabelPlan(SMOOTH_S * is_late, REACTION_S * is_late, True, habits.device)
@@ -77,7 +74,7 @@ def plan_labels(habits: SteeringHabits, finding: LagFinding | None, driven_by: s
 
 
 def _of_smooth(lag: SteeringLag | None) -> str:
-    """A smooth driver looks ahead, and steers with the bend: at many lags the two go equally well together."""
+    """A smooth driver steers with the bend: steering and turning fit equally well at many lags."""
     if lag is None:
         return ""
     return " and in time" if _is_in_time(lag) else "; its lag is left alone"
@@ -88,7 +85,7 @@ def _is_in_time(lag: SteeringLag) -> bool:
 
 
 def _late(lag: SteeringLag | None) -> tuple[float, str]:
-    """How late the steering was recorded, in seconds, and why that is believed, or is not."""
+    """The delay of the recorded steering in seconds, and the reason to believe or to ignore it."""
     if lag is None or _is_in_time(lag):
         return 0.0, ""
     if not IN_TIME_S[0] <= lag.lag_s <= MAX_LATE_S:
@@ -100,13 +97,15 @@ def _late(lag: SteeringLag | None) -> tuple[float, str]:
 
 
 def goes_by_lag(habits: SteeringHabits, driven_by: str) -> bool:
-    """True if `plan_labels` goes by the lag, which takes pictures to measure."""
+    """True if `plan_labels` needs the lag, which is measured in pictures."""
     return not habits.device and not driven_by and habits.kind in ("steps", "smooth")
 
 
 def machine_of(session: Mapping[str, str], *, has_commands: bool) -> str:
-    """The machine that drove a session, by the metadata of its log, and whether a driver's commands are in it: its
-    hand is smooth and in time. Empty for people, and if it is unknown."""
+    """The machine that drove a session: its steering is smooth and in time. Empty for people, or if unknown.
+
+    `session`: the log's metadata. `has_commands`: the log has commands of a pilot.
+    """
     if has_commands:
         return "a network"
     if session.get("source") == "gymnasium":

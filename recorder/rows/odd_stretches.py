@@ -1,6 +1,6 @@
-"""What is odd in a recording, as far as its numbers show: stretches of rows, each with its cause.
+"""Odd stretches of a recording, found in its numbers: rows, and the cause.
 
-A stretch is the whole of what belongs together: the approach to an impact, the reversing, and the way out are one.
+The approach to an impact, reversing, and the way out are one stretch.
 """
 
 from __future__ import annotations
@@ -19,10 +19,17 @@ from common.location import Location
 from common.stretches import stretches_within
 from common.untrusted_json import json_as
 from recorder.rows.crashes import impact_rows
-from recorder.rows.driving_backwards import SURELY_MPH, driven_backwards
+from recorder.rows.driving_backwards import PEDAL, SURELY_MPH, driven_backwards
 from recorder.rows.road_edge import off_road_rows
-from recorder.rows.row_quality import NOT_LEARNT, States, drive_numbers, elapsed_s, row_flags, usual_speed_mph
-from recorder.rows.slow_rows import coasting_rows, creeping_rows
+from recorder.rows.row_quality import (
+    NOT_LEARNT,
+    States,
+    Values,
+    drive_numbers,
+    elapsed_s,
+    row_flags,
+    usual_speed_mph,
+)
 
 ODD_KINDS: Final[Mapping[str, str]] = {
     "crash": "crash",
@@ -35,14 +42,20 @@ ODD_KINDS: Final[Mapping[str, str]] = {
     "coasting": "coasting to a halt",
     "creeping": "creeping",
 }
-"""What each kind is called; of rows that are of several, the first counts."""
+"""The name of each kind. For rows of several kinds, the first counts."""
 
 CRUMB_S: Final = 1.0
-ODD: Final = "odd"  # their key in a log's `bc.quality`
+ODD: Final = "odd"  # the stretches' key in a log's `bc.quality`
 MAX_KEPT: Final = 100
 MAX_NAMED: Final = 6
 MOSTLY: Final = 0.6
-"""Of its rows; a crash without an impact in which the car reverses for so long is driving backwards."""
+"""A crash without an impact in which the car reverses in a larger share of rows is driving backwards."""
+
+CREEP_SPEED_SHARE: Final = 0.15  # of the usual speed; drivers take every bend faster
+CREEP_S: Final = 2.0  # of moving; a start takes less than one
+COAST_S: Final = 1.5
+COAST_SPEED_SHARE: Final = 1 / 3
+_ROUNDING_MPH: Final = 0.2
 
 Mask = NDArray[np.bool_]
 
@@ -57,12 +70,12 @@ class OddStretch:
     begin_s: float
     end_s: float
     cause: str
-    is_sure: bool  # nobody should learn from it; else a person has to look
-    is_shown: bool = False  # by the pictures, and not by the numbers alone
+    is_sure: bool  # otherwise, a person has to look at it
+    is_shown: bool = False  # by the pictures; otherwise by the numbers alone
 
     @property
     def is_learnt(self) -> bool:
-        """False for what `bc-index` leaves out of training by itself."""
+        """False if `bc-index` leaves its rows out of training by default."""
         return not self.is_sure or self.is_shown or self.kind not in (*NOT_LEARNT, "out_of_range")
 
     @property
@@ -70,7 +83,7 @@ class OddStretch:
         return self.last_row - self.first_row + 1
 
     def command(self, log: Location) -> str:
-        """The command that excludes it."""
+        """The command that excludes its rows."""
         return f"bc-log tag {shlex.quote(str(log))} exclude --rows {self.first_row} {self.last_row}"
 
     def __str__(self) -> str:
@@ -85,8 +98,8 @@ def rows_named(first: int, last: int) -> str:
 
 
 def odd_stretches(states: States) -> list[OddStretch]:
-    """The odd stretches of a log's vehicle states, in their order; no row is in two of them, and no content of the
-    rows raises anything. Gaps in time, and ordinary stops, are none."""
+    """The odd stretches of a log's vehicle states, in order. No row is in two of them. Gaps in time and ordinary
+    stops are not odd. Takes any numbers."""
     if not len(states.row):
         return []
     drive = drive_numbers(states.time_ns)
@@ -97,7 +110,7 @@ def odd_stretches(states: States) -> list[OddStretch]:
             rows = slice(first, last + 1)
             taken[rows] = True
             if not is_sure and states.time_ns[last] - states.time_ns[first] < CRUMB_S * 1e9:
-                continue  # the edge of what is odd for another cause
+                continue  # the edge of a stretch with another cause
             why = cause(rows) if callable(cause) else cause
             own_kind, why = why if isinstance(why, tuple) else (kind, why)
             odd.append(stretch_of(states, first, last, own_kind, why, is_sure=is_sure))
@@ -111,11 +124,11 @@ def stretch_of(states: States, first: int, last: int, kind: str, cause: str, *, 
     return OddStretch(kind, first_row, last_row, begin_s, end_s, cause, is_sure)
 
 
-_Cause = Callable[[slice], tuple[str, str] | str] | str  # in words, or the kind and that, of rows
+_Cause = Callable[[slice], tuple[str, str] | str] | str  # the cause, or the kind and the cause; perhaps of rows
 
 
 def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask, bool, _Cause]]:
-    """Of each kind its rows (N,), whether it is sure, and its cause, or the kind and the cause of some rows."""
+    """The kind, its rows (N,), whether it is sure, and its cause; for some rows, the cause names another kind."""
     flags = row_flags(states)
     time_s = elapsed_s(states.time_ns)
     speed_mph = np.abs(np.where(np.isfinite(states.speed_mph), states.speed_mph, np.nan))
@@ -151,7 +164,7 @@ def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask
     perhaps = driven_backwards(speed_mph, states.throttle, states.brake, time_s, drive).perhaps
     yield "backwards", perhaps, False, from_a_stand
     yield "stuck_steering", flags["stuck_steering"], False, lambda rows: f"at {states.steering[rows][0]:g}"
-    coasting = coasting_rows(speed_mph, states.throttle, states.brake, standing, usual_mph, time_s, drive)
+    coasting = coasting_rows(speed_mph, states, standing, usual_mph, time_s, drive)
     yield "coasting", coasting, False, lambda rows: f"from {fastest_mph(rows):.0f} mph without a pedal"
 
     def how_slow(rows: slice) -> str:
@@ -160,18 +173,58 @@ def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask
     yield "creeping", creeping_rows(speed_mph, standing, usual_mph, time_s, drive), False, how_slow
 
 
+def creeping_rows(
+    speed_mph: Values, standing: Mask, usual_mph: float, time_s: Values, drive: NDArray[np.int64]
+) -> Mask:
+    """The rows (N,) in which the car moves far below its usual speed for long, including short stops.
+    `speed_mph`: without sign, NaN if unknown; `time_s`: from `elapsed_s`."""
+    creeping = np.zeros(len(drive), np.bool_)
+    step_s = np.minimum(np.diff(time_s, append=time_s[-1:]), 1.0)
+    for first, last in stretches_within(speed_mph < CREEP_SPEED_SHARE * usual_mph, drive):
+        moves = ~standing[first : last + 1]
+        if step_s[first : last + 1][moves].sum() >= CREEP_S:
+            moving = first + np.flatnonzero(moves)
+            creeping[moving[0] : moving[-1] + 1] = True
+    return creeping
+
+
+def coasting_rows(
+    speed_mph: Values,
+    states: States,
+    standing: Mask,
+    usual_mph: float,
+    time_s: Values,
+    drive: NDArray[np.int64],
+) -> Mask:
+    """The rows (N,) in which the car rolls to a halt without throttle and brake; none if no throttle was recorded.
+    Arguments as of `creeping_rows`."""
+    coasting = np.zeros(len(drive), np.bool_)
+    is_pushed = states.throttle > PEDAL
+    if not is_pushed.any():
+        return coasting
+    rises = np.diff(speed_mph, prepend=speed_mph[:1]) > _ROUNDING_MPH
+    rolls = ~is_pushed & ~(states.brake > PEDAL) & ~rises & np.isfinite(speed_mph)
+    for first, last in stretches_within(rolls, drive):
+        halt = np.flatnonzero(standing[first : last + 1])
+        if not len(halt) or speed_mph[first] < COAST_SPEED_SHARE * usual_mph:
+            continue
+        stop = first + int(halt[0])
+        coasting[first : stop + 1] = time_s[stop] - time_s[first] >= COAST_S
+    return coasting
+
+
 def odd_summary(states: States) -> dict[str, str]:
-    """A log's note of the first of them, beside `row_quality.summary`."""
+    """The first odd stretches, as a log's `bc.quality` keeps them next to `row_quality.summary`."""
     return {ODD: json.dumps([asdict(stretch) for stretch in odd_stretches(states)[:MAX_KEPT]])}
 
 
 def odd_in(quality: Mapping[str, str]) -> list[OddStretch] | None:
-    """The stretches in a log's note of itself, which somebody else may have written; None where it has none."""
+    """The stretches in a log's `bc.quality`, which is untrusted; None if it has none."""
     return json_as(quality.get(ODD, ""), list[OddStretch])
 
 
 def odd_lines(odd: Sequence[OddStretch]) -> list[str]:
-    """What is odd in a log, in words."""
+    """The odd stretches of a log in words."""
     lines = [str(stretch) for stretch in odd[:MAX_NAMED]]
     if len(odd) > MAX_NAMED:
         lines.append(f"and {counted(len(odd) - MAX_NAMED, 'more stretch', 'more stretches')}")
@@ -179,13 +232,13 @@ def odd_lines(odd: Sequence[OddStretch]) -> list[str]:
 
 
 def exclude_command(odd: Sequence[OddStretch], log: Location) -> str:
-    """The command that excludes all that is sure."""
+    """The command that excludes all sure stretches."""
     look = " --look" * any(stretch.is_sure and stretch.is_shown for stretch in odd)
     return f"bc-log tag {shlex.quote(str(log))} exclude --odd{look}"
 
 
 def odd_advice(odd: Sequence[OddStretch], log: Location) -> list[str]:
-    """What becomes of what is odd in a log, and what to do about it; nothing where nothing is."""
+    """What happens to the odd stretches of a log, and what to do about them."""
     lines, place = [], shlex.quote(str(log))
     if any(not stretch.is_learnt and stretch.kind in NOT_LEARNT for stretch in odd):
         lines.append("crashes, driving backwards and parked cars are not learnt by default, if a person drove")

@@ -1,4 +1,4 @@
-"""How far a car is beyond the edge of its road, where its places are recorded and its road is built in."""
+"""The distance of a car from the edge of a built-in road."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from common.stretches import stretches_within
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-OFF_S: Final = 0.5  # at least; a car that a drive's simulator puts back at once has not driven there
-JOIN_S: Final = 2.0  # whoever leaves the road again so soon has not driven on it in between
-_FARTHEST_M: Final = 1e6  # a place beyond is no place
-_AT_ONCE: Final = 1024  # rows; with the points of a long track, some megabytes
+OFF_S: Final = 0.5  # the shortest stretch: drives put a car back at once
+JOIN_S: Final = 2.0  # a shorter time between two stretches is not driving
+_FARTHEST_M: Final = 1e6  # from the origin; positions beyond count as unknown
+_AT_ONCE: Final = 1024  # rows compared with all points of a track: some megabytes
 
 
 def beyond_edge_m(track: str, fingerprint: str, x_m: Values, y_m: Values, heading_rad: Values) -> Values | None:
-    """Metres (N,) by which the car's middle is beyond the road's edge, below 0 on the road, NaN without a place;
-    None where no road of that name is built in, or it is another version's.
+    """Metres (N,) from the road's edge to the car's middle: below 0 on the road, NaN if the position is unknown.
+    None if no road of that name and version is built in.
 
-    Places are those of the middle of the rear axle, as `/pose` has them.
+    Positions are of the middle of the rear axle, as in `/pose`.
     """
     from simulator.driving.vehicle import AXLE_TO_CENTRE_M
     from simulator.roads.track import load_track
@@ -46,8 +46,8 @@ def beyond_edge_m(track: str, fingerprint: str, x_m: Values, y_m: Values, headin
 
 
 def off_road_rows(beyond_m: Values, time_s: Values, drive: NDArray[np.int64]) -> Mask:
-    """The rows (N,) off the road, with what lies between two such stretches. `time_s` is that of `elapsed_s`,
-    `drive` numbers the drives."""
+    """The rows (N,) off the road, including short returns. `time_s`: from `elapsed_s`; `drive`: the number of each
+    row's drive."""
     off = np.zeros(len(drive), np.bool_)
     last_before = -1
     for first, last in stretches_within(beyond_m > 0, drive):

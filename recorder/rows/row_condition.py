@@ -15,7 +15,7 @@ from common.errors import UsageError
 from recorder.rows.row_quality import States
 
 COLUMNS: Final = ("row", "time_s", "steering", "throttle", "brake", "speed_mph")
-"""What can be compared; time_s is counted from the log's first row."""
+"""The columns to compare; time_s counts from the log's first row."""
 
 Mask = NDArray[np.bool_]
 
@@ -33,24 +33,24 @@ _MAX_CHARACTERS: Final = 500
 
 
 def rows_where(states: States, condition: str) -> Mask:
-    """The rows (N,) for which a condition holds; no comparison with an unknown number does. It is read as a Python
-    expression, and nothing of it is run. Raises UsageError for any other text."""
+    """The rows (N,) that meet a condition. No comparison with an unknown number holds. The text is parsed as a
+    Python expression, but never run. Raises UsageError for anything else."""
     if len(condition) > _MAX_CHARACTERS:
-        raise UsageError(f"--where: {len(condition):,} characters; at most {_MAX_CHARACTERS} are taken")
+        raise UsageError(f"--where: {len(condition):,} characters; at most {_MAX_CHARACTERS} are allowed")
     text = _AND_OR.sub(lambda word: word[0].lower(), _SINGLE_EQUALS.sub("==", condition.strip()))
     since_s = (states.time_ns - states.time_ns[:1]) / 1e9
     columns = {name: since_s if name == "time_s" else getattr(states, name) for name in COLUMNS}
     try:
         return np.broadcast_to(_mask(ast.parse(text, mode="eval").body, columns), states.row.shape)
     except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError) as error:
-        what = (
+        problem = (
             error.args[0] if isinstance(error, _ExpectedError) else "comparisons joined by and, or were expected"
         )
-        raise UsageError(f"--where {condition!r}: {what}; columns are {', '.join(COLUMNS)}") from None
+        raise UsageError(f"--where {condition!r}: {problem}; columns are {', '.join(COLUMNS)}") from None
 
 
 class _ExpectedError(ValueError):
-    """A condition lacks something."""
+    """A part of a condition is not of the expected form."""
 
 
 def _mask(node: ast.expr, columns: Mapping[str, NDArray[Any]]) -> Mask:
@@ -63,8 +63,8 @@ def _mask(node: ast.expr, columns: Mapping[str, NDArray[Any]]) -> Mask:
                 joined = join(joined, mask)
             return joined
         case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in _COMPARE:
-            one, other = _value(left, columns), _value(right, columns)
-            holds: Mask = np.asarray(_COMPARE[type(op)](one, other) & ~np.isnan(one) & ~np.isnan(other))
+            first, second = _value(left, columns), _value(right, columns)
+            holds: Mask = np.asarray(_COMPARE[type(op)](first, second) & ~np.isnan(first) & ~np.isnan(second))
             return holds
     raise _ExpectedError(f"a comparison (<, <=, >, >=, =, !=) was expected, not {ast.unparse(node)}")
 

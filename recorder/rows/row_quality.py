@@ -1,7 +1,7 @@
-"""Flags for odd rows of a log, and where a pause begins a new drive, from its vehicle states alone.
+"""Flags for odd rows of a log, and the drives that pauses separate, from its vehicle states alone.
 
-Thresholds were set on published recordings: people with keyboards hold an exact 0 for up to 14 s of driving, and
-any other exact value for at most 2 s; the simulator writes at least five rows a second.
+Published recordings set the thresholds: people at keyboards hold an exact 0 for up to 14 s of driving, and any
+other exact value for at most 2 s. The simulator writes at least five rows a second.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ APART_S: Final = 1000.0  # more than any time over which rows are compared
 STANDING_MPH: Final = 0.5
 STUCK_S: Final = 3.0
 STUCK_AT_ZERO_S: Final = 30.0
-MAX_STRETCHES: Final = 100  # listed in a log's summary of its rows; the counts are of all
+MAX_STRETCHES: Final = 100  # listed in a log's summary of its rows; counts include all
 
-PARKED_S: Final = 5.0  # an ordinary start waits for 1.6 to 3.2 s in the recordings of people
+PARKED_S: Final = 5.0  # in recordings of people, an ordinary start waits for 1.6 to 3.2 s
 
 RowFlag = Literal[
     "gap", "out_of_range", "standing_still", "stuck_steering", "crash", "backwards", "manoeuvring", "parked"
 ]
 ROW_FLAGS: Final[tuple[RowFlag, ...]] = get_args(RowFlag)
 NOT_LEARNT: Final[tuple[RowFlag, ...]] = ("crash", "backwards", "manoeuvring", "parked")
-"""Rows with one of these are left out of training by default; of several, the first counts."""
+"""Rows with one of these are left out of training by default. For rows with several, the first counts."""
 
 Values = NDArray[np.float64]
-_NEAR_STEP: Final = 0.6  # of the median
-_UNEVEN_STEPS: Final = 0.1  # of it
+_NEAR_STEP: Final = 0.6  # share of the median
+_UNEVEN_STEPS: Final = 0.1  # share of the median
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ class States:
     steering: Values
     throttle: Values
     brake: Values
-    speed_mph: Values  # NaN where it is not known
-    beyond_m: Values | None = None  # of the road's edge (`recorder.log.road_places`); None: no known road
+    speed_mph: Values  # NaN if unknown
+    beyond_m: Values | None = None  # from the road's edge (`recorder.log.road_places`); None: unknown road
 
     @classmethod
     def of(cls, vehicle: pa.Table) -> States:
@@ -74,7 +74,7 @@ class States:
 
 
 class StatesWritten:
-    """The states of a log that is being written: 48 bytes a row."""
+    """The states of a log while it is written: 48 bytes a row."""
 
     def __init__(self) -> None:
         self._devices = Counter[int]()
@@ -88,7 +88,7 @@ class StatesWritten:
 
     @property
     def device(self) -> RowDevice:
-        """The device that most rows were steered with."""
+        """The device of most rows."""
         return most_used(self._devices)
 
     def __len__(self) -> int:
@@ -101,9 +101,11 @@ class StatesWritten:
 
 
 def summary(states: States) -> dict[str, str]:
-    """A log's summary of its own rows, so that nobody has to read it all: drives, how many rows each flag holds
-    for, and the first stretches of them as JSON: [flag, first row, last row, begin and end in seconds from the
-    log's first row]; a gap begins at the row before it."""
+    """The summary of its rows that a log keeps at its end: drives, rows by flag, and the first flagged stretches.
+
+    Stretches are JSON: [flag, first row, last row, begin and end in seconds from the log's first row]. A gap
+    begins at the row before it.
+    """
     flags = row_flags(states)
     flagged = sorted((first, last, flag) for flag, mask in flags.items() for first, last in stretches(mask))
     since_s = (states.time_ns - states.time_ns[:1]) / 1e9
@@ -127,32 +129,35 @@ def summary(states: States) -> dict[str, str]:
 
 
 def drive_numbers(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Numbers the drives of a session from 0: a new one begins after a gap, or where time goes backwards."""
+    """The number of each row's drive (N,), from 0. A new drive begins after a gap, or where time goes
+    backwards."""
     step_ns = np.diff(time_ns)
     return np.concatenate([[0], np.cumsum((step_ns > GAP_S * 1e9) | (step_ns < 0))])[: len(time_ns)]
 
 
 def elapsed_s(time_ns: NDArray[np.int64]) -> Values:
-    """The rows' times (N,) in seconds, in ascending order; drives lie `APART_S` from each other, whatever lay
-    between them."""
+    """The rows' times (N,) in seconds, ascending. Drives are `APART_S` apart, however long the real pause was."""
     same = np.diff(drive_numbers(time_ns)) == 0
     step_s = np.where(same, np.diff(time_ns) / 1e9, APART_S)
     return np.concatenate([[0.0], np.cumsum(step_s)])[: len(time_ns)]
 
 
 def driven_s(time_ns: NDArray[np.int64]) -> float:
-    """The time that was driven: that of all drives, without what lies between them."""
+    """The sum of the drives' times, without the pauses between them."""
     return float(np.diff(time_ns)[np.diff(drive_numbers(time_ns)) == 0].sum()) / 1e9
 
 
 def row_flags(states: States) -> dict[RowFlag, NDArray[np.bool_]]:
-    """For each flag the rows (N,) that it holds for.
+    """The rows (N,) of each flag.
 
-    `gap`: the first row after a gap in time; `out_of_range`: steering beyond -1..1, pedals beyond 0..1, or no
-    number, or a speed beyond `SPEED_RANGE_MPH`; `standing_still`; `stuck_steering`: the very same steering for
-    long while the car moves; `crash`: the car stands at an obstacle, or manoeuvres to get away from it;
-    `backwards`; `manoeuvring`: the second before an impact, and the way out of a crash or from driving backwards;
-    `parked`: the car stands for long, in a session in which it drives.
+    - `gap`: the first row after a gap in time
+    - `out_of_range`: steering outside -1..1, pedals outside 0..1, either NaN, or speed outside `SPEED_RANGE_MPH`
+    - `standing_still`
+    - `stuck_steering`: exactly the same steering for long while the car moves
+    - `crash`: the car stands at an obstacle, or manoeuvres to get away from it
+    - `backwards`
+    - `manoeuvring`: the second before an impact, and the way out of a crash or of driving backwards
+    - `parked`: the car stands for long, in a session in which it drives
     """
     drive, time_s = drive_numbers(states.time_ns), elapsed_s(states.time_ns)
     standing = np.abs(states.speed_mph) < STANDING_MPH  # False for an unknown speed
@@ -180,7 +185,7 @@ def row_flags(states: States) -> dict[RowFlag, NDArray[np.bool_]]:
 
 
 def usual_speed_mph(states: States) -> float:
-    """The median speed of the rows in which the car moves; NaN without any."""
+    """The median speed of the rows in which the car moves; NaN if it never moves."""
     speed_mph = np.abs(np.where(np.isfinite(states.speed_mph), np.clip(states.speed_mph, *SPEED_RANGE_MPH), 0.0))
     moving = speed_mph[speed_mph >= STANDING_MPH]
     return float(np.median(moving)) if len(moving) else math.nan
@@ -204,11 +209,11 @@ def _stuck(states: States, drive: NDArray[np.int64], standing: NDArray[np.bool_]
 
 
 def usual_step(steps: NDArray[Any]) -> float:
-    """The median of steps (N,), N > 0, above 0. Where they alternate, as 0.04 and 0.06 s of a person's 20 rows a
-    second, the mean of those near it."""
+    """The median of steps (N,), N > 0, all above 0. If steps alternate (0.04 and 0.06 s at a person's 20 rows a
+    second), the mean of the steps near the median."""
     median = float(np.median(steps))
     near = steps[np.abs(steps - median) <= _NEAR_STEP * median]
-    if not len(near):  # the median of an even number may lie between two far from it
+    if not len(near):  # the median of an even number of steps may be far from all of them
         return median
     mean = float(near.mean())
     return mean if abs(mean - median) > _UNEVEN_STEPS * median else median

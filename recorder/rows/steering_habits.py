@@ -1,7 +1,8 @@
-"""Steering habits of a session, by its rows alone: presses, steps or a smooth hand, and how much can be learnt.
+"""Steering habits of a session, from its rows alone: presses, steps or smooth steering, and how much can be
+learnt.
 
-A keyboard knows three positions and is pressed for a fraction of a second; what the person meant lies between. The
-agreement of a row's steering with that of the rows around it bounds how well any network can predict it.
+A keyboard has three positions, and a press lasts a fraction of a second. The correlation between a row's steering
+and that of the rows around it limits how well any network can predict it.
 """
 
 from __future__ import annotations
@@ -18,24 +19,23 @@ from recorder.rows.devices import RowDevice
 from recorder.rows.row_quality import States, Values, drive_numbers, driven_s, elapsed_s, row_flags, usual_step
 
 CEILING_S: Final = (0.25, 0.5, 1.0)
-"""Lengths of the time around a row whose other rows are its neighbours: half of it before, half after."""
+"""The times around a row, half before and half after, in which the other rows are its neighbours."""
 ENOUGH_S: Final = 60.0
-"""Of driving. In less there are too few presses and bends to recognise a habit."""
+"""Of driving. A shorter session has too few presses and bends to recognise a habit."""
 NARROW: Final = 0.05
-"""Steering that never leaves +-1.25 degrees is of another scale: no road is that straight for a minute."""
+"""Steering within +-1.25 degrees for a minute has another scale: no road is so straight."""
 MAX_OUT_OF_RANGE: Final = 0.1
-"""Steering that is beyond -1..1 in more rows than that is of another scale, such as degrees."""
+"""Steering outside -1..1 in a larger share of rows has another scale, such as degrees."""
 STEPS_ZEROS: Final = 0.3
 STEPS_CEILING: Final = 0.9
-"""People's recordings have an exact 0 in 45 to 80 % of their rows, and ceilings of 0.37 to 0.95. Steering that is
-turned all the time (a wheel, a machine) has neither."""
-KEYS_VALUES: Final = 16  # keys without a ramp know -1, 0 and 1
+"""Recordings of people at keyboards have an exact 0 in 45 to 80 % of rows, and ceilings of 0.37 to 0.95.
+Continuous steering (a wheel, a machine) has neither."""
+KEYS_VALUES: Final = 16  # keys without a ramp give -1, 0 and 1
 KEYS_SHARE: Final = 0.4
 KEYS_NEAR: Final = 0.1
-"""Keys turn the wheel at one rate for every driver (Unity: 3 of full lock a second): so many of the changes
-are that near to it."""
+"""Keys turn the wheel at one rate (Unity: 3 times full lock a second): this share of changes is so near to it."""
 
-_ROUNDING_S: Final = 1e-6  # rows at even times lie on the edge
+_ROUNDING_S: Final = 1e-6  # evenly spaced rows lie exactly on the limit
 _NO_SPREAD: Final = 1e-9
 
 Kind = Literal["none", "constant", "too short", "other scale", "steps", "smooth"]
@@ -43,55 +43,55 @@ Kind = Literal["none", "constant", "too short", "other scale", "steps", "smooth"
 
 @dataclass(frozen=True)
 class SteeringHabits:
-    """Measures of how a session was steered. Rows whose steering is out of range count in `out_of_range` alone;
-    None: unknown, for want of rows."""
+    """Measures of how a session was steered. Rows with steering out of range count only in `out_of_range`. None:
+    too few rows."""
 
     kind: Kind
     rows: int
     out_of_range: float  # share of all rows
     driven_s: float
-    rate_hz: float | None  # rows a second, usually
-    zeros: float | None  # share of the rows with a steering of exactly 0
-    left: float | None  # share of those steered to the left
+    rate_hz: float | None  # usual rows a second
+    zeros: float | None  # share of the rows with steering exactly 0
+    left: float | None  # share of the rows steered to the left
     right: float | None
-    values: int  # different ones
-    presses: int  # stretches of rows with a steering other than 0
+    values: int  # different values
+    presses: int  # stretches of rows with steering other than 0
     press_s: float | None  # their median length
-    keys: bool  # it turns at one rate, or knows a few positions only
+    keys: bool  # steering turns at one rate, or has only a few positions
     spread_deg: float | None  # standard deviation
-    largest_deg: float | None  # of either side
-    ceiling: tuple[float | None, float | None, float | None]  # within each of CEILING_S
+    largest_deg: float | None  # to either side
+    ceiling: tuple[float | None, float | None, float | None]  # for each of CEILING_S
     crashes: float | None  # share of the rows in crashes
-    device: RowDevice = ""  # that a person steered most rows with, as recorded; empty if the log names none
+    device: RowDevice = ""  # the recorded device of most rows; empty if the log names none
 
 
 @dataclass(frozen=True)
 class SteeringLag:
     """The lag of steering behind the turning that pictures show, as `recorder.seen.steering_lag` measures it."""
 
-    lag_s: float  # steering comes so long after the turning; negative: before it
-    correlation: float  # of the two at that lag; negative: the pictures turn the other way
-    pictures: int  # that were decoded
-    margin_s: float | None = None  # it is surely so near to that; None in what earlier versions have written
+    lag_s: float  # from the turning to the steering; negative: the steering comes first
+    correlation: float  # of both at that lag; negative: the pictures turn the other way
+    pictures: int  # decoded
+    margin_s: float | None = None  # uncertainty of `lag_s`; None if an earlier version measured it
 
 
 @dataclass(frozen=True)
 class LagFinding:
-    """What a measurement of the lag has found."""
+    """The result of a measurement of the lag."""
 
     lag: SteeringLag | None  # None: the pictures do not show it
 
 
 def habits_from(text: str) -> SteeringHabits | None:
-    """The habits in a log's note of itself, from JSON; None for any other text, which strangers may write."""
+    """The habits as JSON in a log's `bc.quality`, which is untrusted; None for any other text."""
     return json_as(text, SteeringHabits)
 
 
 def steering_habits(
     states: States, max_steering_deg: float = MAX_STEERING_DEG, device: RowDevice = ""
 ) -> SteeringHabits:
-    """Measure the habits in the rows of a log, whose wheels turn by `max_steering_deg` at steering 1, and whose
-    rows name `device`. No content of the rows raises anything."""
+    """Measure the habits in the rows of a log. `max_steering_deg`: the wheels' angle at steering 1. `device`: that
+    of most rows. Takes any numbers."""
     in_range = np.abs(states.steering) <= 1  # False for NaN too
     flags = row_flags(states)
     steering, time_ns = states.steering[in_range], states.time_ns[in_range]
@@ -128,7 +128,7 @@ def steering_habits(
 def _kind(steering: Values, out_of_range: float, seconds: float, ceiling: float | None) -> Kind:
     if out_of_range > MAX_OUT_OF_RANGE:
         return "other scale"
-    if not steering.any():  # nor where there is no row
+    if not steering.any():  # also without rows
         return "none"
     if (steering == steering[0]).all():
         return "constant"
@@ -141,8 +141,8 @@ def _kind(steering: Values, out_of_range: float, seconds: float, ceiling: float 
 
 
 def neighbours_mean(steering: Values, time_s: Values, reach_s: float) -> Values:
-    """For each row (N,) the mean steering of the others within `reach_s` of it; NaN where there is none. Times
-    ascend, as `elapsed_s` gives them."""
+    """For each row (N,), the mean steering of the other rows within `reach_s`; NaN if there are none. `time_s`:
+    from `elapsed_s`, ascending."""
     begin = np.searchsorted(time_s, time_s - reach_s - _ROUNDING_S, side="left")
     end = np.searchsorted(time_s, time_s + reach_s + _ROUNDING_S, side="right")
     total = np.concatenate([[0.0], np.cumsum(steering)])
@@ -157,7 +157,7 @@ def _ceilings(steering: Values, time_s: Values) -> tuple[float | None, float | N
 
 
 def _correlation(a: Values, b: Values) -> float | None:
-    """The correlation where both are finite; None where one of them does not vary."""
+    """The correlation of the rows where both are finite; None if one of them does not vary."""
     both = np.isfinite(a) & np.isfinite(b)
     a, b = a[both], b[both]
     if len(a) < 3 or a.std() < _NO_SPREAD or b.std() < _NO_SPREAD:
@@ -166,7 +166,7 @@ def _correlation(a: Values, b: Values) -> float | None:
 
 
 def _presses(steering: Values, drive: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The number of rows of each stretch of steering other than 0."""
+    """The number of rows in each stretch of steering other than 0."""
     pressed = steering != 0
     edge = np.concatenate([[True], (np.diff(pressed) != 0) | (np.diff(drive) != 0)])[: len(pressed)]
     starts = np.flatnonzero(edge)

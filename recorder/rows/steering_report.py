@@ -1,4 +1,4 @@
-"""Steering habits in words and numbers for people."""
+"""Steering habits in words and numbers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _IN_WORDS: Final[dict[Kind, str]] = {
 
 
 def steering_cells(habits: SteeringHabits, lag: SteeringLag | None) -> list[str]:
-    """The cells under `STEERING_HEADINGS`; "-" for what is unknown."""
+    """The cells under `STEERING_HEADINGS`; "-" if unknown."""
     return [
         _how(habits),
         _formatted(habits.zeros, "{:.0%}"),
@@ -32,7 +32,7 @@ def steering_cells(habits: SteeringHabits, lag: SteeringLag | None) -> list[str]
 
 
 def steering_line(habits: SteeringHabits, lag: SteeringLag | None, unit: SteeringUnit = DEGREES) -> str:
-    """All of it in a line."""
+    """Habits and lag in one line."""
     spread, largest = (
         None if angle_deg is None else unit.of(angle_deg) for angle_deg in (habits.spread_deg, habits.largest_deg)
     )

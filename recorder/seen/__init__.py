@@ -1,1 +1,1 @@
-"""What pictures show: turning, the steering's lag, side cameras."""
+"""Findings from pictures: the car's turning, the steering's lag, wrong steering."""

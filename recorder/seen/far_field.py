@@ -1,7 +1,7 @@
-"""The far field of a session's pictures: how far the car turned between two of them.
+"""The far field of a session's pictures, and the car's turn from one picture to the next.
 
-Distant things move across the picture as the car turns, and hardly otherwise. So the shift of the far field from
-one picture to the next is the car's yaw, whatever steering the log has.
+Distant things move across the picture when the car turns, and hardly otherwise. So the shift of the far field
+between two pictures is the car's yaw, independent of the recorded steering.
 """
 
 from __future__ import annotations
@@ -20,25 +20,26 @@ from recorder.rows.row_quality import States, Values
 from recorder.topics import camera_topic
 
 WIDTH_PX: Final = 160
-_APART_S: Final = 0.095  # between two pictures: in less, what is far moves by a fraction of a pixel
-_FARTHEST_S: Final = 0.3  # in more, it has left the picture
-_FAR: Final = (0.34, 0.5)  # of the height: about the horizon, above the road near by
+_APART_S: Final = 0.095  # between two pictures; in less time, the far field moves by a fraction of a pixel
+_FARTHEST_S: Final = 0.3  # after a longer time, it has left the picture
+_FAR: Final = (0.34, 0.5)  # shares of the height, around the horizon and above the near road
 _SLOWEST_MPH: Final = 5.0
-_PARTS: Final = 10  # of a longer session, evenly spread
+_PARTS: Final = 10  # samples of a long session, evenly spread
 
 Picture = NDArray[np.float32]
 
 
 def rows_apart(states: States, time_s: Values, most: int | None = None) -> NDArray[np.int64]:
-    """Positions (N, 2) of rows of the moving car, so far apart that a turn can be seen between their pictures.
+    """Pairs (N, 2) of row positions of the moving car, far enough apart that their pictures show a turn.
 
-    `time_s`: of the rows, by `elapsed_s`. Of more than `most` rows, ten parts evenly spread have so many together.
+    `time_s`: the rows' times, from `elapsed_s`. Of more than `most` rows, ten evenly spread parts with `most` rows
+    together are used.
     """
     later = np.searchsorted(time_s, time_s + _APART_S).tolist()
-    chain, at = list[int](), 0
-    while at < len(later):
-        chain.append(at)
-        at = max(later[at], at + 1)
+    chain, position = list[int](), 0
+    while position < len(later):
+        chain.append(position)
+        position = max(later[position], position + 1)
     rows = np.array(chain, np.int64)
     if most is not None and len(rows) > most:
         part_rows = most // _PARTS
@@ -54,7 +55,7 @@ def rows_apart(states: States, time_s: Values, most: int | None = None) -> NDArr
 
 
 class PictureLog(Protocol):
-    """What has the pictures: a `Log`, or a log that is being written."""
+    """A source of pictures: a `Log`, or a log while it is written."""
 
     def pictures(self, topic: str) -> Pictures: ...
 
@@ -75,7 +76,7 @@ class CenterPictures:
         self.decoded_rows = set[int]()
 
     def gray(self, row: int) -> NDArray[np.uint8] | None:
-        """The picture in half its size; None where there is none that decodes."""
+        """The picture at half its size; None if there is none, or it does not decode."""
         place = self._places[row]
         if place is None:
             return None
@@ -97,20 +98,20 @@ class FarField:
 
     def yaw_px(self, first: int, second: int) -> float:
         """The car's turn to the right between two rows, in columns of the picture; NaN if it is unknown."""
-        before, after = (self._of(row) for row in (first, second))
+        before, after = (self._edges(row) for row in (first, second))
         if before is None or after is None or before.shape != after.shape:
             return float("nan")
         window = cv2.createHanningWindow(before.shape[::-1], cv2.CV_32F)
         (shift_px, _), _ = cv2.phaseCorrelate(before, after, window)
         return -shift_px  # the world moves to the left
 
-    def _of(self, row: int) -> Picture | None:
+    def _edges(self, row: int) -> Picture | None:
         if self._last[0] != row:
             self._last = row, self._decoded(row)
         return self._last[1]
 
     def _decoded(self, row: int) -> Picture | None:
-        """Upright edges about the horizon; None of a picture too flat, or too narrow, to show any."""
+        """Vertical edges around the horizon; None if the picture is too flat or too narrow."""
         picture = self.pictures.gray(row)
         if picture is None:
             return None

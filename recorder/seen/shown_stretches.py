@@ -1,5 +1,5 @@
-"""What is odd in a recording, as its pictures show it: steering that contradicts them, or that stands still while
-the car turns; and which way a car went where its numbers leave that open."""
+"""Odd stretches that pictures show: steering that contradicts them, or never changes while the car turns. They
+also decide whether a car drove backwards, if its numbers leave that open."""
 
 from __future__ import annotations
 
@@ -24,14 +24,16 @@ _CONTROLS: Final = 20
 _CONTROL_S: Final = 5.0
 _MIN_CONTROLS: Final = 5
 _MAX_WRONG: Final = 0.05
-"""Of the controls: on the built-in mountain one in eight looks backwards, and no picture of it is believed."""
+"""The share of stretches known to go forwards that may look backwards. On the built-in mountain, one in eight
+does: its pictures are not used."""
 _SAMPLED_PAIRS: Final = 300
 _MIN_PAIRS: Final = 15
-_STILL: Final = 0.5  # of the session's spread of turning: a car that is steered alike turns alike
+_STILL: Final = 0.5  # share of the session's spread of turning; with constant steering, a car turns evenly
 
 
 def with_pictures(log: PictureLog, states: States, odd: Sequence[OddStretch]) -> list[OddStretch]:
-    """The odd stretches of a log's rows, and those that its centre camera's pictures show; all are decoded."""
+    """The odd stretches `odd` of a log's rows, and those that its centre camera's pictures show. Decodes all of
+    them."""
     with progress_bar() as bar:
         task = bar.add_task("comparing steering with pictures", total=len(states.row), note="")
         against = against_pictures(log, states, partial(bar.advance, task))
@@ -41,9 +43,9 @@ def with_pictures(log: PictureLog, states: States, odd: Sequence[OddStretch]) ->
         for first, last in stretches(against)
     ]
     time_s = elapsed_s(states.time_ns)
-    open_ones = [stretch for stretch in odd if not stretch.is_sure]
-    direction = _direction(log, states, time_s, odd) if any(e.kind == "backwards" for e in open_ones) else None
-    turning = _turning(log, states, time_s) if any(e.kind == "stuck_steering" for e in open_ones) else None
+    unsure_kinds = {stretch.kind for stretch in odd if not stretch.is_sure}
+    direction = _direction(log, states, time_s, odd) if "backwards" in unsure_kinds else None
+    turning = _turning(log, states, time_s) if "stuck_steering" in unsure_kinds else None
     for stretch in odd:
         judged: OddStretch | None = stretch
         first, last = (int(np.flatnonzero(states.row == row)[0]) for row in (stretch.first_row, stretch.last_row))
@@ -59,7 +61,7 @@ def with_pictures(log: PictureLog, states: States, odd: Sequence[OddStretch]) ->
 
 
 def _by_growth(stretch: OddStretch, grown: float) -> OddStretch | None:
-    """What the pictures make of a stretch that may be backwards; None if it is not."""
+    """A stretch that may be backwards, judged by its pictures; None if the car drives forwards."""
     if grown < -SHOWN_GROWTH:
         why = f"{stretch.cause.removeprefix('or downhill? ')}; the pictures shrink"
         return replace(stretch, is_sure=True, is_shown=True, cause=why)
@@ -69,7 +71,7 @@ def _by_growth(stretch: OddStretch, grown: float) -> OddStretch | None:
 def _direction(
     log: PictureLog, states: States, time_s: Values, odd: Sequence[OddStretch]
 ) -> Callable[[int, int], float] | None:
-    """The growth between two rows; None where the session's pictures do not show that it drives forwards."""
+    """A function for the growth between two rows; None if the session's pictures do not show its direction."""
     pictures = CenterPictures(log, states)
     is_odd = np.zeros(len(states.row), np.bool_)
     for stretch in odd:
@@ -87,18 +89,16 @@ def _direction(
 
 
 def _turning(log: PictureLog, states: States, time_s: Values) -> Callable[[int, int], float] | None:
-    """The spread of the car's turning between two rows, as the pictures show it, as a share of the session's;
-    None where they do not."""
+    """A function for the spread of the car's turning between two rows, as a share of the session's; None if the
+    pictures do not show the turning."""
     shown = FarField(log, states)
     pairs = rows_apart(states, time_s)
 
-    def turns(some: NDArray[np.int64]) -> Values:
-        yaw_px = np.array([shown.yaw_px(first, second) for first, second in some.tolist()])
-        way = (
-            np.diff(time_s[some])[:, 0]
-            * np.where(np.isfinite(states.speed_mph), states.speed_mph, 1.0)[some[:, 0]]
-        )
-        curvature: Values = (yaw_px / way)[np.abs(yaw_px) < WIDTH_PX / 4]  # False for NaN
+    def turns(row_pairs: NDArray[np.int64]) -> Values:
+        yaw_px = np.array([shown.yaw_px(first, second) for first, second in row_pairs.tolist()])
+        speed = np.where(np.isfinite(states.speed_mph), states.speed_mph, 1.0)[row_pairs[:, 0]]
+        distance = np.diff(time_s[row_pairs])[:, 0] * speed
+        curvature: Values = (yaw_px / distance)[np.abs(yaw_px) < WIDTH_PX / 4]  # False for NaN
         return curvature
 
     sampled = turns(pairs[:: max(1, len(pairs) // _SAMPLED_PAIRS)])

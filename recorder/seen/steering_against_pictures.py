@@ -1,10 +1,10 @@
-"""Stretches of a session in which the car turns one way, as its pictures show, and the steering says the other.
+"""Stretches of a session in which the pictures turn one way, and the steering the other.
 
-The labels there are wrong: taken from another drive, mirrored, or of another time. On straights nothing
-contradicts them, and nothing is found. No network takes part.
+The labels there are wrong: of another drive, mirrored, or delayed. On straight roads, such errors stay hidden. No
+network is needed.
 
-The thresholds were set on four recordings of people (5,667 rows): none of their rows is found, and of stretches of
-10 s whose steering was mirrored, those that have bends (benchmarks/README.md).
+Thresholds were set on four recordings of people (5,667 rows): they find none of these rows, and find mirrored
+stretches of 10 s if they have bends (benchmarks/README.md).
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from common.stretches import stretches
 from recorder.rows.row_quality import States, Values, elapsed_s
 from recorder.seen.far_field import WIDTH_PX, FarField, PictureLog, rows_apart
 
-_WINDOW_S: Final = 5.0  # in less, a person who corrects the steering on a straight looks like it
+_WINDOW_S: Final = 5.0  # in shorter windows, corrections on a straight road look opposed
 _MIN_PAIRS: Final = 15  # in a window
 _MIN_S: Final = 20.0
-"""So much of the drive has to show how the car turns: of 12 s of hairpins, one in eight was found to be wrong."""
+"""The least driving that shows turning. With 12 s of hairpins, one correct drive in eight was reported."""
 _OPPOSED: Final = -0.3  # a correlation
-_MIN_YAW: Final = 0.25  # of the session's mean square: so much that the car visibly turns
-_MIN_STEERING: Final = 0.1
+_MIN_YAW: Final = 0.25  # share of the session's mean square, from which on the car visibly turns
+_MIN_STEERING: Final = 0.1  # the same for the steering
 _LAGS_S: Final = np.arange(-20, 21) * 0.05
 _USUAL: Final = 0.35
-"""The correlation in half of the windows, at least: else the pictures do not show how the car turns. Not that of
-the whole, as `recorder.seen.steering_lag` takes it: a sixth of wrong labels would spoil it."""
+"""The least median correlation of windows; below, the pictures do not show how the car turns. The correlation of
+the whole session (`recorder.seen.steering_lag`) would suffer from a sixth of wrong labels."""
 
 
 def against_pictures(
     log: PictureLog, states: States, on_pairs: Callable[[int], object] = lambda count: None
 ) -> NDArray[np.bool_]:
-    """The rows (N,) of the log whose steering contradicts its pictures; none where the pictures as a whole do not
-    show how the car turned.
+    """The rows (N,) whose steering contradicts their pictures; none if the pictures do not show how the car
+    turned.
 
-    Decodes the centre camera's pictures, a second of one core for four thousand rows; `on_pairs` is called with
-    the pairs done since the last call.
+    Decodes the centre camera's pictures: one core takes a second for 4,000 rows. Calls `on_pairs` with the number
+    of pairs done since the last call.
     """
     is_against = np.zeros(len(states.row), np.bool_)
     time_s = elapsed_s(states.time_ns)
@@ -52,7 +52,7 @@ def against_pictures(
     for number, (first, second) in enumerate(pairs.tolist()):
         yaw_px[number] = shown.yaw_px(first, second)
         on_pairs(1)
-    is_known = np.abs(yaw_px) < WIDTH_PX / 4  # False for NaN; beyond, it has found nothing in common
+    is_known = np.abs(yaw_px) < WIDTH_PX / 4  # False for NaN; larger shifts are no match
     pairs, yaw_px = pairs[is_known], yaw_px[is_known]
     if np.diff(time_s[pairs])[:, 0].sum() < _MIN_S:
         return is_against
@@ -62,7 +62,7 @@ def against_pictures(
     turning = (states.steering * speed)[is_sound]
     steered = np.stack([np.interp(middle_s + lag_s, time_s[is_sound], turning) for lag_s in _LAGS_S])
     windows = _windows(middle_s, yaw)
-    usual = [float(np.median(windows.correlations(each))) if len(windows.first) else 0.0 for each in steered]
+    usual = [float(np.median(windows.correlations(row))) if len(windows.first) else 0.0 for row in steered]
     best = int(np.argmax(usual))
     if usual[best] >= _USUAL:
         for first, last in windows.opposed(steered[best]):
@@ -72,11 +72,10 @@ def against_pictures(
 
 @dataclass(frozen=True)
 class _Windows:
-    """The windows of pairs of pictures (N,) in which the car visibly turns: the first pair of each (W,), and the
-    one behind its last."""
+    """Windows over the pairs of pictures (N,). In each, the car visibly turns."""
 
-    first: NDArray[np.int64]
-    last: NDArray[np.int64]
+    first: NDArray[np.int64]  # (W,) positions of the first pairs
+    last: NDArray[np.int64]  # (W,) positions after the last pairs
     yaw: Values  # (N,)
 
     def sums(self, values: Values) -> Values:
@@ -85,7 +84,7 @@ class _Windows:
         return total
 
     def correlations(self, steered: Values) -> Values:
-        """The correlation in each window (W,), about 0 and not about the mean: a long bend is one, too."""
+        """The correlation in each window (W,), around 0 instead of the mean, so that long bends count."""
         size = np.sqrt(self.sums(steered**2) * self.sums(self.yaw**2))
         correlation: Values = np.divide(
             self.sums(steered * self.yaw), size, out=np.zeros(len(size)), where=size > 1e-9
@@ -93,10 +92,10 @@ class _Windows:
         return correlation
 
     def opposed(self, steered: Values) -> list[tuple[int, int]]:
-        """First and last of each stretch of pairs in which steering and turning have opposite signs."""
+        """The first and the last of each stretch of pairs in which steering and turning have opposite signs."""
         is_opposed = self.correlations(steered) < _OPPOSED
         is_opposed &= self.sums(steered**2) > _MIN_STEERING * np.mean(steered**2) * (self.last - self.first)
-        # covered by a window: so many have begun, less those that have ended
+        # the number of windows over each pair: those begun minus those ended
         change = np.zeros(len(steered) + 1)
         np.add.at(change, self.first[is_opposed], 1)
         np.add.at(change, self.last[is_opposed], -1)
@@ -114,7 +113,7 @@ def _windows(time_s: Values, yaw: Values) -> _Windows:
 
 
 def _sharpest(product: Values, first: int, last: int) -> tuple[int, int]:
-    """The part of a stretch with the lowest sum: windows reach beyond what they have found."""
+    """The part of a stretch with the lowest sum: windows are longer than the contradiction."""
     until = np.concatenate([[0.0], np.cumsum(product[first : last + 1])])
     highest = np.maximum.accumulate(until)
     end = int(np.argmin(until - highest))

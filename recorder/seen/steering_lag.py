@@ -1,11 +1,10 @@
-"""The lag of a session's steering behind the car's own turning, which its pictures show.
+"""The lag of a session's steering behind the car's turning, which its pictures show.
 
-The steering times the speed is proportional to the car's yaw at the right moment, and the far field of the
-pictures shows the yaw (`recorder.seen.far_field`). In a sound recording the car turns at once, or up to 0.4 s
-after the steering; labels that were delayed, or pictures that were, give themselves away.
+Steering times speed is proportional to the car's yaw, and the far field of the pictures shows the yaw
+(`recorder.seen.far_field`). In a correct recording, the car turns up to 0.4 s after the steering. Another lag
+shows that labels or pictures were delayed.
 
-It is the lag of the record, not a person's: no motion shows how long somebody takes to react, because the car
-follows the hand and not the road.
+A person's reaction time is not part of this lag: the car follows the hand, not the road.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from recorder.rows.row_quality import States, Values, elapsed_s
 from recorder.rows.steering_habits import SteeringLag
 from recorder.seen.far_field import WIDTH_PX, FarField, PictureLog, rows_apart
 
-MAX_PICTURES: Final = 1500  # that are decoded, of however long a session: half a second of one core
+MAX_PICTURES: Final = 1500  # decoded, even in long sessions: half a second of one core
 _STEP_S: Final = 0.05
 _LAGS_S: Final = np.arange(-20, 21) * _STEP_S
 _MIN_PAIRS: Final = 200
@@ -31,9 +30,8 @@ _SURE: Final = 0.95
 
 
 def measure_lag(log: PictureLog, states: States) -> SteeringLag | None:
-    """Measure in the centre camera's pictures of these rows; None if they do not show it: too few of them from a
-    moving car, too far apart, or nothing in them that moves with the steering. A picture that cannot be read is
-    passed over."""
+    """Measure the lag in the centre camera's pictures of these rows, without unreadable ones. None if they do not
+    show it: too few pictures of a moving car, too far apart, or nothing that moves with the steering."""
     states = states.part(np.abs(states.steering) <= 1)  # False for NaN too
     time_s = elapsed_s(states.time_ns)
     pairs = rows_apart(states, time_s, MAX_PICTURES)
@@ -47,12 +45,12 @@ def measure_lag(log: PictureLog, states: States) -> SteeringLag | None:
 def _best_lag(
     states: States, time_s: Values, pairs: NDArray[np.int64], yaw_px: Values, pictures: int
 ) -> SteeringLag | None:
-    """The lag at which steering times speed goes best with the yaw, if both halves of the pairs agree on it."""
+    """The lag at which steering times speed fits the yaw best, if both halves of the pairs agree."""
     between_s = np.diff(time_s[pairs])[:, 0]
     middle_s = time_s[pairs].mean(axis=1)
     speed = np.where(np.isfinite(states.speed_mph), states.speed_mph, 1.0)
     steered = np.stack([np.interp(middle_s + lag_s, time_s, states.steering * speed) for lag_s in _LAGS_S])
-    is_known = np.isfinite(yaw_px) & (np.abs(yaw_px) < WIDTH_PX / 4)  # else it has found nothing in common
+    is_known = np.abs(yaw_px) < WIDTH_PX / 4  # False for NaN; larger shifts are no match
     if is_known.sum() < _MIN_PAIRS:
         return None
     yaw = yaw_px[is_known] / between_s[is_known]
@@ -62,7 +60,7 @@ def _best_lag(
     best, *halves = (int(np.abs(curve).argmax()) for curve in curves)
     correlation = float(curves[0][best])
     is_at_edge = best in (0, len(_LAGS_S) - 1)
-    agree = all(abs(_LAGS_S[each] - _LAGS_S[best]) <= _AGREE_S for each in halves)
+    agree = all(abs(_LAGS_S[of_half] - _LAGS_S[best]) <= _AGREE_S for of_half in halves)
     if abs(correlation) < _MIN_CORRELATION or is_at_edge or not agree:
         return None
     resampled_s = _LAGS_S[_resampled_best(steered, yaw)]
@@ -71,9 +69,8 @@ def _best_lag(
 
 
 def _resampled_best(steered: Values, yaw: Values) -> NDArray[np.int64]:
-    """The best lag, by its position, in each of many drives that are drawn from consecutive parts of this one (the
-    block bootstrap: Kuensch 1989, Annals of Statistics 17). A smooth hand goes well with the yaw at many lags, and
-    chance decides between them."""
+    """The position of the best lag in each of many drives, resampled from consecutive parts of this one (block
+    bootstrap: Kuensch 1989, Annals of Statistics 17). Smooth steering fits the yaw at many lags."""
     starts = np.linspace(0, len(yaw), _PARTS, endpoint=False).astype(np.int64)
     times = np.random.default_rng(0).multinomial(_PARTS, [1 / _PARTS] * _PARTS, _RESAMPLINGS)
     steered, yaw = steered - steered.mean(axis=1, keepdims=True), yaw - yaw.mean()
@@ -90,7 +87,7 @@ def _resampled_best(steered: Values, yaw: Values) -> NDArray[np.int64]:
 
 
 def _correlations(steered: Values, yaw: Values) -> Values:
-    """The correlation of each row of `steered` (lags, N) with `yaw` (N,); 0 where one of them does not vary."""
+    """The correlation of each row of `steered` (lags, N) with `yaw` (N,); 0 if one of them does not vary."""
     steered, yaw = steered - steered.mean(axis=1, keepdims=True), yaw - yaw.mean()
     size = np.sqrt((steered**2).sum(axis=1) * (yaw**2).sum())
     correlation: Values = np.divide(steered @ yaw, size, out=np.zeros(len(steered)), where=size > 1e-9)

@@ -1,1 +1,1 @@
-"""The Socket.IO server that simulators connect to: who may connect, both protocols, and a telemetry's fields."""
+"""The Socket.IO server for simulators: allowed clients, both protocols, and the fields of telemetry."""

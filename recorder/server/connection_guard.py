@@ -1,4 +1,4 @@
-"""The guard of the port: browsers, scanners and other programs get an answer they understand, and time limits.
+"""Guards the port: other programs, such as browsers and scanners, get a clear answer and time limits.
 
 Each notice is one line with the next step.
 """
@@ -23,8 +23,8 @@ LANDING_PAGE: Final = (
     "This port is for driving simulators: start one in autonomous mode, and it connects by itself.\n"
 )
 
-NOTICE_BROWSER: Final = "somebody looks at this port with a browser: start the simulator's autonomous mode instead"
-NOTICE_TLS: Final = "somebody connects by TLS, which is not spoken here: begin the address with ws:// or http://"
+NOTICE_BROWSER: Final = "a browser has opened this port: start the simulator's autonomous mode instead"
+NOTICE_TLS: Final = "a client uses TLS, which this port does not support: begin the address with ws:// or http://"
 NOTICE_NOT_HTTP: Final = "a program that is not a simulator uses this port: give one of the two another port"
 NOTICE_SILENT: Final = (
     f"disconnected a client that sent nothing for {REQUEST_S:g} s: a simulator sends at once, start one"
@@ -39,7 +39,7 @@ _TLS_HELLO: Final = b"\x16\x03"
 
 
 class OpenConnections:
-    """The connections that are served, and the deadlines of those whose request has not come yet."""
+    """The open connections, and the deadlines of those without a complete request."""
 
     def __init__(self, notify: Notify) -> None:
         self._notify = notify
@@ -58,9 +58,9 @@ class OpenConnections:
         self._deadlines_s.pop(stream, None)
 
     def close_overdue(self) -> None:
-        """Cut the connections whose request is late; to be called regularly.
+        """Cut the connections whose request is late. Call it regularly.
 
-        A socket's timeout counts from byte to byte: a client that sends one now and then never reaches it.
+        A socket's timeout counts from byte to byte: a client that sends a byte now and then never reaches it.
         """
         now_s = time.monotonic()
         for stream, deadline_s in list(self._deadlines_s.items()):
@@ -75,7 +75,7 @@ class OpenConnections:
 
 
 def landing_page(notify: Notify) -> Callable[[dict[str, Any], Callable[..., Any]], Iterable[bytes]]:
-    """A web application that explains to a browser what the port is for."""
+    """A web application that explains the port to a browser."""
 
     def show(environ: dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
         notify(NOTICE_BROWSER)
@@ -93,10 +93,8 @@ def _shut_down(stream: Any) -> None:
 
 
 def first_bytes_problem(connection: socket.socket) -> str | None:
-    """The notice about a connection that does not begin with an HTTP request.
-
-    None if it does, empty if the client has left.
-    """
+    """The notice about a connection that does not begin with an HTTP request. None if it does; empty if the client
+    has left."""
     connection.settimeout(REQUEST_S)
     try:
         first = connection.recv(8, socket.MSG_PEEK)

@@ -1,6 +1,6 @@
-"""An Engine.IO connection that answers in the thread that has read the message, and bounds what a client costs.
+"""An Engine.IO connection that answers in the thread that read the message, and limits a client's cost.
 
-`Connection.adopt` turns a connection of python-engineio into one: nothing is patched for others in the process.
+`Connection.adopt` converts a connection of python-engineio. Nothing is patched for other users in the process.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ CONNECT, EVENT = "0", "2"  # Socket.IO packet types, the first character of an E
 BROKEN_PACKET: Final = "broken packet"
 
 MAX_UNREAD_PACKETS: Final = 64
-"""The most packets that wait for a client to read them; answers to a websocket's telemetry never wait."""
+"""The most packets that wait until a client reads them. Answers to a websocket's telemetry never wait."""
 MAX_ECHOED_CHARACTERS: Final = 100  # of a heartbeat's content
 
 NOTICE_BROKEN: Final = (
@@ -35,7 +35,7 @@ NOTICES_HUNG_UP: Final = {
 
 
 class Received(NamedTuple):
-    """A telemetry that has come."""
+    """A received telemetry."""
 
     sid: str
     data: object
@@ -43,14 +43,14 @@ class Received(NamedTuple):
 
 
 class Connection(Socket):  # type: ignore[misc]
-    """Sends an answer in the green thread that has read the message, and is pinged by the server's tick. Clients
-    of Socket.IO 2, such as the real simulator, are served as modern ones are.
+    """Answers in the green thread that read the message. The server's tick sends its pings. Serves clients of
+    Socket.IO 2, such as the real simulator, like modern ones.
 
     More threads would delay the answer. A thread that sleeps until the next ping would outlive the run.
     """
 
     has_sent_message: bool
-    is_announced: bool  # it has sent its first message
+    is_announced: bool  # its first message has come
     awaits_first_command: bool  # no telemetry has come, and no command was sent
     first_command_sent: bool  # before any telemetry
     in_flight: InFlight[Received]
@@ -62,8 +62,8 @@ class Connection(Socket):  # type: ignore[misc]
 
     @classmethod
     def adopt(cls, connection: Any, notify: Callable[[str], None]) -> None:
-        """Turn a new connection of python-engineio into one of this class. `notify` gets the reason where a client
-        is disconnected."""
+        """Convert a new connection of python-engineio to this class. `notify` gets the reason if the client is
+        disconnected."""
         connection.__class__ = cls
         connection.has_sent_message, connection.awaits_first_command = False, True
         connection.is_announced = False
@@ -77,27 +77,27 @@ class Connection(Socket):  # type: ignore[misc]
 
     @property
     def received_s(self) -> float:
-        """`time.perf_counter()` at which the last message had arrived; with long polling, now."""
+        """`time.perf_counter()` when the last message had arrived; with long polling, now."""
         return time.perf_counter() if self._websocket is None else self._websocket.received_s
 
     @property
     def taken_s(self) -> float:
-        """The same of the moment from which on it is handled."""
+        """`time.perf_counter()` when the handling of the last message began; with long polling, now."""
         return time.perf_counter() if self._websocket is None else self._websocket.taken_s
 
     @property
     def has_unread(self) -> bool:
-        """True if the client has sent something that is not handled yet."""
+        """True if data of the client is not handled yet."""
         websocket = self._websocket
         return websocket is not None and (bool(websocket.waiting) or websocket.has_unread)
 
     @property
     def waiting(self) -> list[str | bytes]:
-        """The messages that were read, and are not handled yet."""
+        """The messages that were read, but not handled yet."""
         return [] if self._websocket is None else self._websocket.waiting
 
     def look(self) -> None:
-        """Read what has come meanwhile. To be called by the green thread that reads."""
+        """Read newly arrived data. Only the green thread that reads may call it."""
         if self._websocket is not None:
             self._websocket.look()
 
@@ -105,11 +105,11 @@ class Connection(Socket):  # type: ignore[misc]
         return time.monotonic() - self._since_s >= seconds
 
     def has_waited(self, seconds: float) -> bool:
-        """True for a websocket that has sent no telemetry for so long, and got no first command yet."""
+        """True for a websocket older than `seconds` without any telemetry or first command."""
         return self.is_websocket and self.awaits_first_command and not self.closed and self.is_older_than(seconds)
 
     def send_first_command(self, message: str, now_s: float) -> None:
-        """Send a command before any telemetry, once; `now_s` is the time of the server's `RunningClock`."""
+        """Send a command before any telemetry, once. `now_s`: of the server's `RunningClock`."""
         self.awaits_first_command, self.first_command_sent = False, True
         self.in_flight.pushed(now_s)
         self.send(packet.Packet(packet.MESSAGE, data=message))
@@ -135,7 +135,7 @@ class Connection(Socket):  # type: ignore[misc]
 
     def receive(self, pkt: packet.Packet) -> None:
         if self.closed:
-            return  # sent before the client knew
+            return  # the client did not know this yet
         self.has_sent_message |= pkt.packet_type == packet.MESSAGE
         if pkt.packet_type == packet.PING:  # a modern client never sends one
             data = pkt.data if isinstance(pkt.data, str) else ""
@@ -146,8 +146,8 @@ class Connection(Socket):  # type: ignore[misc]
     def hand_over(self, message: str | bytes, received: Callable[[str, str | bytes], object]) -> None:
         """Give a message to python-socketio's `received`, and hang up if it breaks the protocol.
 
-        A client of Socket.IO 2 sends no CONNECT packet, without which python-socketio 5 silently drops all of its
-        events: the packet is supplied.
+        A client of Socket.IO 2 sends no CONNECT packet. Without this packet, python-socketio 5 silently drops all
+        events, so it is added here.
         """
         try:
             if not self.is_announced:
@@ -155,17 +155,17 @@ class Connection(Socket):  # type: ignore[misc]
                 if isinstance(message, str) and message.startswith(EVENT):
                     received(self.sid, CONNECT)
             received(self.sid, message)
-        except Exception:  # its parser raises nearly anything; a handler's own errors never come here
+        except Exception:  # its parser raises nearly anything; handlers' errors are caught before
             self.hang_up()
 
     def hang_up(self) -> None:
-        """Close the connection of a client that broke the protocol."""
+        """Close the connection: its client broke the protocol."""
         if not self.closed:
             self._notify(NOTICE_BROKEN)
             self.close(wait=False, reason=BROKEN_PACKET)
 
     def send(self, pkt: packet.Packet) -> None:
-        """Queue a packet, to be sent later or fetched by a client that polls."""
+        """Queue a packet to send later, or for a polling client to fetch."""
         if self.queue.qsize() < MAX_UNREAD_PACKETS:
             super().send(pkt)
         elif not self.closing:
@@ -198,7 +198,7 @@ class Connection(Socket):  # type: ignore[misc]
             return self.server._bad_request(str(error))
         self._websocket = websocket
         try:
-            if not self.connected:  # it begins as a websocket: the greeting is sent before any answer
+            if not self.connected:  # a connection that begins as a websocket: the greeting comes first
                 for pkt in self.poll():
                     websocket.send(pkt.encode())
             self._websocket_handler(websocket)

@@ -24,9 +24,9 @@ from recorder.server.connection_guard import (
 from recorder.server.listening_socket import listen, send_at_once
 
 with warnings.catch_warnings():
-    # eventlet is needed here; the user of a drive can do nothing about the notice of its retirement.
+    # users can do nothing about this warning
     warnings.filterwarnings("ignore", message=r"\s*Eventlet is deprecated")
-    # or it loads a resolver of its own, which takes a quarter of the time and is asked for nothing here
+    # eventlet's own resolver is not needed, and takes a quarter of the loading time
     os.environ.setdefault("EVENTLET_NO_GREENDNS", "yes")
     import eventlet
     import eventlet.greenio
@@ -48,15 +48,15 @@ def let_others_run() -> None:
 
 
 def leave_unanswered() -> None:
-    """Write no answer to the request of this green thread: it became a websocket, which is closed now."""
+    """Write no HTTP answer to this green thread's request: it became a websocket, which is closed now."""
     eventlet.wsgi.WSGI_LOCAL.already_handled = True
 
 
 class QuickAckGreenSocket(eventlet.greenio.GreenSocket):  # type: ignore[misc]
-    """A socket of eventlet that acknowledges received data at once, and whose accepted connections do, too.
+    """A socket of eventlet that acknowledges received data at once, as do its accepted connections.
 
-    The real simulator sends a telemetry in many small writes with Nagle's algorithm on: each waits for the
-    acknowledgement of the one before, which Linux delays. Measured: 44 ms a telemetry with the delay, 0.6 without.
+    The real simulator sends a telemetry in many small writes, with Nagle's algorithm on. Each write waits for the
+    previous acknowledgement, which Linux delays. Measured: 44 ms a telemetry with the delay, 0.6 without.
     """
 
     def recv(self, *arguments: Any, **options: Any) -> bytes:
@@ -72,13 +72,13 @@ class QuickAckGreenSocket(eventlet.greenio.GreenSocket):  # type: ignore[misc]
 
 
 class _Handler(eventlet.wsgi.HttpProtocol):  # type: ignore[misc]
-    """Examines a connection's first bytes before it reads a request."""
+    """Checks a connection's first bytes before it reads a request."""
 
     def __init__(self, *arguments: Any, notify: Notify, open_connections: OpenConnections) -> None:
-        """The connection is in `open_connections` while it is served."""
+        """`open_connections` has the connection while it is served."""
         self._notify = notify
         self._open_connections = open_connections
-        super().__init__(*arguments)  # handles the request
+        super().__init__(*arguments)  # also handles the request
 
     def handle(self) -> None:
         self._open_connections.add(self.connection)
@@ -95,7 +95,7 @@ class _Handler(eventlet.wsgi.HttpProtocol):  # type: ignore[misc]
     def get_environ(self) -> dict[str, Any]:
         environ: dict[str, Any] = super().get_environ()
         environ[STREAM] = self.connection
-        if environ["REQUEST_METHOD"] == "GET":  # it has no body: the answer may take its time
+        if environ["REQUEST_METHOD"] == "GET":  # a request without a body is complete
             self._open_connections.request_complete(self.connection)
         return environ
 
@@ -104,22 +104,22 @@ class _Handler(eventlet.wsgi.HttpProtocol):  # type: ignore[misc]
         super().send_error(code, message, explain)
 
     def log_message(self, format: str, *arguments: Any) -> None:
-        pass  # what is worth a line is a notice
+        pass  # notices are enough
 
     def finish(self) -> None:
         try:
             super().finish()
-        finally:  # eventlet leaves both open where the client has gone, and with them the connection
+        finally:  # if the client has gone, eventlet leaves both open, and with them the connection
             for stream in (self.wfile, self.rfile):
                 with contextlib.suppress(OSError):
                     stream.close()
 
 
 class EventletHost:
-    """Connections are served while the thread that runs the server waits for its next tick."""
+    """Serves connections while the server's thread waits for its next tick."""
 
     def __init__(self, host: str, port: int, notify: Notify) -> None:
-        """Starts to listen. Raises ListenError if that is not possible."""
+        """Starts to listen. Raises ListenError if that fails."""
         self._listener: QuickAckGreenSocket = listen(host, port, QuickAckGreenSocket)
         self.port: int = self._listener.getsockname()[1]
         self._notify = notify
@@ -137,18 +137,18 @@ class EventletHost:
             keepalive=False,
             socket_timeout=REQUEST_S,
             log_output=False,
-            debug=False,  # a client is not shown tracebacks
+            debug=False,  # sends no tracebacks to clients
         )
 
     def wait(self, seconds: float) -> None:
-        """Serve connections for so long."""
+        """Serve connections for `seconds`."""
         eventlet.sleep(seconds)
         self._open_connections.close_overdue()
         if not self._connections.free():
             self._notify(NOTICE_TOO_MANY)
 
     def end(self) -> None:
-        """Wait until the connections that were closed have ended, and cut the others."""
+        """Wait until closed connections have ended, and cut the others."""
         self._web.kill()
         for _ in range(2):
             with eventlet.Timeout(END_S, False):

@@ -1,9 +1,9 @@
 """Counts the telemetries of a connection that are in flight, and chooses one to leave unanswered.
 
-A simulator sends one telemetry for each command. A command that answers no telemetry therefore puts one more in
-flight for good, and every later answer comes one telemetry later. After this command, the next telemetry is held.
-If another one comes, at least two were in flight, and the held one is left unanswered. If none comes, the held one
-is answered, so that the simulator does not wait for ever.
+A simulator sends one telemetry for each command. A command that answers no telemetry adds one in flight for good:
+every later answer comes one telemetry later. After this command, the next telemetry is held. If another one comes,
+at least two were in flight, and the held one is left unanswered. If none comes, the held one is answered, so that
+the simulator does not wait for ever.
 """
 
 from __future__ import annotations
@@ -12,22 +12,22 @@ import time
 from collections import deque
 from typing import Final, Generic, TypeVar
 
-MAX_TICK_S: Final = 0.2  # the most that one tick adds: twice the time between two ticks that come on time
+MAX_TICK_S: Final = 0.2  # the most that one tick adds: twice the regular time between ticks
 MIN_HOLD_S: Final = 0.1
 MAX_HOLD_S: Final = 1.0
-FIRST_HOLD_S: Final = 0.5  # the time for which a telemetry is held while nobody knows yet how often they come
-INTERVALS: Final = 8  # a telemetry is held for twice the longest of the last so many intervals
-MAX_HOLDS: Final = 2  # after so many telemetries that were held in vain, nothing else is in flight
-RETRY_S: Final = 1.0  # the time between two of them
-RECENT: Final = 250  # the telemetries by which the number in flight is known
+FIRST_HOLD_S: Final = 0.5  # the holding time until intervals are measured
+INTERVALS: Final = 8  # a telemetry is held for twice the longest of so many last intervals
+MAX_HOLDS: Final = 2  # after so many holds in vain, nothing else is in flight
+RETRY_S: Final = 1.0  # between two holds
+RECENT: Final = 250  # telemetries that determine the number in flight
 T = TypeVar("T")
 
 
 class RunningClock:
     """Seconds for which this process ran, counted by its ticks.
 
-    A tick is late if the process was stopped, the machine slept, or other processes ran. Nothing was read in that
-    time, so it does not count as a client's silence: a late tick adds at most `MAX_TICK_S`.
+    A tick is late if the process was stopped, the machine slept, or other processes ran. Nothing was read then, so
+    this time is not a client's silence: a late tick adds at most `MAX_TICK_S`.
     """
 
     def __init__(self) -> None:
@@ -35,7 +35,7 @@ class RunningClock:
         self._ticked_s = time.monotonic()
 
     def tick(self) -> float:
-        """Advance; the clock's time."""
+        """Advance the clock, and return its time."""
         now_s = time.monotonic()
         self.seconds += min(now_s - self._ticked_s, MAX_TICK_S)
         self._ticked_s = now_s
@@ -43,22 +43,22 @@ class RunningClock:
 
 
 class InFlight(Generic[T]):
-    """Counts telemetries and commands; all times are a `RunningClock`'s."""
+    """Counts telemetries and commands. All times are a `RunningClock`'s."""
 
     def __init__(self) -> None:
-        self.owed = 0  # commands that answered no telemetry, and may each keep one more in flight
+        self.owed = 0  # commands that answered no telemetry; each may keep one more in flight
         self._held: T | None = None
         self._held_s = 0.0
-        self._holds = 0  # in vain, since the last command that answered none
+        self._holds = 0  # in vain, since the last command that answered no telemetry
         self._hold_from_s = 0.0
         self._last_s: float | None = None
         self._intervals: deque[float] = deque(maxlen=INTERVALS)
-        self._unasked: deque[int] = deque(maxlen=RECENT)  # that lay here at once, without the owed ones
+        self._unasked: deque[int] = deque(maxlen=RECENT)  # unanswered at once, without the owed ones
 
     @property
     def count(self) -> int:
-        """The telemetries in flight, as far as counting proves: the most that lay here unanswered at once, of
-        late, and those that are owed."""
+        """The telemetries in flight that counting proves: the most that were recently unanswered at once, plus the
+        owed ones."""
         return max(1, max(self._unasked, default=1) + self.owed)
 
     @property
@@ -71,38 +71,38 @@ class InFlight(Generic[T]):
         self.owed, self._holds, self._hold_from_s = self.owed + 1, 0, now_s
 
     def note(self, unanswered: int) -> None:
-        """Note that so many telemetries lie here unanswered, at once."""
+        """Note the number of telemetries that are unanswered now."""
         self._unasked.append(unanswered - self.owed)
 
     def take(self, telemetry: T, waiting: int, now_s: float) -> tuple[list[T], T | None]:
-        """The telemetries that are left unanswered now that this one has come, and the one to be answered now.
+        """Take a telemetry; returns those to leave unanswered, and the one to answer now.
 
-        `waiting` more have come, too, and will be taken next.
+        `waiting`: how many more have come, and will be taken next.
         """
         if self._last_s is not None and now_s - self._last_s < MAX_HOLD_S:
             self._intervals.append(now_s - self._last_s)
         self._last_s = now_s
         held, self._held = self._held, None
         self.note(1 + waiting + (held is not None))
-        left = [] if held is None else [held]
-        self.owed -= len(left)
+        unanswered = [] if held is None else [held]
+        self.owed -= len(unanswered)
         if self.owed and waiting:
             self.owed -= 1
-            return [*left, telemetry], None
+            return [*unanswered, telemetry], None
         if self.owed and now_s >= self._hold_from_s:
             self._held, self._held_s = telemetry, now_s
-            return left, None
-        return left, telemetry
+            return unanswered, None
+        return unanswered, telemetry
 
     def overdue(self, now_s: float, *, has_unread: bool) -> T | None:
-        """The held telemetry, if it has to be answered now. `has_unread`: something has come that is not read yet;
-        it is waited for once more."""
+        """The held telemetry, if it has to be answered now. With `has_unread`, unread data has come, and the
+        holding time is doubled."""
         if self._held is None or now_s - self._held_s < self._hold_s * (1 + has_unread):
             return None
         held, self._held = self._held, None
         self._holds += 1
         self._hold_from_s = now_s + RETRY_S
-        if self._holds >= MAX_HOLDS:  # the others were lost, and the command was needed
+        if self._holds >= MAX_HOLDS:  # the other telemetries were lost, and the command was needed
             self.owed = 0
             self._unasked.clear()
         return held

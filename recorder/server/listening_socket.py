@@ -1,4 +1,4 @@
-"""The listening socket: local unless asked otherwise, and exclusive."""
+"""The listening socket, which no other process shares."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ def send_at_once(connection: socket.socket) -> None:
 
 
 def has_unread(stream: socket.socket) -> bool:
-    """True if something has come that is not read yet; also where the other side has hung up."""
+    """True if there is unread data, or the other side has hung up."""
     try:
         with selectors.DefaultSelector() as selector:
             selector.register(stream, selectors.EVENT_READ)
             return bool(selector.select(0))
-    except (OSError, ValueError):  # it is closed
+    except (OSError, ValueError):  # closed
         return False
 
 
 def listen(host: str, port: int, kind: type[Any] = socket.socket) -> Any:
-    """A socket of that kind that listens on host:port, port 0 for a free one. Raises ListenError if that is not
-    possible.
+    """A socket of class `kind` that listens on host:port; port 0 takes a free one. Raises ListenError if that
+    fails.
 
-    Not `eventlet.listen`, which shares ports: a second server would silently take half of the connections.
+    `eventlet.listen` shares ports: a second server would silently take half of the connections.
     """
     if not 0 <= port < 65536:
         raise ListenError(f"cannot listen on {host}:{port}: --port is a number from 1 to 65535")
@@ -37,7 +37,7 @@ def listen(host: str, port: int, kind: type[Any] = socket.socket) -> Any:
     try:
         listener.bind((host, port))
         listener.listen(16)
-    except (OSError, TypeError, ValueError) as error:  # the latter two: no host has such a name
+    except (OSError, TypeError, ValueError) as error:  # the last two: invalid names of hosts
         listener.close()
         reason = getattr(error, "strerror", None) or error
         raise ListenError(

@@ -1,10 +1,15 @@
-"""Numbers as a simulator's machine writes them: .NET writes the separators and signs of the user's language.
+"""Numbers as a simulator's machine writes them: .NET uses the separators and signs of the user's language.
 
-Of Mono's 207 cultures (what Unity runs), formatted by "N4": the decimal separator is `.`, `,` or, in Persian,
-`/`; thousands are apart by `,`, `.`, a space that does not break, or an apostrophe; the minus stands before the
-number, in Croatian with a space after it, and in Arabic and Persian behind it: `0.2167-`, `10/9014`. Newer .NET
-takes other signs for these languages (U+066B, U+066C, U+2212, with marks of the direction of writing). Digits are
-0 to 9 in all of them. Each reads a leading minus with its own decimal separator, and none the minus behind it.
+Mono (in Unity) has 207 cultures. With the format "N4":
+
+- The decimal separator is `.`, `,` or, in Persian, `/`.
+- Thousands are separated by `,`, `.`, a non-breaking space, or an apostrophe.
+- The minus is before the number, in Croatian with a space, or after it in Arabic and Persian: `0.2167-`,
+  `10/9014`.
+- Digits are 0 to 9.
+
+Newer .NET uses other signs for these languages (U+066B, U+066C, U+2212, with marks of the direction of writing).
+All cultures read a leading minus with their own decimal separator. None reads a trailing minus.
 """
 
 from __future__ import annotations
@@ -24,8 +29,7 @@ _MAX_CHARACTERS: Final = 64
 
 
 def decimal_separator(text: str) -> str | None:
-    """A number's decimal separator; None where that is not certain: a whole number, or 1,234, which may be
-    1234."""
+    """A number's decimal separator; None if uncertain: a whole number, or 1,234, which may be 1234."""
     groups = re.split(f"([{re.escape(_DECIMALS + _THOUSANDS)}])", re.sub("[^0-9]+$", "", text))
     separators = groups[1::2]
     last = next((separator for separator in reversed(separators) if separator in _DECIMALS), None)
@@ -42,8 +46,8 @@ def decimal_separator(text: str) -> str | None:
 
 
 def parse_number(text: str, decimal: str = POINT) -> float | None:
-    """The number in `text`, perhaps infinite; None if it is none. `decimal` is the decimal separator where `text`
-    itself leaves that open."""
+    """The number in `text`, perhaps infinite; None for other text. `decimal`: the decimal separator if `text`
+    leaves it open."""
     if len(text) >= _MAX_CHARACTERS:
         return None
     match = _NUMBER.fullmatch(_INVISIBLE.sub("", text).replace("\u2212", "-").strip())

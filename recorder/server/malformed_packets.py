@@ -1,6 +1,6 @@
-"""Socket.IO packets that are decoded strictly, and python-socketio's tracebacks as one line.
+"""Decodes Socket.IO packets strictly, and shows python-socketio's tracebacks as one line.
 
-Anybody who reaches the port can send anything, and a broken client must not fill the screen of a drive.
+Clients may send anything, and a broken client must not fill the screen of a drive.
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ from common.car import CAMERAS
 from recorder.server.connection_guard import Notify
 from recorder.server.telemetry import NOT_JSON
 
-MAX_ATTACHMENTS: Final = len(CAMERAS)  # of a packet, which is kept until they have come: a picture of each camera
+MAX_ATTACHMENTS: Final = len(CAMERAS)  # a packet is kept until they have come: a picture of each camera
 MAX_NAMESPACE_CHARACTERS: Final = 100
 
 NOTICE_MALFORMED: Final = (
     "a client was refused ({}): it needs python-socketio 5, or Socket.IO 3 or newer, at this address"
 )
 
-# python-socketio raises them itself; a client may not
+# python-socketio's own; a client may not send them
 _RESERVED_EVENTS = ("connect", "disconnect")
-_TELEMETRY = re.compile(r'(?:2|5(?:(\d{1,9})-)?)\d*\[\s*"telemetry"')  # and its attachments
+_TELEMETRY = re.compile(r'(?:2|5(?:(\d{1,9})-)?)\d*\[\s*"telemetry"')  # the group: number of attachments
 
 
 def is_telemetry(message: str | bytes) -> bool:
-    """True for an Engine.IO message that holds a telemetry, whatever that is."""
+    """True for an Engine.IO message that holds a telemetry, valid or not."""
     return isinstance(message, str) and message[:1] == "4" and _TELEMETRY.match(message, 1) is not None
 
 
 class CheckedPacket(packet.Packet):  # type: ignore[misc]
-    """A packet that is decoded strictly: an event needs a name that a client may use. Only a telemetry is always
-    accepted, whatever it holds: it must be answered."""
+    """A packet that is decoded strictly: an event needs a name that a client may use. A telemetry is always
+    accepted, whatever it holds, because it must be answered."""
 
     def decode(self, encoded_packet: Any) -> Any:
         try:
@@ -43,10 +43,10 @@ class CheckedPacket(packet.Packet):  # type: ignore[misc]
             telemetry = _TELEMETRY.match(encoded_packet) if isinstance(encoded_packet, str) else None
             if telemetry is None:
                 raise
-            attachments = int(telemetry[1] or 0)  # they come all the same
+            attachments = int(telemetry[1] or 0)  # they still come
             self.packet_type = packet.BINARY_EVENT if attachments else packet.EVENT
             self.namespace, self.data = None, ["telemetry", NOT_JSON]
-        if len(self.namespace or "") > MAX_NAMESPACE_CHARACTERS:  # it comes back, in the answer that there is none
+        if len(self.namespace or "") > MAX_NAMESPACE_CHARACTERS:  # the error answer would repeat it
             raise ValueError("no namespace has such a name")
         if attachments is not None and attachments > MAX_ATTACHMENTS:
             raise ValueError("too many attachments")
@@ -54,7 +54,7 @@ class CheckedPacket(packet.Packet):  # type: ignore[misc]
             data = self.data
             if not (isinstance(data, list) and data and isinstance(data[0], str)) or data[0] in _RESERVED_EVENTS:
                 raise ValueError("not an event of a client")
-            if not attachments:  # python-socketio would wait for the first of none
+            if not attachments:  # python-socketio would wait for one
                 self.packet_type = packet.EVENT
         return attachments
 
@@ -62,7 +62,7 @@ class CheckedPacket(packet.Packet):  # type: ignore[misc]
         event = self.data
         try:
             return super().add_attachment(attachment)
-        except (ValueError, TypeError, LookupError, RecursionError):  # its place is nowhere, or too deep
+        except (ValueError, TypeError, LookupError, RecursionError):  # it has no place, or one that is too deep
             if not (isinstance(event, list) and event[0] == "telemetry"):
                 raise
             self.data = ["telemetry", NOT_JSON]
@@ -70,14 +70,14 @@ class CheckedPacket(packet.Packet):  # type: ignore[misc]
 
 
 def check_body(environ: dict[str, Any]) -> None:
-    """Raises ValueError for a body whose size is not known before it is read: it may have no end."""
+    """Raises ValueError for a body of unknown length: it may never end."""
     length = environ.get("CONTENT_LENGTH") or "0"
     if environ.get("HTTP_TRANSFER_ENCODING") or not (length.isascii() and length.isdecimal()):
         raise ValueError("a body without a length")
 
 
 def one_line_logger(notify: Notify) -> logging.Logger:
-    """A logger for python-socketio that passes its errors to `notify`, a printable line each."""
+    """A logger for python-socketio that passes each error to `notify` as a printable line."""
     log = logging.Logger("telemetry", logging.ERROR)
     log.addHandler(_NoticeHandler(notify))
     return log

@@ -1,6 +1,6 @@
-"""The simulator's messages: telemetry is parsed and checked, commands are formatted.
+"""Parses and checks telemetry, and formats commands.
 
-Accepts any object. Raises TelemetryError, and nothing else, if it is not a telemetry message.
+Accepts any object. Raises only TelemetryError if it is not a telemetry message.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from recorder.pictures.whole_picture import whole_jpeg_size, whole_png_size
 from recorder.server.locale_numbers import POINT, decimal_separator, format_number, parse_number
 from recorder.server.world import World, json_kind, parse_world
 
-MAX_IMAGE_BYTES: Final = 1 << 20  # base64; the simulator's own are about 20 KB
+MAX_IMAGE_BYTES: Final = 1 << 20  # base64; the simulator's pictures have about 20 KB
 
-NOT_JSON: Final = object()  # the data of a telemetry that is not JSON, or too deep: it is answered like any other
+NOT_JSON: Final = object()  # the data of a telemetry that is not JSON, or too deep; it is answered, too
 
-MAX_SPEED_MPH: Final = 1e7  # higher ones make distances that nobody can read
+MAX_SPEED_MPH: Final = 1e7  # higher speeds make unreadable distances
 
 _NUMBERS: Final = ("steering_angle", "throttle", "speed")
 _FIELDS: Final = (*_NUMBERS, "image")
@@ -36,15 +36,15 @@ _OTHER_PICTURES: Final = {b"GIF8": "GIF", b"RIFF": "WebP", b"BM": "BMP", b"II*":
 
 
 class TelemetryError(ValueError):
-    """A telemetry that cannot be used; it is answered all the same.
+    """An unusable telemetry. It is answered all the same.
 
-    Its text is the reason with the client's values; `kind` is the reason alone, by which they are counted.
+    Its text is the reason with the client's values; `kind` is the reason without values, for counting.
     """
 
     def __init__(self, kind: str, detail: str = "") -> None:
         super().__init__(kind + detail)
         self.kind = kind
-        self.speed_mph: float | None = None  # this, and the attributes below: what could be read all the same
+        self.speed_mph: float | None = None  # this and the attributes below are the readable parts
         self.decimal_separator: str | None = None
         self.world: World | None = None
         self.world_problems: tuple[str, ...] = ()
@@ -52,23 +52,23 @@ class TelemetryError(ValueError):
 
 @dataclass(frozen=True)
 class Telemetry:
-    steering: float  # -1 (left) .. 1 (right), the wheels as they are; not clamped
+    steering: float  # -1 (left) .. 1 (right), of the wheels now; not clamped
     throttle: float  # 0..1; not clamped
-    speed_mph: float  # NaN where the simulator sends none, which no message may have
+    speed_mph: float  # NaN for a car without a speed (Gymnasium); messages must have one
     picture: bytes  # of the centre camera
-    decimal_separator: str = POINT  # of the simulator's machine, for what it writes and reads
-    observed_separator: str | None = None  # the same, if this telemetry shows it without doubt
-    world: World | None = None  # None unless the simulator sends more than the real one does
-    world_problems: tuple[str, ...] = ()  # its unusable members, and why
+    decimal_separator: str = POINT  # of the simulator's machine
+    observed_separator: str | None = None  # the same, if this telemetry proves it
+    world: World | None = None  # None if the simulator sends only the real one's fields
+    world_problems: tuple[str, ...] = ()  # its unusable members, with reasons
     side_pictures: Mapping[Camera, bytes] = field(default_factory=dict)  # whole ones
-    side_problems: tuple[str, ...] = ()  # why others could not be used, without values
+    side_problems: tuple[str, ...] = ()  # reasons why others are unusable, without values
 
 
 def parse_telemetry(data: object, known_separator: str | None = None, car: Car = UDACITY) -> Telemetry:
-    """Parse a message's data. Raises TelemetryError with the reason, and what could be read all the same.
+    """Parse a message's data. Raises TelemetryError with the reason and the readable parts.
 
-    `known_separator` is the decimal separator of the same connection's earlier telemetry: whole numbers, and
-    1,234, do not show it. `car` gives the wheels' angle at steering 1 and the unit of the speed.
+    `known_separator`: the decimal separator of the connection's earlier telemetry; whole numbers and 1,234 do not
+    show it. `car`: for the wheels' angle at steering 1, and the unit of the speed.
     """
     if data is NOT_JSON:
         raise TelemetryError("telemetry is not JSON")
@@ -114,9 +114,9 @@ def parse_telemetry(data: object, known_separator: str | None = None, car: Car =
 
 
 def check_whole_picture(picture: bytes, name: str = "image") -> tuple[int, int]:
-    """The width and height of a JPEG or PNG, which came in the field `name`.
+    """The width and height of a JPEG or PNG from the field `name`.
 
-    Raises TelemetryError if it is not complete: the end of one that is cut off would be grey.
+    Raises TelemetryError if it is not complete: the rest of a picture that is cut off would be grey.
     """
     is_png = picture.startswith(PNG_START[:4])
     if (size := whole_png_size(picture) if is_png else whole_jpeg_size(picture)) is not None:
@@ -131,7 +131,7 @@ def check_whole_picture(picture: bytes, name: str = "image") -> tuple[int, int]:
 
 
 def format_command(steering: float, throttle: float, decimal_separator: str = POINT) -> dict[str, str]:
-    """A `steer` command: strings, because the simulator drops a telemetry whose answer holds JSON numbers."""
+    """A `steer` command, with strings: the simulator drops an answer with JSON numbers."""
     return {
         "steering_angle": format_number(steering, decimal_separator),
         "throttle": format_number(throttle, decimal_separator),
@@ -139,7 +139,7 @@ def format_command(steering: float, throttle: float, decimal_separator: str = PO
 
 
 def _decimal_separator(data: dict[object, object]) -> str | None:
-    """The decimal separator that one of the numbers shows without doubt; None where none does."""
+    """The decimal separator that one of the numbers proves; None if none does."""
     for name in ("throttle", "steering_angle", "speed"):
         value = data.get(name)
         if isinstance(value, str) and parse_number(value) is not None and (observed := decimal_separator(value)):
@@ -158,7 +158,7 @@ def _missing(names: list[str], data: dict[object, object]) -> TelemetryError:
 
 
 def _number(value: object, field: str, decimal: str, unit: float) -> float:
-    """The number in a field that is there, times `unit`. Raises TelemetryError if it holds none."""
+    """The number in a present field, times `unit`. Raises TelemetryError for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise TelemetryError(f"{field} is not a number but {json_kind(value)}")
     try:
@@ -197,7 +197,7 @@ def _side_pictures(data: dict[object, object]) -> tuple[dict[Camera, bytes], tup
 
 
 def _image(value: object, name: str) -> bytes:
-    """The picture in a field that is there. Raises TelemetryError if it holds none."""
+    """The picture in a present field. Raises TelemetryError for anything else."""
     if not isinstance(value, str):
         raise TelemetryError(f"{name} is not a string but {json_kind(value)}")
     if not value:

@@ -1,4 +1,4 @@
-"""The messages of a log's row that a telemetry holds."""
+"""Writes a telemetry as a log's row."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def write_telemetry(
     picture_size: tuple[int, int] | None = None,
     crop: bytes | None = None,
 ) -> None:
-    """Write pictures, vehicle state and pose. `crop` is a PNG of what a network sees."""
+    """Write pictures, vehicle state and pose. `crop`: a PNG of the network's input."""
     if telemetry.picture:
         writer.picture("center", time_ns, row, telemetry.picture, picture_size)
     for camera, picture in telemetry.side_pictures.items():

@@ -1,4 +1,4 @@
-"""The Socket.IO server that simulators connect to: a handler answers each telemetry that is received."""
+"""The Socket.IO server for simulators. A handler answers each telemetry."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from recorder.server.telemetry import MAX_IMAGE_BYTES, format_command
 
 TICK_S: Final = 0.1
 FIRST_COMMAND_S: Final = 1.0
-"""The time that a first command waits for telemetry: the real simulator sends its own at once."""
-NO_TELEMETRY_S: Final = 5.0  # a client that has sent nothing for so long speaks another protocol
+"""The wait for telemetry before a first command is sent. The real simulator sends telemetry at once."""
+NO_TELEMETRY_S: Final = 5.0  # a client without a message in this time speaks another protocol
 MAX_MESSAGE_BYTES: Final = 4 * MAX_IMAGE_BYTES
-"""Longer messages close the connection; a picture that is too large is within, and is answered."""
+"""Longer messages close the connection. Pictures that are only too large still fit, and are answered."""
 
 NOTICE_NO_TELEMETRY: Final = (
-    f"somebody has opened a websocket and sent nothing for {NO_TELEMETRY_S:g} s: start the simulator's autonomous"
+    f"a client has opened a websocket and sent nothing for {NO_TELEMETRY_S:g} s: start the simulator's autonomous"
     " mode; other clients have to speak Socket.IO"
 )
 NOTICE_POLLING: Final = (
@@ -43,7 +43,7 @@ NOTICE_REFUSED: Final = (
     "refused a web page or client that asks {}: this port is for this machine, and for what --host names; others"
     " write its address as numbers"
 )
-MAX_SHOWN_CHARACTERS: Final = 100  # of such a name
+MAX_SHOWN_CHARACTERS: Final = 100  # of the refused name
 _SID: Final = "telemetry.sid"  # the key of a connection's name in its request's environment
 
 Result = TypeVar("Result")
@@ -56,7 +56,7 @@ class Steer:
     steering: float  # -1 (left) .. 1 (right)
     throttle: float  # -1..1
     decimal_separator: str = POINT  # of the simulator's machine
-    puts_back: bool = False  # the built-in simulator alone heeds it
+    puts_back: bool = False  # only for the built-in simulator
 
 
 @dataclass(frozen=True)
@@ -65,44 +65,44 @@ class Answer:
 
     command: Steer | None  # None is `manual`: a human drives
     on_sent: Callable[[float], None]
-    """Called with the milliseconds since the telemetry's last byte had arrived, when the system has taken the
-    answer, or the client has gone: so old is the picture then."""
+    """Called when the system has taken the answer, or the client has gone, with the picture's age: milliseconds
+    since the telemetry's last byte arrived."""
 
 
 class TelemetryHandler(Protocol):
-    """Answers telemetry; `sid` names a connection. It is called by the thread that runs the server, and what it
-    raises ends `TelemetryServer.run`."""
+    """Answers telemetry; `sid` names a connection. The server's thread calls it. Its exceptions end
+    `TelemetryServer.run`."""
 
     def connected(self, sid: str) -> None: ...
 
     def disconnected(self, sid: str, reason: str) -> None: ...
 
     def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
-        """The answer to `data`, which is whatever the client has sent; None while a human holds a key.
-        `received_s` is the `time.perf_counter()` from which on it is handled: it may have waited before."""
+        """The answer to `data`: anything that the client sent; None while a human holds a key. `received_s`: the
+        `time.perf_counter()` when its handling began, perhaps after a wait."""
         ...
 
     def unanswered(self, sid: str, data: object, received_s: float) -> None:
-        """Called with a telemetry that is left unanswered, because a command that answered none keeps one more in
-        flight (`recorder.server.in_flight`). Its last byte had arrived at `received_s`."""
+        """Called with a telemetry that is left unanswered, because an earlier command answered none
+        (`recorder.server.in_flight`). Its last byte arrived at `received_s`."""
         ...
 
     def first_command_sent(self, sid: str) -> None:
-        """Called before the first telemetry of a client that had got a first command."""
+        """Called before the first telemetry of a client, if it got a first command before."""
         ...
 
     def tick(self) -> None:
-        """Called ten times a second, also while nothing arrives."""
+        """Called ten times a second, also if nothing arrives."""
         ...
 
     def final_command(self, sid: str) -> Steer | None:
-        """The last command to a client that was steered, at the end of a run, also of one that failed; None sends
-        nothing. The simulator's car keeps it."""
+        """The last command to a steered client at the end of a run, also of a failed one; None sends nothing. The
+        simulator's car keeps this command."""
         ...
 
 
 class TelemetryServer:
-    """Serves the real simulator and modern Socket.IO clients, any number of them, on one port."""
+    """Serves the real simulator and modern Socket.IO clients on one port."""
 
     def __init__(
         self,
@@ -113,11 +113,11 @@ class TelemetryServer:
         notify: Notify = lambda text: None,
         first_command: Steer | Literal["manual", "nothing"] = "nothing",
     ) -> None:
-        """Starts to listen; port 0 takes a free one. Raises ListenError if that is not possible.
+        """Starts to listen; port 0 takes a free one. Raises ListenError if that fails.
 
-        `notify` gets a line for a person where something else than a simulator connects, each line once.
-        `first_command` is sent over a websocket on which no telemetry has come for `FIRST_COMMAND_S`: some clients
-        wait for it, as classic servers begin with a command.
+        `notify` gets a line about other clients than simulators, each line once. `first_command` is sent if no
+        telemetry has come on a websocket for `FIRST_COMMAND_S`: some clients wait for the command with which
+        classic servers begin.
         """
         self._first_command = first_command
         self._handler = handler
@@ -153,10 +153,10 @@ class TelemetryServer:
         self._engine.on("message", self._on_message)
 
     def run(self, until: Callable[[], bool]) -> None:
-        """Serve until `until()` is true; it is called as the handler is.
+        """Serve until `until()` is true; the server's thread calls it.
 
-        At the end every client that was steered gets its `TelemetryHandler.final_command`, and every connection is
-        closed. Raises what the handler raised.
+        At the end, every steered client gets its `TelemetryHandler.final_command`, and every connection is closed.
+        Raises the handler's exceptions.
         """
         self._host.start(self._serve)
         try:
@@ -177,23 +177,23 @@ class TelemetryServer:
             raise self._failure
 
     def close(self) -> None:
-        """Stop listening; `run` has done so at its end."""
+        """Stop listening; `run` does so at its end."""
         self._host.close()
 
     def push(self, sid: str, command: Steer) -> None:
-        """Send a command that answers no telemetry; to be called by the handler, from `tick`."""
+        """Send a command that answers no telemetry. The handler may call it in `tick`."""
         if (connection := self._connection(sid)) is not None:
             connection.in_flight.pushed(self._clock.tick())
             self._steered.add(sid)
             self._server.emit(*_event(command), to=sid)
 
     def in_flight(self, sid: str) -> int:
-        """The telemetries of a client that are in flight, at least."""
+        """The least number of telemetries of a client in flight."""
         connection = self._connection(sid)
         return 1 if connection is None else connection.in_flight.count
 
     def has_unread(self, sid: str) -> bool:
-        """True if a client has sent something that the handler has not got yet: it is not silent."""
+        """True if data of a client has not reached the handler yet: the client is not silent."""
         connection = self._connection(sid)
         return connection is not None and (connection.has_unread or connection.in_flight.holds)
 
@@ -202,8 +202,7 @@ class TelemetryServer:
         return self._engine.sockets.get(self._server.manager.eio_sid_from_sid(sid, "/")) if is_connected else None
 
     def _wait_for_unsent_answers(self) -> None:
-        """Wait: an answer that a green thread still holds would come after the last command, and the car would
-        keep it."""
+        """Wait for answers in other green threads: after the last command, the car would keep them."""
         until_s = time.monotonic() + END_S
         while self._unsent_answers and time.monotonic() < until_s:
             self._host.wait(0.01)
@@ -226,21 +225,21 @@ class TelemetryServer:
             check_body(environ)
             answer: Iterable[bytes] = self._application(environ, start_response)
             return answer
-        except Exception:  # what is not even Engine.IO
+        except Exception:  # not even Engine.IO
             if (connection := self._engine.sockets.get(environ.get(_SID))) is not None:
                 connection.hang_up()
             start_response("400 Bad Request", [("Content-Length", "0")])
             return []
 
-    def _refuse(self, what: str) -> None:
-        if not self._has_refused:  # once: a page that tries one name after another must not fill the screen
+    def _refuse(self, reason: str) -> None:
+        if not self._has_refused:  # once: a page that tries many names must not fill the screen
             self._has_refused = True
-            self._notify_once(NOTICE_REFUSED.format(printable(what[:MAX_SHOWN_CHARACTERS])))
+            self._notify_once(NOTICE_REFUSED.format(printable(reason[:MAX_SHOWN_CHARACTERS])))
 
     def _on_connection(self, engine_sid: str, environ: dict[str, Any]) -> Any:
         transport = parse_qs(str(environ.get("QUERY_STRING", ""))).get("transport", [""])[0]
         if transport != "websocket" and len(self._engine.sockets) > MAX_CONNECTIONS:
-            # a websocket is a connection, which the host counts; a polling client leaves none
+            # the host counts websockets; polling clients have no open connection
             self._notify_once(NOTICE_TOO_MANY)
             return False
         Connection.adopt(self._engine.sockets[engine_sid], self._notify_once)
@@ -270,14 +269,14 @@ class TelemetryServer:
             self._call(self._handler.first_command_sent, sid)
         received = Received(sid, data, connection.received_s)
         unanswered, due = connection.in_flight.take(received, _telemetries(connection), self._clock.tick())
-        for left in unanswered:
-            self._call(self._handler.unanswered, *left)
+        for telemetry in unanswered:
+            self._call(self._handler.unanswered, *telemetry)
         if due is not None and (answer := self._answer(due, connection.taken_s)) is not None:
             self._send(answer, due, connection)
 
     def _send(self, answer: Answer, received: Received, connection: Connection) -> None:
         self._unsent_answers += 1
-        connection.look()  # before the answer leaves: what has come by now was not caused by it
+        connection.look()  # telemetry that arrives before the answer leaves does not answer it
         waiting = _telemetries(connection)
         name, fields = _event(answer.command)
         with contextlib.suppress(OSError, EngineIOError):  # the client has gone
@@ -326,7 +325,7 @@ class TelemetryServer:
             self._call(self._notify, text)
 
     def _call(self, function: Callable[..., Result], *arguments: object) -> Result | None:
-        """Call the handler. Its errors, which python-socketio would swallow, are kept, and end the run."""
+        """Call the handler. Keep its exceptions, which python-socketio would hide: they end the run."""
         if self._failure is not None:
             return None
         try:
@@ -344,5 +343,5 @@ def _event(command: Steer | None) -> tuple[str, dict[str, str]]:
 
 
 def _telemetries(connection: Connection) -> int:
-    """Those that were read, and are not handled yet."""
+    """The number of telemetries that were read, but not handled yet."""
     return sum(map(is_telemetry, connection.waiting))

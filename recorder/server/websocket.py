@@ -1,8 +1,8 @@
 """A client's websocket with the methods that python-engineio calls: `wait`, `send` and `close`.
 
-python-engineio's own is eventlet's, which unmasks what it receives byte by byte in Python (measured: 2.5 ms a
-telemetry, 0.1 ms here). The protocol is that of the websockets library: the real
-simulator cuts a telemetry into 20 frames, which it parses in a third of wsproto's time.
+python-engineio would use eventlet's, which unmasks data byte by byte in Python (measured: 2.5 ms a telemetry, 0.1
+ms here). The protocol is the websockets library's: the real simulator cuts a telemetry into 20 frames, and this
+library parses them in a third of wsproto's time.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ from websockets.server import ServerProtocol
 from recorder.server.listening_socket import has_unread
 
 RECEIVE_BYTES: Final = 1 << 16
-FRAME_BYTES: Final = 100  # the memory that a frame takes beside its content
+FRAME_BYTES: Final = 100  # memory of a frame in addition to its content
 DRAIN_S: Final = 1.0
-"""The time that a disconnected client may go on sending: closed at once, it might lose what it was sent last."""
-PARSED_BYTES: Final = 1 << 13  # the most that is parsed before others may run: 1,400 empty frames, in some 3 ms
-FEW_FRAMES: Final = 50  # no simulator sends more frames at once; after more, others run first
+"""The time in which a disconnected client may still send. If it were cut at once, it might lose the last
+message."""
+PARSED_BYTES: Final = 1 << 13  # parsed before other green threads run: 1,400 empty frames take some 3 ms
+FEW_FRAMES: Final = 50  # after more frames at once, others run first; no simulator sends so many
 MAX_WAITING: Final = 64
 MAX_WAITING_BYTES: Final = 1 << 20
-"""The messages that are read before they are asked for are no more than these; the system keeps the others."""
+"""The most messages, and bytes of messages, that are read in advance; the system keeps the rest."""
 DATA_OPCODES: Final = frozenset((Opcode.TEXT, Opcode.BINARY, Opcode.CONT))
 
 TOO_LARGE, BROKEN_FRAME = "message too large", "broken frame"
@@ -53,28 +54,28 @@ class WebSocket:
         lock: contextlib.AbstractContextManager[Any],
         let_others_run: Callable[[], object],
     ) -> None:
-        """Accept the upgrade that `headers` ask for.
+        """Accept the upgrade that `headers` request.
 
-        A message is at most `max_bytes` long, each of its frames counting `FRAME_BYTES` more. `lock` is held while
-        one sends. `let_others_run` is called between messages: a client that sends without a pause would keep all
-        other green threads from running.
-        Raises HandshakeError if the headers ask for no websocket, OSError if the client has gone.
+        A message has at most `max_bytes`, with `FRAME_BYTES` added for each frame. `lock` is held during sending.
+        `let_others_run` is called between messages: otherwise, a client that sends without a pause would block all
+        other green threads.
+        Raises HandshakeError if the headers do not request a websocket, OSError if the client has gone.
         """
         self.received_s = 0.0
-        """`time.perf_counter()` at which the last byte of the last message had arrived: at most so long ago."""
-        self.taken_s = 0.0  # the same of the moment at which `wait` returned it
+        """`time.perf_counter()` when the last byte of the last message arrived, or earlier."""
+        self.taken_s = 0.0  # `time.perf_counter()` when `wait` returned the last message
         self.broken_by = ""
-        """The violation that closed the connection (TOO_LARGE, BROKEN_FRAME); empty if there was none."""
+        """The violation that closed the connection (TOO_LARGE, BROKEN_FRAME); empty without one."""
         self._stream = stream
         self._max_bytes = max_bytes
-        self._sending_lock = lock  # taken first: frames are sent in the order in which they are made
+        self._sending_lock = lock  # taken before frames are made, to send them in order
         self._let_others_run = let_others_run
         self._protocol = Protocol(Side.SERVER, max_size=max_bytes)
         self._parts: list[bytes] = []
         self._size = 0
         self._is_text = False
-        self._messages: deque[tuple[str | bytes, float]] = deque()  # and when they had arrived
-        self._arrived_s = 0.0  # of what is read now
+        self._messages: deque[tuple[str | bytes, float]] = deque()  # with their times of arrival
+        self._arrived_s = 0.0  # of the data in processing
         self._looked_s = time.perf_counter()
         self._is_over = False
         self._closed_s: float | None = None
@@ -101,20 +102,20 @@ class WebSocket:
         return message
 
     def look(self) -> None:
-        """Read what has come since this thread looked last. It may have come at once then: while one message is
-        answered, nobody sees the next ones come."""
+        """Read the data that has come since the last look. It counts as arrived at that look: its real time of
+        arrival is not known."""
         while len(self._messages) < MAX_WAITING and self._waiting_bytes < MAX_WAITING_BYTES and self.has_unread:
             self._receive(self._looked_s)
         self._looked_s = time.perf_counter()
 
     @property
     def has_unread(self) -> bool:
-        """True if something has come that is not read yet."""
+        """True if there is unread data."""
         return not self._is_over and has_unread(self._stream)
 
     @property
     def waiting(self) -> list[str | bytes]:
-        """The messages that were read, and not asked for yet."""
+        """The messages that were read, but not returned by `wait` yet."""
         return [message for message, _ in self._messages]
 
     def send(self, message: str | bytes) -> None:
@@ -134,7 +135,7 @@ class WebSocket:
         self._close(CloseCode.NORMAL_CLOSURE)
 
     def cut(self) -> None:
-        """End the connection at once, also while `send` waits for the client to read."""
+        """End the connection at once, even while `send` waits for the client."""
         self._is_over = True
         with contextlib.suppress(OSError):
             self._stream.shutdown(socket.SHUT_RDWR)
@@ -144,7 +145,7 @@ class WebSocket:
         return sum(len(message) for message, _ in self._messages)
 
     def _receive(self, arrived_s: float | None = None) -> None:
-        """Read once; what is read has arrived now, if that is not given."""
+        """Read once. `arrived_s`: the data's time of arrival; None: now."""
         try:
             data = self._stream.recv(RECEIVE_BYTES)
         except (OSError, EOFError):  # the latter is eventlet's
@@ -157,7 +158,7 @@ class WebSocket:
             self._read(data)
         else:
             self._is_over = now_s - self._closed_s > DRAIN_S
-        if len(data) == RECEIVE_BYTES:  # there may be more without end
+        if len(data) == RECEIVE_BYTES:  # perhaps an endless stream
             self._let_others_run()
 
     def _read(self, data: bytes) -> None:
@@ -169,7 +170,7 @@ class WebSocket:
                 self._let_others_run()
 
     def _parse(self, data: bytes) -> int:
-        """Parse received bytes; the number of frames that they complete."""
+        """Parse received bytes; returns the number of completed frames."""
         self._protocol.receive_data(data)
         frames = [event for event in self._protocol.events_received() if isinstance(event, Frame)]
         if any(frame.opcode not in DATA_OPCODES for frame in frames):
@@ -181,7 +182,7 @@ class WebSocket:
             if self.broken_by:
                 return len(frames)
         why = self._protocol.parser_exc
-        if self._protocol.close_rcvd is not None:  # also in the middle of a message, which breaks the parser off
+        if self._protocol.close_rcvd is not None:  # also in the middle of a message, which stops the parser
             self._is_over = True
             self.close()
         elif why is not None:
@@ -222,6 +223,6 @@ class WebSocket:
             return
         try:
             self._stream.sendall(data)
-        except OSError:  # it may have received a part: nothing more can be sent
+        except OSError:  # perhaps a part was sent: nothing more can follow
             self.cut()
             raise

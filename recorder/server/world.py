@@ -1,6 +1,6 @@
 """The optional `world` member of a telemetry: the pose, the road, the clock, an expert's command.
 
-It comes from outside and may be anything; each member is checked by itself.
+It is untrusted; each member is checked separately.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from typing import Any, Final
 from recorder.server.locale_numbers import POINT
 from simulator.pose import Pose
 
-MAX_WORLD_NUMBER: Final = 1e9  # of any unit but time_s: a million kilometres
-MAX_TIME_S: Final = 1e12  # Unix time in seconds is about 2e9; in milliseconds it is beyond
+MAX_WORLD_NUMBER: Final = 1e9  # in any unit, except of time_s: a million kilometres
+MAX_TIME_S: Final = 1e12  # Unix time is about 2e9 in seconds, and above the limit in milliseconds
 
 CLOCK_STANDING: Final = "time_s does not advance: this computer's clock counts instead"
-"""The notice about a clock that stands still (`recorder.log.log_time.StandingClock`)."""
+"""The notice about a standing clock (`recorder.log.log_time.StandingClock`)."""
 
 _GROUPS: Final = (
     ("x_m", "y_m", "z_m", "heading_rad", "pitch_rad", "roll_rad"),
     ("expert_steering", "expert_throttle"),
 )
-"""Members that mean nothing without each other."""
+"""Members that are useless without each other."""
 
 _KINDS: Final[dict[type, str]] = {
     type(None): "null",
@@ -38,18 +38,18 @@ _KINDS: Final[dict[type, str]] = {
 
 
 def json_kind(value: object) -> str:
-    """The kind of a value of JSON or Socket.IO in words: "a list"."""
+    """The kind of a JSON or Socket.IO value in words: "a list"."""
     return _KINDS.get(type(value), "something else")
 
 
 @dataclass(frozen=True)
 class World:
-    """The checked members of a telemetry's `world`; None for those that were not sent.
+    """The checked members of a telemetry's `world`; None for missing ones.
 
-    The real simulator sends none of them. The pose is whole or absent, and so is the expert's command.
+    The real simulator sends none of them. The pose is complete or absent, and so is the expert's command.
     """
 
-    time_s: float | None = None  # the simulated clock; it may begin anywhere, as Unix time does
+    time_s: float | None = None  # the simulated clock, from any start, such as Unix time
     x_m: float | None = None  # of the ground under the middle of the rear axle: east, north, up
     y_m: float | None = None
     z_m: float | None = None
@@ -58,8 +58,8 @@ class World:
     roll_rad: float | None = None  # right side down is positive
     offset: float | None = None  # from the centre line, as a share of the road's half width, positive to the left
     laps: float | None = None  # driven
-    interventions: int | None = None  # how often the simulator has put the car back on the road; never negative
-    expert_steering: float | None = None  # -1 (left) .. 1 (right): what its expert would command now
+    interventions: int | None = None  # how often the simulator has put the car back on the road; 0 or more
+    expert_steering: float | None = None  # -1 (left) .. 1 (right): its expert's command now
     expert_throttle: float | None = None  # -1 .. 1
 
     @property
@@ -76,13 +76,13 @@ class World:
 
 
 class WorldNotices:
-    """The notices about one simulator's `world`, each of them once."""
+    """The notices about a simulator's `world`, each once."""
 
     def __init__(self) -> None:
         self._noticed: set[str] = set()
 
     def new_notices(self, problems: Iterable[str], *, clock_stands: bool) -> list[str]:
-        """The notices that are due after a telemetry with these problems (`parse_world`)."""
+        """The new notices after a telemetry with these problems (`parse_world`)."""
         current = [*problems, CLOCK_STANDING] if clock_stands else problems
         new = [problem for problem in current if problem not in self._noticed]
         self._noticed.update(new)
@@ -93,11 +93,10 @@ MEMBERS: Final = tuple(field.name for field in fields(World))
 
 
 def parse_world(value: object, decimal: str = POINT) -> tuple[World | None, tuple[str, ...]]:
-    """The usable members of a telemetry's `world`, None if there are none, and the problems with the others.
+    """The usable members of a telemetry's `world` (None without any), and the problems with the others.
 
-    Numbers may stand in strings, with `decimal` for the point; whole ones may be written as 2.0.
-    Members that are null or unknown are ignored. A problem has a member's name and no value: it is the same text
-    from one telemetry to the next.
+    Numbers may be strings, with `decimal` as the point; whole numbers may be written as 2.0. Null and unknown
+    members are ignored. A problem has a member's name, but no value: its text is the same in every telemetry.
     """
     if value is None:
         return None, ()
@@ -138,7 +137,7 @@ def _member(name: str, value: object, decimal: str) -> float | int:
         number = value
     else:
         raise ValueError(f"is not a number but {json_kind(value)}")
-    # refuses NaN, and numbers that overflow in calculations
+    # also refuses NaN, and numbers that overflow in calculations
     most = MAX_TIME_S if name == "time_s" else MAX_WORLD_NUMBER
     if not -most <= number <= most:
         raise ValueError(f"is beyond {most:g}, or no number")

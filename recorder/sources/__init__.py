@@ -1,1 +1,1 @@
-"""The sources of sessions: other programs' recordings and logs, the built-in simulator, live telemetry."""
+"""Sources of sessions: other programs' recordings and logs, the built-in simulator, live telemetry."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 NAMES: Final = ("steering", "throttle", "brake", "pedals")
-"""`pedals` is one number for two: the throttle less the brake."""
+"""`pedals` is the throttle minus the brake, in one number."""
 
 _NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)"
 _PART: Final = re.compile(rf"(?:({_NUMBER})|(?:({_NUMBER})\*|(-))?({'|'.join(NAMES)}))", re.ASCII)
@@ -29,22 +29,22 @@ class CarCommand:
 @dataclass(frozen=True)
 class _Part:
     name: str  # empty for a constant
-    factor: float  # of the action's number to ours; or the constant
+    factor: float  # the action's number divided by ours; or the constant
 
 
 class ActionMap:
-    """Makes actions of commands, and commands of actions. Its text has a part for each number of the action,
+    """Converts commands to actions, and actions to commands. Its text has a part for each number of the action,
     separated by commas: a name, a name with a factor (`-steering`, `0.5*throttle`), or a constant."""
 
     def __init__(self, text: str) -> None:
-        """Raises ValueError for a text that is no map, or has no steering."""
+        """Raises ValueError for another text, or one without steering."""
         self.text = text
         self._parts = [_parse(part.strip()) for part in text.split(",")]
         names = [part.name for part in self._parts if part.name]
         if names.count("steering") != 1:
             raise ValueError("one number of the action has to be the steering")
         if len(set(names)) < len(names) or ("pedals" in names and {"throttle", "brake"} & set(names)):
-            raise ValueError("throttle and brake stand there once, or pedals for both")
+            raise ValueError("throttle and brake may be given once each, or pedals for both")
         self.has_pedals = len(names) > 1
 
     def __len__(self) -> int:
@@ -62,12 +62,12 @@ class ActionMap:
         return np.array([part.factor * values[part.name] for part in self._parts])
 
     def turned(self, action: NDArray[np.float64], by: float) -> NDArray[np.float64]:
-        """An action (N,) with its steering turned to the right by so much."""
+        """An action (N,) with `by` added to its steering."""
         added = [part.factor * by if part.name == "steering" else 0.0 for part in self._parts]
         return np.add(action, added, dtype=np.float64)
 
     def command(self, action: NDArray[Any]) -> CarCommand:
-        """The command that an action (N,) stands for, within its ranges; pedals that are not in it are 0."""
+        """The command of an action (N,), limited to its ranges. Missing pedals are 0."""
         named = {
             part.name: float(number) / part.factor
             for part, number in zip(self._parts, action, strict=True)

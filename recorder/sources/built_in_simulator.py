@@ -1,4 +1,4 @@
-"""Recording a driver of the built-in simulator into a log, faster than real time."""
+"""Records a simulated driver of the built-in simulator in a log, faster than real time."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ CLOCK_START_NS: Final = 1_767_225_600 * 10**9  # 2026-01-01T00:00:00Z
 
 _SPEED_EXPECTED: Final = f"a set speed above 0 mph and up to {MAX_SPEED_MPH} (the car reaches 30)"
 BACK_TO_START_S: Final = 2.0
-"""The gap in the times of a recording where the car is put back at the start, to be driven at another speed."""
+"""The gap in a recording's times before the car drives from the start at another speed."""
 
 
 def record_simulated(
     drive: SimulatedDrive, log: Path, *, udacity: Path | None = None, overwrite: bool = False
 ) -> Imported:
-    """Record a drive to `log`, and as the real simulator would to the folder `udacity`, if given.
+    """Record a drive to `log`, and to the folder `udacity`, if given, in the real simulator's format.
 
-    Raises RecordingError for a drive that cannot be, UserError if `log` exists and `overwrite` is off.
+    Raises RecordingError for impossible settings, UserError if `log` exists and `overwrite` is off.
     """
-    refuse_existing(log, overwrite)  # before the folder is begun
+    refuse_existing(log, overwrite)  # before the folder is created
     check_drive(drive)
     name, laps = _driver_name(drive), 1.0 if drive.laps is None else drive.laps
     simulation = simulation_on(drive.track)
@@ -95,17 +95,12 @@ def record_simulated(
             raise UserError(f"{laps:g} laps: too short to record a single row")
         if folder is not None:
             folder.finish()
-    notices = []
-    if put_back:
-        notices.append(
-            f"off the road {counted(put_back, 'time')}: the car was put back on its line, with a gap in the times,"
-            " as if somebody had stopped recording to drive back"
-        )
-    return Imported(log, rows, rows * len(MOUNT_LEFT_M), Skipped(), notices)
+    notice = f"off the road {counted(put_back, 'time')}: the car was put back on its line, with a gap in the times"
+    return Imported(log, rows, rows * len(MOUNT_LEFT_M), Skipped(), [notice] if put_back else [])
 
 
 def simulation_on(track: str) -> Simulation:
-    """The built-in simulator on a track. Raises RecordingError for one that does not exist."""
+    """The built-in simulator on a track. Raises RecordingError for an unknown track."""
     try:
         return Simulation(track)
     except ValueError as error:
@@ -113,7 +108,7 @@ def simulation_on(track: str) -> Simulation:
 
 
 def simulator_metadata(simulation: Simulation, driver: str, **drive: str) -> dict[str, str]:
-    """The metadata of a log of the built-in simulator; `drive` has the settings of the drive."""
+    """The metadata of a log of the built-in simulator. `drive`: the settings of the drive."""
     return {
         "source": "simulator",
         "simulator": "built-in",
@@ -134,10 +129,10 @@ def _why_not_recorded(step: DriveStep, new_speed_mph: float | None) -> str:
 def _drive_at_each_speed(
     simulation: Simulation, drive: SimulatedDrive, name: DriverName, laps: float
 ) -> Iterator[tuple[DriveStep, float | None]]:
-    """The steps of a recording, whose times and progress run on; with the first one at each speed, that speed."""
+    """The steps of a recording, with continuous times and progress. The first step at each speed comes with it."""
     begin_s = 0.0
     for number, speed_mph in enumerate(drive.speed):
-        seed = drive.seed + number  # the pushes are other ones each time
+        seed = drive.seed + number  # each drive has other pushes
         driver = make_driver(name, simulation.track.line, speed_mph, drive.noise, seed)
         begin_m = number * laps * simulation.track.line.length_m
         new_speed_mph: float | None = speed_mph
@@ -155,7 +150,7 @@ def _driver_name(drive: SimulatedDrive) -> DriverName:
 
 
 def check_drive(drive: SimulatedDrive) -> None:
-    """Raise RecordingError, naming the flag, for numbers that nobody can drive by."""
+    """Raise RecordingError, which names the flag, for impossible numbers."""
     try:
         steps_each(drive.rate)
     except ValueError as error:

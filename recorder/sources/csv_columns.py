@@ -1,4 +1,4 @@
-"""The columns of somebody's csv, by their meaning in `--columns`, and its rows."""
+"""The rows of any csv, whose columns `--columns` names."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from recorder.sources.imported_rows import vehicle_state
 MAX_LINE_CHARACTERS: Final = 100_000
 _POSITIONS: Final = frozenset(map(str, range(1, 1000)))
 _NUMBERS: Final = ("steering", "throttle", "brake", "speed_mph")
-_TIMES: Final = {"time_s": 1e9, "time_ms": 1e6, "time_us": 1e3, "time_ns": 1.0}  # by unit: nanoseconds
+_TIMES: Final = {"time_s": 1e9, "time_ms": 1e6, "time_us": 1e3, "time_ns": 1.0}  # nanoseconds of each unit
 KEYS: Final = ("image", *CAMERAS, *_NUMBERS, *_TIMES)
 
 
 @dataclass(frozen=True)
 class CsvRow:
     line: int
-    index: int  # among the rows of the file, those that cannot be used too
-    pictures: Mapping[Camera, str]  # as the csv names them; only those that it names
+    index: int  # in the file, counting unusable rows
+    pictures: Mapping[Camera, str]  # as the csv names them
     state: VehicleState
     time_ns: int | None
 
@@ -72,17 +72,17 @@ class CsvColumns:
         return bool(_TIMES.keys() & self.names.keys())
 
     def rows(self, path: Path, scale: float, skipped: Skipped) -> Iterator[CsvRow]:
-        """The rows of a csv that can be used, whose steering is multiplied by `scale`.
+        """The usable rows of a csv, with steering multiplied by `scale`.
 
-        The delimiter is that of , ; and tab which the first line has the most of; with ; numbers may have a comma.
-        Raises RecordingError for one that cannot be read, or has not got the columns.
+        The delimiter is the most frequent of , ; and tab in the first line. With ; numbers may have decimal
+        commas. Raises RecordingError if the csv cannot be read, or lacks a column.
         """
         try:
             with readable(path), open_regular(path) as stream:
                 text = io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace", newline="")
                 yield from self._rows(path, text, scale, skipped)
         except csv.Error as error:
-            raise RecordingError(f"{path}: no csv ({error})") from None
+            raise RecordingError(f"{path}: not a csv ({error})") from None
 
     def _rows(self, path: Path, text: io.TextIOWrapper, scale: float, skipped: Skipped) -> Iterator[CsvRow]:
         lines = _lines(text)
@@ -104,7 +104,7 @@ class CsvColumns:
                 yield row
 
     def _positions(self, path: Path, header: Sequence[str]) -> dict[str, int] | None:
-        """The position of each column; None if the file has no header, and columns are counted from 1."""
+        """The position of each column; None if the file has no header and `--columns` has numbers from 1."""
         missing = [name for name in self.names.values() if name not in header]
         are_numbers = len(missing) == len(self.names) and all(name in _POSITIONS for name in missing)
         if are_numbers and max(map(int, missing)) <= len(header):
@@ -126,9 +126,9 @@ class CsvColumns:
                 text = values[key].replace(",", ".") if has_comma else values[key]
                 numbers[key] = _number(text)
         if not math.isfinite(numbers["steering"]):
-            return "rows whose steering is no number"
+            return "rows whose steering is not a number"
         time_ns: int | None = None
-        for key in _TIMES.keys() & values.keys():  # one at most
+        for key in _TIMES.keys() & values.keys():  # at most one
             time_ns = _time_ns(key, values[key], numbers[key])
             if time_ns is None:
                 return "rows with a time that no log can hold"
@@ -145,7 +145,7 @@ class CsvColumns:
 
 
 def _lines(text: io.TextIOWrapper) -> Iterator[str]:
-    """Raises csv.Error for a line too long for a table: it might be a gigabyte."""
+    """Raises csv.Error for a line that is too long: it might be a gigabyte."""
     while line := text.readline(MAX_LINE_CHARACTERS):
         if len(line) == MAX_LINE_CHARACTERS:
             raise csv.Error(f"a line of over {MAX_LINE_CHARACTERS:,} characters")
@@ -153,7 +153,7 @@ def _lines(text: io.TextIOWrapper) -> Iterator[str]:
 
 
 def _number(text: str) -> float:
-    """NaN if it is no number. Python's own forms (1_000, nan) are no numbers here."""
+    """NaN for any other text, also for Python's own forms (1_000, nan)."""
     if not text or not all(character in "0123456789.+-eE" for character in text):
         return math.nan
     try:
@@ -164,7 +164,7 @@ def _number(text: str) -> float:
 
 def _time_ns(key: str, text: str, number: float) -> int | None:
     """None for a time that no log can hold."""
-    if not 0 <= number * _TIMES[key] <= 2**63:  # NaN is not, either
+    if not 0 <= number * _TIMES[key] <= 2**63:  # also NaN
         return None
     exact = whole_number(text, 19) if key == "time_ns" else None  # a float does not hold all of its digits
     time_ns = round(number * _TIMES[key]) if exact is None else exact

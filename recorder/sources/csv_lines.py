@@ -1,4 +1,4 @@
-"""The lines of a csv: of one that is read in blocks, and of one that another program is still appending to."""
+"""The lines of a csv that is read in blocks, or that another program still appends to."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ _MAX_AT_ONCE: Final = 1 << 20
 
 
 class LineSplitter:
-    """Splits bytes at \\n, \\r\\n and \\r, as bytes.splitlines does. It holds no more than a block and a line.
+    """Splits bytes at \\n, \\r\\n and \\r, as bytes.splitlines does. Keeps at most a block and a line.
 
-    A line that is longer than `MAX_LINE_BYTES` is cut one byte after them.
+    Longer lines are cut after `MAX_LINE_BYTES` + 1 bytes.
     """
 
     def __init__(self) -> None:
-        self._partial = b""  # a line whose end was not there yet
-        self._skips_newline = False  # the last line ended with a \r that may be half of a \r\n
+        self._partial = b""  # a line without an end yet
+        self._skips_newline = False  # the last line ended with \r, perhaps the first half of \r\n
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The lines that are complete with `data`, without their ends."""
+        """The lines that `data` completes, without their ends."""
         if self._skips_newline and data:
             data = data.removeprefix(b"\n")
             self._skips_newline = False
@@ -37,32 +37,32 @@ class LineSplitter:
         return [piece.rstrip(b"\r\n")[: MAX_LINE_BYTES + 1] for piece in pieces]
 
     def rest(self) -> bytes:
-        """The last line, if it has no end, for when nothing more will come; b"" without one."""
+        """The last line, if it has no end; else b"". Call it when nothing more will come."""
         last, self._partial = self._partial, b""
         return last
 
 
 class CsvTail:
-    """The lines of a growing csv. It reads on where it stopped.
+    """The lines of a growing csv. Each call continues where the last one stopped.
 
-    A csv that was made shorter or replaced is read again from its start, without the lines that were there before.
-    Equal lines of one csv are all given.
+    A csv that was shortened or replaced is read again from its start, without the earlier lines. Equal lines in
+    one csv are all returned.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.is_behind = False
-        """True if there is more than the last call has read: it reads a megabyte, so that nothing waits long."""
+        """True if the file has more to read: each call reads at most a megabyte."""
         self._status: tuple[int, ...] = ()  # of the file, when it was last read
         self._earlier_lines = set[int]()  # hashes: a day's drive has hundreds of thousands of lines
         self._lines = set[int]()
-        self._end = b""  # of what was read: still there, unless the file was replaced
+        self._end = b""  # the last bytes read, to recognise a replaced file
         self._start_again()
 
     def new_lines(self) -> list[tuple[int, bytes]]:
-        """The lines that were completed since the last call, with their numbers in the file, from 1.
+        """The lines completed since the last call, with their numbers in the file, from 1.
 
-        A file that is missing has no lines. Raises OSError for one that cannot be read now.
+        A missing file has no lines. Raises OSError if the file cannot be read now.
         """
         self.is_behind = False
         try:
@@ -72,7 +72,7 @@ class CsvTail:
         return self._numbered(self._splitter.feed(data))
 
     def rest(self) -> list[tuple[int, bytes]]:
-        """The last line, if it has no end: for when nothing more will come."""
+        """The last line, if it has no end. Call it when nothing more will come."""
         content = self._splitter.rest()
         return self._numbered([content] if content else [])
 
@@ -84,12 +84,12 @@ class CsvTail:
         return [(number, content) for number, content in numbered if hash(content) not in self._earlier_lines]
 
     def _read_on(self) -> bytes:
-        """The bytes that were appended; b"" if the file is as it was."""
+        """The appended bytes; b"" if the file has not changed."""
         stat = self.path.stat()
         status = (stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns)
         if status == self._status:
             return b""
-        if not S_ISREG(stat.st_mode):  # opened and closed, a pipe would kill its writer
+        if not S_ISREG(stat.st_mode):  # opening and closing a pipe would kill its writer
             raise OSError(errno.EINVAL, "not a regular file", str(self.path))
         with open_regular(self.path) as stream:
             is_same = status[:2] == self._status[:2] and stat.st_size >= self._offset

@@ -1,13 +1,14 @@
-"""Reading a DonkeyCar tub, of version 1 or 2: its records, its pictures and its list of deleted records.
+"""Reads a DonkeyCar tub of version 1 or 2: its records, its pictures and its list of deleted records.
 
-Version 2 (donkeycar/parts/tub_v2.py and datastore_v2.py): `manifest.json` of five JSON lines, of which the fourth
-holds the time when the tub was created, and the fifth names the catalogues and the deleted records; catalogues of
-one JSON record a line; pictures in `images/`. Version 1 (donkeycar/parts/datastore.py, up to release 3):
-`meta.json`, one `record_N.json` for each record, pictures beside them, and `exclude.json` with the numbers of
-deleted records.
+Version 2 (donkeycar/parts/tub_v2.py and datastore_v2.py) has `manifest.json` with five JSON lines. The fourth
+holds the time of creation, the fifth names the catalogues and the deleted records. Catalogues have one JSON record
+a line. Pictures are in `images/`.
 
-A tub is untrusted. Only the file name of a path is used. Links out of the tub are not followed, except `images`
-itself: its user may keep the pictures elsewhere.
+Version 1 (donkeycar/parts/datastore.py, up to release 3) has `meta.json`, a `record_N.json` for each record,
+pictures in the same folder, and `exclude.json` with the numbers of deleted records.
+
+A tub is untrusted. Only the file names of paths are used. Links out of the tub are not followed, except `images`
+itself: users may keep the pictures elsewhere.
 """
 
 from __future__ import annotations
@@ -35,23 +36,23 @@ _MAX_JSON_BYTES: Final = 1 << 24  # of a file: a catalogue of DonkeyCar's thousa
 
 @dataclass(frozen=True)
 class TubRecord:
-    name: str  # for a person: where it is
+    name: str  # its file or line, for people
     index: int
     values: dict[str, object]
 
 
 @dataclass(frozen=True)
 class Tub:
-    """A tub of either version, as far as importing needs it."""
+    """A tub of either version."""
 
     version: str
     pictures: dict[str, Path]
     deleted: frozenset[int]
     start_ns: int | None
     time_field: str  # milliseconds
-    is_time_from_start: bool  # else from 1970
+    is_time_from_start: bool  # otherwise from 1970
     count: int  # of lines or files that may be records
-    records: Callable[[Skipped], Iterator[TubRecord]]  # in the tub's order; what is no record is skipped
+    records: Callable[[Skipped], Iterator[TubRecord]]  # in the tub's order; invalid records are skipped
 
 
 def is_tub(folder: Path) -> bool:
@@ -64,7 +65,7 @@ def is_tub(folder: Path) -> bool:
 
 
 def open_tub(folder: Path, skipped: Skipped) -> Tub:
-    """The tub in `folder`. Raises RecordingError if it is none, or cannot be read."""
+    """The tub in `folder`. Raises RecordingError if it is not a tub or cannot be read."""
     if not folder.is_dir():
         raise RecordingError(f"{folder}: no such folder; give a DonkeyCar tub, such as ~/mycar/data")
     root = Path(os.path.realpath(folder))
@@ -105,10 +106,10 @@ def _open_version_2(root: Path, files: dict[str, Path], skipped: Skipped) -> Tub
     paths = last.get("paths") if isinstance(last, dict) else None
     deleted = _indexes(last.get("deleted_indexes")) if isinstance(last, dict) else None
     if deleted is None or not isinstance(paths, list):
-        # The line is rewritten with every record: it is what a car that loses its power leaves half written.
+        # DonkeyCar rewrites this line with every record: if the car loses its power, the line is incomplete.
         skipped.add("lists of deleted records that cannot be read", MANIFEST)
     else:
-        # As DonkeyCar does, only these are read.
+        # As in DonkeyCar, only listed catalogues are read.
         listed = list(dict.fromkeys(re.split(r"[/\\]", path)[-1] for path in paths if isinstance(path, str)))
         for name in listed:
             if name not in files:
@@ -141,7 +142,7 @@ def _open_version_2(root: Path, files: dict[str, Path], skipped: Skipped) -> Tub
 
 
 def finite(value: object) -> int | float | None:
-    """A finite JSON number that a float can hold, else None; true and false are none."""
+    """A finite JSON number that fits a float; None for other values, also for true and false."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         return None
     try:
@@ -151,11 +152,11 @@ def finite(value: object) -> int | float | None:
 
 
 def _start_ns(values: object, field: str) -> int | None:
-    """The time that stands in seconds under `field`, if it is one that a log can hold."""
+    """The time in seconds under `field`; None if it is missing or no log can hold it."""
     start_s = finite(values.get(field)) if isinstance(values, dict) else None
     if start_s is None or not 0 <= start_s < LAST_TIME_NS // 10**9:
         return None
-    return round(start_s * 1e6) * 1000  # a float of today's date is no finer
+    return round(start_s * 1e6) * 1000  # a float holds today's date to microseconds
 
 
 def _indexes(values: object) -> frozenset[int] | None:
@@ -163,7 +164,7 @@ def _indexes(values: object) -> frozenset[int] | None:
 
 
 def _files(place: Path, root: Path, skipped: Skipped) -> dict[str, Path]:
-    """The files in `place` by name; a link is taken only if what it names lies in `root`, a path without links."""
+    """The files in `place` by name. Links count only if their target is in `root`, a path without links."""
     files: dict[str, Path] = {}
     with readable(place), os.scandir(place) as entries:
         for entry in entries:
@@ -177,7 +178,7 @@ def _files(place: Path, root: Path, skipped: Skipped) -> dict[str, Path]:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
-    """The lines that are not empty, numbered from 1 (DonkeyCar ends them with CR LF, on Windows with CR CR LF)."""
+    """The non-empty lines, numbered from 1. DonkeyCar ends lines with CR LF, on Windows with CR CR LF."""
     with readable(path):
         lines = read_bounded(path, _MAX_JSON_BYTES).split(b"\n")
     yield from ((number, line) for number, line in enumerate(lines, start=1) if line.strip())
@@ -191,7 +192,7 @@ def _load(path: Path) -> object:
 
 
 def _parse(text: bytes) -> object:
-    """The value of a piece of JSON; None where it is not JSON, or deeper or longer than Python reads."""
+    """The value of a JSON text; None for other text, or for JSON that is too deep or long for Python."""
     try:
         parsed: object = json.loads(text)
     except (ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""Pictures of a drive for a person's eyes: larger than the recorded ones as far as the processor has room."""
+"""Pictures for the person who drives: larger than the recorded ones, if the processor is fast enough."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from simulator.driving.simulation import Simulation
 from simulator.driving.vehicle import STEP_S
 from simulator.pose import Pose
 
-EYE_STEPS: Final = 2  # steps of the simulator from one picture to the next
+EYE_STEPS: Final = 2  # simulator steps from one picture to the next
 EYE_HZ: Final = 1 / (EYE_STEPS * STEP_S)
-MAX_STEPS_BEHIND: Final = 4  # so many steps the clock goes on without a new picture; then it waits for one
-SCALES: Final = (1.0, 1.5, 2.0)  # sizes, by that of recorded pictures: 320x160, 480x240, 640x320
-_FULL_SHARE: Final = 0.9  # of the time between two pictures; rendering that takes more is too slow
-_ROOM_SHARE: Final = 0.5  # rendering at the next larger size that would take less has room
-_TRIAL: Final = 10  # of so many pictures as small as the recorded ones, one is rendered to see if there is room
-_MIN_SLOW, _MIN_FAST = 5, 50  # pictures of a size before the next smaller, or larger, one is tried
+MAX_STEPS_BEHIND: Final = 4  # steps without a new picture, before the clock waits for it
+SCALES: Final = (1.0, 1.5, 2.0)  # sizes relative to recorded pictures: 320x160, 480x240, 640x320
+_FULL_SHARE: Final = 0.9  # share of the time between two pictures; slower rendering needs a smaller size
+_ROOM_SHARE: Final = 0.5  # a larger size is tried if its rendering would take a smaller share
+_TRIAL: Final = 10  # at the smallest size, one of so many pictures is rendered to measure the time
+_MIN_SLOW, _MIN_FAST = 5, 50  # pictures of a size before a smaller, or a larger, one is tried
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,11 @@ class EyeMoment:
     step: int
     pose: Pose
     state: FrameState
-    recorded: bytes | None = None  # the picture as it is recorded, if it is there already
+    recorded: bytes | None = None  # the recorded picture, if it is rendered already
 
 
 class PictureScale:
-    """The largest size at which pictures keep up, by how long the last ones took."""
+    """The largest size at which rendering keeps up, measured on the last pictures."""
 
     def __init__(self) -> None:
         self._at = len(SCALES) - 1
@@ -50,12 +50,12 @@ class PictureScale:
         return SCALES[self._at]
 
     def is_recorded_enough(self) -> bool:
-        """True if the recorded picture, where it is there, serves in place of the next one."""
+        """True if the recorded picture, if there is one, can be shown as the next one."""
         self._small = 0 if self._at else self._small + 1
         return self._small % _TRIAL != 0
 
     def note(self, seconds: float) -> None:
-        """Note how long a picture of this size took."""
+        """Note the rendering time of a picture of this size."""
         self._pictures += 1
         self._mean_s = seconds if self._mean_s is None else 0.9 * self._mean_s + 0.1 * seconds
         max_s = 1 / EYE_HZ
@@ -71,12 +71,12 @@ class PictureScale:
 
 
 class WhenDue:
-    """The steps whose moments are shown: every `EYE_STEPS`, and at once the first that steers another way."""
+    """Chooses the steps to show: every `EYE_STEPS`, and at once a step that begins to steer another way."""
 
     def __init__(self) -> None:
         self._step = -EYE_STEPS
         self._steering = 0.0
-        self._side = 0.0  # to which the steering went lately; 0: it stayed
+        self._side = 0.0  # sign of the last change of the steering; 0: no change
 
     def is_due(self, step: int, steering: float) -> bool:
         turned = steering - self._steering
@@ -89,7 +89,7 @@ class WhenDue:
 
 
 class EyePictures:
-    """Renders the newest moment on a thread, and shows it on the pages of a wheel."""
+    """Renders the newest moment in a thread, and shows it on the pages of a wheel."""
 
     def __init__(self, simulation: Simulation, wheel: Wheel) -> None:
         self._simulation = simulation
@@ -104,7 +104,7 @@ class EyePictures:
         self._thread = threading.Thread(target=self._run, name="eye", daemon=True)
 
     def offer(self, moment: EyeMoment) -> None:
-        """Show a moment, in place of one that still waits; without a page, nothing."""
+        """Show a moment if there is a page. It replaces one that still waits."""
         if self._failure is not None:
             raise self._failure
         if self._wheel.pages:
@@ -113,12 +113,12 @@ class EyePictures:
                 self._changed.notify_all()
 
     def let_pass(self, patience_s: float) -> None:
-        """Wait until no picture is being rendered, for so long at most."""
+        """Wait until no picture is rendered, at most `patience_s`."""
         with self._changed:
             self._changed.wait_for(lambda: self._rendering is None and self._next is None, patience_s)
 
     def keeps_up(self, step: int, patience_s: float) -> bool:
-        """True if the picture that is being rendered is of one of the last steps; waits for that so long."""
+        """True if the picture in rendering is of one of the last steps. Waits for that at most `patience_s`."""
         with self._changed:
             return self._changed.wait_for(
                 lambda: self._rendering is None or step - self._rendering.step < MAX_STEPS_BEHIND, patience_s

@@ -1,4 +1,4 @@
-"""Finding recordings: the kind of one, all in a folder, and those near a path that holds none."""
+"""Finds recordings: their kind, all in a folder, and those near a path without one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from recorder.sources.lerobot_dataset import is_lerobot
 from recorder.sources.ros2_bag import MCAP, SQLITE, is_bag
 from recorder.sources.udacity_recording import CSV_NAME
 
-_MAX_FOLDERS: Final = 200  # that are searched: somebody's home may hold anything
+_MAX_FOLDERS: Final = 200  # searched: a home folder may hold anything
 _MAX_SUGGESTED: Final = 3
 
 Kind = Literal["log", "lerobot", "tub", "udacity", ""]
@@ -24,8 +24,8 @@ def is_udacity(folder: Path) -> bool:
 
 
 def kind_of(source: Path) -> Kind:
-    """What `source` looks like: a log (an MCAP file, finished or not, or a ROS 2 bag), a LeRobot dataset, a
-    DonkeyCar tub, a recording of Udacity's simulator; empty for anything else."""
+    """The kind that `source` looks like: a log (an MCAP file, finished or not, or a ROS 2 bag), a LeRobot dataset,
+    a DonkeyCar tub, or a recording of Udacity's simulator; empty for anything else."""
     is_folder = os.path.isdir(source)  # noqa: PTH112  (never raises)
     if is_bag(source) or (not is_folder and {MCAP, SQLITE} & set(source.suffixes)):
         return "log"
@@ -37,7 +37,7 @@ def kind_of(source: Path) -> Kind:
 
 
 def recordings_near(source: Path) -> str:
-    """ " did you mean ...?", naming the recordings near `source`; "" without any."""
+    """ " did you mean ...?" with the recordings near `source`; "" without any."""
     suggestions = list(islice(_search(source), _MAX_SUGGESTED + 1))
     if not suggestions:
         return ""
@@ -46,7 +46,7 @@ def recordings_near(source: Path) -> str:
 
 
 def recordings_in(folder: Path, levels: int = 2) -> list[Path]:
-    """The recordings in a folder: itself, or folders so many levels below, logs and csv files in it."""
+    """The recordings in a folder: the folder itself; or folders up to `levels` below, logs and csv files."""
     if _is_recording(folder):
         return [folder]
     folders = [folder, *(inner for level in islice(_levels_below(folder), levels) for inner in level)]
@@ -56,7 +56,7 @@ def recordings_in(folder: Path, levels: int = 2) -> list[Path]:
 
 
 def _search(source: Path) -> Iterator[Path]:
-    """The recording that `source` is a part of; else those in it, and in the folders in it."""
+    """The recording that `source` is a part of, or the recordings in `source` and its folders."""
     for folder in list(source.absolute().parents)[:2]:
         if _is_recording(folder) and source.exists():
             yield folder if source.is_absolute() else Path(os.path.relpath(folder))
@@ -66,7 +66,7 @@ def _search(source: Path) -> Iterator[Path]:
 
 
 def _levels_below(folder: Path) -> Iterator[list[Path]]:
-    """The folders in a folder, then those in these."""
+    """The folders in a folder, then the folders in those."""
     folders = [folder]
     for _ in range(2):
         folders = list(islice((inner for place in folders for inner in folders_in(place)), _MAX_FOLDERS))
@@ -74,7 +74,7 @@ def _levels_below(folder: Path) -> Iterator[list[Path]]:
 
 
 def _files_in(folder: Path) -> list[Path]:
-    """The logs of a folder; without any, its csv if there is only one."""
+    """The logs of a folder; without any, its only csv."""
     try:
         files = sorted(path for path in islice(folder.iterdir(), 100 * _MAX_FOLDERS) if path.is_file())
     except OSError:
@@ -88,10 +88,10 @@ def _is_recording(folder: Path) -> bool:
 
 
 def folders_in(folder: Path) -> list[Path]:
-    """The folders in a folder, by name; none where it cannot be read."""
+    """The folders in a folder, by name; none if it cannot be read."""
     try:
         with os.scandir(folder) as entries:
-            some = islice(entries, 100 * _MAX_FOLDERS)
-            return sorted(path for entry in some if (path := folder / entry.name).is_dir())
+            limited = islice(entries, 100 * _MAX_FOLDERS)
+            return sorted(path for entry in limited if (path := folder / entry.name).is_dir())
     except OSError:
         return []

@@ -1,7 +1,7 @@
 """Any Gymnasium environment as a car with one camera: its picture, its speed, and the numbers of its action.
 
-Gymnasium is an extra (`pip install ".[gym]"`) and imported only here. An environment is
-somebody else's code: it is run because its user has named it, and what it gives is checked.
+Gymnasium is an extra (`pip install ".[gym]"`), imported only here. An environment is other people's code. It runs
+because the user named it, and its output is checked.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _JPEG: Final = (
     *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444),  # pictures may be small
 )
 
-MIN_PX: Final = 16  # a side; smaller ones are no camera's
+MIN_PX: Final = 16  # a side; no camera has smaller pictures
 
 _SPEED: Final = re.compile(r"(?:(-?\d+\.?\d*|\.\d+)\*)?(.+)", re.ASCII)
 
@@ -67,13 +67,13 @@ class GymnasiumMoment:
 
 
 class GymnasiumCar(Closeable):
-    """A Gymnasium environment that is driven."""
+    """A Gymnasium environment to drive."""
 
     def __init__(self, flags: GymFlags) -> None:
         """Makes the environment.
 
-        Raises UsageError for flags that make no sense in themselves, UserError for an expert that is not there,
-        RecordingError for an environment that is not there or cannot be driven by them.
+        Raises UsageError for invalid flags, UserError for a missing expert, RecordingError for an environment that
+        is missing or cannot be driven with these flags.
         """
         if flags.episodes < 1:
             raise UsageError(f"--episodes {flags.episodes}: a number above 0 was expected")
@@ -103,7 +103,7 @@ class GymnasiumCar(Closeable):
 
     @property
     def max_steps(self) -> int | None:
-        """The length of an episode, if it is limited."""
+        """The length of an episode; None if it has no limit."""
         return None if self.env.spec is None else self.env.spec.max_episode_steps
 
     @property
@@ -113,24 +113,24 @@ class GymnasiumCar(Closeable):
 
     def reset(self, seed: int) -> GymnasiumMoment:
         self._steps = 0
-        with _their_errors(f"--gym {self.name}", f"its reset with seed {seed}"):
+        with _errors_of(f"--gym {self.name}", f"its reset with seed {seed}"):
             observation, info = self.env.reset(seed=seed)
         return self._moment(observation, info)
 
     def step(self, action: NDArray[Any]) -> GymnasiumMoment:
-        """One step by an action of the environment's own form, brought into its range."""
+        """One step by an action in the environment's form, limited to its range."""
         self._steps += 1
         sent = np.clip(action.reshape(self._space.shape), self._space.low, self._space.high)
-        with _their_errors(f"--gym {self.name}", f"its step {self._steps}"):
+        with _errors_of(f"--gym {self.name}", f"its step {self._steps}"):
             observation, given, terminated, truncated, info = self.env.step(sent.astype(self._space.dtype))
             reward = float(given)
         end = "terminated" if terminated else "truncated" if truncated else ""
         return self._moment(observation, info, reward, end)
 
     def expert_action(self, moment: GymnasiumMoment) -> NDArray[np.float64]:
-        """The expert's action (N,). Raises RecordingError for one that is none."""
+        """The expert's action (N,). Raises RecordingError for anything else."""
         assert self._expert is not None  # noqa: S101
-        with _their_errors(f"--expert {self._flags.expert}", f"at step {self._steps} it"):
+        with _errors_of(f"--expert {self._flags.expert}", f"at step {self._steps} it"):
             given = self._expert(self.env, moment.observation)
         try:
             action = np.asarray(given, np.float64)
@@ -138,8 +138,8 @@ class GymnasiumCar(Closeable):
             action = np.zeros(0)
         where = f"--expert {self._flags.expert}: at step {self._steps}"
         if action.size != len(self.actions):
-            what = f"an array of shape {action.shape}" if action.size else f"{type(given).__name__}"
-            raise RecordingError(f"{where} it gave {what}; an action of {len(self.actions)} numbers was expected")
+            kind = f"an array of shape {action.shape}" if action.size else f"{type(given).__name__}"
+            raise RecordingError(f"{where} it gave {kind}; an action of {len(self.actions)} numbers was expected")
         if not np.isfinite(action).all():
             raise RecordingError(f"{where} it gave {action.ravel().tolist()}: finite numbers were expected")
         return action.ravel()
@@ -199,11 +199,11 @@ class GymnasiumCar(Closeable):
             return math.nan
         for place in (observation, info):
             if isinstance(place, dict) and self._speed_key in place:
-                with contextlib.suppress(TypeError, ValueError):  # a text, or several numbers
+                with contextlib.suppress(TypeError, ValueError):  # text or several numbers
                     if math.isfinite(speed := float(np.asarray(place[self._speed_key]).item())):
                         return self._speed_factor * speed
         if not self._steps:
-            return math.nan  # info may have it from the first step on
+            return math.nan  # info may have it only from the first step on
         keys = sorted({*(observation if isinstance(observation, dict) else ()), *info})
         raise RecordingError(
             f"--gym {self.name}: speed {self.settings.speed}: no such number in its observation or info (there is:"
@@ -212,7 +212,7 @@ class GymnasiumCar(Closeable):
 
 
 def _make(name: str, arguments: dict[str, Any]) -> gymnasium.Env[Any, Any]:
-    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # it greets on standard output, where results are
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # a greeting on standard output, among results
     try:
         import gymnasium
     except ImportError:
@@ -226,12 +226,12 @@ def _make(name: str, arguments: dict[str, Any]) -> gymnasium.Env[Any, Any]:
 
 
 @contextlib.contextmanager
-def _their_errors(what: str, where: str) -> Iterator[None]:
-    """Makes a line of an error in somebody else's code."""
+def _errors_of(code: str, action: str) -> Iterator[None]:
+    """Turn an error in other people's code into one line."""
     try:
         yield
     except Exception as error:
-        raise RecordingError(f"{what}: {where} failed ({in_one_line(error)})") from error
+        raise RecordingError(f"{code}: {action} failed ({in_one_line(error)})") from error
 
 
 def _parse_action(text: str) -> ActionMap:
@@ -272,7 +272,7 @@ def _find_picture(name: str, space: Any, key: str | None) -> tuple[str, ...]:
 
 
 def _parts(space: Any, keys: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], Any]]:
-    """The spaces in a space of dicts, and the keys that lead to them."""
+    """The spaces in nested Dict spaces, with the keys that lead to them."""
     from gymnasium.spaces import Dict
 
     if not isinstance(space, Dict):

@@ -1,4 +1,4 @@
-"""The flags of `bc-record --gym` and `bc-drive --gym`, and the settings of an environment that they name."""
+"""The flags of `bc-record --gym` and `bc-drive --gym`, and the settings of their environment."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class GymFlags:
 
 
 GYM_FLAGS: Final = tuple(flag.name for flag in fields(GymFlags) if flag.name != "gym")
-"""The flags that mean nothing without `--gym`."""
+"""The flags that need `--gym`."""
 REMOVED_GYM_FLAGS: Final = {
     f"--gym-{name}": f"name a file that has {setting}: --gym FILE.toml"
     for name, setting in {
@@ -40,18 +40,18 @@ REMOVED_GYM_FLAGS: Final = {
 
 @dataclass(frozen=True)
 class EnvironmentSettings:
-    """A Gymnasium environment, and what its numbers mean: what a file for `--gym` holds."""
+    """A Gymnasium environment and the meaning of its numbers: the content of a file for `--gym`."""
 
-    id: str  # as gymnasium.make has it
-    args: dict[str, Any] = field(default_factory=dict)  # of gymnasium.make
+    id: str  # for gymnasium.make
+    args: dict[str, Any] = field(default_factory=dict)  # for gymnasium.make
     action: str = "steering"  # the meaning of each number, such as -steering,0.5*throttle,brake
     picture: str | None = None  # its key in a Dict observation
     speed: str | None = None  # key of the speed in mph, in the observation or info; 2.237*KEY for m/s
-    rate_hz: float | None = None  # steps a second, without render_fps
+    rate_hz: float | None = None  # steps a second, if the environment has no render_fps
 
 
 def environment_settings(flags: GymFlags) -> EnvironmentSettings:
-    """The environment that flags name. Raises UsageError for a file that is not there, or has other settings."""
+    """The environment that `flags` name. Raises UsageError for a missing file, or unknown settings."""
     name = str(flags.gym)
     stored = _stored(name) if name.endswith(".toml") else {"id": name}
     try:

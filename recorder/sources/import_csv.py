@@ -1,4 +1,4 @@
-"""Importing any folder of pictures with a csv into a log."""
+"""Imports a folder of pictures with a csv into a log."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ def import_csv(
     car: Car | None = None,
     overwrite: bool = False,
 ) -> Imported:
-    """Write a folder of pictures and its csv to `log`; its pictures byte for byte, its rows in their order.
+    """Write a folder of pictures and its csv to `log`; its pictures byte for byte, its rows in order.
 
-    `source` is a csv, or a folder that has one. `columns` name its columns: `image=frame`, `steering=angle`; also
-    `left`, `right`, `throttle`, `brake`, `speed_mph`, and `time_s` or another unit. Without times `rate_hz` is
-    needed: rows are then so many a second, those that are left out too, from 1970 on. `car` is what was recorded.
-    Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
+    `source`: a csv, or a folder that has one. `columns`: its columns, as `image=frame`, `steering=angle`; also
+    `left`, `right`, `throttle`, `brake`, `speed_mph`, and `time_s` or another unit. `rate_hz`: rows a second,
+    needed without times; the log then begins in 1970, and skipped rows count. `car`: the recorded car. Raises
+    RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     chosen = CsvColumns.of(columns)
     if chosen.has_times and rate_hz is not None:
@@ -106,14 +106,14 @@ def _rows(
     named = set[str]()
     rows = columns.rows(csv, steering_scale, skipped)
     for row in track(rows, f"importing {csv.parent.name}", len(folder.paths)):
-        # a row that is left out takes its time all the same
+        # a skipped row takes time, too
         time_ns = row.time_ns if rate_hz is None else round(row.index * 1e9 / rate_hz)
         pictures: dict[Camera, bytes] = {}
         for camera, name in row.pictures.items():
             path = folder.find(name)
             if path is None:
                 skipped.add(MISSING, f"line {row.line}: {name[:200]}")
-            elif path in named:  # twice the same, it could be on both sides of a split
+            elif path in named:  # the same picture twice could be on both sides of a split
                 skipped.add("pictures that an earlier row names, too", f"line {row.line}: {name[:200]}")
             elif (picture := _read(path)) is None:
                 skipped.add(NOT_WHOLE, f"line {row.line}: {name[:200]}")
@@ -141,15 +141,15 @@ def _read(path: str) -> bytes | None:
 
 
 class PictureFolder:
-    """Finds a picture by its path in the folder, by its name, by its name without ending, or by its number.
+    """Finds a picture by its path in the folder, its name, its name without ending, or its number.
 
-    A name or number that several pictures share finds nothing. Links are not followed.
+    A name or number of several pictures finds nothing. Links are not followed.
     """
 
     def __init__(self, root: Path) -> None:
-        """Raises RecordingError for a folder that cannot be read, or without a picture."""
+        """Raises RecordingError for a folder that cannot be read, or has no picture."""
         self.root = root
-        self.paths: dict[str, str] = {}  # by the path within the root, with slashes
+        self.paths: dict[str, str] = {}  # by path in the root, with slashes
         self._by_name: dict[str, str | None] = {}  # None: several
         self._by_number: dict[int, str | None] = {}
         for within, path in _pictures(root):
@@ -158,8 +158,8 @@ class PictureFolder:
                 raise RecordingError(f"{root}: over {MAX_FILES:,} pictures; give a folder of one recording")
             name = within.rpartition("/")[2]
             stem = name.rpartition(".")[0]
-            for called in {name, stem}:
-                self._by_name[called] = None if called in self._by_name else path
+            for key in {name, stem}:
+                self._by_name[key] = None if key in self._by_name else path
             if digits := _NUMBER.findall(stem):
                 number = int(digits[-1])
                 self._by_number[number] = None if number in self._by_number else path
@@ -174,12 +174,12 @@ class PictureFolder:
         name = slashed.rpartition("/")[2]
         if name in self._by_name:
             return self._by_name[name]
-        whole = name.removesuffix(".0")  # a table that made floats of numbers
+        whole = name.removesuffix(".0")  # some programs write whole numbers as floats
         return self._by_number.get(int(whole)) if _NUMBER.fullmatch(whole) else None
 
 
 def _pictures(root: Path) -> Iterator[tuple[str, str]]:
-    """Path within the root, and path, of every picture; in the order of their names."""
+    """The path in the root, and the path, of every picture, sorted by name."""
 
     def refuse(error: OSError) -> None:
         raise RecordingError(f"{error.filename}: cannot be read ({error.strerror})") from None

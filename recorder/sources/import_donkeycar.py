@@ -1,4 +1,4 @@
-"""Importing a DonkeyCar tub into a log."""
+"""Imports a DonkeyCar tub into a log."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from recorder.sources.imported_rows import (
 )
 from recorder.sources.udacity_recording import MAX_PICTURE_BYTES
 
-DEFAULT_RATE_HZ: Final = 20  # of DonkeyCar's loop, unless it is configured otherwise
+DEFAULT_RATE_HZ: Final = 20  # of DonkeyCar's loop by default
 
 _PICTURE = re.compile(r"[0-9]+_cam[_-]image_array_\.jpg")  # other cameras and depths have other names
 
@@ -39,10 +39,10 @@ class _UnusableRecordError(Exception):
 def import_tub(
     folder: Path, log: Path, *, rate_hz: float | None = None, car: Car | None = None, overwrite: bool = False
 ) -> Imported:
-    """Write the DonkeyCar tub in `folder` to `log`; its pictures byte for byte, its records in their order.
+    """Write the DonkeyCar tub in `folder` to `log`; its pictures byte for byte, its records in order.
 
-    DonkeyCar's angle is our steering. Its throttle is -1..1: what is below 0 becomes the brake. Speed is NaN.
-    `rate_hz` is for a tub whose records have no times: 20 without it. `car` is the one that was recorded.
+    DonkeyCar's angle is our steering. Its throttle is -1..1: values below 0 become the brake. Speed is NaN.
+    `rate_hz`: records a second for a tub without times; 20 by default. `car`: the recorded car.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     events = SkippedEvents()
@@ -65,9 +65,9 @@ def import_tub(
     return write_log(log, metadata, frames, events, without_rows, overwrite=overwrite)
 
 
-def _frames(tub: Tub, step_ms: float | None, what: str, skipped: Skipped) -> Iterator[ImportedRow]:
+def _frames(tub: Tub, step_ms: float | None, bar: str, skipped: Skipped) -> Iterator[ImportedRow]:
     named: set[str] = set()
-    for record in track(tub.records(skipped), what, tub.count):
+    for record in track(tub.records(skipped), bar, tub.count):
         try:
             yield _frame(tub, record, step_ms, named)
         except _UnusableRecordError as error:
@@ -90,7 +90,7 @@ def _frame(tub: Tub, record: TubRecord, step_ms: float | None, named: set[str]) 
     time_ns = _time_ns(tub, record, step_ms)
     if name not in tub.pictures:
         raise _UnusableRecordError("records without a picture")
-    if is_named_before:  # twice the same, it could be on both sides of a split
+    if is_named_before:  # the same picture twice could be on both sides of a split
         raise _UnusableRecordError("records with the picture of an earlier record")
     try:
         jpeg = read_bounded(tub.pictures[name], MAX_PICTURE_BYTES)

@@ -1,4 +1,4 @@
-"""Importing a LeRobot dataset of format v3 into a log."""
+"""Imports a LeRobot dataset of format v3 into a log."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from recorder.sources.lerobot_videos import CameraVideos
 from recorder.sources.settings import Topics
 from recorder.sources.udacity_recording import MAX_PICTURE_BYTES
 
-APART_NS: Final = 10_000_000_000  # between episodes whose dates are unknown: each is a drive of its own
+APART_NS: Final = 10_000_000_000  # between episodes without dates, so that each is a drive
 
 
 def import_lerobot(
@@ -49,10 +49,9 @@ def import_lerobot(
 ) -> Imported:
     """Write the LeRobot dataset in `folder` to `log`: images byte for byte, frames of videos encoded anew.
 
-    `topics` names the feature that is the camera's pictures, and the number that is the steering, as
-    `action.steering` or `action.0`; what it leaves out is found by the features' names. Episodes are drives. An
-    export of ours comes back with its own times and all digits; of others the times begin in 1970. `car` is the
-    one that was recorded; an export of ours has it.
+    `topics` names the feature with the camera's pictures, and the steering's number, such as `action.steering` or
+    `action.0`. Without them, the features' names decide. Episodes are drives. Our own exports keep their times and
+    all digits; times of other datasets begin in 1970. `car`: the recorded car; our exports have it.
     Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     topics = topics or Topics()
@@ -94,7 +93,7 @@ def _metadata(
 
 
 def _stored_car(dataset: LeRobotFolder) -> Car | None:
-    """The car that is stored in an export of ours, if all of its episodes have the same."""
+    """The car in an export of ours, if all episodes have the same car."""
     try:
         cars = set(dataset.episode_table([LOG_CAR])[LOG_CAR].to_pylist())
     except RecordingError:  # of an earlier version
@@ -107,7 +106,7 @@ def _stored_car(dataset: LeRobotFolder) -> Car | None:
 
 
 def _own_gaps(dataset: LeRobotFolder) -> dict[int, MeantGap]:
-    """The times that were left out on purpose, in an export of ours, by the episode behind each."""
+    """The times left out on purpose before episodes of an export of ours, by episode."""
     columns = ["episode_index", LOG_NOT_RECORDED, LOG_NOT_RECORDED_S]
     for names in (columns, columns[:2]):
         try:
@@ -162,7 +161,7 @@ def _frames(
                 skipped.add("frames without a picture", name)
                 continue
             if not math.isfinite(values[0]):
-                skipped.add("frames with a steering that is no finite number", name)
+                skipped.add("frames whose steering is not a finite number", name)
                 continue
             if abs(values[0]) > 1:
                 skipped.add(STEERING_OUT_OF_RANGE, f"{name}: {values[0]:g}")
@@ -182,7 +181,7 @@ def _with_paths(dataset: LeRobotFolder, columns: list[str]) -> Iterator[tuple[Pa
 def _rows(
     batch: pa.RecordBatch, chosen: LeRobotFeatures, images: dict[Camera, str]
 ) -> Iterator[tuple[int, float, int | None, list[float], dict[Camera, bytes]]]:
-    """Episode, time within it, log time, (steering, throttle, brake, speed) and pictures of each row."""
+    """Episode, time in it, log time, (steering, throttle, brake, speed) and pictures of each row."""
     episodes = batch.column("episode_index").cast(pa.int64()).to_pylist()
     times = batch.column("timestamp").cast(pa.float64()).to_pylist()
     log_times: list[Any] = [None] * len(episodes)
@@ -190,10 +189,10 @@ def _rows(
         log_times = batch.column(LOG_TIME).cast(pa.int64()).to_pylist()
     nothing, unknown = np.zeros(len(episodes)), np.full(len(episodes), math.nan)
     numbers = [
-        chosen.steering.of(batch),
-        nothing if chosen.throttle is None else chosen.throttle.of(batch),
-        nothing if chosen.brake is None else chosen.brake.of(batch),
-        unknown if chosen.speed_mph is None else chosen.speed_mph.of(batch),
+        chosen.steering.values(batch),
+        nothing if chosen.throttle is None else chosen.throttle.values(batch),
+        nothing if chosen.brake is None else chosen.brake.values(batch),
+        unknown if chosen.speed_mph is None else chosen.speed_mph.values(batch),
     ]
     values = np.stack(numbers, axis=1).tolist()
     pictures = {camera: batch.column(key).field("bytes").to_pylist() for camera, key in images.items()}
@@ -205,7 +204,7 @@ def _rows(
 
 
 class _Clock:
-    """Gives episodes their times, one after the other from 1970 on: a dataset has only seconds in an episode."""
+    """Gives episodes times one after the other, from 1970 on. A dataset has only seconds in each episode."""
 
     def __init__(self) -> None:
         self._episode: int | None = None
@@ -217,7 +216,7 @@ class _Clock:
         if episode != self._episode:
             self._start_ns = 0 if self._episode is None else self._last_ns + APART_NS
             self._episode = episode
-        # 32 bits hold the time of a long episode to some tens of microseconds
+        # in a long episode, 32-bit times are precise to some tens of microseconds
         time_ns = self._start_ns + round(time_s * 1e6) * 1000
         self._last_ns = max(self._last_ns, time_ns)
         return time_ns
@@ -228,7 +227,7 @@ def _is_sound(picture: object) -> bool:
 
 
 def _skip_missing(dataset: LeRobotFolder, counts: dict[int, int], skipped: Skipped) -> None:
-    """Count as skipped what meta/info.json counts, and no data file has."""
+    """Count episodes and frames as skipped that meta/info.json counts, but no data file has."""
     episodes = sorted(counts)
     stretches = [(-1, -1), *consecutive(episodes), (dataset.episodes, dataset.episodes)]
     for (_, end), (start, _) in itertools.pairwise(stretches):

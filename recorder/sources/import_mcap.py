@@ -1,4 +1,4 @@
-"""Importing other programs' logs: MCAP files of any program, and ROS 2 bags.
+"""Imports other programs' MCAP logs, and ROS 2 bags.
 
 The user names the topic of the pictures, and the topic and the field of the steering.
 """
@@ -51,7 +51,7 @@ from recorder.topics import PROFILE
 
 MAX_STEERING_AGE_S: Final = 1.0
 
-# magic, then the header's opcode, length, and the length of its profile
+# magic, the header's opcode and length, the length of its profile
 _OWN_HEADER: Final = re.compile(rb"\x89MCAP0\r\n\x01.{8}\x02\0\0\0" + PROFILE.encode(), re.DOTALL)
 
 
@@ -60,7 +60,7 @@ class _McapFile:
     path: Path
 
     def types(self, skipped: Skipped) -> dict[str, str]:
-        """The type of the messages on each topic; what is missing of the file is skipped."""
+        """The type of the messages on each topic. An unfinished file is noted in `skipped`."""
         with Log(self.path) as log:
             if log.notice:
                 skipped.add("files that are not whole", log.notice)
@@ -71,7 +71,7 @@ class _McapFile:
             return log.has_crcs
 
     def messages(self, topic: str, bar: str) -> Iterator[tuple[Schema | None, Channel, Message]]:
-        """The messages on `topic` in the order of the file, with a progress bar named `bar`."""
+        """The messages on `topic` in the file's order, with a progress bar named `bar`."""
         with Log(self.path) as log:
             for chunk in track(log.chunks, bar, len(log.chunks)):
                 for schema, channel, message in log.messages_of(chunk):
@@ -82,12 +82,7 @@ class _McapFile:
 _File = _McapFile | SqliteFile  # one file of a recording
 
 
-@dataclass(frozen=True)
-class _Steering:
-    """Every steering in the order of time; arrays of one length."""
-
-    time_ns: NDArray[np.int64]
-    value: NDArray[np.float64]
+_Steering = tuple[NDArray[np.int64], NDArray[np.float64]]  # times in ns, ascending, and the steering at each
 
 
 def is_own_log(source: Path) -> bool:
@@ -106,9 +101,9 @@ def import_mcap(
 
     `topics` names the topic of the pictures (foxglove.CompressedImage or sensor_msgs/CompressedImage, JPEG or
     PNG), and the topic and field of the steering, such as /drive.drive.steering_angle or /joy.axes.0. Its scale
-    makes -1 (left) .. 1 (right) of that: -1 for ROS where it is -1..1 already, -2.29 for radians.
-    Pictures without a steering that is at most a second old are left out. Speed is NaN, the pedals are 0.
-    `car` is the one that was recorded.
+    converts to -1 (left) .. 1 (right): -1 for ROS's -1..1, -2.29 for radians.
+    Pictures are left out if the last steering is over a second old. Speed is NaN, the pedals are 0. `car`: the
+    recorded car.
     Raises RecordingError if nothing in it can be used, LogError if a chunk of it is damaged, and UserError if
     `log` exists and `overwrite` is off.
     """
@@ -144,11 +139,11 @@ def _what_to_do_instead(source: Path, log: Path) -> str:
         return f"still unfinished: finish it with `bc-log recover {source}`"
     if real_path(source).parent == real_path(log).parent:
         return "and a session already: `bc-index` takes it in"
-    return f"which is a session without being imported: copy it into {log.parent}/"
+    return f"which needs no import: copy it into {log.parent}/"
 
 
 def topics_in(source: Path, skipped: Skipped) -> dict[str, str]:
-    """The topics of another program's log or a bag, with the type of their messages. Raises UserError."""
+    """The topics of another program's log or a bag, with their messages' types. Raises UserError."""
     return {topic: kind for file in _files(source, skipped) for topic, kind in file.types(skipped).items()}
 
 
@@ -163,11 +158,11 @@ def _files(source: Path, skipped: Skipped) -> list[_File]:
 
 
 def _split_field(source: Path, text: str, types: dict[str, str]) -> tuple[str, str]:
-    """The topic and the field that `text` names; the field is empty if it names a topic alone."""
+    """The topic and the field that `text` names; the field is empty if `text` names only a topic."""
     topics = [topic for topic in types if text == topic or text.startswith(f"{topic}.")]
     if not topics:
         raise RecordingError(
-            f"{source}: no topic that {brief(text)!r} begins with; --steering is TOPIC.field, and {_listed(types)}"
+            f"{source}: {brief(text)!r} names no topic; --steering is TOPIC.FIELD, and {_listed(types)}"
         )
     topic = max(topics, key=len)
     return topic, text[len(topic) + 1 :]
@@ -211,18 +206,19 @@ def _read_steering(
         problem = "; ".join(skipped.lines(max_names=1)) or problem
         raise RecordingError(f"{source}: --steering: no number can be read on {brief(topic)}: {problem}")
     order = np.argsort(np.array(times, np.int64), kind="stable")
-    return _Steering(np.array(times, np.int64)[order], np.array(values, np.float64)[order])
+    return np.array(times, np.int64)[order], np.array(values, np.float64)[order]
 
 
 def _rows(
     files: list[_File], topic: str, steering: _Steering, bar: str, skipped: Skipped
 ) -> Iterator[ImportedRow]:
+    steering_ns, values = steering
     for time_ns, name, message in _decoded(files, topic, bar, skipped):
-        at = int(np.searchsorted(steering.time_ns, time_ns, "right")) - 1
+        at = int(np.searchsorted(steering_ns, time_ns, "right")) - 1
         if at < 0:
             skipped.add("pictures before the first steering", name)
             continue
-        if time_ns - int(steering.time_ns[at]) > MAX_STEERING_AGE_S * 1e9:
+        if time_ns - int(steering_ns[at]) > MAX_STEERING_AGE_S * 1e9:
             skipped.add(f"pictures whose last steering is over {MAX_STEERING_AGE_S:g} s old", name)
             continue
         try:
@@ -233,14 +229,14 @@ def _rows(
         if not is_whole_picture(picture):
             skipped.add(NOT_WHOLE, name)
             continue
-        value = float(steering.value[at])
+        value = float(values[at])
         if abs(value) > 1:
             skipped.add(STEERING_OUT_OF_RANGE, f"{name}: {value:g}")
         yield ImportedRow(time_ns, vehicle_state(value), [("center", picture)])
 
 
 def _decoded(files: list[_File], topic: str, bar: str, skipped: Skipped) -> Iterator[tuple[int, str, object]]:
-    """The messages on `topic`: log time, what to call it, content."""
+    """The messages on `topic`: log time, name for people, content."""
     for file in files:
         decoders: dict[int, Decoder] = {}
         for schema, channel, message in file.messages(topic, bar):
@@ -256,7 +252,7 @@ def _decoded(files: list[_File], topic: str, bar: str, skipped: Skipped) -> Iter
                     raise RecordingError(f"{file.path}: {error}") from None
             try:
                 content = decoders[channel.id](message.data)
-            except Exception:  # decoders of somebody else's definitions may raise anything
+            except Exception:  # decoders of untrusted definitions may raise anything
                 skipped.add("messages that cannot be decoded", name)
                 continue
             yield time_ns, name, content

@@ -1,4 +1,4 @@
-"""Importing a recording of the Udacity simulator into a log."""
+"""Imports a recording of the Udacity simulator into a log."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ UNREADABLE_PICTURES = "pictures that cannot be read"
 def import_udacity(
     folder: Path, log: Path, *, rate_hz: float | None = None, car: Car | None = None, overwrite: bool = False
 ) -> Imported:
-    """Write the Udacity recording in `folder` to `log`; its pictures byte for byte, its rows in their order.
+    """Write the Udacity recording in `folder` to `log`; its pictures byte for byte, its rows in order.
 
-    `rate_hz` is for a recording whose pictures' names hold no times: its rows are so many a second, from 1970 on.
-    `car` is the one that was recorded, if that is not Udacity's.
-    Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
+    `rate_hz`: rows a second, from 1970 on, for a recording whose pictures' names hold no times. `car`: the
+    recorded car, if it is not Udacity's. Raises RecordingError if nothing in it can be used, and UserError if
+    `log` exists and `overwrite` is off.
     """
     events = SkippedEvents()
     recording = UdacityRecording(folder, events.skipped, rate_hz)

@@ -1,4 +1,4 @@
-"""Rows of a recording on their way into a log, as the importers of all kinds have them."""
+"""Writes the rows of any recording to a log, for all importers."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from recorder.log.writer import LogWriter
 STEERING_OUT_OF_RANGE: Final = (
     "rows with steering beyond -1..1 (kept, but an index leaves them out; is --steering-scale right?)"
 )
-"""The remark on such rows, which are not left out."""
-NOT_WHOLE: Final = "pictures that are no whole JPEG or PNG"
+"""The remark on these rows, which are kept."""
+NOT_WHOLE: Final = "pictures that are not whole JPEG or PNG files"
 FROM_1970: Final = {"start": "1970, because the recording does not have it"}
-"""In the metadata of a log whose rows have no date."""
+"""Metadata of a log whose recording has no date."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +34,13 @@ class Imported:
     rows: int
     pictures: int
     skipped: Skipped
-    notices: Sequence[str] = ()  # what a person should know of what is in it
+    notices: Sequence[str] = ()  # lines about its content
 
 
 class SkippedEvents:
-    """Counts what an import leaves out, and writes an event about each to its log.
+    """Counts what an import skips, and writes an event about each to its log.
 
-    Events from before the first row wait for this row. Of more than a thousand of a kind, the rest is counted.
+    Events before the first row wait for this row. After a thousand events of a kind, the rest is only counted.
     """
 
     def __init__(self) -> None:
@@ -49,7 +49,7 @@ class SkippedEvents:
         self._time_ns = 0
 
     def at(self, writer: LogWriter, time_ns: int) -> None:
-        """Give the following events the time of this row."""
+        """Set the time of the following events: that of their row."""
         is_first = self._writer is None
         self._writer, self._time_ns = writer, time_ns
         if is_first:
@@ -69,18 +69,18 @@ class ImportedRow:
     time_ns: int
     state: VehicleState
     pictures: Iterable[tuple[Camera, bytes]]  # JPEG or PNG, byte for byte
-    gap: MeantGap | None = None  # before it
+    gap: MeantGap | None = None  # before the row
 
 
 def recording_metadata(source: str, recording: Path, car: Car | None) -> dict[str, str]:
-    """The metadata about its origin that every imported log has."""
+    """The metadata about the origin of an imported log."""
     return {"source": source, "recording": Path(os.path.realpath(recording)).name} | metadata_of(car)
 
 
 def vehicle_state(
     steering: float, throttle: float = 0.0, brake: float = 0.0, speed_mph: float = math.nan
 ) -> VehicleState:
-    """A state of the car. Pedals may be one number: a throttle below 0 brakes. Those that are not finite are 0."""
+    """A state of the car. A throttle below 0 brakes. Pedals that are not finite become 0."""
     throttle, brake = (value if math.isfinite(value) else 0.0 for value in (throttle, brake))
     brake = max(0.0, brake, -throttle)
     return VehicleState(steering=steering, throttle=max(0.0, throttle), brake=brake, speed_mph=speed_mph)
@@ -96,9 +96,9 @@ def write_log(
     warnings: Sequence[str] = (),
     overwrite: bool,
 ) -> Imported:
-    """Write rows, numbered from 0, and events of what is left out between them. `warnings` are of all of them.
+    """Write rows, numbered from 0, with events about skipped ones. `warnings` become events at the first row.
 
-    Raises RecordingError, which begins with `without_rows`, where there is none: no log is then begun.
+    Raises RecordingError, which begins with `without_rows`, if there is no row: then no log is created.
     """
     first = next(rows, None)
     if first is None:

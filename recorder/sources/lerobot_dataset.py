@@ -1,7 +1,7 @@
-"""Reading a LeRobot dataset of format v3: `meta/info.json`, its episodes, and its data files.
+"""Reads a LeRobot dataset of format v3: `meta/info.json`, its episodes, and its data files.
 
-A dataset is somebody else's: it is checked before it is used, and of a link only what it names within the dataset,
-or in the cache of Hugging Face's own programs, is read.
+A dataset is untrusted: it is checked before use. Links are followed only within the dataset, and into the cache of
+Hugging Face's own programs.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _CONVERT: Final = "LeRobot converts it: `python -m lerobot.scripts.convert_datas
 
 @dataclass(frozen=True)
 class LeRobotFolder:
-    """A dataset, as far as `meta/info.json` describes it."""
+    """A dataset, as `meta/info.json` describes it."""
 
     root: Path
     version: str
@@ -43,7 +43,7 @@ class LeRobotFolder:
 
     @property
     def image_keys(self) -> list[str]:
-        """Features that are pictures in three colours."""
+        """The features with pictures in three colours."""
         return [
             name
             for name, feature in self.features.items()
@@ -54,7 +54,7 @@ class LeRobotFolder:
         """A file of the dataset, to be opened. Raises RecordingError for a link out of it."""
         real = Path(os.path.realpath(path))
         places = [Path(os.path.realpath(self.root))]
-        if self.root.absolute().parent.name == "snapshots":  # how Hugging Face keeps what it has downloaded
+        if self.root.absolute().parent.name == "snapshots":  # Hugging Face's layout of downloads
             places.append(Path(os.path.realpath(self.root.absolute().parent.parent / "blobs")))
         if not any(real.is_relative_to(place) for place in places):
             raise RecordingError(
@@ -70,7 +70,7 @@ class LeRobotFolder:
         return paths
 
     def rows(self, path: Path, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
-        """Columns of a parquet file, some rows at a time. Raises RecordingError for one that is not whole."""
+        """Columns of a parquet file, some rows at a time. Raises RecordingError for a damaged file."""
         with self._parquet(path) as file:
             stored = set(file.schema_arrow.names)
             if missing := [name for name in columns if name not in stored]:
@@ -78,7 +78,7 @@ class LeRobotFolder:
             yield from file.iter_batches(BATCH_ROWS, columns=list(columns), use_threads=False)
 
     def episode_table(self, columns: Sequence[str]) -> pa.Table:
-        """Columns of `meta/episodes`, an episode a row. Raises RecordingError where it has not got them."""
+        """Columns of `meta/episodes`, an episode a row. Raises RecordingError if one is missing."""
         files = sorted((self.root / "meta/episodes").glob("*/*.parquet"))
         batches = [batch for path in files for batch in self.rows(path, columns)]
         if not batches:
@@ -102,7 +102,7 @@ def is_lerobot(folder: Path) -> bool:
 
 
 def open_dataset(folder: Path) -> LeRobotFolder:
-    """Raises RecordingError for what is not a dataset of format v3."""
+    """Raises RecordingError for anything but a dataset of format v3."""
     path = folder / INFO_PATH
     try:
         with readable(path):
@@ -117,13 +117,10 @@ def open_dataset(folder: Path) -> LeRobotFolder:
 
 def _dataset(folder: Path, info: dict[str, Any]) -> LeRobotFolder:
     version = str(info["codebase_version"])
-    if version.startswith(("v1", "v2")):
-        raise RecordingError(
-            f"{folder}: a LeRobot dataset of format {printable(version)}; {VERSION} was expected. {_CONVERT}"
-        )
     if not version.startswith("v3."):
+        advice = f". {_CONVERT}" if version.startswith(("v1", "v2")) else ""
         raise RecordingError(
-            f"{folder}: a LeRobot dataset of format {printable(version[:40])}; {VERSION} was expected"
+            f"{folder}: a LeRobot dataset of format {printable(version[:40])}; {VERSION} was expected{advice}"
         )
     features = {str(name): _feature(stored) for name, stored in info["features"].items()}
     dataset = LeRobotFolder(
@@ -149,7 +146,7 @@ def _feature(stored: Mapping[str, Any]) -> Feature:
 
 
 def _names(stored: object) -> tuple[str, ...] | None:
-    """The names of a feature's numbers: a list, or one under some key of a dict, as in {"axes": ["x", "y"]}."""
+    """The names of a feature's numbers: a list, or the only list in a dict, as in {"axes": ["x", "y"]}."""
     if isinstance(stored, dict) and len(stored) == 1:
         (stored,) = stored.values()
     if isinstance(stored, list) and all(isinstance(name, str) for name in stored):

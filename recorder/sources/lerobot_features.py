@@ -1,4 +1,4 @@
-"""The features of a LeRobot dataset that are steering, pedals, speed and cameras: by flag, or by their names."""
+"""Finds steering, pedals, speed and cameras among a LeRobot dataset's features, by flags or names."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from recorder.sources.settings import Topics
 _NUMBERS: Final = ("float16", "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32")
 _THROTTLE: Final = ("throttle", "gas", "accelerator")
 _MPH: Final = {"speed_mph": 1.0, "speed_mps": 1 / MPS_PER_MPH, "speed_kmh": 1000 / 3600 / MPS_PER_MPH}
-"""The factor to mph, by a speed's name. A speed of unknown unit is not used."""
+"""The factor to mph, by a speed's name. Speeds of unknown unit are not used."""
 _CENTER: Final = ("center", "centre", "front")
 
 
 @dataclass(frozen=True)
 class FeatureNumber:
-    """One number of a feature: `action.steering`, `action.0`, or all of a feature that is one number."""
+    """One number of a feature: `action.steering`, `action.0`, or a feature with a single number."""
 
     feature: str
     index: int | None
     label: str
     scale: float = 1.0
 
-    def of(self, batch: pa.RecordBatch) -> NDArray[np.float64]:
-        """Its values (N,), NaN where there is none. Raises ArrowException where the column is of another shape."""
+    def values(self, batch: pa.RecordBatch) -> NDArray[np.float64]:
+        """Its values (N,), NaN if missing. Raises ArrowException if the column has another shape."""
         column = batch.column(self.feature)
         if self.index is not None:
             column = pc.list_element(column, self.index)
@@ -46,7 +46,7 @@ class FeatureNumber:
 
 @dataclass(frozen=True)
 class LeRobotFeatures:
-    """The features that are used of a dataset."""
+    """The features of a dataset to import."""
 
     steering: FeatureNumber
     throttle: FeatureNumber | None
@@ -54,11 +54,11 @@ class LeRobotFeatures:
     speed_mph: FeatureNumber | None
     cameras: Mapping[Camera, str]
     has_log_time: bool
-    """The true times are in a column, as in an export of ours."""
+    """A column has the true times, as in an export of ours."""
 
     @property
     def is_own(self) -> bool:
-        """All digits of the log are taken."""
+        """True for an export of ours, which has all digits of its log."""
         return self.steering.feature == LOG_VEHICLE
 
     @property
@@ -68,7 +68,7 @@ class LeRobotFeatures:
 
 
 def choose_features(dataset: LeRobotFolder, topics: Topics) -> LeRobotFeatures:
-    """`topics` is the user's choice. Raises RecordingError if a feature cannot be found."""
+    """`topics`: the user's choice. Raises RecordingError if a feature cannot be found."""
     is_own = LOG_TIME in dataset.features and dataset.features.get(LOG_VEHICLE, Feature("", ())).shape == (4,)
     cameras = _cameras(dataset, topics.image)
     if is_own and topics.steering is None and topics.steering_scale == 1.0:
@@ -108,7 +108,7 @@ def _cameras(dataset: LeRobotFolder, image: str | None) -> dict[Camera, str]:
 
 
 def _steering_by_name(dataset: LeRobotFolder) -> FeatureNumber:
-    """The number whose name has "steer" in it; one of an action is what the driver did, and goes before others."""
+    """The number whose name contains "steer". Numbers of actions, what the driver did, count first."""
     for prefix in ("action", ""):
         named = [
             number
@@ -126,7 +126,7 @@ def _steering_by_name(dataset: LeRobotFolder) -> FeatureNumber:
 
 
 def _number(dataset: LeRobotFolder, text: str) -> FeatureNumber:
-    """The number that --steering names: a feature, and a name or a position in it."""
+    """The number that --steering names: a feature, and its name or position in it."""
     numbers = _all_numbers(dataset)
     for number in numbers:
         if text in (number.label, f"{number.feature}.{number.index}"):
@@ -146,7 +146,7 @@ def _number(dataset: LeRobotFolder, text: str) -> FeatureNumber:
 
 
 def _all_numbers(dataset: LeRobotFolder) -> list[FeatureNumber]:
-    """Every number of the features that are one, or one row of them."""
+    """All numbers of the features that are one number, or one row of numbers."""
     numbers = []
     for name, feature in dataset.features.items():
         if feature.dtype not in _NUMBERS or len(feature.shape) != 1 or not 1 <= feature.shape[0] <= 1000:

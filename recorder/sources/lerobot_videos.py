@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from av.container import InputContainer
 
 JPEG_QUALITY: Final = 95
-_MAX_S: Final = 1e9  # into a video: thirty years
+_MAX_S: Final = 1e9  # in a video: thirty years
 
 
 class CameraVideos(Closeable):
     """The videos of one camera, read from the first row to the last."""
 
     def __init__(self, dataset: LeRobotFolder, key: str) -> None:
-        """Raises RecordingError where a video is not there, UserError where there is no PyAV."""
+        """Raises RecordingError if a video is missing, UserError if PyAV is."""
         self._av = require_av()
         self._dataset = dataset
         if dataset.video_path != VIDEO_PATH:
@@ -72,7 +72,7 @@ class CameraVideos(Closeable):
     def jpeg(self, episode: int, time_s: float) -> bytes | None:
         """The frame of an episode at a time, encoded anew; None if there is none.
 
-        Times of an episode come in ascending order. Raises RecordingError where a video cannot be decoded.
+        Call it with ascending times of each episode. Raises RecordingError if a video cannot be decoded.
         """
         if episode not in self._places:
             return None
@@ -103,7 +103,7 @@ class CameraVideos(Closeable):
     def _go_to(self, episode: int, path: Path, start_s: float) -> None:
         if path != self._path or self._container is None:
             self.close()
-            # the format is given, not guessed: a list of other files' addresses may call itself .mp4, too
+            # the format is given: FFmpeg's guess may follow a list of other files that is named .mp4
             self._container = self._av.open(str(path), "r", format="mp4")
             self._path = path
         if not self._container.streams.video:

@@ -1,4 +1,4 @@
-"""Recording the telemetry of connected simulators into a log."""
+"""Records the telemetry of connected simulators in a log."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ from recorder.upkeep.derived_log import close_with_tags
 if TYPE_CHECKING:
     from recorder.sources.person_of_telemetry import PersonOfTelemetry
 
-MAX_ROW_S = 0.2  # between two rows of a simulator that is driven; what is more was not recorded
-RATE_S = 1.0  # the rows a second that are shown are those of this last while
+MAX_ROW_S = 0.2  # between two rows of a driven simulator; longer times were not recorded
+RATE_S = 1.0  # the shown rows a second are measured over this time
 
 
 def listen_for_telemetry(
     log: Path, settings: ListenSettings, *, overwrite: bool = False, person: PersonOfTelemetry | None = None
 ) -> Imported:
-    """Record the telemetry of Socket.IO clients to `log`. Every telemetry is answered by `manual`, which asks for
-    the next one, or by a `person`, who also chooses what is recorded.
+    """Record the telemetry of Socket.IO clients to `log`. The answer to every telemetry is `manual`, which asks
+    for the next one, or the command of a `person`, who also chooses what is recorded.
 
-    Ends on Ctrl-C or `kill`, or `idle_s` of the settings after the last telemetry; outside the main thread, which
-    alone hears signals, only on the latter.
+    Ends on Ctrl-C or `kill`, or the settings' `idle_s` after the last telemetry. In other threads than the main
+    thread, signals do not arrive.
 
-    Raises RecordingError if not one telemetry came that can be used, ListenError if the port is taken, UserError
-    if `log` exists and `overwrite` is off, or if it cannot be written any further.
+    Raises RecordingError if no usable telemetry came, ListenError if the port is taken, UserError if `log` exists
+    and `overwrite` is off, or if the disk fails.
     """
     driver = {} if person is None else {"driver": "human"}
     metadata = {"source": "telemetry", **driver, **metadata_of(settings.car)}
@@ -73,7 +73,7 @@ def listen_for_telemetry(
             server.run(until=is_over)
         session.finish()
         if not session.rows:
-            writing.pop_all()  # a live log would be kept, for its events
+            writing.pop_all()  # otherwise the live log would be kept for its events
             writer.discard()
             raise RecordingError(f"{log}: {session.why_nothing()}")
         if person is not None:
@@ -83,7 +83,7 @@ def listen_for_telemetry(
 
 
 class _Session:
-    """Writes telemetry to a log; rows are numbered from 0, and no time is the same as or before the last one."""
+    """Writes telemetry to a log. Rows are numbered from 0, and their times ascend."""
 
     def __init__(
         self, writer: LogWriter, status: StatusLine, car: Car, person: PersonOfTelemetry | None = None
@@ -95,10 +95,10 @@ class _Session:
         self._status = status
         self._text = ""
         self._connections = 0
-        self._first_connected_s: float | None = None  # until its first telemetry, or none came for too long
+        self._first_connected_s: float | None = None  # until the first telemetry, or the notice that none comes
         self._telemetries = 0
         self._manuals = 0
-        self._human: set[str] = set()  # the connections on which a human drives
+        self._human: set[str] = set()  # the connections with a human driver
         self._human_driving = HumanDriving()
         self._clock = LogClock()
         self._world_notices = WorldNotices()
@@ -129,8 +129,8 @@ class _Session:
         if person is None or data is None:
             return Answer(None, lambda _: self._note(sid, received_ns, self._parsed(sid, data)))
         parsed = self._parsed(sid, data)
-        self._heed(person)
-        device, brake = person.control.device, person.brake  # in force at the moment of this picture
+        self._handle_requests(person)
+        device, brake = person.control.device, person.brake  # in force when this picture was taken
         speed_mph = None if parsed is None else parsed.speed_mph
         command = person.command(
             parsed if isinstance(parsed, Telemetry) else None,
@@ -158,7 +158,7 @@ class _Session:
 
     def tick(self) -> None:
         if self._person is not None:
-            self._heed(self._person)
+            self._handle_requests(self._person)
         self._writer.flush_if_due()
         now_s = time.monotonic()
         since_s, rows = self._rate_from
@@ -178,22 +178,22 @@ class _Session:
         self._status.show(self._text)
 
     def warn(self, text: str) -> None:
-        """Report a client that is no simulator, or telemetry that cannot be used."""
+        """Report a client that is not a simulator, or unusable telemetry."""
         self._event(time.perf_counter_ns(), text, "WARNING")
         self.show(text)
 
     def show(self, text: str) -> None:
-        """Show it in the status line; where there is none, print it."""
+        """Show a text in the status line, or print it."""
         self._text = text
         self._status.show_or_print(text)
 
     def finish(self) -> None:
-        """To be called when nothing more will come."""
-        for text in self._bad.left():
+        """Write the last events, when nothing more will come."""
+        for text in self._bad.remaining():
             self._event(time.perf_counter_ns(), text, "WARNING")
 
     def is_idle_for(self, idle_s: float) -> bool:
-        """True if the last telemetry came so long ago; False before the first."""
+        """True if the last telemetry came at least `idle_s` ago; False before the first."""
         return self._telemetries > 0 and time.monotonic() - self._last_s >= idle_s
 
     def why_nothing(self) -> str:
@@ -210,12 +210,12 @@ class _Session:
             return "nothing was recorded: a client connected, but sent no telemetry; start its autonomous mode"
         return "nothing was recorded: no simulator connected; start its autonomous mode while this waits for it"
 
-    def _heed(self, person: PersonOfTelemetry) -> None:
-        for text in person.heed():
+    def _handle_requests(self, person: PersonOfTelemetry) -> None:
+        for text in person.handle_requests():
             self._event(time.perf_counter_ns(), text)
 
     def _parsed(self, sid: str, data: object) -> Telemetry | TelemetryError | None:
-        """A telemetry whose picture is whole, or why it cannot be used; None while a human holds a key."""
+        """A telemetry with a whole picture, or the reason why it is unusable; None while a human holds a key."""
         if data is None:
             return None
         try:
@@ -269,7 +269,7 @@ class _Session:
         self.rows += 1
 
     def _gap_before(self, sid: str, time_ns: int) -> MeantGap | None:
-        """The person's pause before a row, if there was one. Where a human has driven, that ends with the row."""
+        """The person's pause before a row, if there was one. A row also ends a human's driving."""
         if sid in self._human:
             self._human.remove(sid)
             if not self._human:
@@ -279,16 +279,16 @@ class _Session:
         gap_s = (time_ns - self._last_row_ns) / 1e9 - MAX_ROW_S
         return MeantGap(gap_s, why) if self.rows and why and gap_s > 0 else None
 
-    def _note_unusable(self, what: str, received_ns: int, kind: str, reason: str) -> None:
-        """Note that a telemetry, or a side camera's picture in it, cannot be used."""
+    def _note_unusable(self, noun: str, received_ns: int, kind: str, reason: str) -> None:
+        """Note an unusable telemetry, or an unusable picture of a side camera."""
         if kind not in self._bad.counts:
-            print_message(f"{'telemetry' if what == 'telemetries' else 'a picture'} that cannot be used: {reason}")
-        self.skipped.add(f"{what} that cannot be used ({kind})", f"number {self._telemetries}")
+            print_message(f"{'telemetry' if noun == 'telemetries' else 'a picture'} that cannot be used: {reason}")
+        self.skipped.add(f"{noun} that cannot be used ({kind})", f"number {self._telemetries}")
         if (text := self._bad.take(kind, reason)) is not None:
             self._event(received_ns, text, "WARNING")
 
     def _event(self, happened_ns: int, text: str, level: EventLevel = "INFO") -> int:
-        """Write an event; its log time."""
+        """Write an event, and return its log time."""
         time_ns = self._clock.event(happened_ns)
         self._writer.event(time_ns, text, level, "recorder")
         return time_ns

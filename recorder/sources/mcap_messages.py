@@ -1,6 +1,6 @@
-"""Reading another program's messages: their decoders, the number in one of their fields, the picture in them.
+"""Reads other programs' messages: their decoders, the number in a field, the picture.
 
-Both the definitions and the messages are somebody else's: no decoder here runs code that it made of a definition.
+Definitions and messages are untrusted: no decoder here generates and runs code from a definition.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from common.versions import install_line
 from recorder.errors import RecordingError
 
 MAX_DEFINITION_BYTES: Final = 1 << 16
-"""Of a type, with those in it: a car's commands have some hundred. Reading one of 3 MB takes minutes."""
+"""The longest definition of a type, with its parts. A car's commands have some hundred bytes. Reading 3 MB takes
+minutes."""
 
 _PICTURE_TYPE = re.compile(r"(foxglove|foxglove_msgs|sensor_msgs)[./](msg/)?CompressedImage")
 
@@ -34,10 +35,7 @@ Decoder = Callable[[bytes], object]
 
 
 class FieldError(Exception):
-    """A field, or a picture, is not in a message.
-
-    `is_final` where it is in no other message of its type either.
-    """
+    """A message lacks a field or a picture. `is_final`: all messages of its type lack it."""
 
     is_final = False
 
@@ -47,10 +45,7 @@ def is_picture_type(name: str) -> bool:
 
 
 def decoder_for(schema: Schema | None, channel: Channel) -> Decoder:
-    """The decoder of a channel's messages, which may raise anything.
-
-    Raises RecordingError where there is none.
-    """
+    """The decoder of a channel's messages, which may raise anything. Raises RecordingError if there is none."""
     encoding = channel.message_encoding
     if schema is not None and len(schema.data) > MAX_DEFINITION_BYTES:
         raise RecordingError(
@@ -73,9 +68,9 @@ def decoder_for(schema: Schema | None, channel: Channel) -> Decoder:
             " protobuf, JSON and the CDR of ROS 2 can be read"
         )
     try:
-        with contextlib.redirect_stderr(io.StringIO()):  # mcap-ros2-support prints what it then raises
+        with contextlib.redirect_stderr(io.StringIO()):  # mcap-ros2-support prints errors before it raises them
             decoder: Decoder | None = find(encoding, schema)
-    except Exception as error:  # whatever a definition that makes no sense leads to
+    except Exception as error:  # an invalid definition may raise anything
         raise RecordingError(
             f"{brief(channel.topic)}: the definition of its type cannot be read ({brief(str(error))})"
         ) from None
@@ -88,7 +83,7 @@ def decoder_for(schema: Schema | None, channel: Channel) -> Decoder:
 def number_in(message: object, field: str) -> float:
     """The finite number in `field`, such as `drive.steering_angle` or `axes.0`.
 
-    Raises FieldError, which names what there is instead.
+    Raises FieldError, which names the existing fields.
     """
     names = field.split(".") if field else []
     try:
@@ -98,7 +93,7 @@ def number_in(message: object, field: str) -> float:
             parents = f"{parents}{name}."
         if not isinstance(value, int | float) or isinstance(value, bool):
             has = f"; it has {_listed(fields)}" if (fields := _names(value)) else ""
-            raise FieldError(f"{brief(field) or 'the message'} is no number but {_kind(value)}{has}")
+            raise FieldError(f"{brief(field) or 'the message'} is not a number but {_kind(value)}{has}")
     except FieldError as error:
         is_typed = isinstance(message, ProtobufMessage | SimpleNamespace)
         error.is_final = is_typed and not any(name.isdecimal() for name in names)  # lists may be longer elsewhere
@@ -108,15 +103,13 @@ def number_in(message: object, field: str) -> float:
     except OverflowError:  # a whole number of over 308 digits
         number = math.inf
     if not math.isfinite(number):
-        raise FieldError(f"{brief(field)} is no finite number")
+        raise FieldError(f"{brief(field)} is not a finite number")
     return number
 
 
 def picture_in(message: object) -> bytes:
-    """The bytes of a CompressedImage's picture, which JSON holds as base64 or a list of numbers.
-
-    Raises FieldError if it has none.
-    """
+    """The bytes of a CompressedImage's picture; in JSON, base64 or a list of numbers. Raises FieldError without
+    one."""
     data = _child(message, "data", "")
     try:
         if isinstance(data, str):
@@ -125,16 +118,16 @@ def picture_in(message: object) -> bytes:
             return bytes(data)
     except (binascii.Error, TypeError, ValueError):
         pass
-    raise FieldError("data is no picture")
+    raise FieldError("data is not a picture")
 
 
 def needs_ros() -> str:
-    """The error where the packages that read ROS 2 messages are missing."""
+    """The error if the packages for ROS 2 messages are missing."""
     return f"ROS 2 messages need two packages more: `{install_line('ros')}` brings them"
 
 
 def brief(text: str) -> str:
-    """Text of somebody else's file, short enough for an error and without what moves a cursor."""
+    """Untrusted text, shortened and made printable for an error."""
     return printable(text if len(text) <= 200 else f"{text[:200]}...")
 
 

@@ -1,4 +1,4 @@
-"""Recording a person who drives a simulator that connects: a page's controls answer each telemetry."""
+"""Records a person who drives a simulator that connects: a page's controls answer each telemetry."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from recorder.teleop.recording import Recording
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Wheel
 
-MAX_BRAKING_S: Final = 5.0  # a simulator whose car does not come to a stand in that time is left alone at the end
+MAX_BRAKING_S: Final = 5.0  # at the end, a car that does not stop in this time is left alone
 
 
 class PersonOfTelemetry:
-    """A person at the wheel of a simulator that connects: commands, and what is recorded of the drive."""
+    """A person at the wheel of a simulator that connects: commands and recording."""
 
     def __init__(self, wheel: Wheel, hold_mph: float) -> None:
-        """`hold_mph` is the speed that the page offers to hold."""
+        """`hold_mph`: the speed that the page offers to hold."""
         self._wheel = wheel
         self.control = Control()  # the controls in force
-        self._sent = Steer(0.0, 0.0)  # is in force at the next telemetry's picture
+        self._sent = Steer(0.0, 0.0)  # in force when the next telemetry's picture is taken
         self._speed_mph = math.nan
         self._rates = RateMeter()
         self._first_ns = self._last_ns = 0
         self._braking_since_s: float | None = None
         self.recording = Recording(wheel)
-        self.hold_mph = hold_mph  # the speed that was held last, or offered
+        self.hold_mph = hold_mph  # the speed that was held last, or is offered
         self.rows = 0
-        self.why = "stopped at the terminal"  # why the drive has ended
+        self.why = "stopped at the terminal"  # reason for the drive's end
         self.is_ended = False  # the person has ended the drive
 
     @property
@@ -48,7 +48,7 @@ class PersonOfTelemetry:
         return max(0.0, -self._sent.throttle)
 
     def command(self, telemetry: Telemetry | None, speed_mph: float, separator: str) -> Steer:
-        """The answer to a telemetry, None for one that cannot be used; what was in force before is shown."""
+        """The answer to a telemetry (None: an unusable one). Also shows it, with the controls in force before."""
         self._speed_mph = speed_mph
         if telemetry is not None:
             self._show(telemetry)
@@ -62,15 +62,15 @@ class PersonOfTelemetry:
         return self._sent
 
     def is_at_rest(self) -> bool:
-        """Brake the car, at the end of the drive; True once it stands, or does not in all that time."""
+        """Brake the car at the end of the drive; True if it stands, or has not stopped in `MAX_BRAKING_S`."""
         now_s = time.monotonic()
         if self._braking_since_s is None:
             self._braking_since_s = now_s
-        is_slow = not self._speed_mph > MAX_STANDING_MPH  # NaN: nobody knows, or nothing has connected
+        is_slow = not self._speed_mph > MAX_STANDING_MPH  # also NaN: unknown, or nothing has connected
         return is_slow or now_s - self._braking_since_s > MAX_BRAKING_S
 
     def takes_row(self) -> bool:
-        """True if the telemetry that has come is to be recorded."""
+        """True if the current telemetry is to be recorded."""
         return self._braking_since_s is None and self.recording.takes_row(self.control)
 
     def has_row(self, time_ns: int) -> None:
@@ -79,11 +79,11 @@ class PersonOfTelemetry:
         self.rows += 1
         self._first_ns, self._last_ns = self._first_ns or time_ns, time_ns
 
-    def heed(self) -> list[str]:
-        """Heed what the person has asked for; returns the events of it for the log."""
+    def handle_requests(self) -> list[str]:
+        """Handle the person's requests; returns their events for the log."""
         events: list[str] = []
         for request in self._wheel.requests():
-            events += self.recording.heed(request)
+            events += self.recording.handle(request)
             match request.kind:
                 case "put_back":
                     self._wheel.event("only the simulator itself can put the car back", is_problem=True)
@@ -124,10 +124,10 @@ def listen_at_the_wheel(
     overwrite: bool = False,
     on_wheel: Callable[[Wheel], object] | None = None,
 ) -> Imported:
-    """Record to `log` what a person drives in the simulator that connects, until the page, Ctrl-C or silence ends
-    it. `hold_mph` is the speed that the page offers to hold; `on_wheel` gets the wheel, once pages can connect.
+    """Record a person's drive in a simulator that connects to `log`, until the page, Ctrl-C or silence ends it.
 
-    Raises what `listen_for_telemetry` does.
+    `hold_mph`: the speed that the page offers to hold. `on_wheel` gets the wheel as soon as pages can connect.
+    Raises as `listen_for_telemetry`.
     """
     about = hello("listen", log, hold_mph=hold_mph)
     with Wheel(f"{log.stem}, a simulator that connects", log, about) as wheel:

@@ -1,4 +1,4 @@
-"""The pedals of a car that a person steers: the person's own throttle, a speed that is held, or the brakes."""
+"""The pedals of a car that a person steers: the person's throttle, a held speed, or the brakes."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from simulator.driving.course import Course
 from simulator.driving.expert import plan_speed, throttle_for
 from simulator.driving.vehicle import TOP_SPEED_MPS
 
-MAX_STANDING_MPH: Final = 0.5  # a car at rest: braked any longer, it would reverse
-_STEP_MPH: Final = 0.5  # plans are made for multiples of it
-_GAIN_PER_MPH: Final = 0.2  # full throttle at 5 mph too slow; it balances drag at half a mile an hour too slow
+MAX_STANDING_MPH: Final = 0.5  # a slower car stands: more braking would reverse it
+_STEP_MPH: Final = 0.5  # speeds are planned in these steps
+_GAIN_PER_MPH: Final = 0.2  # full throttle at 5 mph below the held speed; drag is balanced at 0.5 mph below
 
 
 class CoursePedals:
-    """The pedals of a course's car. A speed is held as the built-in drivers hold it: they slow for bends."""
+    """The pedals of a course's car. A held speed is lower in bends, as for the built-in drivers."""
 
     def __init__(self, course: Course) -> None:
         self._course = course
         self._planned = lru_cache(maxsize=32)(self._plan)
 
     def throttle(self, control: Control) -> float:
-        """The throttle, -1 .. 1, at this moment; below 0 brakes."""
+        """The throttle now, -1 .. 1; below 0 brakes."""
         speed_mps = self._course.vehicle.speed_mps
         if control.is_absent:
             return -1.0 if speed_mps > 0 else throttle_for(self._course, 0.0)
@@ -42,7 +42,7 @@ class CoursePedals:
 
 
 def throttle_of_telemetry(control: Control, speed_mph: float) -> float:
-    """The throttle, -1 .. 1, for a car whose speed alone is known (NaN: not even that)."""
+    """The throttle, -1 .. 1, for a car of which only the speed is known (NaN: unknown, too)."""
     if control.is_absent:
         return brake_of_telemetry(speed_mph)
     if control.hold_mph is None:
@@ -54,5 +54,5 @@ def throttle_of_telemetry(control: Control, speed_mph: float) -> float:
 
 
 def brake_of_telemetry(speed_mph: float) -> float:
-    """The throttle that brings a car to a stand, and does not reverse it."""
+    """The throttle that stops a car without reversing it."""
     return -1.0 if speed_mph > MAX_STANDING_MPH else 0.0

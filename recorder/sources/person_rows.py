@@ -1,4 +1,4 @@
-"""The rows of a person's drive: rendered and written on a thread, so that the drive does not wait for them."""
+"""Renders and writes the rows of a person's drive in a thread, so that the drive does not wait for them."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from simulator.pose import Pose
 from simulator.rendering.camera import MOUNT_LEFT_M
 
 MAX_WAITING: Final = 10
-"""Rows that wait to be rendered: a kill loses them. With more, the drive waits, and its clock with it."""
-MAX_PATIENT: Final = 5  # with fewer rows that wait, pictures for the eye are rendered first
+"""The most rows that wait to be rendered; a kill loses them. Then the drive and its clock wait."""
+MAX_PATIENT: Final = 5  # with fewer waiting rows, the person's pictures are rendered first
 _PATIENCE_S: Final = 0.05
 _TICK_S: Final = 0.1
 
 
 class PersonRows:
-    """Renders rows and writes them to a log, in their order. Left as a context manager, it has written all."""
+    """Renders rows and writes them to a log in order. As a context manager, it writes all before its end."""
 
     def __init__(self, simulation: Simulation, writer: LogWriter, let_pass: Callable[[float], object]) -> None:
-        """`let_pass` waits until nothing more urgent is rendered, for so many seconds at most."""
+        """`let_pass` waits until nothing more urgent is rendered, at most so many seconds."""
         self._let_pass = let_pass
         self._simulation = simulation
         self._writer = writer
         self._actions: queue.Queue[Callable[[], None] | None] = queue.Queue(MAX_WAITING)
         self._failure: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="rows", daemon=True)
-        self.count = 0  # rows until now, also those that wait
-        self.written = 0  # rows that no longer wait
+        self.count = 0  # rows until now, including waiting ones
+        self.written = 0  # rows in the log
         self.last_ns = 0
 
     def add(self, time_ns: int, pose: Pose, state: VehicleState, gap: MeantGap | None) -> None:
-        """Add a row, with the gap before it; waits while too many wait. Raises what writing has raised."""
+        """Add a row, with the gap before it. Waits while too many rows wait. Raises errors of earlier writing."""
         self._put(partial(self._write, self.count, time_ns, pose, state, gap))
         self.count += 1
         self.last_ns = time_ns
@@ -53,7 +53,7 @@ class PersonRows:
             self._put(lambda: self._writer.event(time_ns, text, level, "recorder"))
 
     def check(self) -> None:
-        """Raise what writing has raised."""
+        """Raise an error of earlier writing."""
         if self._failure is not None:
             raise self._failure
 
@@ -62,7 +62,7 @@ class PersonRows:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with contextlib.suppress(Exception):  # it is raised below
+        with contextlib.suppress(Exception):  # raised below
             self._put(None)
         self._thread.join()
         self.check()

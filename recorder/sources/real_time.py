@@ -1,4 +1,4 @@
-"""Real time for a simulated clock: a step begins when it is due, and later where the computer cannot follow."""
+"""Real time for a simulated clock: a step begins when it is due, or later if the computer is too slow."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 
 from recorder.teleop.rate_meter import RateMeter
 
-MAX_CATCH_UP_S: Final = 0.1  # a clock that is later than that does not catch up: the drive was in slow motion
+MAX_CATCH_UP_S: Final = 0.1  # a later clock does not catch up: the drive was in slow motion
 
 
 class RealTime:
@@ -21,11 +21,11 @@ class RealTime:
         self._rates = RateMeter()
 
     def wait(self, sooner: threading.Event | None = None) -> None:
-        """Wait until the next step is due. `sooner` begins it before its time, by the length of a step at most."""
+        """Wait until the next step is due. `sooner` begins it early, by at most a step's length."""
         self._due_s += self._step_s
         late_s = time.monotonic() - self._due_s
         if late_s < 0:
-            time.sleep(max(0.0, -late_s - self._step_s))  # the step before was sooner
+            time.sleep(max(0.0, -late_s - self._step_s))  # the previous step was early
             if sooner is None or not sooner.wait(max(0.0, self._due_s - time.monotonic())):
                 time.sleep(max(0.0, self._due_s - time.monotonic()))
         elif late_s > MAX_CATCH_UP_S:
@@ -35,6 +35,6 @@ class RealTime:
 
     @property
     def pace(self) -> float:
-        """Simulated seconds in a real one, lately: 1 is real time."""
+        """Simulated seconds per second, recently; 1 is real time."""
         pace = self._rates.pace
         return 1.0 if pace is None else min(1.0, pace)

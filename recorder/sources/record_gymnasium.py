@@ -1,4 +1,4 @@
-"""Recording an expert in a Gymnasium environment into a log."""
+"""Records an expert in a Gymnasium environment in a log."""
 
 from __future__ import annotations
 
@@ -32,25 +32,24 @@ from simulator.driving.wandering import Wandering
 class GymRecording:
     """The settings of a recording: the environment, its expert, and how it is recorded.
 
-    The action that is sent wanders about the expert's, by a standard deviation of `wander` (of the steering
-    -1..1), so that he has something to correct; his own is recorded (Laskey et al. 2017, DART: Noise Injection for
-    Robust Imitation Learning).
+    With `wander`, the sent steering wanders around the expert's, so that the expert has errors to correct. The log
+    has the expert's own steering (Laskey et al. 2017, DART: Noise Injection for Robust Imitation Learning).
     """
 
     environment: GymFlags
     seed: int = 0  # of the first episode's reset, and of the wandering
-    rate_hz: float | None = None  # rows a second; it must divide the environment's; by default each step is a row
-    wander: float = 0.0
+    rate_hz: float | None = None  # rows a second; must divide the environment's rate; None: each step is a row
+    wander: float = 0.0  # standard deviation, for steering -1..1
     car: Car | None = None  # the environment's
 
 
 def record_gymnasium(recording: GymRecording, log: Path, *, overwrite: bool = False) -> Imported:
-    """Record an expert's episodes to `log`: what the camera showed, and what the expert wanted there.
+    """Record an expert's episodes to `log`: the camera's pictures, and the expert's action for each.
 
-    Ctrl-C ends the recording. What was recorded is kept, also where the environment or the expert fails.
+    Ctrl-C ends the recording. Recorded rows are kept, also if the environment or the expert fails.
 
-    Raises UsageError for flags that make no sense, RecordingError for an environment or an expert that cannot be
-    recorded, UserError if `log` exists and `overwrite` is off.
+    Raises UsageError for invalid flags, RecordingError for an environment or an expert that cannot be recorded,
+    UserError if `log` exists and `overwrite` is off.
     """
     refuse_existing(log, overwrite)
     check_recording(recording)
@@ -71,7 +70,7 @@ def record_gymnasium(recording: GymRecording, log: Path, *, overwrite: bool = Fa
                 while not (moment.end or stopped.is_set()):
                     before, action = moment, car.expert_action(moment)
                     moment = car.step(car.actions.turned(action, wandering.at(step / steps_hz)))
-                    if step % every == 0:  # written only now: what fails at once leaves no log
+                    if step % every == 0:  # written only now: an environment that fails at once leaves no log
                         row_ns = time_ns + round(step * 1e9 / steps_hz)
                         command = car.actions.command(action)
                         state = VehicleState(
@@ -103,7 +102,7 @@ def record_gymnasium(recording: GymRecording, log: Path, *, overwrite: bool = Fa
 
 
 def check_recording(recording: GymRecording) -> None:
-    """Raise UsageError, naming the flag, for what makes no sense whatever the environment is."""
+    """Raise UsageError, which names the flag, for settings that are invalid in every environment."""
     if recording.environment.expert is None:
         raise UsageError("--gym records an expert: give a function of your own by --expert MODULE:FUNCTION")
     if not 0.0 <= recording.wander < math.inf:
@@ -115,7 +114,7 @@ def check_recording(recording: GymRecording) -> None:
 
 
 def _steps_a_row(rows_hz: float | None, steps_hz: float) -> int:
-    """Steps of the environment for each row. Raises RecordingError if they are no whole number."""
+    """Steps of the environment for each row. Raises RecordingError if this is not a whole number."""
     steps = 1 if rows_hz is None else round(steps_hz / rows_hz)
     if steps < 1 or (rows_hz is not None and abs(steps * rows_hz - steps_hz) > 1e-6 * steps_hz):
         raise RecordingError(f"--rate {rows_hz:g}: it must divide the environment's {steps_hz:g} steps a second")

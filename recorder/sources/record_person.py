@@ -1,12 +1,10 @@
-"""Recording a person who drives the built-in simulator, in real time, with the controls of a page."""
+"""Records a person who drives the built-in simulator in real time, with a page's controls."""
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -25,11 +23,12 @@ from recorder.log.writer import LogWriter
 from recorder.rows.devices import device_value
 from recorder.sources.built_in_simulator import simulation_on, simulator_metadata
 from recorder.sources.eye_pictures import EYE_HZ, EyeMoment, EyePictures, WhenDue
-from recorder.sources.frame_rate import check_row_rate, is_row_step
+from recorder.sources.frame_rate import is_row_step
 from recorder.sources.imported_rows import Imported
 from recorder.sources.person_pedals import CoursePedals
 from recorder.sources.person_rows import PersonRows
 from recorder.sources.real_time import RealTime
+from recorder.sources.settings import SimulatedDrive
 from recorder.teleop.frame_state import FrameState, drives_alone, hello
 from recorder.teleop.recording import Recording
 from recorder.teleop.seat import Control
@@ -41,51 +40,41 @@ from simulator.driving.vehicle import STEP_S
 from simulator.rendering.camera import MOUNT_LEFT_M
 
 PUT_BACK_S: Final = 1.5
-"""The simulated clock runs on for so long when the car is put back: a gap, behind which another drive begins."""
-STUCK_S: Final = 5.0  # a car that is to drive on and does not move for so long is put back
+"""The log's clock jumps by this time when the car is put back. After this gap, another drive begins."""
+STUCK_S: Final = 5.0  # a car that does not move for this time, in spite of its throttle, is put back
 _STUCK_MPH: Final = 0.5
 _STATUS_STEPS: Final = 25
-_WAIT_S: Final = 0.1  # for a picture, before signals are looked at again
-
-
-@dataclass(frozen=True)
-class PersonDrive:
-    """A drive of the built-in simulator by a person."""
-
-    track: str = "lake"
-    laps: float | None = None  # the end of the drive; None: the person ends it
-    speed_mph: float = 10.0  # that the page offers to hold
-    rate_hz: float = 10.0  # recorded rows a second; it divides 100
-    start_m: float = 0.0  # where it begins, along the track
+_WAIT_S: Final = 0.1  # for a picture, between two checks for signals
 
 
 def record_person(
-    drive: PersonDrive,
+    drive: SimulatedDrive,
     log: Path,
     *,
     overwrite: bool = False,
     simulation: Simulation | None = None,
     on_wheel: Callable[[Wheel], object] | None = None,
 ) -> Imported:
-    """Record what a person drives to `log`, until the page, Ctrl-C or `laps` ends it.
+    """Record a person's drive to `log`, until the page, Ctrl-C or `laps` ends it.
 
-    `on_wheel` gets the wheel, once pages can connect. `simulation` is one of the track that was made before.
-    Raises RecordingError for a track that does not exist, or if not one row was recorded; UserError if `log`
-    exists and `overwrite` is off, or if it cannot be written any further: what was recorded is then kept.
+    `drive`: its first speed is the one that the page offers to hold; without `laps`, the drive has no end.
+    `simulation`: one of the same track. `on_wheel` gets the wheel as soon as pages can connect.
+    Raises RecordingError for an unknown track, or if no row was recorded. Raises UserError if `log` exists and
+    `overwrite` is off, or if the disk fails; the recorded rows are kept.
     """
     refuse_existing(log, overwrite)
-    cv2.setNumThreads(1)  # rows and pictures for the eye have a thread each
+    cv2.setNumThreads(1)  # rows and the person's pictures have a thread each
     simulation = simulation or simulation_on(drive.track)
-    metadata = simulator_metadata(simulation, "human", rate=f"{drive.rate_hz:g}")
+    metadata = simulator_metadata(simulation, "human", rate=f"{drive.rate:g}")
     with ExitStack() as stack:
         stopped = stack.enter_context(stop_signals())
         about = hello(
             "record",
             log,
             track=simulation.track,
-            rate_hz=drive.rate_hz,
+            rate_hz=drive.rate,
             picture_hz=EYE_HZ,
-            hold_mph=drive.speed_mph,
+            hold_mph=drive.speed[0],
         )
         wheel = stack.enter_context(Wheel(f"{log.stem} on {drive.track}", log, about))
         writer = stack.enter_context(LogWriter(log, metadata, overwrite=overwrite, live=True))
@@ -114,7 +103,7 @@ class _Drive:
 
     def __init__(
         self,
-        drive: PersonDrive,
+        drive: SimulatedDrive,
         simulation: Simulation,
         wheel: Wheel,
         rows: PersonRows,
@@ -123,7 +112,7 @@ class _Drive:
     ) -> None:
         self._drive = drive
         self._course = simulation.course
-        self._course.start(drive.start_m)
+        self._course.start(drive.start)
         self._wheel = wheel
         self._rows = rows
         self._eye = eye
@@ -133,19 +122,19 @@ class _Drive:
         self._when_due = WhenDue()
         self._begin_ns = time.time_ns()
         self._step = 0
-        self._shift_s = 0.0  # of the log's clock, by the gaps where the car was put back
+        self._shift_s = 0.0  # of the log's clock: the gaps after the car was put back
         self._stuck_steps = 0
         self._put_back = 0
         self.recording = Recording(wheel)
-        self.hold_mph = drive.speed_mph  # the speed that was held last, or offered
+        self.hold_mph = drive.speed[0]  # the speed that was held last, or is offered
 
     def run(self, stopped: StopEvent) -> str:
-        """Drive until the person, a signal or the laps end it; why it has ended."""
+        """Drive until the person, a signal or the laps end it; returns the reason."""
         while not stopped.is_set():
             for request in self._wheel.requests():
                 if request.kind == "end":
                     return "ended on the page"
-                self._heed(request)
+                self._handle(request)
             self._advance()
             if self._drive.laps is not None and self._course.laps >= self._drive.laps:
                 return f"{self._drive.laps:g} laps are driven"
@@ -155,8 +144,8 @@ class _Drive:
             self._real_time.wait(self._wheel.control_came)
         return "stopped at the terminal"
 
-    def _heed(self, request: Request) -> None:
-        for text in self.recording.heed(request):
+    def _handle(self, request: Request) -> None:
+        for text in self.recording.handle(request):
             self._rows.event(text)
         if request.kind == "put_back":
             self._put_on_line("the person had the car put back on its line")
@@ -168,7 +157,7 @@ class _Drive:
         throttle = self._pedals.throttle(control)
         self._course.advance(steering, throttle)
         self._step += 1
-        if is_row_step(self._step, self._drive.rate_hz) and self.recording.takes_row(control):
+        if is_row_step(self._step, self._drive.rate) and self.recording.takes_row(control):
             self._record(control, throttle)
         if self._when_due.is_due(self._step, steering):
             self._eye.offer(EyeMoment(self._step, self._course.pose, self._state(control, steering, throttle)))
@@ -181,7 +170,7 @@ class _Drive:
         self._watch(0.0 if control.is_absent else throttle)
 
     def _watch(self, throttle: float) -> None:
-        """Put a car back that has left the road, or that does not move where it is to drive on."""
+        """Put the car back if it left the road, or does not move in spite of its throttle."""
         is_still = throttle > 0 and abs(self._course.vehicle.speed_mph) < _STUCK_MPH
         self._stuck_steps = self._stuck_steps + 1 if is_still else 0
         if self._course.off_road:
@@ -203,7 +192,7 @@ class _Drive:
 
     def _record(self, control: Control, throttle: float) -> None:
         time_ns = self._time_ns
-        gap_s = (time_ns - self._rows.last_ns) / 1e9 - 1 / self._drive.rate_hz if self._rows.count else 0.0
+        gap_s = (time_ns - self._rows.last_ns) / 1e9 - 1 / self._drive.rate if self._rows.count else 0.0
         state = VehicleState(
             steering=control.steering,
             throttle=max(0.0, throttle),
@@ -211,7 +200,7 @@ class _Drive:
             speed_mph=self._course.vehicle.speed_mph,
             device=device_value(control.device),
         )
-        is_gap = gap_s > 0.5 / self._drive.rate_hz and self.recording.gap_why  # more than an uneven step
+        is_gap = gap_s > 0.5 / self._drive.rate and self.recording.gap_why  # more than an uneven step
         gap = MeantGap(gap_s, self.recording.gap_why) if is_gap else None
         self.recording.add(round(self._course.time_s * 1e9), self._rows.count)
         self._rows.add(time_ns, self._course.pose, state, gap)
@@ -227,21 +216,10 @@ class _Drive:
             throttle=throttle,
             speed_mph=car.speed_mph,
             rows=self._rows.written,
-            recorded_s=self._rows.count / self._drive.rate_hz,
+            recorded_s=self._rows.count / self._drive.rate,
             is_recording=self.recording.is_on,
             pace=self._real_time.pace,
             place=car,
             laps=self._course.laps,
             put_back=self._put_back,
         )
-
-
-def check_person_drive(drive: PersonDrive) -> None:
-    """Raise RecordingError, naming the flag, for numbers that nobody can drive by."""
-    check_row_rate(drive.rate_hz)
-    if not 0 < drive.speed_mph < math.inf:
-        raise RecordingError(f"--speed {drive.speed_mph:g}: a speed above 0 mph was expected")
-    if not 0 <= drive.start_m < math.inf:
-        raise RecordingError(f"--start {drive.start_m:g}: a number of metres, 0 or more, was expected")
-    if drive.laps is not None and not 0 < drive.laps < math.inf:
-        raise RecordingError(f"--laps {drive.laps:g}: a number above 0 was expected")

@@ -1,4 +1,4 @@
-"""The kinds of recordings that can be imported: recognising them, and calling their importers."""
+"""Recognises the kind of a recording, and calls its importer."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def import_recording(
     car: Car | None = None,
     overwrite: bool = False,
 ) -> Imported:
-    """Write what is at `source` to `log`: a Udacity recording, a DonkeyCar tub, another program's MCAP log or a
-    ROS 2 bag (which need `topics`), a LeRobot dataset (which may), or pictures with a csv (whose `columns` are as
-    for `import_csv`). `rate_hz` is as for `import_tub`; `car` is what was driven.
+    """Import `source` to `log`: a Udacity recording, a DonkeyCar tub, another program's MCAP log or a ROS 2 bag
+    (both with `topics`), a LeRobot dataset (`topics` are optional), or pictures with a csv (`columns` as for
+    `import_csv`).
 
-    Raises RecordingError if it is none of them or nothing in it can be used, and UserError if `log` exists and
-    `overwrite` is off.
+    `rate_hz`: as for `import_tub`. `car`: the recorded car. Raises RecordingError if `source` is none of them or
+    nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
     """
     refuse_existing(log, overwrite)  # before minutes of reading
     topics = topics or Topics()
@@ -61,8 +61,8 @@ def import_recording(
             f"{source}: --image and --steering are for other programs' logs and LeRobot datasets; this is neither"
         )
     if rate_hz is not None and kind in ("log", "lerobot"):
-        what = "messages" if kind == "log" else "frames"
-        raise RecordingError(f"{source}: --rate: its {what} have their times; leave it out")
+        noun = "messages" if kind == "log" else "frames"
+        raise RecordingError(f"{source}: --rate: its {noun} have their times; leave it out")
     if kind == "log":
         return import_mcap(source, log, topics, car=car, overwrite=overwrite)
     if kind == "lerobot":
@@ -74,7 +74,7 @@ def import_recording(
 
 
 def refuse_to_watch(source: Path) -> None:
-    """Raise RecordingError for what is no folder that the Udacity simulator may write into."""
+    """Raise RecordingError unless the Udacity simulator may write into the folder `source`."""
     if not is_udacity(source) and kind_of(source):
         raise RecordingError(
             f"{source}: --watch follows folders of the Udacity simulator, which this is not; import it when it is"

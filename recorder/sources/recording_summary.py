@@ -1,4 +1,5 @@
-"""What a recording is, before it is imported: its kind, rows, oddities, and what an import has to be given."""
+"""A summary of a recording before its import: its kind, rows and oddities, and the settings that an import
+needs."""
 
 from __future__ import annotations
 
@@ -28,21 +29,21 @@ Needs = Literal["", "topics", "columns"]
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """A recording in short. `problem`: why it cannot be imported; "" if nothing is known against it."""
+    """A recording in short. `problem`: why it cannot be imported; "" if none is known."""
 
     path: Path
     kind: str
-    rows: str = ""  # counted, in words; "" where only an import counts them
-    oddities: tuple[str, ...] = ()  # what an import leaves out, or cannot find
-    needs: Needs = ""  # what an import has to be given
-    names: tuple[str, ...] = ()  # the topics or columns to choose among
-    pictures: tuple[str, ...] = ()  # those of the topics that are pictures
-    is_own: bool = False  # a log of this toolkit: a session as it is
+    rows: str = ""  # their number, in words; "" if only an import counts them
+    oddities: tuple[str, ...] = ()  # parts that an import skips or cannot find
+    needs: Needs = ""  # the settings that an import needs
+    names: tuple[str, ...] = ()  # the topics or columns to choose from
+    pictures: tuple[str, ...] = ()  # the topics with pictures
+    is_own: bool = False  # a log of this toolkit, which needs no import
     problem: str = field(default="", compare=False)
 
 
 def summarize_recording(source: Path) -> RecordingSummary:
-    """The summary of a recording that `find_recording` has found. At most `MAX_COUNTED_ROWS` rows are read."""
+    """The summary of a recording that `find_recording` found. Reads at most `MAX_COUNTED_ROWS` rows."""
     try:
         return _summary(source)
     except (UserError, OSError) as error:
@@ -78,11 +79,8 @@ def _log(source: Path, skipped: Skipped) -> RecordingSummary:
 
 
 def _udacity(source: Path, skipped: Skipped) -> RecordingSummary:
-    count = 0
-    for _ in islice(UdacityRecording(source, skipped).rows(), MAX_COUNTED_ROWS):
-        count += 1
-    rows = f"{counted(count, 'row')}{' or more' if count == MAX_COUNTED_ROWS else ''}"
-    return RecordingSummary(source, "recording of Udacity's simulator", rows, _lines(skipped))
+    count = sum(1 for _ in islice(UdacityRecording(source, skipped).rows(), MAX_COUNTED_ROWS))
+    return RecordingSummary(source, "recording of Udacity's simulator", _rows(count), _lines(skipped))
 
 
 def _csv(source: Path) -> RecordingSummary:
@@ -93,10 +91,13 @@ def _csv(source: Path) -> RecordingSummary:
             count = sum(1 for _ in islice(lines, MAX_COUNTED_ROWS))
         names = next(csv.reader([first], delimiter=max(",;\t", key=first.count)), [])
     except csv.Error as error:
-        raise RecordingError(f"{source}: no csv ({error})") from None
-    rows = f"{counted(count, 'row')}{' or more' if count == MAX_COUNTED_ROWS else ''}"
+        raise RecordingError(f"{source}: not a csv ({error})") from None
     columns = tuple(printable(name.strip()) for name in names[:_MAX_LISTED])
-    return RecordingSummary(source, "pictures with a csv", rows, needs="columns", names=columns)
+    return RecordingSummary(source, "pictures with a csv", _rows(count), needs="columns", names=columns)
+
+
+def _rows(count: int) -> str:
+    return f"{counted(count, 'row')}{' or more' if count == MAX_COUNTED_ROWS else ''}"
 
 
 def _lines(skipped: Skipped, more: tuple[str, ...] = ()) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
-"""ROS 2 bags: the files that a bag's folder consists of, and the messages in those that are SQLite databases.
+"""Reads ROS 2 bags: the files of a bag's folder, and the messages in SQLite databases.
 
-The databases are read here and not by rosbags, whose decoder runs code that it makes of the bag's own definitions.
+The package rosbags is not used for databases: its decoder generates and runs code from the bag's definitions.
 Layout: https://github.com/ros2/rosbag2, rosbag2_storage_sqlite3 and rosbag2_storage's metadata.
 """
 
@@ -12,8 +12,9 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from mcap.records import Channel, Message, Schema
 
@@ -21,7 +22,6 @@ from common import Skipped
 from common.progress import track
 from common.untrusted import read_bounded, real_path
 from recorder.errors import RecordingError
-from recorder.sources.bounded_yaml import yaml_content
 from recorder.sources.mcap_messages import brief, needs_ros
 
 METADATA: Final = "metadata.yaml"
@@ -29,8 +29,10 @@ MCAP, SQLITE = ".mcap", ".db3"
 
 _READABLE: Final = ("none", "storage", "", "null", "~")  # compression modes: of files, not of messages
 _MAX_METADATA_BYTES: Final = 1 << 22
-_MAX_VALUE_BYTES: Final = 1 << 28  # of a message; SQLite itself takes four times that
-_STEPS_BETWEEN_SIGNALS: Final = 1000  # of SQLite's machine: some of them, of large values, take milliseconds
+_MAX_EVENTS: Final = 50_000  # of YAML
+_MAX_DEPTH: Final = 20
+_MAX_VALUE_BYTES: Final = 1 << 28  # of a message; SQLite's own limit is four times larger
+_STEPS_BETWEEN_SIGNALS: Final = 1000  # of SQLite's machine; steps with large values take milliseconds
 
 _SEPARATOR: Final = "=" * 80
 _ACKERMANN: Final = f"""\
@@ -44,7 +46,7 @@ MSG: std_msgs/Header
 builtin_interfaces/Time stamp
 string frame_id
 """
-# What older bags leave out and rosbags does not know, though most bags of model cars have it (ackermann_msgs).
+# Older bags lack definitions, and rosbags does not have ackermann_msgs, which most bags of model cars use.
 _DEFINITIONS: Final = {
     "ackermann_msgs/msg/AckermannDrive": _ACKERMANN,
     "ackermann_msgs/msg/AckermannDriveStamped": (
@@ -64,9 +66,9 @@ def is_bag(folder: Path) -> bool:
 
 
 def bag_files(folder: Path, skipped: Skipped) -> list[Path]:
-    """The bag's files in their order; files that are missing, or not named in metadata.yaml, are skipped.
+    """The bag's files in order. Files that are missing, or that metadata.yaml does not name, are skipped.
 
-    Raises RecordingError if metadata.yaml cannot be read, or nothing that it names.
+    Raises RecordingError if metadata.yaml cannot be read, or all its files are missing.
     """
     root = Path(os.path.realpath(folder))
     try:
@@ -104,7 +106,7 @@ def bag_files(folder: Path, skipped: Skipped) -> list[Path]:
 
 @dataclass(frozen=True)
 class SqliteFile:
-    """One SQLite database of a bag. Everything raises RecordingError where it cannot be read."""
+    """One SQLite database of a bag. All methods raise RecordingError if it cannot be read."""
 
     path: Path
 
@@ -113,8 +115,8 @@ class SqliteFile:
         with self._open() as database:
             return {str(name): str(kind) for name, kind in database.execute("SELECT name, type FROM topics")}
 
-    def messages(self, topic: str, what: str) -> Iterator[tuple[Schema, Channel, Message]]:
-        """The messages on `topic` by time, as an MCAP file would have them; a bar named `what` counts them."""
+    def messages(self, topic: str, bar: str) -> Iterator[tuple[Schema, Channel, Message]]:
+        """The messages on `topic` by time, as from an MCAP file, with a progress bar named `bar`."""
         with self._open() as database:
             channels = {}
             for number, kind, encoding in database.execute(
@@ -126,7 +128,7 @@ class SqliteFile:
             where = f"FROM messages WHERE topic_id IN ({places})"
             ((count,),) = database.execute(f"SELECT COUNT(*) {where}", tuple(channels))
             order = f"SELECT topic_id, timestamp, data {where} ORDER BY timestamp, id"
-            for number, time_ns, data in track(database.execute(order, tuple(channels)), what, count):
+            for number, time_ns, data in track(database.execute(order, tuple(channels)), bar, count):
                 yield *channels[number], Message(number, time_ns, data, time_ns, 0)
 
     @contextmanager
@@ -134,23 +136,23 @@ class SqliteFile:
         try:
             address = f"{self.path.absolute().as_uri()}?mode=ro&immutable=1"
             with closing(sqlite3.connect(address, uri=True)) as database:
-                # Nothing that the file defines may run: a view could take for ever, and a trigger do more.
+                # The file may define views that never end, and triggers: none may run.
                 database.execute("PRAGMA trusted_schema = OFF")
                 database.execute("PRAGMA query_only = ON")
                 database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MAX_VALUE_BYTES)
-                # Python hears signals only between its own steps, so SQLite makes one now and then.
+                # Python handles signals only between its own steps, so SQLite calls it now and then.
                 database.set_progress_handler(lambda: 0, _STEPS_BETWEEN_SIGNALS)
                 self._refuse_views(database)
                 yield database
         except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
             if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
-                raise KeyboardInterrupt from None  # the signal that the progress handler has heard
+                raise KeyboardInterrupt from None  # a signal during the progress handler
             raise RecordingError(f"{self.path}: cannot be read as a ROS 2 bag ({brief(str(error))})") from None
 
     def _refuse_views(self, database: sqlite3.Connection) -> None:
-        """Raise DatabaseError unless all that is read here are plain tables."""
+        """Raise DatabaseError unless topics, messages and definitions are plain tables."""
         for name in ("topics", "messages", "message_definitions"):
-            # The text, because SQLite goes by it: a view may be entered as a table, and a virtual table is code.
+            # SQLite uses this text: a view may be listed as a table, and a virtual table runs code.
             made_by = database.execute("SELECT sql FROM sqlite_master WHERE lower(name) = ?", (name,))
             if not all(str(sql).startswith("CREATE TABLE ") for (sql,) in made_by):
                 raise sqlite3.DatabaseError(f"{name} is not a table")
@@ -158,13 +160,13 @@ class SqliteFile:
     def _definition(self, database: sqlite3.Connection, kind: str) -> bytes:
         tables = database.execute("SELECT name FROM sqlite_master WHERE name = 'message_definitions'")
         if tables.fetchone() is not None:
-            held = database.execute(
+            row = database.execute(
                 "SELECT encoded_message_definition FROM message_definitions"
                 " WHERE topic_type = ? AND encoding = 'ros2msg'",
                 (kind,),
             ).fetchone()
-            if held is not None:
-                return str(held[0]).encode()
+            if row is not None:
+                return str(row[0]).encode()
         text = _DEFINITIONS.get(kind) or self._standard_definition(kind)
         if text is None:
             raise RecordingError(
@@ -187,5 +189,46 @@ def _parse(folder: Path, text: bytes) -> object:
         return yaml_content(text)
     except ImportError:
         raise RecordingError(f"{folder}: {needs_ros()}") from None
-    except Exception:  # ruamel raises nearly anything on what is no YAML
+    except Exception:  # ruamel raises nearly anything on other text
         return None
+
+
+def yaml_content(text: bytes) -> Any:
+    """The first document of untrusted YAML: mappings, lists and texts; None for a repetition.
+
+    ruamel's loaders take seconds for 40 KB of brackets, and never end with a kilobyte of merged mappings. Its
+    parser returns one event at a time, and repeats nothing. Raises ImportError without ruamel.yaml, and any
+    exception for other text, or for too many events or levels.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.events import (
+        CollectionEndEvent,
+        DocumentStartEvent,
+        MappingStartEvent,
+        ScalarEvent,
+        SequenceStartEvent,
+    )
+
+    def bounded() -> Iterator[Any]:
+        for number, event in enumerate(YAML(typ="safe", pure=True).parse(text)):
+            if number == _MAX_EVENTS:
+                raise ValueError(f"more than {_MAX_EVENTS:,} events")
+            yield event
+
+    events = bounded()
+
+    def value(event: Any, depth: int = 0) -> Any:
+        if depth > _MAX_DEPTH:
+            raise ValueError(f"deeper than {_MAX_DEPTH} levels")
+        before_end = takewhile(lambda inner_event: not isinstance(inner_event, CollectionEndEvent), events)
+        inner = (value(inner_event, depth + 1) for inner_event in before_end)
+        if isinstance(event, SequenceStartEvent):
+            return list(inner)
+        if isinstance(event, MappingStartEvent):
+            return {key: content for key, content in zip(inner, inner, strict=True) if isinstance(key, str)}
+        return event.value if isinstance(event, ScalarEvent) else None
+
+    for event in events:
+        if isinstance(event, DocumentStartEvent):
+            return value(next(events))
+    return None

@@ -1,4 +1,4 @@
-"""What a recording is made of: a drive of the built-in simulator, topics of other logs, telemetry that comes."""
+"""Settings of recordings: a drive of the built-in simulator, topics of other logs, live telemetry."""
 
 from __future__ import annotations
 
@@ -53,10 +53,10 @@ class Topics:
 
 
 class ListenSettings(NamedTuple):
-    """Where a simulator connects, and what is known of it."""
+    """Where a simulator connects, its car, and when the recording ends."""
 
     host: str = "127.0.0.1"
     port: int = 4567  # 0: a free one
-    idle_s: float | None = None  # the recording ends so long after the last telemetry
-    car: Car | None = None  # that is recorded, if it is not Udacity's or the built-in one's
-    on_started: Callable[[Path], None] | None = None  # gets the path of the growing file, once the server listens
+    idle_s: float | None = None  # the recording ends this long after the last telemetry
+    car: Car | None = None  # the recorded car, if it is not Udacity's or the built-in one's
+    on_started: Callable[[Path], None] | None = None  # gets the path of the growing file when the server listens

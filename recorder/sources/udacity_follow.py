@@ -1,8 +1,8 @@
-"""Following a Udacity recording while the simulator writes it.
+"""Follows a Udacity recording while the simulator writes it.
 
-The simulator appends rows while somebody drives, and renders their pictures one by one when the recording is
-stopped; another drive may follow. Nothing waits for anything: a row is logged when its line is complete, a picture
-when its file is whole, with the time and the number of its row.
+The simulator appends rows during a drive, and renders their pictures one by one after it. Another drive may
+follow. A row is logged as soon as its line is complete. A picture is logged as soon as its file is whole, with the
+time and the number of its row.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from recorder.sources.udacity_recording import CSV_NAME, MAX_PICTURE_BYTES, Pict
 from simulator.protocol.udacity_writer import CSV_CAMERAS
 
 POLL_S: Final = 0.25
-_PICTURES_A_ROUND: Final = 1000  # are looked for between two looks at signals, new rows and the status line
+_PICTURES_A_ROUND: Final = 1000  # searched between two checks for signals and new rows
 
 
 def watch_udacity(
@@ -47,14 +47,14 @@ def watch_udacity(
     overwrite: bool = False,
     on_started: Callable[[Path], None] | None = None,
 ) -> Imported:
-    """Write the recording in `folder` to `log` while it grows; neither the folder nor its csv need be there yet.
+    """Write the recording in `folder` to `log` while it grows. The folder and its csv may not exist yet.
 
-    Ends on Ctrl-C or `kill`, or `idle_s` seconds after the last new row or picture; called outside the main
-    thread, only on the latter. `on_started` is called with the path of the growing file. `rate_hz`
-    and `car` are as for `import_udacity`.
+    Ends on Ctrl-C or `kill`, or `idle_s` after the last new row or picture. In other threads than the main thread,
+    signals do not arrive. `on_started` gets the path of the growing file. `rate_hz`, `car`: as for
+    `import_udacity`.
 
-    Raises RecordingError if there was no usable row, and UserError if `log` exists and `overwrite` is off, or
-    cannot be written any more.
+    Raises RecordingError if no row was usable, and UserError if `log` exists and `overwrite` is off, or if the
+    disk fails.
     """
     check_rate(rate_hz)
     metadata = udacity_metadata(folder, rate_hz, car)
@@ -88,7 +88,7 @@ def watch_udacity(
 
 
 class _GrowingRecording:
-    """A recording that grows: counts what is in the log by now, and knows which pictures are still awaited."""
+    """A growing recording: the counts of its log, and the pictures that are still awaited."""
 
     def __init__(self, folder: Path, writer: LogWriter, rate_hz: float | None, car: Car | None) -> None:
         self._car = car
@@ -109,7 +109,7 @@ class _GrowingRecording:
         return is_udacity(self._folder)
 
     def poll(self) -> bool:
-        """Log what is new; True if there is more to do at once."""
+        """Log new rows and pictures; True if there is more to do at once."""
         with contextlib.suppress(OSError):
             check_csv(self._folder)
         self._take_rows(self._new_lines())
@@ -117,7 +117,7 @@ class _GrowingRecording:
         return is_any_new or self._csv.is_behind
 
     def finish(self) -> None:
-        """Take what is there, and count what never came."""
+        """Log everything left, and count missing pictures."""
         self._take_rows(self._new_lines())
         while self._csv.is_behind:
             self._take_rows(self._new_lines())
@@ -152,7 +152,7 @@ class _GrowingRecording:
         return f"{csv}: no usable row{self.skipped.error_suffix()}"
 
     def _new_lines(self) -> list[tuple[int, bytes]]:
-        with contextlib.suppress(OSError):  # a csv that cannot be read now is read the next time
+        with contextlib.suppress(OSError):  # if the csv cannot be read now, the next call reads it
             return self._csv.new_lines()
         return []
 
@@ -176,10 +176,8 @@ class _GrowingRecording:
         return []
 
     def _take_pictures(self, names: list[str]) -> bool:
-        """Log those of these awaited pictures that are there and whole. The others go to the end of the queue.
-
-        True if there was one.
-        """
+        """Log the whole pictures among these awaited ones; the others go to the end of the queue. True if any was
+        logged."""
         places = self._places()
         pictures = self.pictures
         for name in names:
@@ -196,7 +194,7 @@ class _GrowingRecording:
         return self.pictures > pictures
 
     def _skip(self, name: str) -> None:
-        """Count an awaited picture as skipped, with the reason why it is not in the log."""
+        """Count an awaited picture as skipped, with the reason."""
         places = self._places()
         path = self._files.find(name, places)
         if path is None:
@@ -205,7 +203,7 @@ class _GrowingRecording:
             self.skipped.add(UNREADABLE_PICTURES if self._read(path) is None else NOT_WHOLE, name)
 
     def _read(self, path: str) -> bytes | None:
-        """The bytes of a picture, or None if it cannot be read now, or has become something else."""
+        """The bytes of a picture; None if it cannot be read now, or is no longer a file of the recording."""
         if not os.path.isfile(path) or not self._files.is_inside(path):  # noqa: PTH113
             return None
         try:

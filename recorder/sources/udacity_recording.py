@@ -1,7 +1,4 @@
-"""A folder that the simulator's training mode has written: `driving_log.csv` and the pictures that its rows name.
-
-Pictures are found wherever people have put them.
-"""
+"""A folder from the simulator's training mode: `driving_log.csv` and the pictures that its rows name."""
 
 from __future__ import annotations
 
@@ -28,10 +25,11 @@ _BLOCK_BYTES: Final = 1 << 16
 
 
 class PictureFiles:
-    """The JPEG files of a recording: in IMG/ next to the csv, in the csv's folder, in ../IMG; the first wins.
+    """The JPEG files of a recording, in the first of these folders that has them: IMG/ next to the csv, the csv's
+    folder, ../IMG.
 
-    Where one of these folders is a link, its user keeps the pictures elsewhere, and it is followed. A picture that
-    is a link is followed only within these folders: a recording is somebody else's data.
+    If one of these folders is a link, it is followed: users may keep the pictures elsewhere. A picture that is a
+    link is followed only within these folders: a recording is untrusted.
     """
 
     def __init__(self, folder: Path, skipped: Skipped) -> None:
@@ -40,11 +38,11 @@ class PictureFiles:
         self._reported_links = set[str]()
 
     def places(self) -> list[Path]:
-        """The folders that there are to look into."""
+        """The existing folders."""
         return [place for place in self._places() if place.is_dir()]
 
     def find(self, name: str, places: list[Path]) -> str | None:
-        """The path of the picture called `name`, in the first of `places` that has it."""
+        """The path of the picture `name`, in the first of `places` that has it."""
         for place in places:
             path = f"{place}/{name}"
             try:
@@ -67,7 +65,7 @@ class PictureFiles:
                     yield entry.name
 
     def skip_missing(self, name: str, places: list[Path]) -> None:
-        """Skip a picture that a row names and `find` does not; a link out of the recording is counted as one."""
+        """Skip a named picture that `find` does not find. A link out of the recording counts as such."""
         for place in places:
             path = f"{place}/{name}"
             if os.path.islink(path) and not self.is_inside(path):  # noqa: PTH114
@@ -81,18 +79,18 @@ class PictureFiles:
             self._skipped.add(LINKS, Path(path).name)
 
     def skip_without_row(self, named: set[str]) -> None:
-        """Skip the pictures that no row names, by name: the order of a folder is another one on every disk."""
+        """Skip the pictures that no row names, sorted: the order of a folder depends on the disk."""
         names = {name for place in self.places() for name in self.names_in(place) if name not in named}
         for name in sorted(names):
             self._skipped.add(WITHOUT_ROW, name)
 
     def is_inside(self, path: str) -> bool:
-        """True if a picture is, all links followed, in one of the places."""
+        """True if a picture is in one of the places, after following all links."""
         real = Path(os.path.realpath(path))
         return any(real.is_relative_to(os.path.realpath(place)) for place in self._places())
 
     def why_none(self) -> str:
-        """The probable reason why not one picture is there."""
+        """The probable reason if no picture was found."""
         places = self._places()
         for place in places:
             if place.is_symlink() and not place.exists():
@@ -110,7 +108,7 @@ class PictureFiles:
 
 
 class UdacityRecording:
-    """A recording, read from its first line to its last. Only the names of its pictures are kept, in memory."""
+    """A recording, read from its first line to its last. Only the pictures' names stay in memory."""
 
     def __init__(self, folder: Path, skipped: Skipped, rate_hz: float | None = None) -> None:
         """Raises RecordingError if there is no csv in `folder`, or for a rate that no camera has."""
@@ -134,15 +132,15 @@ class UdacityRecording:
         return sum(1 for _ in self._lines())
 
     def rows(self) -> Iterator[tuple[Row, tuple[str | None, ...]]]:
-        """The rows that can be used, each with the paths of its pictures, None for those that are missing.
+        """The usable rows with the paths of their pictures, None for missing ones. Call it once.
 
-        To be called once. At its end raises RecordingError if there was no row, or not a single picture.
+        Raises RecordingError at the end if there was no row or no picture.
         """
         row_count = picture_count = 0
         with readable(self.folder):
             places = self._files.places()
             for place in places:
-                # of a folder that cannot be read, every picture would seem to be missing
+                # if a folder cannot be read, all its pictures would count as missing
                 os.scandir(place).close()
         for line, content in enumerate(self._lines(), start=1):
             row = self._reader.read(line, content)
@@ -174,7 +172,7 @@ class UdacityRecording:
 
 
 def check_csv(folder: Path) -> None:
-    """Raise RecordingError if the csv of `folder` is a link out of it, or far too large; OSError without one."""
+    """Raise RecordingError if the csv in `folder` is a link out of it, or far too large; OSError without a csv."""
     csv = folder / CSV_NAME
     if csv.is_symlink() and not Path(os.path.realpath(csv)).is_relative_to(os.path.realpath(folder)):
         raise RecordingError(

@@ -1,1 +1,1 @@
-"""A person at the wheel: the controls that a page sends, who holds the wheel, and what the pages are shown."""
+"""A person at the wheel: a page's controls, the page that holds the wheel, and the frames for pages."""

@@ -1,4 +1,4 @@
-"""What a page at the wheel is shown: first the drive and its road, then with each picture its state."""
+"""The messages for a page at the wheel: first the drive and its road, then the state of each frame."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def hello(
     picture_hz: float | None = None,
     hold_mph: float = 10.0,
 ) -> dict[str, object]:
-    """The message "hello" of a `Wheel`. `rate_hz`: recorded rows a second; None where the simulator decides."""
+    """The message "hello" of a `Wheel`. `rate_hz`: recorded rows a second; None if the simulator decides."""
     return {
         "kind": kind,
         "session": log.stem,
@@ -46,17 +46,17 @@ def hello(
 def road_edges(track: Track) -> dict[str, object]:
     """The road's edges as closed lines of points in metres, x east and y north."""
     line = track.line
-    every = max(1, round(_EDGE_EVERY_M / line.step_m))
-    middle, heading = line.points_m[::every, :2], line.heading_rad[::every]
-    to_left = np.stack([-np.sin(heading), np.cos(heading)], axis=1) * track.half_width_m[::every, None]
+    stride = max(1, round(_EDGE_EVERY_M / line.step_m))
+    middle, heading = line.points_m[::stride, :2], line.heading_rad[::stride]
+    to_left = np.stack([-np.sin(heading), np.cos(heading)], axis=1) * track.half_width_m[::stride, None]
     edges = {"left": middle + to_left, "right": middle - to_left}
     return {name: points.round(2).tolist() for name, points in edges.items()} | {"closed": True}
 
 
 @lru_cache(8)
 def road_named(name: str, fingerprint: str = "") -> dict[str, object] | None:
-    """The edges of the built-in road of that name (`road_edges`); None for any other name, and where its
-    `Track.fingerprint` is known and another one: another version had that road."""
+    """The edges of the built-in road of that name (`road_edges`); None for another name, or if `fingerprint` is
+    known and differs: another version had that road."""
     try:
         track = load_track(name)
     except ValueError:
@@ -66,7 +66,7 @@ def road_named(name: str, fingerprint: str = "") -> dict[str, object] | None:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameState:
-    """The state of a drive at a picture. None, or NaN, is unknown."""
+    """The state of a drive at a frame. None and NaN are unknown."""
 
     time_s: float
     control: Control  # in force
@@ -80,7 +80,7 @@ class FrameState:
     recorded_s: float
     is_recording: bool = True
     pace: float | None  # simulated seconds per second
-    picture_hz: float | None = None  # shown lately
+    picture_hz: float | None = None  # pictures shown a second
     place: Pose | CarState | None
     laps: float | None
     takeovers: int = 0
@@ -96,7 +96,7 @@ class FrameState:
 
 
 def drives_alone(control: Control, *, is_rolling: bool) -> Drives:
-    """Who drives where no network does: without its person, a car that rolls is braked."""
+    """The driver if no network drives. If the person is absent, a rolling car is braked."""
     if not control.is_absent:
         return "human"
     return "brake" if is_rolling else "nobody"

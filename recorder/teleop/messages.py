@@ -1,4 +1,4 @@
-"""The messages that a page sends to the process that drives. They are untrusted: each is checked in full."""
+"""The messages from a page to the driving process. They are untrusted: each is checked completely."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class EndMessage(_Message, tag="end"):
 
 
 class ViewMessage(_Message, tag="view"):
-    """The picture that the page wants: the recorded one, or the large one."""
+    """The page's choice of picture: the recorded one, or the large one."""
 
     recorded: bool
 
@@ -69,7 +69,7 @@ class AskMessage(_Message, tag="ask"):
 
 
 class GiveMessage(_Message, tag="give"):
-    """The page that holds the wheel gives it to the one that asked."""
+    """The page that holds the wheel gives it to the page that asked."""
 
 
 class GotMessage(_Message, tag="got"):
@@ -79,7 +79,7 @@ class GotMessage(_Message, tag="got"):
 
 
 RequestMessage = RecordMessage | PauseMessage | BadMessage | HandBackMessage | PutBackMessage | EndMessage
-"""What the driving loop is asked to do."""
+"""Requests to the driving loop."""
 
 Message = ControlMessage | RequestMessage | ViewMessage | AskMessage | GiveMessage | GotMessage
 

@@ -1,4 +1,4 @@
-"""The wheels that can be taken now: each driving process has a file in the user's cache while it lives."""
+"""The wheels of running processes: each driving process has a file in the user's cache while it lives."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from common.untrusted import read_bounded
 from common.users_cache import users_cache
 
 _MAX_BYTES: Final = 1 << 16
-_MAX_START_S: Final = 60.0  # a file that is not locked after that belongs to a process that died
+_MAX_START_S: Final = 60.0  # an older file without a lock belongs to a process that died
 
 
 class OpenWheel(msgspec.Struct, frozen=True):
@@ -32,7 +32,7 @@ class OpenWheel(msgspec.Struct, frozen=True):
 
 
 def open_wheels(project: Path) -> list[OpenWheel]:
-    """The wheels of the processes that were started in `project`, the newest first."""
+    """The wheels of processes that were started in the folder `project`, newest first."""
     wheels = []
     for path in _files():
         if not is_being_written(path):
@@ -52,7 +52,7 @@ def new_key() -> str:
 
 @contextlib.contextmanager
 def announced(wheel: OpenWheel) -> Iterator[None]:
-    """List a wheel until the context is left, or the process dies. Without a cache folder it is not listed."""
+    """List a wheel until the context ends or the process dies. Without a cache folder, it is not listed."""
     path = _folder() / f"{wheel.key}.json"
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(OSError):

@@ -9,13 +9,13 @@ OVER_S: Final = 2.0
 
 
 class RateMeter:
-    """Measures frames a second, and the pace of a simulator's clock."""
+    """Measures frames a second and the pace of a simulator's clock."""
 
     def __init__(self) -> None:
         self._frames: deque[tuple[float, float | None]] = deque()  # this computer's time, the simulator's
 
     def add(self, now_s: float, simulated_s: float | None = None) -> None:
-        """A frame at `now_s` of a monotonic clock, and at `simulated_s`, if the simulator sends its time."""
+        """Note a frame at `now_s` of a monotonic clock, and at `simulated_s`, if the simulator sends its time."""
         before_s = self._frames[-1][1] if self._frames else None
         if before_s is not None and simulated_s is not None and simulated_s < before_s:  # another drive
             self._frames.clear()
@@ -30,10 +30,10 @@ class RateMeter:
 
     @property
     def pace(self) -> float | None:
-        """Simulated seconds per second; 1 is real time. None where it is unknown."""
+        """Simulated seconds per second; 1 is real time. None if unknown."""
         if not self._frames:
             return None
         (first_s, first_simulated_s), (last_s, last_simulated_s) = self._frames[0], self._frames[-1]
         if first_simulated_s is None or last_simulated_s is None or last_s <= first_s:
             return None
-        return (last_simulated_s - first_simulated_s) / (last_s - first_s) or None  # a clock that stands is none
+        return (last_simulated_s - first_simulated_s) / (last_s - first_s) or None  # a standing clock has no pace

@@ -1,4 +1,4 @@
-"""Which rows of a person's drive are recorded, why some were not, and which ones nobody is to learn from."""
+"""Which rows of a person's drive are recorded, why some are not, and which are excluded from training."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Request, Wheel
 
 _MAX_BAD_NS: Final = round(MAX_BAD_S * 1e9)
-_MAX_ROWS: Final = 6000  # also of a clock that stands
+_MAX_ROWS: Final = 6000  # also if the clock stands still
 
 
 class LastRows:
@@ -20,8 +20,8 @@ class LastRows:
 
     def __init__(self, wheel: Wheel) -> None:
         self._wheel = wheel
-        self._rows: deque[tuple[int, int]] = deque(maxlen=_MAX_ROWS)  # the time and the number of each
-        self.tags: list[Tag] = []  # of rows that were driven badly
+        self._rows: deque[tuple[int, int]] = deque(maxlen=_MAX_ROWS)  # time and number
+        self.tags: list[Tag] = []  # for badly driven rows
 
     def add(self, time_ns: int, row: int) -> None:
         self._rows.append((time_ns, row))
@@ -29,7 +29,7 @@ class LastRows:
             self._rows.popleft()
 
     def exclude(self, seconds: float) -> list[str]:
-        """Tag the rows of the last seconds, and show that on the page; the events of that, for the log."""
+        """Tag the rows of the last seconds, and tell the page; returns the events for the log."""
         last_ns = self._rows[-1][0] if self._rows else 0
         rows = [row for time_ns, row in self._rows if last_ns - time_ns < round(seconds * 1e9)]
         if not rows:
@@ -40,15 +40,15 @@ class LastRows:
 
 
 class Recording(LastRows):
-    """What is recorded of a drive without a network. Begins off; only rows of a person who is there are taken."""
+    """The recording of a drive without a network. It begins off, and records only while the person is there."""
 
     def __init__(self, wheel: Wheel) -> None:
         super().__init__(wheel)
         self.is_on = False
-        self.gap_why = ""  # why the rows before the next one were not recorded; empty where none is missing
+        self.gap_why = ""  # why the rows before the next one were not recorded; empty if none is missing
 
-    def heed(self, request: Request) -> list[str]:
-        """Begin, pause, or exclude the last rows, if the person asks for that; the events of it, for the log."""
+    def handle(self, request: Request) -> list[str]:
+        """Begin, pause, or exclude the last rows, as the person requests; returns the events for the log."""
         match request.kind:
             case "record":
                 self.is_on = True

@@ -1,4 +1,4 @@
-"""The seat: which page holds the wheel, and its controls that are in force."""
+"""The seat: the page that holds the wheel, and its controls in force."""
 
 from __future__ import annotations
 
@@ -8,41 +8,41 @@ from typing import Final
 from recorder.rows.devices import Device
 from recorder.teleop.messages import ControlMessage
 
-ABSENT_S: Final = 1.0  # a person whose page has sent nothing for so long is absent: the car is braked
-GIVES_UP_S: Final = 5.0  # a page that is silent for so long loses the wheel to the next one that asks
+ABSENT_S: Final = 1.0  # after this silence of the page, its person is absent: the car is braked
+GIVES_UP_S: Final = 5.0  # after this silence, a page loses the wheel to the next page that asks
 
 
 @dataclass(frozen=True)
 class Control:
-    """What the person does at a moment."""
+    """The person's controls at a moment."""
 
     steering: float = 0.0  # -1 (left) .. 1 (right)
     throttle: float = 0.0  # -1 .. 1; below 0 brakes
-    hold_mph: float | None = None  # the speed to hold, in place of the throttle
+    hold_mph: float | None = None  # the speed to hold, instead of the throttle
     device: Device | None = None
-    is_touching: bool = False  # a key, stick, button or finger is in use, or was since the last look
+    is_touching: bool = False  # a key, stick, button or finger is in use, or was since the loop looked last
     number: int = 0  # of the page's message; 0 before the first
     time_ms: float = 0.0  # the browser's clock at that message
-    is_absent: bool = True  # nobody is at the wheel: the car is to be braked
+    is_absent: bool = True  # nobody is at the wheel: brake the car
 
 
 class Seat:
-    """Times are those of a monotonic clock, in seconds. Pages are any objects. Not to be used by two threads."""
+    """Times are seconds of a monotonic clock. Pages may be any objects. Not thread-safe."""
 
     def __init__(self) -> None:
         self.holder: object | None = None
-        self.asking: object | None = None  # the page that has asked for the wheel, while another one holds it
+        self.asking: object | None = None  # the page that asked for the wheel while another page holds it
         self._control = Control()
         self._last_s = float("-inf")  # the holder's last message
-        self._was_touched = False  # since the last look: a short press counts, however seldom the loop looks
+        self._was_touched = False  # since the loop looked last, so that short presses count
 
     def enter(self, page: object, now_s: float) -> None:
-        """A page has come: it holds the wheel if no other one does."""
+        """A page connects. It gets the wheel if no other page holds it."""
         if self.holder is None:
             self._seat(page, now_s)
 
     def leave(self, page: object, now_s: float) -> None:
-        """A page has gone: what it held is let go at once."""
+        """A page disconnects. Its controls end at once."""
         if page is self.asking:
             self.asking = None
         if page is self.holder:
@@ -53,7 +53,7 @@ class Seat:
                 self._seat(self.asking, now_s)
 
     def steer(self, page: object, message: ControlMessage, now_s: float) -> bool:
-        """Put a page's controls in force; False if it does not hold the wheel, or has sent later ones before."""
+        """Put a page's controls in force; False if it does not hold the wheel, or sent later controls before."""
         if page is not self.holder:
             return False
         self._last_s = now_s
@@ -73,7 +73,7 @@ class Seat:
         return True
 
     def ask(self, page: object, now_s: float) -> None:
-        """A page asks for the wheel. It has it at once if nobody holds it, or the holder has gone silent."""
+        """A page asks for the wheel. It gets it at once if no page holds it, or the holder is silent."""
         if page is self.holder:
             return
         if self.holder is None or now_s - self._last_s >= GIVES_UP_S:
@@ -82,7 +82,7 @@ class Seat:
             self.asking = page
 
     def give(self, page: object, now_s: float) -> None:
-        """The holder gives the wheel to the page that has asked."""
+        """The holder gives the wheel to the page that asked."""
         if page is self.holder and self.asking is not None:
             self._seat(self.asking, now_s)
 

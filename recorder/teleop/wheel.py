@@ -1,8 +1,7 @@
-"""The wheel of a driving process: pages connect to it, send controls, and are shown frames.
+"""The wheel of a driving process: pages connect to it, send controls, and show frames.
 
-It serves a websocket on this machine only, to bc-web, which has its token and carries the messages of its pages.
-Each page has two threads. The driving loop asks for the newest control, hands over the newest frame, and waits for
-no page.
+It serves a websocket on this machine only. bc-web has its token, and relays the messages of the pages. Each page
+has two threads. The driving loop gets the newest control, hands over the newest frame, and never waits for a page.
 """
 
 from __future__ import annotations
@@ -41,21 +40,21 @@ from recorder.teleop.open_wheels import OpenWheel, announced, new_key
 from recorder.teleop.seat import Control, Seat
 
 MAX_PAGES: Final = 8
-MAX_PER_S: Final = 500  # a page that sends more messages a second is disconnected; one that works sends 60
-MAX_REFUSED: Final = 100  # a page that has sent so many messages that are none of ours is disconnected
+MAX_PER_S: Final = 500  # a page that sends more messages a second is disconnected; a correct one sends 60
+MAX_REFUSED: Final = 100  # a page that sends more invalid messages is disconnected
 MAX_IN_FLIGHT: Final = 2
-"""Frames that a page has been sent and has not shown yet: one is painted while the next one travels."""
-_MAX_TEXTS: Final = 256  # that a page has not read yet; the oldest go
-_END_S: Final = 2.0  # for the last messages to the pages
+"""Frames sent to a page and not shown yet: the page paints one while the next one travels."""
+_MAX_TEXTS: Final = 256  # waiting for a page; the oldest are dropped
+_END_S: Final = 2.0  # the longest wait for the last messages
 
 RequestKind = Literal["record", "pause", "bad", "hand_back", "put_back", "end"]
 
 
 class Request(NamedTuple):
-    """What the person asks the driving loop to do."""
+    """The person's request to the driving loop."""
 
     kind: RequestKind
-    seconds: float = 0.0  # of "bad": how much was driven badly
+    seconds: float = 0.0  # for "bad": the length of the bad driving
 
 
 class _Frame(NamedTuple):
@@ -72,18 +71,18 @@ class _Page:
         self.wants_recorded = False
         self.is_over = False
         self.refused = 0
-        self.second, self.in_second = 0, 0  # for the limit on its rate
+        self.second, self.in_second = 0, 0  # for the rate limit
 
 
 class Wheel:
-    """A person at the wheel. As a context manager it can be found by `open_wheels` and serves pages."""
+    """A person at the wheel. As a context manager, it serves pages, and `open_wheels` lists it."""
 
     def __init__(self, title: str, log: Path, about: Mapping[str, object]) -> None:
-        """`about` is sent to each page that connects, as the message "hello"."""
+        """`about` is the message "hello" to each page that connects."""
         self._title, self._log = title, log
         self.key = new_key()
-        self.control_came = threading.Event()  # set while there are controls that the loop has not asked for
-        self.refused = 0  # messages that were none of ours, or too many
+        self.control_came = threading.Event()  # set until the loop gets the newest control
+        self.refused = 0  # messages that were invalid or too many
         self._hello = json.dumps({"type": "hello", "title": title, "log": str(log), **about}, allow_nan=False)
         self._token = secrets.token_urlsafe(24)
         self._changed = threading.Condition()
@@ -100,7 +99,7 @@ class Wheel:
 
     @property
     def wants_recorded(self) -> bool:
-        """True if the page that holds the wheel wants the picture as it is recorded."""
+        """True if the page that holds the wheel wants the recorded picture."""
         holder = self._seat.holder
         return isinstance(holder, _Page) and holder.wants_recorded
 
@@ -111,14 +110,14 @@ class Wheel:
             return self._seat.control(time.monotonic())
 
     def requests(self) -> list[Request]:
-        """What was asked for since the last call."""
+        """The requests since the last call."""
         with self._changed:
             requests = list(self._requests)
             self._requests.clear()
         return requests
 
     def show(self, state: Mapping[str, object], jpeg: bytes) -> None:
-        """Show a frame to all pages. One that a page has not been sent yet is replaced."""
+        """Show a frame on all pages. It replaces an earlier frame that was not sent yet."""
         with self._changed:
             number = 1 if self._frame is None else self._frame.number + 1
             head = json.dumps({"frame": number, **state}, allow_nan=False).encode()
@@ -126,7 +125,7 @@ class Wheel:
             self._changed.notify_all()
 
     def event(self, text: str, *, is_problem: bool = False) -> None:
-        """Send all pages a line about what happened."""
+        """Send a line about an event to all pages."""
         level = "warning" if is_problem else "info"
         with self._changed:
             self._to_all(json.dumps({"type": "event", "text": text, "level": level}))
@@ -150,7 +149,7 @@ class Wheel:
                 process_request=self._check,
                 compression=None,
                 max_size=MAX_MESSAGE_BYTES,
-                origins=[None],  # a browser's page has one; it comes by bc-web
+                origins=[None],  # no browsers: their pages come through bc-web
                 open_timeout=5,
                 close_timeout=1,
                 server_header=None,
@@ -178,7 +177,7 @@ class Wheel:
         return None
 
     def _serve(self, connection: ServerConnection) -> None:
-        """Receive what a page sends, until it goes."""
+        """Receive a page's messages until it disconnects."""
         page = _Page(connection)
         with self._changed:
             page.texts.append(self._hello)
@@ -194,7 +193,7 @@ class Wheel:
                 if not is_good:
                     connection.close(CloseCode.POLICY_VIOLATION, "too many messages")
                     break
-        except ConnectionClosed:  # without a word: the network, or a message that was too long
+        except ConnectionClosed:  # the network failed, or a message was too long
             pass
         finally:
             with self._changed:
@@ -208,7 +207,7 @@ class Wheel:
                 self._changed.notify_all()
 
     def _receive(self, page: _Page, text: str | bytes) -> bool:
-        """Heed a page's message; False if the page is to be disconnected."""
+        """Handle a page's message; False if the page is to be disconnected."""
         now_s = time.monotonic()
         if int(now_s) != page.second:
             page.second, page.in_second = int(now_s), 0
@@ -244,7 +243,7 @@ class Wheel:
         return True
 
     def _send(self, page: _Page) -> None:
-        """Send a page what there is for it, until it has gone or all is over."""
+        """Send texts and frames to a page until it disconnects or the wheel ends."""
 
         def new_frame() -> _Frame | None:
             frame = self._frame

@@ -1,4 +1,4 @@
-"""Checking a log: that its file is sound, and that what it holds makes sense."""
+"""Checks a log: its file and its contents."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from recorder.upkeep.log_info import find_lag
 
 
 def is_whole(path: Location) -> bool:
-    """True for a file that is finished, and sound in every byte. Raises LogError if it is no MCAP file."""
+    """True for a finished file with every byte sound. Raises LogError for other files than MCAP's."""
     findings: list[Finding] = []
     with McapFile(path) as file:
         structure = read_structure(file)
@@ -42,28 +42,28 @@ def is_whole(path: Location) -> bool:
 
 @dataclass(frozen=True)
 class Checked:
-    """The result of a check: how much was read, and the findings."""
+    """The result of a check."""
 
     path: Location
     messages: int
     pictures: int  # decoded
     findings: list[Finding]
-    is_damaged: bool  # the file itself, whatever it holds
-    has_crcs: bool  # other programs may do without: damage is then not noticed
-    meant_gaps: list[str]  # gaps in time that its events explain; no findings
-    pauses: list[str]  # of a recorder that people switch off and on; no findings
-    lag: LagFinding | None  # of the steering, known or measured; None: not looked for
-    is_lag_kept: bool  # in the log or beside it
-    odd: list[OddStretch]  # not tagged fine; also those that may be meant and are no findings
+    is_damaged: bool  # the file itself
+    has_crcs: bool  # other programs may write none: then damage is not noticed
+    meant_gaps: list[str]  # gaps in time that its events explain; not findings
+    pauses: list[str]  # of a recorder that people switch off and on; not findings
+    lag: LagFinding | None  # of the steering, known or measured; None: not measured
+    is_lag_kept: bool  # in the log or next to it
+    odd: list[OddStretch]  # without those tagged fine; including unsure ones, which are not findings
 
 
 def check(path: Location, *, look: bool = True) -> Checked:
-    """Read the whole log at `path` and report what is wrong with it; `look` decodes every picture.
+    """Read the whole log at `path` and report its faults. `look` decodes every picture.
 
-    Structure: every CRC, the indexes and counts against what is there. Meaning: rows out of order, pictures that
-    do not decode, frozen ones, rows without a picture and pictures without a row, gaps, stuck steering, values out
-    of range; with `look`, of a log on this machine, also steering that contradicts the pictures. With `look`, the
-    steering's lag is measured and kept beside the log, if it was not known. Raises LogError if it is no MCAP file.
+    File: every CRC, the indexes and the counts. Contents: rows out of order, broken and frozen pictures, rows
+    without a picture and pictures without a row, gaps, stuck steering, values out of range. With `look`, also the
+    steering's lag, which is kept next to the log, and, for a log on this machine, steering that contradicts the
+    pictures. Raises LogError for other files than MCAP's.
     """
     damage: list[Finding] = []
     findings: list[Finding] = []
@@ -84,7 +84,7 @@ def check(path: Location, *, look: bool = True) -> Checked:
     excluded = TaggedRows(())
     is_paused_by_people = False
     with contextlib.suppress(LogError), Log(path) as log:
-        # from a recorder that people switch off and on: a gap is then no loss
+        # people switch these recorders off and on: a gap is not a loss
         is_paused_by_people = log.metadata.get("source") in ("udacity", "donkeycar", "csv")
         excluded = TaggedRows(read_tags(path, log.fingerprint), EXCLUDE)
         if contents.counts[POSE]:
@@ -99,8 +99,8 @@ def check(path: Location, *, look: bool = True) -> Checked:
             if are_swapped(log):
                 left_out = "`bc-index --cameras center` leaves them out"
                 findings.append(Finding("side cameras that are swapped", f"left and right; {left_out}"))
-    odd = fine.left(odd)
-    findings += odd_findings(excluded.left(odd))
+    odd = fine.untagged(odd)
+    findings += odd_findings(excluded.untagged(odd))
     pauses = [finding for finding in findings if finding.kind == GAPS and is_paused_by_people]
     return Checked(
         path,

@@ -1,4 +1,4 @@
-"""Checking the messages of a log: pictures, rows, and how they fit together."""
+"""Checks the messages of a log: pictures, rows, and how they fit together."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ ODD_FINDINGS: Final = {
     "out_of_range": "stretches of values out of range",
     "steering_against_pictures": "stretches of steering against the pictures",
 }
-"""Coasting and creeping are no findings; `bc-log info` names them."""
-_MISFIT: Final = "messages that are not what their schema says"
+"""Without coasting and creeping, which only `bc-log info` names."""
+_MISFIT: Final = "messages that do not match their schema"
 
 
 class Finding(NamedTuple):
-    """Something wrong with a log."""
+    """A fault of a log."""
 
     kind: str
     where: str
 
 
 class Contents:
-    """Collects findings from messages that are added one by one, in the order of the log."""
+    """Collects findings from messages, added one by one in the log's order."""
 
     def __init__(
         self,
@@ -61,14 +61,14 @@ class Contents:
         self._is_ours = is_ours
         self._fine = fine
         self._topics = {number: channel.topic for number, channel in structure.channels.items()}
-        of_type = structure.is_protobuf
         self._images = structure.image_channels
-        self._vehicle = {
-            n for n, topic in self._topics.items() if topic == topics.VEHICLE and of_type(n, VEHICLE_STATE.name)
-        }
-        self._events = {
-            n for n, topic in self._topics.items() if topic == topics.EVENTS and of_type(n, LOG_MESSAGE.name)
-        }
+
+        def channels(topic_name: str, schema: str) -> set[int]:
+            numbers = {number for number, topic in self._topics.items() if topic == topic_name}
+            return {number for number in numbers if structure.is_protobuf(number, schema)}
+
+        self._vehicle = channels(topics.VEHICLE, VEHICLE_STATE.name)
+        self._events = channels(topics.EVENTS, LOG_MESSAGE.name)
         self._in_order = {n for n, topic in self._topics.items() if topic in TOPICS and TOPICS[topic].is_in_order}
         self._bad_telemetry: Counter[str] = Counter()
         self._not_recorded = NotRecorded()
@@ -78,12 +78,12 @@ class Contents:
         self._last_row: dict[str, int] = {}
         self._sizes = PictureSizes()
         self.counts: Counter[str] = Counter()
-        self.meant_gaps: list[str] = []  # the rows behind them
+        self.meant_gaps: list[str] = []  # the rows after them
         self.odd: list[OddStretch] = []
 
     @property
     def pictures(self) -> int:
-        """Number of pictures that were decoded."""
+        """The number of decoded pictures."""
         return self._image_check.decoded
 
     def add(self, records: bytes, message: StoredMessage) -> None:
@@ -93,7 +93,7 @@ class Contents:
             return
         self.counts[topic] += 1
         if message.log_time_ns > LAST_TIME_NS:
-            self._findings.append(Finding("times that no clock shows", f"{topic} row {message.sequence}"))
+            self._findings.append(Finding("impossible times", f"{topic} row {message.sequence}"))
             return
         if message.channel in self._in_order:
             if message.sequence <= self._last_row.get(topic, -1):
@@ -139,7 +139,7 @@ class Contents:
             where = f"{topic} row {self._image_check.pictures[topic].rows[at]}"
             self._findings.append(Finding("pictures that do not decode", where))
         for reason, count in self._bad_telemetry.most_common():
-            self._findings.append(Finding("kinds of telemetry that could not be used", f"{reason} ({count:,})"))
+            self._findings.append(Finding("kinds of unusable telemetry", f"{reason} ({count:,})"))
         for topic, sizes in self._sizes.mixed().items():
             self._findings.append(Finding("cameras with pictures of several sizes", f"{topic}: {sizes}"))
         states = self._states.states()
@@ -150,12 +150,12 @@ class Contents:
         meant = self._not_recorded.gaps(states)
         self.meant_gaps = [f"before row {row}" for row in states.row[meant].tolist()]
         for row in states.row[row_flags(states)["gap"] & ~meant].tolist():
-            if not self._fine.hold(row, row):
+            if not self._fine.cover(row, row):
                 self._findings.append(Finding(GAPS, f"before row {row}"))
         self.odd = odd_stretches(states)
 
     def _cameras(self, *, has_rows: bool) -> frozenset[str]:
-        """Topics on which every row should have a picture: also a camera that has none at all."""
+        """The topics on which every row should have a picture, also of a camera without any."""
         recorded = CAMERA_TOPICS.intersection(self._topics.values())
         expected = {camera_topic("center")} if has_rows else set()
         others = topics.PICTURE_TOPICS - CAMERA_TOPICS
@@ -164,23 +164,23 @@ class Contents:
     def _check_pictures(
         self, topic: str, pictures: TopicPictures, speed_mph: dict[tuple[int, int], float]
     ) -> None:
-        held = set(zip(pictures.rows, pictures.times_ns, strict=True))
-        expects_rows = self._is_ours or bool(speed_mph)  # other programs' logs need not have any
+        with_picture = set(zip(pictures.rows, pictures.times_ns, strict=True))
+        expects_rows = self._is_ours or bool(speed_mph)  # other programs' logs may have none
         for kind, keys in (
-            ("stretches of rows without a picture", speed_mph.keys() - held),
-            ("stretches of pictures without a row", held - speed_mph.keys() if expects_rows else set()),
+            ("stretches of rows without a picture", speed_mph.keys() - with_picture),
+            ("stretches of pictures without a row", with_picture - speed_mph.keys() if expects_rows else set()),
         ):
             for first, last in consecutive(sorted({row for row, _ in keys})):
                 self._findings.append(Finding(kind, f"{topic} {rows_named(first, last)}"))
-        standing = {key for key, speed in speed_mph.items() if speed < STANDING_MPH}  # not an unknown speed, NaN
+        standing = {key for key, speed in speed_mph.items() if speed < STANDING_MPH}  # False for NaN
         for first, last in pictures.frozen(standing):
             rows = (pictures.rows[first], pictures.rows[last])
-            if not self._fine.hold(*rows):
+            if not self._fine.cover(*rows):
                 self._findings.append(Finding("stretches of frozen pictures", f"{topic} {rows_named(*rows)}"))
 
 
 def odd_findings(odd: Iterable[OddStretch]) -> list[Finding]:
-    """Those of the odd stretches that are findings."""
+    """The findings among odd stretches."""
     return [
         Finding(ODD_FINDINGS[stretch.kind], rows_named(stretch.first_row, stretch.last_row))
         for stretch in odd

@@ -1,4 +1,4 @@
-"""Checking a log's file: every CRC, and its indexes, lists and counts against what is there."""
+"""Checks a log's file: every CRC, its indexes, lists and counts."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from recorder.mcap.picture_places import (
 from recorder.mcap.scan import Structure, read_structure
 from recorder.upkeep.check_contents import Finding
 
-ChunkMessages = tuple[bytes, list[StoredMessage]]  # the records of a chunk, and the messages among them
+ChunkMessages = tuple[bytes, list[StoredMessage]]  # the records of a chunk, and their messages
 
 DATA_CRC: Final = "CRC of all data does not hold"
-"""The finding that, alone, leaves only what is outside of chunks to be damaged."""
+"""If this is the only finding, the damage is outside the chunks."""
 
 
 def sound_chunks(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[ChunkMessages]:
-    """Every sound chunk, in the order of the file; what is wrong is added to `findings`."""
+    """Every sound chunk, in the file's order; faults are added to `findings`."""
     return (_without_end if structure.problem else _walk)(file, structure, findings)
 
 
 def is_damaged_beside_chunks(path: Path) -> bool:
-    """True if the CRC of all data of a finished file does not hold though every chunk and index is sound: then
-    metadata, or what describes topics, is damaged, and nothing shows where. Reads the whole file."""
+    """True for a finished file with sound chunks and indexes, but a wrong CRC of all data: then metadata or
+    descriptions of topics are damaged, in an unknown place. Reads the whole file."""
     findings: list[Finding] = []
     with McapFile(path) as file:
         structure = read_structure(file)
@@ -51,10 +51,10 @@ def is_damaged_beside_chunks(path: Path) -> bool:
 
 
 def _without_end(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[ChunkMessages]:
-    """The chunks of a log without a readable end: those that were found have been checked."""
+    """The chunks of a log without a readable end, which the search has checked."""
     findings.append(Finding("no readable end", structure.problem))
     for start, end in structure.lost:
-        findings.append(Finding("bytes without anything whole", f"{start:,} to {end:,}"))
+        findings.append(Finding("unreadable bytes", f"{start:,} to {end:,}"))
     count = 0
     for chunk in structure.chunks:
         records = file.records(chunk)
@@ -65,7 +65,7 @@ def _without_end(file: McapFile, structure: Structure, findings: list[Finding]) 
 
 
 def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[ChunkMessages]:
-    """Reads a finished log from its start, record by record, and yields its sound chunks."""
+    """Read a finished log from its start, record by record; yields its sound chunks."""
     position, crc = len(MAGIC), zlib.crc32(MAGIC)
     indexed = {chunk.start: chunk for chunk in structure.chunks}
     places = PlacesCheck(file, structure, findings)
@@ -82,7 +82,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
             findings.append(Finding("chunks without an index of their messages", f"before byte {position:,}"))
             expected = {}
         if opcode == Opcode.DATA_END:
-            if length != 4:  # the one record whose header no CRC covers
+            if length != 4:  # no CRC covers this record's header
                 findings.append(Finding("records of a wrong length", f"at byte {position:,}"))
             (stored,) = struct.unpack("<I", record[RECORD.size :][:4].ljust(4, b"\0"))
             if stored != crc and (stored or _promises_data_crc(file, structure)):
@@ -93,7 +93,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
             chunk = Chunk(position, position + len(record))
             listed = indexed.pop(position, chunk)
             if listed.end != chunk.end:
-                findings.append(Finding("chunks that are not where the summary says", f"at byte {position:,}"))
+                findings.append(Finding("chunks with wrong places in the summary", f"at byte {position:,}"))
             try:
                 records = file.unpacked(record, position)
                 messages = list(file.messages(records))
@@ -106,7 +106,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
                 _, _, first_ns, last_ns, _, _ = CHUNK_HEADER.unpack_from(record)
                 times = [message.log_time_ns for message in messages] or [0]
                 if (min(times), max(times)) != (first_ns, last_ns):
-                    findings.append(Finding("chunks of other times than they declare", f"at byte {position:,}"))
+                    findings.append(Finding("chunks with wrong times in their headers", f"at byte {position:,}"))
                 places.add(listed, record, {message.channel for message in messages})
                 yield records, messages
         elif opcode == Opcode.MESSAGE and indexed.pop(position, None) is not None:  # of a file without chunks
@@ -119,28 +119,28 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
                 findings.append(Finding("indexes that do not fit their chunk", f"at byte {position:,}"))
         position += len(record)
     findings.extend(
-        Finding("chunks that are not where the summary says", f"at byte {start:,}") for start in sorted(indexed)
+        Finding("chunks with wrong places in the summary", f"at byte {start:,}") for start in sorted(indexed)
     )
-    # other programs may leave the statistics out
+    # other programs may write no statistics
     stored_counts = structure.statistics.channel_message_counts if structure.statistics is not None else counts
     for channel in sorted(stored_counts.keys() | counts.keys()):
         if stored_counts.get(channel, 0) != counts[channel]:
             topic = structure.channels[channel].topic if channel in structure.channels else f"channel {channel}"
             findings.append(
                 Finding(
-                    "other numbers of messages than the summary says",
+                    "wrong message counts in the summary",
                     f"{topic}: {counts[channel]:,} of {stored_counts.get(channel, 0):,}",
                 )
             )
 
 
 def _promises_data_crc(file: McapFile, structure: Structure) -> bool:
-    """True if 0 as the CRC of all data is damage. The earliest logs of ours have none, and no bc.quality."""
+    """True if 0 as the CRC of all data is damage. Our earliest logs have neither this CRC nor bc.quality."""
     return file.promises_crcs and (structure.has_quality or not file.is_ours)
 
 
 def _index_of(messages: list[StoredMessage]) -> dict[int, list[tuple[int, int]]]:
-    """(log time, offset of the record) of the messages of each channel, as an index has them."""
+    """The expected index of each channel: (log time, offset of the record) of its messages."""
     index: dict[int, list[tuple[int, int]]] = defaultdict(list)
     for message in messages:
         index[message.channel].append((message.log_time_ns, message.start))
@@ -148,7 +148,7 @@ def _index_of(messages: list[StoredMessage]) -> dict[int, list[tuple[int, int]]]
 
 
 def _message_index(record: bytes) -> tuple[int, list[tuple[int, int]]]:
-    """Channel and entries; (-1, []) for a record that is none."""
+    """Channel and entries of an index; (-1, []) for another record."""
     try:
         channel, size = struct.unpack_from("<HI", record, RECORD.size)
         return channel, list(struct.iter_unpack("<QQ", record[RECORD.size + 6 : RECORD.size + 6 + size]))
@@ -157,9 +157,9 @@ def _message_index(record: bytes) -> tuple[int, list[tuple[int, int]]]:
 
 
 class PlacesCheck:
-    """Compares each chunk with the summary's entry for it, and with the lists of chunks and pictures.
+    """Compares each chunk with its entry in the summary, and with the lists of chunks and pictures.
 
-    Logs of earlier versions have no such lists, and other programs' are not read by them.
+    Only our own logs have these lists, from version 0.2 on.
     """
 
     def __init__(self, file: McapFile, structure: Structure, findings: list[Finding]) -> None:
@@ -177,29 +177,29 @@ class PlacesCheck:
             return
         self._crcs = read_chunk_crcs(file, structure)
         if self._crcs is None:
-            findings.append(Finding("lists that are not about this file", CHUNKS_ATTACHMENT))
+            findings.append(Finding("lists that describe another file", CHUNKS_ATTACHMENT))
         elif (places := stored_places(file, structure)) is None or read_places(file, structure) is None:
-            findings.append(Finding("lists that are not about this file", PICTURES_ATTACHMENT))
+            findings.append(Finding("lists that describe another file", PICTURES_ATTACHMENT))
         else:
             self._places = places
-            # at once: for each chunk alone, NumPy would copy the whole column
+            # for all chunks together: a search for each chunk would copy the whole column
             self._edges = np.searchsorted(places["chunk"], np.arange(len(self._crcs) + 1)).tolist()
 
     def add(self, indexed: Chunk, record: bytes, channels: set[int]) -> None:
-        """Check a sound chunk: its entry in the summary, its record, and the channels of its messages."""
+        """Check a sound chunk. `indexed`: its entry in the summary; `channels`: of its messages."""
         where = f"at byte {indexed.start:,}"
         if indexed.channels is not None and indexed.channels != channels:
-            self._findings.append(Finding("chunks of other topics than the summary says", where))
+            self._findings.append(Finding("chunks with wrong topics in the summary", where))
         if indexed.head and indexed.head != record[: len(indexed.head)]:
-            self._findings.append(Finding("chunks of other times or sizes than the summary says", where))
+            self._findings.append(Finding("chunks with wrong times or sizes in the summary", where))
         number = self._numbers.get(indexed.start)
         if number is None or self._crcs is None:
             return
         *_, crc = CHUNK_HEADER.unpack_from(record)
         if self._crcs[number] != crc:
-            self._findings.append(Finding("chunks of other CRCs than are listed", where))
+            self._findings.append(Finding("chunks with wrong CRCs in the list", where))
         if self._places is None or indexed.compression:
             return
         first, end = self._edges[number : number + 2]
         if self._places[first:end].tobytes() != places_in(record, number, self._images):
-            self._findings.append(Finding("chunks of other pictures than are listed", where))
+            self._findings.append(Finding("chunks with wrong pictures in the list", where))

@@ -1,9 +1,9 @@
-"""Copying logs between this machine and a store: whole or not at all, compared by fingerprint, over nothing.
+"""Copies logs between this machine and a store, whole or not at all. Fingerprints are compared, and nothing is
+replaced unasked.
 
-To a store: the log becomes an object NAME.mcap.XXXXXX.part, which gets its name in the store itself if nobody has
-taken the name meanwhile. An upload that was stopped begins anew. From a store: NAME.mcap.XXXXXX.part grows on the
-disk, named after the object's ETag, so that a stopped copy continues where it was; every CRC in it is compared
-before it gets its name.
+To a store: the log becomes the object NAME.mcap.XXXXXX.part. The store renames it if the name is still free. A
+stopped upload begins again. From a store: NAME.mcap.XXXXXX.part grows on the disk. Its name depends on the
+object's ETag, so that a stopped copy continues. All its CRCs are checked before it gets its name.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class Copied:
 
     place: Location
     size: int  # bytes
-    is_new: bool  # False: the very same log was there already
-    notice: str = ""  # what could not be done beside it
+    is_new: bool  # False: the same log was there already
+    notice: str = ""  # about tags that were not copied
 
 
 def copy_log(
@@ -59,11 +59,11 @@ def copy_log(
     keeps_damaged: bool = False,
     on_bytes: OnBytes = lambda more: None,
 ) -> Copied:
-    """Copy a finished log, its tags and its lag between this machine and a store; one that is there is left alone.
+    """Copy a finished log, its tags and its lag between this machine and a store, unless it is there already.
 
-    Raises LogError for a log that is unfinished or damaged: with `keeps_damaged`, what came of one from a store
-    stays, for a recovery. Raises UserError where something else has the name (unless `overwrite`), or one of the
-    places is of the wrong kind; StoreError.
+    Raises LogError for a log that is unfinished or damaged; with `keeps_damaged`, a download is kept for a
+    recovery. Raises UserError if the name is taken (unless `overwrite`), or both places are of one kind;
+    StoreError.
     """
     if isinstance(log, Path) and isinstance(to, Url):
         copied = _upload(log, to, overwrite, on_bytes)
@@ -78,7 +78,7 @@ def copy_log(
 
 
 def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
-    with Log(log) as opened:  # raises LogError for a file that is no log
+    with Log(log) as opened:
         size, fingerprint = opened.size, opened.file_fingerprint
     if (stored := find_object(url)) is not None:
         if stored.size == size and _fingerprint(url) == fingerprint:
@@ -93,12 +93,12 @@ def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
 
 
 def _put_and_name(log: Path, url: Url, size: int, fingerprint: str, overwrite: bool, on_bytes: OnBytes) -> None:
-    is_small = size <= MAX_IN_ONE_REQUEST  # what is more is written under its own name at once
+    is_small = size <= MAX_IN_ONE_REQUEST  # larger logs are written under their final name
     made = url.with_name(f"{url.name}.{secrets.token_hex(3)}{PART_SUFFIX}") if is_small and not overwrite else url
     try:
         try:
             put_parts(made, _parts(log, on_bytes, None if overwrite or is_small else url), size)
-        except StoreError:  # it is there all the same, if nothing but the answer was lost
+        except StoreError:  # if only the answer was lost, the object is complete
             if not _is_there(made, size, fingerprint):
                 raise
         if _fingerprint(made) != fingerprint:
@@ -112,26 +112,26 @@ def _put_and_name(log: Path, url: Url, size: int, fingerprint: str, overwrite: b
                 remove(made)
     except BaseException:
         if made != url:
-            with uninterrupted(), contextlib.suppress(StoreError):  # the first error says more
+            with uninterrupted(), contextlib.suppress(StoreError):  # the first error counts
                 remove(made)
         raise
 
 
 def _is_there(url: Url, size: int, fingerprint: str) -> bool:
-    """True if this log is there, whole."""
+    """True if the complete log is at `url`."""
     stored = find_object(url)
     return stored is not None and stored.size == size and _fingerprint(url) == fingerprint
 
 
 def _parts(log: Path, on_bytes: OnBytes, free: Url | None) -> Iterator[bytes]:
-    """The bytes of a file. `free`: an object that must not be there when all have been given."""
+    """The bytes of a file. `free`: an object that must not exist after the last part."""
     with log.open("rb") as stream:
         while data := stream.read(LARGEST_READ):
             yield data
             on_bytes(len(data))
     if free is None:
         return
-    with ThreadPoolExecutor(1) as other_thread:  # in this one, obstore waits for the parts
+    with ThreadPoolExecutor(1) as other_thread:  # obstore uses this thread for the parts
         is_taken = other_thread.submit(find_object, free).result() is not None
     if is_taken:
         raise ObjectExistsError(f"{free} was written by another process at the same time; nothing was changed")
@@ -158,7 +158,7 @@ def _download(url: Url, path: Path, overwrite: bool, keeps_damaged: bool, on_byt
                 for data in source.read_from(begun):
                     stream.write(data)
                     on_bytes(len(data))
-            except ObjectChangedError:  # there is nothing any more that could go on with it
+            except ObjectChangedError:  # this part cannot be continued
                 part.unlink()
                 raise
             stream.flush()
@@ -178,7 +178,7 @@ def _fingerprint(place: Location) -> str:
 
 
 def _upload_tags(log: Path, url: Url, overwrite: bool) -> str:
-    """Copy the tags beside a log; returns why not, where others are there."""
+    """Copy a log's tags; returns the reason if they are not copied."""
     file, stored = tags_path(log), tags_path(url)
     if not file.is_file():
         return ""

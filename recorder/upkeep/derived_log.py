@@ -1,4 +1,4 @@
-"""Logs that are made of other logs: their metadata, their names and their tags."""
+"""Logs made from other logs: their metadata, names and tags."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from recorder.log.tags import Tag, add_tags
 from recorder.log.writer import LogWriter
 from recorder.mcap.picture_places import is_about_places
 
-LAST_ROW: Final = 2**32 - 1  # sequence numbers of MCAP have 32 bits
+LAST_ROW: Final = 2**32 - 1  # MCAP's sequence numbers have 32 bits
 
 
 @dataclass(frozen=True)
@@ -31,19 +31,19 @@ class Written:
     messages: int
     rows: int
     skipped: Skipped
-    notices: Sequence[str] = ()  # what a person should know of what is not in it
+    notices: Sequence[str] = ()  # lines about missing or doubtful contents
 
 
 def refuse_taken(to: Path, originals: Sequence[Path], overwrite: bool) -> None:
-    """Raise UserError for a file that exists, and LogError for one of the originals even if it may be replaced."""
+    """Raise UserError if `to` exists, and LogError if it is one of the originals, even with `overwrite`."""
     refuse_existing(to, overwrite)
     if to.exists() and any(path.exists() and to.samefile(path) for path in originals):
         raise LogError(f"{to}: is the log itself, which is not changed; give another name")
 
 
 def new_log(log: Log, to: Path, session: dict[str, str], about: dict[str, str], overwrite: bool) -> LogWriter:
-    """A log made of `log`, with its metadata (`session`) and `about`; without any if it has none, as other
-    programs' logs."""
+    """A new log made from `log`, with its metadata (`session`) and `about`. Copies of other programs' logs without
+    metadata have none."""
     if not session and not log.is_ours:
         return LogWriter(to, None, overwrite=overwrite, profile="")
     rewritten = {"toolkit": "unknown", **session, "rewritten_by": version_of(), **about}
@@ -53,7 +53,7 @@ def new_log(log: Log, to: Path, session: dict[str, str], about: dict[str, str], 
 def copy_rest(
     log: Log, metadata: Sequence[tuple[str, dict[str, str]]], writer: LogWriter, skipped: Skipped
 ) -> None:
-    """Copy attachments, and metadata but that which the new log has of its own."""
+    """Copy attachments, and metadata that the new log does not write itself."""
     for name, values in metadata:
         if name not in (topics.SESSION_METADATA, topics.QUALITY_METADATA, topics.REWRITTEN_METADATA):
             writer.add_metadata(name, values)
@@ -63,12 +63,12 @@ def copy_rest(
         except LogError:
             skipped.add("damaged attachments", f"at byte {offset:,}")
             continue
-        if not is_about_places(attachment.name):  # a log without a summary has no other sign of it
+        if not is_about_places(attachment.name):  # `log.attachments` needs a summary to leave them out
             writer.copy_attachment(attachment)
 
 
 def tags_of_rows(tags: Sequence[Tag], rows: Sequence[int]) -> list[Tag]:
-    """The tags of these rows, clipped to the first and the last of them that each one names."""
+    """The tags of these rows, clipped to the first and the last of the rows in each tag."""
     number = np.array(rows, np.int64)
     clipped = []
     for tag in tags:
@@ -85,7 +85,7 @@ def close_with_tags(writer: LogWriter, tags: Sequence[Tag]) -> None:
 
 
 def publish_all(path: Path, writers: Sequence[LogWriter], tags: Sequence[Sequence[Tag]], overwrite: bool) -> None:
-    """Give all of the finished logs their names, or none."""
+    """Give the finished logs their names: all or none."""
     published: list[Path] = []
     with uninterrupted():
         for writer in writers:

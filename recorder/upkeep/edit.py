@@ -1,8 +1,8 @@
-"""New logs out of old ones: trimmed, merged, split, rewritten. Nothing edits a log in place.
+"""Trims, merges, splits and rewrites logs into new logs. No log is edited in place.
 
-Messages are copied as they are, the CRC of each chunk checked. Metadata is copied as it is read: only the CRC of
-the whole file covers it, which `bc-log check` compares. Rows keep their numbers, but get new ones in a merged log.
-The tags of the rows that are in a new log are written beside it.
+Messages are copied unchanged, after a check of each chunk's CRC. Metadata has no CRC of its own: only `bc-log
+check` compares the CRC of the whole file. Rows keep their numbers, except in a merged log. The tags of a new log's
+rows are written next to it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ Copied = tuple[Schema | None, Channel, McapMessage]
 def trim(path: Path, to: Path, rows: tuple[int, int], *, overwrite: bool = False) -> Written:
     """Write the rows from the first to the last of `rows`, both included, to the new log `to`.
 
-    Messages without a row (events) are taken if they are of the same time. Raises LogError without such rows.
+    Messages without a row (events) are included if their times fit. Raises LogError without any row.
     """
     refuse_taken(to, [path], overwrite)
     with Log(path) as log:
@@ -70,11 +70,10 @@ def trim(path: Path, to: Path, rows: tuple[int, int], *, overwrite: bool = False
 
 
 def trim_times(path: Path, to: Path, start_s: float, end_s: float, *, overwrite: bool = False) -> Written:
-    """Write what lies between two times, both included, in seconds from the log's first row, to the new log `to`.
+    """Write the rows between two times, both included, in seconds from the log's first row, to the new log `to`.
 
-    In a log without rows, which another program wrote, they are seconds from its first message, and the messages
-    are taken whose log time is between them. Raises LogError if there is nothing, or if the rows are not one
-    stretch because time goes back.
+    In another program's log without rows, times count from its first message, and select messages by log time.
+    Raises LogError if nothing is between them, or if the rows are not one stretch because time goes back.
     """
     refuse_taken(to, [path], overwrite)
     with Log(path) as log:
@@ -89,9 +88,9 @@ def trim_times(path: Path, to: Path, start_s: float, end_s: float, *, overwrite:
 
 
 def merge(paths: Sequence[Path], to: Path, *, overwrite: bool = False) -> Written:
-    """Write several logs into one, in the order given: the rows of each are numbered on from those before.
+    """Write several logs into one, in the given order, with continuous row numbers.
 
-    Raises LogError if the numbers do not suffice, or if the wheels turn by another angle at steering 1.
+    Raises LogError if the numbers do not suffice, or if the wheels' angles at steering 1 differ.
     """
     refuse_taken(to, paths, overwrite)
     skipped = Skipped()
@@ -136,9 +135,9 @@ def _refuse_different_steering(logs: Sequence[Log]) -> None:
 def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]:
     """Write each drive of the log at `path` to a log of its own in `folder`: NAME-1.mcap, NAME-2.mcap ...
 
-    A new drive begins after a gap of a second, or where time goes back. Messages without a row go to the drive
-    beside whose vehicle states they lie in the file, pictures without one to that beside whose pictures they do.
-    Either all of them are written or none. Raises LogError if there is only one drive.
+    A new drive begins after a gap of a second, or where time goes back. A message without a row goes to the drive
+    of the vehicle state before it in the file; a picture without a row, to the drive of the picture before it. All
+    logs are written or none. Raises LogError if there is only one drive.
     """
     with Log(path) as log, contextlib.ExitStack() as stack:
         number, time_ns = _rows(log)
@@ -159,14 +158,14 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
             stack.callback(writers[-1].discard)
         drive_of = dict(zip(number.tolist(), drives.tolist(), strict=True))
         counts = [0] * len(writers)
-        beside = {True: 0, False: 0}  # the drive of the pictures, and of all else, that came last
+        last_drive = {True: 0, False: 0}  # of the last picture, and of the last other message
         for schema, channel, message in _messages(log, "splitting"):
             is_picture = is_image_channel(schema, channel)
             if channel.topic in ROW_TOPICS:
-                beside[is_picture] = drive_of.get(message.sequence, beside[is_picture])
-            at = beside[is_picture]
-            writers[at].copy(schema, channel, message, message.sequence)
-            counts[at] += 1
+                last_drive[is_picture] = drive_of.get(message.sequence, last_drive[is_picture])
+            drive = last_drive[is_picture]
+            writers[drive].copy(schema, channel, message, message.sequence)
+            counts[drive] += 1
         skipped = [Skipped() for _ in writers]
         for writer, left_out in zip(writers, skipped, strict=True):
             copy_rest(log, log.all_metadata(), writer, left_out)
@@ -177,10 +176,10 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
 
 
 def rewrite(path: Path, to: Path, *, overwrite: bool = False) -> Written:
-    """Write a finished log to the new log `to` as this version writes logs: pictures in chunks of their own.
+    """Write a finished log to the new log `to` in this version's layout, with pictures in separate chunks.
 
-    Messages, times, rows and tags are the same, and so is its fingerprint, by which indexes and runs recognise it.
-    Raises LogError for a log that was never finished, or that another program wrote.
+    Messages, times, rows and tags stay the same, and so does the fingerprint, by which indexes and runs recognise
+    it. Raises LogError for an unfinished log, or another program's.
     """
     refuse_taken(to, [path], overwrite)
     with Log(path) as log:
@@ -195,7 +194,7 @@ def rewrite(path: Path, to: Path, *, overwrite: bool = False) -> Written:
 def rows_between(log: Log, start_s: float, end_s: float) -> tuple[int, int]:
     """The first and the last row between two times, in seconds from the log's first row.
 
-    Raises LogError if there is none, or if they are not one stretch because time goes back in this log.
+    Raises LogError if there is none, or if the rows are not one stretch because time goes back.
     """
     number, time_ns = _rows(log)
     since_s = (time_ns - time_ns[:1]) / 1e9
@@ -208,7 +207,7 @@ def rows_between(log: Log, start_s: float, end_s: float) -> tuple[int, int]:
 
 
 def check_rows(log: Log, rows: tuple[int, int]) -> None:
-    """Raises LogError if the first or the last of `rows` lies outside of those that the log has."""
+    """Raises LogError if the log lacks the first or the last of `rows`."""
     number, _ = _rows(log)
     if rows[0] < number.min() or rows[1] > number.max():
         raise LogError(f"{log.path}: not all rows from {rows[0]} to {rows[1]} are in it; {_range(number)}")
@@ -240,7 +239,7 @@ def _copied(
     overwrite: bool,
     same_as: str = "",
 ) -> Written:
-    """Copies the messages that are in, and writes `tags`. `same_as`: fingerprint of a log that is rewritten."""
+    """Copy the messages that `is_in` accepts, and write `tags`. `same_as`: the fingerprint of a rewritten log."""
     skipped, count, row_count = Skipped(), 0, 0
     with new_log(log, to, log.metadata, about, overwrite) as writer:
         for schema, channel, message in _messages(log, "rewriting" if same_as else "trimming"):

@@ -1,4 +1,4 @@
-"""A summary of a log, read from its end alone, however long it is."""
+"""A summary of a log, read from its end alone."""
 
 from __future__ import annotations
 
@@ -52,25 +52,25 @@ class LogInfo:
 
     path: str
     size_bytes: int
-    start: str  # UTC, ISO 8601: of the first message, or of the file where time was simulated; "" if unknown
+    start: str  # UTC, ISO 8601: of the first message, or of the file if time was simulated; "" if unknown
     duration_s: float  # from the first message to the last
-    driven_s: float | None  # of all drives, without what lies between them; None: its rows were not measured
-    topics: list[TopicInfo]  # rates over the driven time, if it is known
-    session: dict[str, str]  # where it comes from
+    driven_s: float | None  # of all drives, without pauses; None: its rows were not measured
+    topics: list[TopicInfo]  # rates over the driven time, if known
+    session: dict[str, str]  # its origin
     drives: int | None
-    flags: dict[str, int] | None  # rows that each flag holds for
-    stretches: list[FlaggedRows]  # the first of them
-    odd: list[OddStretch] | None  # not tagged fine, the first of them; None: its rows were not measured
+    flags: dict[str, int] | None  # the number of rows with each flag
+    stretches: list[FlaggedRows]  # the first ones
+    odd: list[OddStretch] | None  # the first ones not tagged fine; None: its rows were not measured
     steering: SteeringHabits | None  # None: its rows were not measured, or it has none
-    lag: SteeringLag | None  # of the steering; None: not measured, or not to be found in its pictures
-    lacks_lag: bool  # labels depend on it, and it was never measured
-    labels: str  # what an index makes of its steering, as far as is known; empty if nothing is
-    picture_sizes: dict[str, str]  # of each topic whose pictures are of several sizes: which, and how many
+    lag: SteeringLag | None  # of the steering; None: not measured, or its pictures do not show it
+    lacks_lag: bool  # labels depend on the lag, but it was never measured
+    labels: str  # the labels that an index makes; empty if unknown
+    picture_sizes: dict[str, str]  # sizes and counts, of each topic with several sizes
     tags: list[Tag]
-    stale_tags: int  # of what had this name before
+    stale_tags: int  # tags of an earlier log with this name
     notice: str  # of an unfinished log
-    is_ours: bool  # not another program's
-    meant_gaps: list[int] = field(default_factory=list)  # the rows behind gaps that its recorder meant
+    is_ours: bool  # written by this toolkit
+    meant_gaps: list[int] = field(default_factory=list)  # the rows after gaps that its events explain
 
     @property
     def rows(self) -> int:
@@ -78,7 +78,7 @@ class LogInfo:
 
     @property
     def odd_rows(self) -> dict[str, int]:
-        """The rows of the odd stretches, by their kind: most first."""
+        """The number of odd rows by kind, most first."""
         rows = Counter[str]()
         for stretch in self.odd or ():
             rows[stretch.kind] += stretch.rows
@@ -86,8 +86,7 @@ class LogInfo:
 
     @property
     def driver(self) -> str:
-        """The run that drove, or else the driver or the source, as far as the log has them; else empty. A person's
-        device is in brackets."""
+        """The run that drove, or the driver, or the source; a person's device in brackets. Empty if unknown."""
         names = (self.session.get(name, "") for name in ("run", "driver", "source"))
         name = next((name for name in names if name), "")
         device = self.steering.device if self.steering else ""
@@ -95,7 +94,7 @@ class LogInfo:
 
     @property
     def length_s(self) -> float:
-        """The driving time, or else that from the first message to the last."""
+        """The driving time, or the time from the first message to the last."""
         return self.duration_s if self.driven_s is None else self.driven_s
 
     def as_json(self) -> str:
@@ -107,9 +106,9 @@ class LogInfo:
 def describe(
     place: Location | Log, *, look: bool = False, with_tags: bool = True, with_kept_lag: bool = True
 ) -> LogInfo:
-    """Describe a log by its place, or one that is open; `look` measures the steering's lag in some pictures if
-    nobody has yet. `with_tags`, `with_kept_lag`: with what is kept beside the log. Raises LogError if the log
-    cannot be read or, `with_tags`, its tags; StoreError."""
+    """Describe an open log, or the log at a place. `look` measures an unknown lag of the steering in some
+    pictures. `with_tags`, `with_kept_lag`: also read the files next to the log. Raises LogError if the log or its
+    tags cannot be read; StoreError."""
     with contextlib.nullcontext(place) if isinstance(place, Log) else Log(place) as log:
         first_ns, last_ns = log.time_range_ns
         duration_s = (last_ns - first_ns) / 1e9
@@ -117,7 +116,7 @@ def describe(
         quality = _quality(log)
         driven_s = _seconds(quality.get("driven_s")) if quality else None
         by_content = tags_by_content(log.path) if with_tags else {}
-        fingerprint = log.fingerprint if by_content else ""  # without tags, it need not be made
+        fingerprint = log.fingerprint if by_content else ""  # not computed without tags
         rate_s = duration_s if driven_s is None else driven_s
         tags = sorted(by_content.get(fingerprint, ()))
         odd = _odd(log, quality)
@@ -140,7 +139,7 @@ def describe(
             drives=_count(quality.get("drives")) if quality else None,
             flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS} if quality else None,
             stretches=[FlaggedRows(*values) for values in stretches or ()],
-            odd=TaggedRows(tags).left(odd) if odd is not None else None,
+            odd=TaggedRows(tags).untagged(odd) if odd is not None else None,
             steering=steering,
             lag=finding.lag if finding else None,
             lacks_lag=finding is None and goes_by,
@@ -155,7 +154,7 @@ def describe(
 
 
 def _start(log: Log, first_ns: int) -> str:
-    """When a log was begun. The built-in simulator's recordings all begin at one moment of simulated time."""
+    """The start of a log. With simulated time, all recordings begin at the same moment: then the file's time."""
     session = log.metadata
     is_simulated = session.get("source") == "simulator" and session.get("driver") != "human"
     seconds = first_ns // 10**9
@@ -167,20 +166,20 @@ def _start(log: Log, first_ns: int) -> str:
 
 
 def driven_by(log: Log) -> str:
-    """The machine that drove a session, as `machine_of` gives it."""
+    """The machine that drove a log's session (`machine_of`)."""
     return machine_of(log.metadata, has_commands=bool(log.counts.get(topics.PILOT_COMMAND)))
 
 
 def find_lag(log: Log) -> tuple[LagFinding | None, bool]:
-    """The lag of a log's steering, measured in its pictures if it was not known, and whether it is kept beside the
-    log or need not be; None where labels do not depend on it. Raises LogError for rows that cannot be read, and
+    """The lag of a log's steering, measured in its pictures if unknown; None if labels do not depend on it. The
+    second value is False if the measured lag could not be kept. Raises LogError for unreadable rows;
     StoreError."""
     lag = known_lag(log)
     return _measured(log) if lag is None and _goes_by_lag(log) else (lag, True)
 
 
 def lacks_lag(log: Log) -> bool:
-    """Whether labels of a log depend on the lag of its steering, which nobody has measured."""
+    """True if a log's labels depend on the lag of its steering, but it was never measured."""
     return known_lag(log) is None and _goes_by_lag(log)
 
 
@@ -197,8 +196,7 @@ def _measured(log: Log) -> tuple[LagFinding, bool]:
 
 
 def set_speeds_mph(log: Log) -> tuple[float, ...]:
-    """The speeds that a session's driver was set to keep where bends allow, by its log; none if none was set, as
-    for people."""
+    """The set speeds of a session's driver, from its log; none for people."""
     stored = f"{log.metadata.get('drive.speed', '')} {log.metadata.get('set_speed_mph', '')}".split()
     try:
         speeds = [float(speed) for speed in stored]
@@ -208,14 +206,14 @@ def set_speeds_mph(log: Log) -> tuple[float, ...]:
 
 
 def first_picture_sizes(log: Log) -> dict[str, tuple[int, int]] | None:
-    """Width and height of the first picture of each camera's topic, where that has any, as the log's writer has
-    noted them; None where it has not."""
+    """Width and height of the first picture of each camera's topic, as the log's writer noted them; None if it did
+    not."""
     stored = log.read_metadata(topics.QUALITY_METADATA).get("first_picture_px", "")
     return json_as(stored, dict[str, tuple[int, int]])
 
 
 def _quality(log: Log) -> dict[str, str]:
-    """The summary of its rows by the log's writer; for a log that was never finished, made from its rows."""
+    """A log's summary of its rows, by its writer; for an unfinished log, made from its rows."""
     stored = log.read_metadata(topics.QUALITY_METADATA)
     if stored or not log.problem:
         return stored
@@ -225,7 +223,7 @@ def _quality(log: Log) -> dict[str, str]:
 
 
 def _odd(log: Log, quality: dict[str, str]) -> list[OddStretch] | None:
-    """The stretches that the log's writer has noted; of an earlier version's log, found in its rows."""
+    """The stretches that the log's writer noted; for an earlier version's log, found in its rows."""
     noted = odd_in(quality)
     if noted is not None or not quality:
         return noted
@@ -234,7 +232,7 @@ def _odd(log: Log, quality: dict[str, str]) -> list[OddStretch] | None:
 
 
 def _steering(log: Log, quality: dict[str, str]) -> SteeringHabits | None:
-    """The habits that the log's writer has noted; for a log without, measured from its rows."""
+    """The habits that the log's writer noted; for other logs, measured from its rows."""
     if noted := habits_from(quality.get("steering", "")):
         return noted
     states = _states(log)

@@ -1,4 +1,4 @@
-"""Making a finished log out of one that is unfinished or damaged."""
+"""Makes a finished log from an unfinished or damaged one."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ _Rows = dict[str, list[int]]  # by topic, in the order of their messages
 
 
 def recovered_name(path: Path) -> Path:
-    """The default place of a recovered log: what was being written gets the name it would have had,
-    unless its recording still goes on, and will take that name itself."""
+    """The default place of a recovered log: the intended name of an unfinished log, unless its recording still
+    continues and needs this name."""
     meant = final_path(path)
     if meant != path and not meant.is_file() and not is_being_written(path):
         return meant
@@ -41,13 +41,13 @@ def recovered_name(path: Path) -> Path:
 
 
 def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
-    """Write all that is whole in the log at `path`, finished or not, to the new log `to`.
+    """Write everything whole in the log at `path`, finished or not, to the new log `to`.
 
-    A chunk is taken if its CRC holds; chunks stay in the file's order. In a log of ours, a row that was never
-    finished, or whose vehicle state is lost, is left out; one that lost only pictures stays. What is left out or
-    missing is in `skipped`, what may be wrong in `notices`.
+    All chunks with a matching CRC are kept, in the file's order. In a log of ours, rows that were never finished,
+    or that lost their vehicle state, are left out; rows that only lost pictures stay. `skipped` has what is left
+    out or missing, `notices` what may be wrong.
 
-    Raises LogError if nothing is whole, or if `to` is the name that the recording will take, which still goes on.
+    Raises LogError if nothing is whole, or if the running recording needs the name `to`.
     """
     skipped, out_of_order = Skipped(), Skipped()
     refuse_taken(to, [path], overwrite)  # before a long log is read
@@ -81,13 +81,13 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
             close_with_tags(writer, tags_of_rows(tags, rows))
     for start, end in log.lost:
         if log.problem:
-            skipped.add("stretches of bytes without anything whole", f"{start:,} to {end:,}")
+            skipped.add("stretches of unreadable bytes", f"{start:,} to {end:,}")
         else:
             skipped.add("damaged chunks", f"bytes {start:,} to {end:,}")
     notices = [f"{path}: {line}" for line in out_of_order.lines()]
-    lost_count = (log.message_count or 0) - count - left_out
+    lost_count = log.message_count - count - left_out
     if lost_count > 0:
-        notices.append(f"{path}: lost in all: {lost_count:,} of {counted(log.message_count or 0, 'message')}")
+        notices.append(f"{path}: lost in all: {lost_count:,} of {counted(log.message_count, 'message')}")
     if log.is_ours and not rows and len(skipped):
         notices.append(f"{path}: no complete row in it: the new log has no rows")
     if not len(skipped) and is_damaged_beside_chunks(path):
@@ -101,7 +101,8 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
 
 
 def _bad_rows(log: Log) -> list[Tag]:
-    """The rows that a person found bad while a log was recorded, whose tags come with its end."""
+    """The tags for rows that a person marked as bad during the recording; a finished log has them in its file of
+    tags."""
     if not log.problem or not log.is_ours or topics.EVENTS not in log.counts:
         return []
     with contextlib.suppress(LogError):
@@ -129,21 +130,21 @@ def _sound_tags(log: Log, skipped: Skipped) -> list[Tag]:
 
 @dataclass(frozen=True)
 class LostRows:
-    """The rows whose messages are left out, and why."""
+    """The rows whose messages are left out, with the reason."""
 
     last_row: int = _NO_ROW
-    torn: frozenset[int] = frozenset()  # rows that have lost a part
+    torn: frozenset[int] = frozenset()  # rows that lost a part
 
     def why_not(self, row: int) -> str:
-        """The reason why the rest of a row is left out; empty if it is taken."""
+        """The reason why the rest of a row is left out; empty if it is kept."""
         if row > self.last_row:
             return "messages of a row that was never finished"
-        return "messages of a row of which the rest is lost" if row in self.torn else ""
+        return "messages of a row whose other parts are lost" if row in self.torn else ""
 
 
 def lost_rows(log: Log, skipped: Skipped, out_of_order: Skipped) -> LostRows:
-    """The rows that lack a part. Rows that are missing are added to `skipped`, chunks whose rows come too late, or
-    again, to `out_of_order`. Another program's log has no rows."""
+    """The rows that lack a part. Adds missing rows to `skipped`, and chunks whose rows come late or twice to
+    `out_of_order`. Another program's log has no rows."""
     chunks = [(chunk, _rows_in(log, chunk)) for chunk in log.chunks] if log.is_ours else []
     for reason, name in _late(chunks):
         out_of_order.add(reason, name)
@@ -159,7 +160,7 @@ def lost_rows(log: Log, skipped: Skipped, out_of_order: Skipped) -> LostRows:
         return LostRows()
     if not log.lost:
         return LostRows(max(driven) if log.problem else _NO_ROW)
-    last_row = max(driven if log.problem else all_rows)  # of a killed log, what follows was never finished
+    last_row = max(driven if log.problem else all_rows)  # in a killed log, later rows were never finished
     for before, after in pairwise([min(all_rows) - 1, *sorted(driven), last_row + 1]):
         if after > before + 1:
             skipped.add(_MISSING, rows_named(before + 1, after - 1))
@@ -181,13 +182,13 @@ def _rows_in(log: Log, chunk: Chunk) -> _Rows:
 
 
 def _late(chunks: Sequence[tuple[Chunk, _Rows]]) -> Iterator[tuple[str, str]]:
-    """The chunks whose rows should come earlier in the file, or were there already."""
+    """The chunks whose rows should come earlier in the file, or came before."""
     highest = dict.fromkeys((VEHICLE, *CAMERA_TOPICS), -1)
     for chunk, rows in chunks:
         for topic in highest.keys() & rows.keys():
             if min(rows[topic]) <= highest[topic]:
                 where = f"{rows_named(min(rows[topic]), max(rows[topic]))} at byte {chunk.start:,}"
-                yield "chunks out of order, or there twice, which stay where they are", where
+                yield "chunks out of order or doubled, which are kept in place", where
                 break
         for topic in highest.keys() & rows.keys():
             highest[topic] = max(highest[topic], *rows[topic])

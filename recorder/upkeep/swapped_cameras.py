@@ -1,8 +1,8 @@
-"""Whether the left and the right camera of a log are swapped, by their pictures.
+"""Finds out by pictures whether a log's left and right cameras are swapped.
 
-A camera that is moved sideways by d, at the height h above a flat road, sees a point of the road that is R rows
-below the horizon R * d / h columns farther to the other side, whatever its focal length. So the shift between two
-cameras' pictures, row by row, gives d / h; neither the road nor the horizon has to be found in them.
+Move a camera sideways by d, at the height h above a flat road. A road point R rows below the horizon then moves by
+R * d / h columns to the other side, for any focal length. So the shift between two cameras' pictures, row by row,
+gives d / h, without finding the road or the horizon.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ _CAMERAS: Final[tuple[Camera, ...]] = ("center", "left", "right")
 _MAX_MOMENTS: Final = 60
 _MIN_MOMENTS: Final = 20
 _WIDTH_PX: Final = 320
-_ROWS: Final = (0.4, 0.85)  # of the height: under most horizons, above most bonnets
+_ROWS: Final = (0.4, 0.85)  # shares of the height: below most horizons, above most bonnets
 _BANDS: Final = 18
-_MAX_SHIFT: Final = 0.25  # of the width
-_NEAR_PX: Final = 1.5  # a band that fits the line
-_MAX_ASKEW: Final = 0.15  # how much left and right may differ, as a share of their mean
+_MAX_SHIFT: Final = 0.25  # share of the width
+_NEAR_PX: Final = 1.5  # the largest distance of a band that fits the line
+_MAX_ASKEW: Final = 0.15  # the largest difference of left and right, as a share of their mean
 
 Gray = NDArray[np.uint8]
 Edges = NDArray[np.float32]
@@ -35,8 +35,8 @@ Floats = NDArray[np.float64]
 
 
 def are_swapped(log: Log) -> bool:
-    """True if the left camera's pictures are from the right of the centre one's, and the right one's from its
-    left: they fit a level road so, and not as they are called. Raises LogError for a damaged log."""
+    """True if the left and right cameras' pictures fit a level road only with the cameras swapped. Raises LogError
+    for a damaged log."""
     places = [log.pictures(camera_topic(camera)) for camera in _CAMERAS]
     rows = sorted(set.intersection(*(set(pictures.sequence.tolist()) for pictures in places)))
     if not rows:
@@ -55,10 +55,10 @@ def are_swapped(log: Log) -> bool:
 
 
 def _fit(centre: Sequence[Edges], left: Sequence[Edges], right: Sequence[Edges]) -> bool:
-    """Whether these pictures are of a level road, and equally far to the left and right of the centre one's."""
+    """True if the pictures show a level road, with left and right equally far from the centre."""
     rows = centre[0].shape[1]  # of a band
     shares = [
-        _slope(np.mean([_likeness(one, other) for one, other in pairs], axis=0), rows)
+        _slope(np.mean([_likeness(on_left, on_right) for on_left, on_right in pairs], axis=0), rows)
         for pairs in (zip(left, centre, strict=True), zip(centre, right, strict=True))
     ]
     measured = [share for share in shares if share is not None]
@@ -66,8 +66,8 @@ def _fit(centre: Sequence[Edges], left: Sequence[Edges], right: Sequence[Edges])
 
 
 def _bands(encoded: bytes) -> Edges | None:
-    """(bands, rows, columns): edges that stand upright, in stripes of the ground; None of a picture that is not
-    whole, or too flat or too narrow to measure in."""
+    """Vertical edges in stripes of the ground (bands, rows, columns); None if the picture is damaged, too flat or
+    too narrow."""
     picture = decode_picture(encoded, cv2.IMREAD_GRAYSCALE)
     small = None if picture is None else scaled_to_width(picture, _WIDTH_PX)
     if small is None:
@@ -80,11 +80,11 @@ def _bands(encoded: bytes) -> Edges | None:
     return np.asarray(edges[first : first + _BANDS * band_rows].reshape(_BANDS, band_rows, _WIDTH_PX), np.float32)
 
 
-def _likeness(to_the_right: Edges, other: Edges) -> Floats:
-    """(bands, shifts): the correlation of the first one's columns x + shift with the other's x."""
+def _likeness(on_left: Edges, on_right: Edges) -> Floats:
+    """The correlation (bands, shifts) of the columns x + shift of `on_left` with the columns x of `on_right`."""
     shifts = np.arange(round(_MAX_SHIFT * _WIDTH_PX) + 1)
     width = _WIDTH_PX - shifts  # columns in common
-    a, b = to_the_right.astype(np.float64), other.astype(np.float64)
+    a, b = on_left.astype(np.float64), on_right.astype(np.float64)
     both = [np.einsum("brc,brc->b", a[..., s:], b[..., :w]) for s, w in zip(shifts, width, strict=True)]
     count = a.shape[1] * width
     mean_a, mean_b, square_a, square_b = (
@@ -96,13 +96,13 @@ def _likeness(to_the_right: Edges, other: Edges) -> Floats:
 
 
 def _slope(likeness: Floats, rows: int) -> float | None:
-    """Columns of shift for each row, of bands of so many rows each; None if they lie on no line."""
+    """The shift in columns for each row, of bands with `rows` rows; None if the bands do not fit a line."""
     best = np.argmax(likeness[:, 1:-1], axis=1) + 1
     before, at, after = (likeness[np.arange(_BANDS), best + k] for k in (-1, 0, 1))
     bend = before - 2 * at + after
     shift = best + np.where(bend < 0, 0.5 * (before - after) / np.minimum(bend, -1e-9), 0.0).clip(-0.5, 0.5)
     row = rows * np.arange(_BANDS)
-    # the median of the slopes between all pairs (Theil and Sen): a bonnet in a third of the bands does no harm
+    # the median slope of all pairs (Theil-Sen) tolerates a bonnet in a third of the bands
     first, second = np.triu_indices(_BANDS, 1)
     slope = float(np.median((shift[second] - shift[first]) / (row[second] - row[first])))
     rest = shift - slope * row

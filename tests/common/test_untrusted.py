@@ -31,11 +31,11 @@ from other_logs import CAMERA, ROS_TOPICS, write_bag
 from recorder import Log, LogError, RecordingError, import_udacity
 from recorder.bc_pb2 import VehicleState
 from recorder.pictures.decoding import decodes
-from recorder.sources.bounded_yaml import yaml_content
 from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.import_mcap import import_mcap
 from recorder.sources.imported_rows import Imported
 from recorder.sources.mcap_messages import decoder_for
+from recorder.sources.ros2_bag import yaml_content
 from recorder.sources.udacity_follow import watch_udacity
 from recorder.sources.udacity_recording import UdacityRecording
 from recorder.upkeep.edit import trim

@@ -874,6 +874,6 @@ def test_each_stranger_is_a_line_and_simulators_are_driven_on(pilot_run: Path, t
         assert process.end() == 0
     lines = [line for line in process.stderr if "broken packet" in line]
     assert lines == [f"bc-drive: disconnected (broken packet): {log} has 3 frames so far; waiting"]
-    assert sum("looks at this port with a browser" in line for line in process.stderr) == 1
+    assert sum("a browser has opened this port" in line for line in process.stderr) == 1
     assert sum("disconnected (message too large)" in line for line in process.stderr) == 2
     assert "Traceback" not in "".join(process.stderr)

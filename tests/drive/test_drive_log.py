@@ -182,8 +182,7 @@ def test_bc_log_check_tells_what_could_not_be_used(tmp_path: Path) -> None:
     checked = run("bc-log", "check", path)
     assert checked.returncode == 3
     assert (
-        "kinds of telemetry that could not be used: 2 (image is cut off (1,500), not an object but a list (1))"
-        in checked.stdout
+        "kinds of unusable telemetry: 2 (image is cut off (1,500), not an object but a list (1))" in checked.stdout
     )
 
 

@@ -75,7 +75,7 @@ def test_png_and_side_cameras_are_kept_as_they_came_and_trained_on(tmp_path: Pat
         assert {row: image.data for row, image in kept.items()} == {row: sent(camera, row) for row in rows}
         assert {image.format for image in kept.values()} == {"png" if camera == "center" else "jpeg"}
     assert {(found.kind, found.where) for found in check(path, look=False).findings} == {
-        ("kinds of telemetry that could not be used", f"{problem} (1)"),
+        ("kinds of unusable telemetry", f"{problem} (1)"),
         ("stretches of rows without a picture", f"/camera/left row {CUT_OFF}"),
     }
     config = IndexConfig(balance=False, flip=False, block_s=0.5, gap_s=0.0, labels="as-recorded")

@@ -250,7 +250,7 @@ def test_what_a_recovery_leaves_out_is_named(whole: Path) -> None:
     written = recover(path, whole.with_name("recovered.mcap"))
     assert list(written.skipped) == [
         ("stretches of rows that are missing", "row 0"),
-        ("messages of a row of which the rest is lost", "/camera/center row 0"),
+        ("messages of a row whose other parts are lost", "/camera/center row 0"),
         ("damaged chunks", f"bytes {chunk.start:,} to {chunk.end:,}"),
     ]
     assert written.notices == [f"{path}: lost in all: 1 of 4 messages"]

@@ -102,9 +102,7 @@ def test_a_log_of_this_toolkit_needs_no_import(
     make_recording(tmp_path / "drive", CSV, [0])
     log = import_udacity(tmp_path / "drive", tmp_path / "mine" / "log.mcap").path
     assert call(main, "x", "--from", log) == 1
-    assert "a log of this toolkit, which is a session without being imported: copy it into sessions/" in (
-        one_line_in(capsys)
-    )
+    assert "a log of this toolkit, which needs no import: copy it into sessions/" in (one_line_in(capsys))
     with pytest.raises(RecordingError, match="a session already: `bc-index`"):
         import_recording(log, log.with_name("x.mcap"))
     part = shutil.copy(log, tmp_path / "log.mcap.1a2b3c.part")

@@ -117,7 +117,7 @@ def test_a_time_that_no_log_can_hold_costs_its_row(tmp_path: Path, column: str, 
 def test_lines_are_counted_as_an_editor_does(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, 'p,s\n\na.jpg,0\n\n"x\ny",?\nb.jpg,none\n', ["a.jpg"])
     done = imported(folder, "image=p", "steering=s", rate_hz=10.0)
-    assert done.skipped.lines()[0] == "rows whose steering is no number: 2 (line 6, line 7)"
+    assert done.skipped.lines()[0] == "rows whose steering is not a number: 2 (line 6, line 7)"
 
 
 def test_a_csv_without_a_header_has_columns_by_number(tmp_path: Path) -> None:
@@ -135,11 +135,11 @@ def test_rows_that_cannot_be_used_are_named_and_take_their_time(tmp_path: Path) 
         assert log.vehicle()["log_time_ns"].to_pylist() == [0, 700_000_000]
         assert log.vehicle()["steering"].to_pylist() == [0.5, 2.0]
     assert {reason.partition(" (")[0]: count for reason, count in done.skipped.counts.items()} == {
-        "rows whose steering is no number": 2,
+        "rows whose steering is not a number": 2,
         "rows that name no picture": 1,
         "pictures that a row names and no file has, or several have": 1,
         "pictures that an earlier row names, too": 1,
-        "pictures that are no whole JPEG or PNG": 1,
+        "pictures that are not whole JPEG or PNG files": 1,
         "rows with steering beyond -1..1": 1,
         "pictures without a row": 3,
     }
@@ -186,7 +186,7 @@ def test_folders_that_have_no_csv_several_or_no_pictures_are_one_line(tmp_path: 
         imported(folder, "image=p", "steering=s", rate_hz=10.0)
     (folder / "a.jpg").write_bytes(jpeg("center", 0))
     (folder / "labels.csv").write_text("p,s\n" + "x" * 200_000)
-    with pytest.raises(RecordingError, match=r"no csv .a line of over 100,000 characters"):
+    with pytest.raises(RecordingError, match=r"not a csv .a line of over 100,000 characters"):
         imported(folder, "image=p", "steering=s", rate_hz=10.0)
     (folder / "more.csv").write_text("")
     with pytest.raises(RecordingError, match=r"which csv\? .* labels.csv, more.csv"):

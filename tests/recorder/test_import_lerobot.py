@@ -248,9 +248,9 @@ def test_frames_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     done = imported(theirs)
     assert done.rows == 1
     assert dict(done.skipped.counts) == {
-        "pictures that are no whole JPEG or PNG": 1,
+        "pictures that are not whole JPEG or PNG files": 1,
         "frames without a picture": 2,
-        "frames with a steering that is no finite number": 1,
+        "frames whose steering is not a finite number": 1,
     }
 
 

@@ -227,7 +227,7 @@ def test_what_is_no_whole_picture_is_left_out_and_named(tmp_path: Path) -> None:
     told = [(WHEEL, 0.0, angle(0.0)), *((CAMERA, 0.1 + i / 100, image(data)) for i, data in enumerate(broken))]
     done = imported(write_mcap(tmp_path / "other.mcap", [*told, (CAMERA, 0.9, image(PICTURES[0]))]))
     assert rows_of(done.path) == [(0.9, 0.0, PICTURES[0])]
-    assert done.skipped.counts == {"pictures that are no whole JPEG or PNG": len(broken)}
+    assert done.skipped.counts == {"pictures that are not whole JPEG or PNG files": len(broken)}
 
 
 def test_a_small_png_that_unpacks_to_a_huge_one_is_not_unpacked(tmp_path: Path) -> None:
@@ -241,7 +241,7 @@ def test_a_small_png_that_unpacks_to_a_huge_one_is_not_unpacked(tmp_path: Path) 
         for kind, data in [*chunks, (b"IEND", b"")]
     )
     source = write_mcap(tmp_path / "other.mcap", [(WHEEL, 0.0, angle(0.0)), (CAMERA, 0.1, image(bomb))])
-    assert "; pictures that are no whole JPEG or PNG: 1 (" in error_of(source)
+    assert "; pictures that are not whole JPEG or PNG files: 1 (" in error_of(source)
 
 
 def test_messages_that_make_no_sense_are_left_out_and_named(tmp_path: Path) -> None:
@@ -293,11 +293,11 @@ def test_an_unknown_topic_lists_those_that_there_are(tmp_path: Path) -> None:
     [
         ("steer", "has no steer; it has steering, buttons, mode"),
         ("steering.angel", "steering has no angel; it has angle"),
-        ("steering", "steering is no number but a message; it has angle"),
-        ("mode", "mode is no number but a text"),
+        ("steering", "steering is not a number but a message; it has angle"),
+        ("mode", "mode is not a number but a text"),
         ("buttons.2", "buttons has no 2; it has 0, 1"),
-        ("buttons", "buttons is no number but a list; it has 0, 1"),
-        ("", "is no number but a message; it has steering, buttons, mode"),
+        ("buttons", "buttons is not a number but a list; it has 0, 1"),
+        ("", "is not a number but a message; it has steering, buttons, mode"),
     ],
 )
 def test_an_unknown_field_lists_those_that_there_are(tmp_path: Path, field: str, told: str) -> None:

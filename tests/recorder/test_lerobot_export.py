@@ -169,7 +169,7 @@ def test_rows_that_cannot_be_used_are_named(tmp_path: Path, capsys: pytest.Captu
         "skipped rows of odd.mcap without a picture of the center camera: 1 (row 1)",
         "skipped rows of odd.mcap with steering, pedals or speed out of range: 1 (row 2)",
         "skipped rows whose center picture is not 64 x 32 as the first: 1 (odd.mcap row 3)",
-        "skipped rows with a picture that is no whole JPEG or PNG: 1 (odd.mcap row 4)",
+        "skipped rows with a picture that is not a whole JPEG or PNG: 1 (odd.mcap row 4)",
     ):
         assert line in said
 

@@ -417,7 +417,7 @@ def test_a_log_without_its_end_is_read_and_says_so(tmp_path: Path, place: Place,
     os.truncate(path, path.stat().st_size - cut)
     with Log(place(path)) as log:
         assert log.problem
-        assert re.fullmatch(r".*a\.mcap: .*; what is complete in it is read\. `bc-log recover .*", log.notice)
+        assert re.fullmatch(r".*a\.mcap: .*; its complete parts are read\. `bc-log recover .*", log.notice)
         assert [state.steering for _, state in log.vehicle_states()] == [0.1, 0.2, 0.3]
         assert log.counts["/vehicle"] == 3
         assert log.picture(2, "left") == b"left 2"

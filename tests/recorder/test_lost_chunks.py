@@ -23,7 +23,7 @@ from recorder.upkeep.recover import recover
 ROWS = 60
 MISSING = "stretches of rows that are missing"
 WITHOUT_PICTURE = "stretches of rows without a picture"
-REST_LOST = "messages of a row of which the rest is lost"
+REST_LOST = "messages of a row whose other parts are lost"
 
 
 @pytest.fixture(autouse=True)

@@ -156,7 +156,10 @@ def test_pictures_of_different_sizes_are_told_at_import(tmp_path: Path, record: 
     (folder / "IMG" / "2.jpg").write_bytes(picture_of(640, 480))
     (folder / "IMG" / "3.jpg").write_bytes(picture_of(640, 480))
     (notice,) = record(folder, tmp_path / "two.mcap", 20).notices
-    assert notice.startswith("pictures of different sizes: 640 x 480 px (2), 320 x 160 px (2).")
+    assert notice == (
+        "pictures of different sizes on /camera/center: 2 pictures of 320x160 (first: row 0),"
+        " 2 pictures of 640x480 (first: row 1)"
+    )
 
 
 def test_pictures_of_different_sizes_are_no_loss(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -164,7 +167,9 @@ def test_pictures_of_different_sizes_are_no_loss(tmp_path: Path, capsys: pytest.
     (folder / "2_cam-image_array_.jpg").write_bytes(picture_of(320, 240))
     assert call(main, "car", "--from", folder, "--sessions", tmp_path) == 0
     printed = capsys.readouterr()
-    assert "pictures of different sizes: 320 x 240 px (1), 160 x 120 px (3)" in printed.err
+    assert "pictures of different sizes on /camera/center: 3 pictures of 160x120 (first: row 0)" in " ".join(
+        printed.err.split()
+    )
     assert "4 rows, 4 pictures" in printed.out
 
 

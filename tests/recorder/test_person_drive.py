@@ -31,7 +31,8 @@ from recorder.sources.eye_pictures import PictureScale, WhenDue
 from recorder.sources.frame_rate import check_row_rate, is_row_step
 from recorder.sources.person_pedals import CoursePedals
 from recorder.sources.real_time import RealTime
-from recorder.sources.record_person import PersonDrive, record_person
+from recorder.sources.record_person import record_person
+from recorder.sources.settings import SimulatedDrive
 from recorder.teleop.frame_state import road_edges
 from recorder.teleop.open_wheels import open_wheels
 from recorder.teleop.seat import Control
@@ -85,7 +86,7 @@ class Drive:
         self.log = log
         self.error: Exception | None = None
         self._simulation = simulation or Drawn("lake")
-        self._settings = PersonDrive(**settings)
+        self._settings = SimulatedDrive(driver="me", **settings)
         self._is_open = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -149,7 +150,7 @@ def test_a_drive_is_a_log_of_three_cameras_that_says_who_steered_and_how(tmp_pat
 
 
 def test_20_rows_a_second_fall_on_the_nearest_steps_and_are_no_gaps(tmp_path: Path) -> None:
-    drive = Drive(tmp_path / "a.mcap", rate_hz=20)
+    drive = Drive(tmp_path / "a.mcap", rate=20)
     with drive.page() as page:
         page.send("record")
         page.drive_until(lambda state: state["rows"] >= 9, 0.01, 1.0)
@@ -184,7 +185,7 @@ def test_rates_that_no_steps_can_have_are_refused(rate_hz: float) -> None:
 def test_a_drive_ends_where_the_next_one_can_begin(tmp_path: Path) -> None:
     ends_m: list[float] = []
     for name in ("a", "b"):
-        drive = Drive(tmp_path / f"{name}.mcap", start_m=ends_m[-1] if ends_m else 300.0)
+        drive = Drive(tmp_path / f"{name}.mcap", start=ends_m[-1] if ends_m else 300.0)
         with drive.page() as page:
             page.send("record")
             page.drive_until(lambda state: state["rows"] >= 2, hold_mph=7.0)
@@ -298,7 +299,7 @@ def test_a_car_that_is_put_back_begins_another_drive(tmp_path: Path, way: str) -
 
 
 def test_bad_driving_is_tagged_and_never_learnt(tmp_path: Path) -> None:
-    drive = Drive(tmp_path / "a.mcap", rate_hz=25)
+    drive = Drive(tmp_path / "a.mcap", rate=25)
     with drive.page() as page:
         page.send("record")
         page.drive_until(lambda state: state["rows"] >= 12, 0.01, hold_mph=5)
@@ -345,7 +346,7 @@ def test_on_a_slow_computer_the_clock_slows_down_and_no_row_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(person_rows, "MAX_WAITING", 3)
-    drive = Drive(tmp_path / "a.mcap", SlowSimulation("lake"), rate_hz=25)
+    drive = Drive(tmp_path / "a.mcap", SlowSimulation("lake"), rate=25)
     with drive.page() as page:
         page.send("record")
         state = page.drive_until(lambda state: state["rows"] >= 15, 0.01, 1.0)

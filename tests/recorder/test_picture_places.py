@@ -28,8 +28,8 @@ from udacity import jpeg
 PLACE = struct.Struct("<HIQIIIII")  # channel, row, time, chunk, offset, length, picture, its length
 CHUNK = struct.Struct("<QI")  # start, CRC
 ROWS = 40
-NOT_OURS = "lists that are not about this file"
-OTHER_PICTURES = "chunks of other pictures than are listed"
+NOT_OURS = "lists that describe another file"
+OTHER_PICTURES = "chunks with wrong pictures in the list"
 
 Places = list[list[int]]
 Change = Callable[[Places], Places]
@@ -153,7 +153,7 @@ def test_whatever_is_false_of_a_picture_is_found(path: Path, change: Change) -> 
 def test_another_crc_of_a_chunk_is_found(path: Path) -> None:
     patched(path, changed("bc.chunks", CHUNK, with_field(1, lambda crc: crc ^ 1, at=3)))
     start = contents(path).chunks[3].start
-    assert check(path, look=False).findings == [("chunks of other CRCs than are listed", f"at byte {start:,}")]
+    assert check(path, look=False).findings == [("chunks with wrong CRCs in the list", f"at byte {start:,}")]
 
 
 @pytest.mark.parametrize("change", [with_field(0, lambda start: start + 1, at=3), exchanged(2, 3), lambda _: []])
@@ -224,9 +224,9 @@ def at_other_times(index: ChunkIndex) -> None:
 @pytest.mark.parametrize(
     ("change", "kind"),
     [
-        (without_a_topic, "chunks of other topics than the summary says"),
-        (with_a_topic, "chunks of other topics than the summary says"),
-        (at_other_times, "chunks of other times or sizes than the summary says"),
+        (without_a_topic, "chunks with wrong topics in the summary"),
+        (with_a_topic, "chunks with wrong topics in the summary"),
+        (at_other_times, "chunks with wrong times or sizes in the summary"),
     ],
 )
 def test_what_the_summary_tells_falsely_of_a_chunk_is_found(
@@ -251,7 +251,7 @@ def test_rows_that_are_told_to_be_pictures_are_found(path: Path) -> None:
     patched(path, summary=of_chunks(as_pictures, number))
     assert given_out(path) == truth
     where = f"at byte {found.chunks[number].start:,}"
-    assert ("chunks of other topics than the summary says", where) in check(path, look=False).findings
+    assert ("chunks with wrong topics in the summary", where) in check(path, look=False).findings
 
 
 def test_other_counts_than_there_are_pictures_are_not_believed(path: Path) -> None:
@@ -262,7 +262,7 @@ def test_other_counts_than_there_are_pictures_are_not_believed(path: Path) -> No
     truth = given_out(path)
     patched(path, summary=one_more)
     assert given_out(path) == truth
-    assert kinds_of(path) == {NOT_OURS, "other numbers of messages than the summary says"}
+    assert kinds_of(path) == {NOT_OURS, "wrong message counts in the summary"}
 
 
 def test_lists_within_lists_are_given_up(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

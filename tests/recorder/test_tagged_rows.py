@@ -55,4 +55,4 @@ def test_a_gap_that_is_fine_is_no_finding(log: Path, capsys: pytest.CaptureFixtu
 @pytest.mark.parametrize(("rows", "is_fine"), [((5, 20), True), ((0, 9), True), ((5, 21), False)])
 def test_rows_are_fine_only_if_all_of_them_are_tagged(rows: tuple[int, int], *, is_fine: bool) -> None:
     tags = [Tag(0, 9, "fine"), Tag(10, 20, "fine"), Tag(21, 40, "exclude")]
-    assert TaggedRows(tags).hold(*rows) == is_fine
+    assert TaggedRows(tags).cover(*rows) == is_fine

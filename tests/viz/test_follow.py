@@ -340,7 +340,7 @@ def test_what_could_not_be_shown_is_named_and_the_exit_code_is_3(
     part = tmp_path / "a.mcap.ab12cd.part"
     part.write_bytes(data[:-8])  # its last bytes are not there yet
     assert call(main, part, "--follow", "--save", tmp_path / "a.rrd") == 3
-    assert capsys.readouterr().err.startswith("skipped stretches of bytes without anything whole: 1 (")
+    assert capsys.readouterr().err.startswith("skipped stretches of unreadable bytes: 1 (")
     assert (tmp_path / "a.rrd").exists()
 
 

@@ -92,7 +92,7 @@ class GrowingLog(Closeable):
         if self._file is None:
             return
         for start, end in self._structure.lost[before[2] :]:
-            self.skipped.add("stretches of bytes without anything whole", f"{start:,} to {end:,}")
+            self.skipped.add("stretches of unreadable bytes", f"{start:,} to {end:,}")
         chunks = self._structure.chunks[before[1] :]
         since_ns = 0
         if pictures_of_last_s is not None and chunks:

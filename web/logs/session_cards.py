@@ -178,7 +178,7 @@ class SessionCards:
                 tags_problem = printable(str(error))
         info = glance.info if glance else None
         if info and info.odd:
-            info = dataclasses.replace(info, odd=TaggedRows(tags).left(info.odd))
+            info = dataclasses.replace(info, odd=TaggedRows(tags).untagged(info.odd))
         return SessionCard(
             key=key_of(path),
             path=path,

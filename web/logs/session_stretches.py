@@ -112,7 +112,7 @@ def stretches_of_rows(opened: OpenLog, rows: set[int]) -> list[Rows]:
 def not_dealt_with(stretches: list[Rows], tags: list[Tag]) -> list[Rows]:
     """The stretches with a row that is neither excluded nor fine."""
     done = TaggedRows(tag._replace(name=FINE) for tag in tags if tag.name in (EXCLUDE, FINE))
-    return [rows for rows in stretches if not done.hold(*rows)]
+    return [rows for rows in stretches if not done.cover(*rows)]
 
 
 def _rows(states: States, first: int, last: int) -> Rows:
