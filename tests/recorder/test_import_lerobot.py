@@ -15,7 +15,6 @@ import pyarrow.parquet as pq
 import pytest
 from numpy.typing import NDArray
 
-from common import UserError
 from lerobot_folders import as_image, image_feature, numbers_feature, write_dataset
 from lerobot_logs import jpeg, write_drives
 from logs import START_NS, read_messages
@@ -359,14 +358,6 @@ def test_videos_that_are_missing_or_none_are_one_line(tmp_path: Path) -> None:
     change_info(tmp_path / "out", video_path="{video_key:>999999999999}")
     with pytest.raises(RecordingError, match="was expected"):
         imported(tmp_path / "out")
-
-
-def test_a_log_that_exists_is_not_replaced(tmp_path: Path) -> None:
-    theirs = others(tmp_path / "theirs")
-    first = imported(theirs).path.read_bytes()
-    with pytest.raises(UserError, match="exists already"):
-        imported(theirs)
-    assert imported(theirs, overwrite=True).path.read_bytes() == first
 
 
 def test_a_folder_beside_it_is_suggested(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
