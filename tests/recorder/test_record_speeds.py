@@ -113,12 +113,3 @@ def test_speeds_that_nobody_drives_are_refused(
     assert call(record_main, "x", "--sessions", tmp_path, "--speed", *speeds) == 2
     assert said in one_line_in(capsys)
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("name", ["a/b", "a:b", ".a", "", "a\tb", "a\x1b[2Jb", "a\udc80"])
-def test_a_name_that_no_index_can_hold_is_refused_before_driving(
-    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call(record_main, name, "--sessions", tmp_path) == 2
-    assert "not a name for a session" in one_line_in(capsys)
-    assert list(tmp_path.iterdir()) == []
