@@ -90,14 +90,15 @@ CHUNK_BYTES = 2100
 pose is kept."""
 
 
-@pytest.fixture(autouse=True, params=["two kinds", "mixed"])
-def layout(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+BOTH_LAYOUTS = pytest.mark.parametrize("layout", ["two kinds", "mixed"], indirect=True)
+
+
+@pytest.fixture(autouse=True)
+def layout(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """The layout of logs that are edited; those that are written have the one of today."""
     monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", CHUNK_BYTES)
-    if request.param == "mixed":
+    if getattr(request, "param", "two kinds") == "mixed":
         monkeypatch.setattr(f"{__name__}.laid_out", partial(mixed, chunk_bytes=CHUNK_BYTES))
-    name: str = request.param
-    return name
 
 
 laid_out: Layout = two_kinds
@@ -106,6 +107,7 @@ laid_out: Layout = two_kinds
 # Recover
 
 
+@BOTH_LAYOUTS
 def test_a_recovered_log_is_the_original_message_by_message(tmp_path: Path) -> None:
     whole = drive(tmp_path / "a.mcap", range(20))
     done = recover(whole, tmp_path / "b.mcap")
@@ -117,6 +119,7 @@ def test_a_recovered_log_is_the_original_message_by_message(tmp_path: Path) -> N
     assert sorted(found.metadata) == sorted({**dict(original.metadata), "bc.session": session}.items())
 
 
+@BOTH_LAYOUTS
 def test_an_unfinished_log_is_recovered_up_to_its_last_whole_chunk(tmp_path: Path) -> None:
     part, complete = killed(drive(tmp_path / "a.mcap", range(20)))
     done = recover(part, tmp_path / "b.mcap")
@@ -133,6 +136,7 @@ def test_an_unfinished_log_is_recovered_up_to_its_last_whole_chunk(tmp_path: Pat
     assert where.endswith(f" to {part.stat().st_size:,}")
 
 
+@BOTH_LAYOUTS
 def test_a_log_that_was_killed_at_any_chunk_is_sound_when_it_is_recovered(tmp_path: Path) -> None:
     """Its last row may have a picture, and no steering yet. Before the first steering, there is nothing but
     pictures: they are kept, and it is told what they are."""
@@ -200,6 +204,7 @@ def test_a_message_of_a_time_that_no_table_can_hold_is_left_out_and_named(tmp_pa
 # Trim
 
 
+@BOTH_LAYOUTS
 def test_a_trimmed_log_holds_its_rows_and_the_events_between_them(tmp_path: Path) -> None:
     whole = drive(tmp_path / "a.mcap", range(20))
     done = trim(whole, tmp_path / "b.mcap", (5, 8))
@@ -212,6 +217,7 @@ def test_a_trimmed_log_holds_its_rows_and_the_events_between_them(tmp_path: Path
     assert dict(found.metadata)["bc.quality"]["rows"] == "4"
 
 
+@BOTH_LAYOUTS
 def test_an_unfinished_log_can_be_trimmed(tmp_path: Path) -> None:
     part, complete = killed(drive(tmp_path / "a.mcap", range(20)))
     done = trim(part, tmp_path / "b.mcap", (2, 4))
@@ -268,6 +274,7 @@ def test_a_log_of_another_program_is_trimmed_by_time_alone(tmp_path: Path) -> No
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["b.mcap", "tf.mcap"]
 
 
+@BOTH_LAYOUTS
 def test_seconds_of_a_log_with_rows_are_those_of_its_rows(tmp_path: Path) -> None:
     whole = drive(tmp_path / "a.mcap", range(3, 20))
     by_time = trim_times(whole, tmp_path / "b.mcap", 0.45, 1.0)
@@ -279,6 +286,7 @@ def test_seconds_of_a_log_with_rows_are_those_of_its_rows(tmp_path: Path) -> Non
 # Merge
 
 
+@BOTH_LAYOUTS
 def test_a_merged_log_holds_all_in_order_with_row_numbers_of_its_own(tmp_path: Path) -> None:
     logs = [drive(tmp_path / f"{name}.mcap", rows, name=name) for name, rows in NAMED_ROWS.items()]
     done = merge(logs, tmp_path / "all.mcap")
@@ -297,6 +305,7 @@ def test_a_merged_log_holds_all_in_order_with_row_numbers_of_its_own(tmp_path: P
 NAMED_ROWS = {"one": range(20), "two": range(5, 15), "three": range(5)}
 
 
+@BOTH_LAYOUTS
 def test_a_log_is_merged_with_itself_and_with_an_unfinished_one(tmp_path: Path) -> None:
     whole = drive(tmp_path / "a.mcap", range(8))
     part, complete = killed(whole)
@@ -320,6 +329,7 @@ def test_rows_beyond_the_largest_number_are_a_log_error(tmp_path: Path) -> None:
 # Split
 
 
+@BOTH_LAYOUTS
 def test_each_drive_becomes_a_log_and_no_message_is_lost(tmp_path: Path) -> None:
     whole = drive(tmp_path / "a.mcap", range(20), gap_after=11)
     done = split(whole, tmp_path / "drives")
@@ -400,6 +410,7 @@ def test_tags_go_where_their_rows_go(tmp_path: Path) -> None:
     assert tags_of(tmp_path / "recovered.mcap") == [(0, 19, "exclude"), (2, 3, "bend"), (8, 15, "recovery")]
 
 
+@BOTH_LAYOUTS
 def test_a_damaged_log_keeps_its_tags_when_it_is_recovered(tmp_path: Path) -> None:
     """Whichever chunk is damaged; they are cut to the rows that are left."""
     whole = tag(drive(tmp_path / "a.mcap", range(20)), (0, 19, "exclude"))
@@ -507,6 +518,7 @@ def test_a_new_log_tells_both_versions_that_made_it(tmp_path: Path, monkeypatch:
             assert (log.metadata["toolkit"], log.metadata["rewritten_by"]) == ("0.0.1", VERSION)
 
 
+@BOTH_LAYOUTS
 @pytest.mark.parametrize("edit", [EDITS["trim"], EDITS["merge"]], ids=["trim", "merge"])
 def test_a_damaged_log_is_not_edited_by_halves(tmp_path: Path, edit: Edit) -> None:
     path = drive(tmp_path / "a.mcap", range(20))
@@ -537,7 +549,7 @@ def test_rerun_finds_nothing_wrong_with_any_of_them(tmp_path: Path) -> None:
     trim(recorded, tmp_path / "trimmed.mcap", (2, 7))
     merge([written.path for written in split(recorded, tmp_path)], tmp_path / "merged.mcap")
     complaints = []
-    for name in ("recorded", "recovered", "trimmed", "merged"):
+    for name in ("recovered", "trimmed", "merged"):
         path = tmp_path / f"{name}.mcap"
         done = subprocess.run(
             [sys.executable, "-m", "rerun_cli", "mcap", "check", "--full", str(path)],

@@ -127,9 +127,9 @@ def test_the_file_is_what_the_design_says(tmp_path: Path) -> None:
         assert len(its_sizes) - len(full) <= short, name
 
 
-def test_messages_keep_the_order_of_writing_whatever_their_times(tmp_path: Path, place: Place) -> None:
+def test_messages_keep_the_order_of_writing_whatever_their_times(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1, 0.2, 0.3], step_ns=-STEP_NS)
-    with Log(place(path)) as log:
+    with Log(path) as log:
         told = [(message.log_time_ns, state.steering) for message, state in log.vehicle_states()]
         assert told == [(START_NS, 0.1), (START_NS - STEP_NS, 0.2), (START_NS - 2 * STEP_NS, 0.3)]
         assert log.pictures("/camera/left").sequence.tolist() == [0, 1, 2]
@@ -177,10 +177,10 @@ def test_an_empty_picture_has_no_bytes(tmp_path: Path, data: bytes) -> None:
 
 
 @pytest.mark.parametrize("data", [b"\xff" * 40, b"\x12\x7fshort", b"\x12"])
-def test_a_message_that_is_no_picture_is_a_log_error(tmp_path: Path, place: Place, data: bytes) -> None:
+def test_a_message_that_is_no_picture_is_a_log_error(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "other.mcap"
     write_raw(path, CompressionType.NONE, data)
-    with Log(place(path)) as log, pytest.raises(LogError, match=r"other\.mcap.*CompressedImage"):
+    with Log(path) as log, pytest.raises(LogError, match=r"other\.mcap.*CompressedImage"):
         log.pictures("/camera/center")
 
 
@@ -410,11 +410,10 @@ def test_a_log_that_cannot_be_read_is_a_log_error_with_its_name(
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("cut", [1, 400, 900], ids=["its last byte", "half its end", "most of its end"])
-def test_a_log_without_its_end_is_read_and_says_so(tmp_path: Path, place: Place, cut: int) -> None:
+def test_a_log_without_its_end_is_read_and_says_so(tmp_path: Path, place: Place) -> None:
     """Every other cut: test_damage.py."""
     path = write_log(tmp_path / "a.mcap", [0.1, 0.2, 0.3])
-    os.truncate(path, path.stat().st_size - cut)
+    os.truncate(path, path.stat().st_size - 400)
     with Log(place(path)) as log:
         assert log.problem
         assert re.fullmatch(r".*a\.mcap: .*; what is complete in it is read\. `bc-log recover .*", log.notice)
@@ -504,9 +503,7 @@ def test_what_was_made_stays_if_its_name_is_taken_meanwhile(tmp_path: Path) -> N
     ],
     ids=str,
 )
-def test_a_finished_log_with_a_sparse_summary_is_a_finished_one(
-    tmp_path: Path, place: Place, left_out: dict[str, Any]
-) -> None:
+def test_a_finished_log_with_a_sparse_summary_is_a_finished_one(tmp_path: Path, left_out: dict[str, Any]) -> None:
     path = tmp_path / "other.mcap"
     with path.open("wb") as stream:
         writer = McapWriter(stream, **left_out)
@@ -516,7 +513,7 @@ def test_a_finished_log_with_a_sparse_summary_is_a_finished_one(
         for number in range(3):
             writer.add_message(channel, number, CompressedImage(data=bytes([number])).SerializeToString(), number)
         writer.finish()  # type: ignore[no-untyped-call]
-    with Log(place(path)) as log:
+    with Log(path) as log:
         assert (log.problem, log.notice, log.lost) == ("", "", [])
         pictures = log.pictures("/camera/center")
         places = zip(pictures.offset.tolist(), pictures.length.tolist(), pictures.chunk.tolist(), strict=True)
