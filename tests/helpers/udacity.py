@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,7 @@ import pytest
 from common.car import CAMERAS, Camera
 
 
+@cache
 def jpeg(level: int, number: int = 0) -> bytes:
     """A 320x160 picture of one grey level with a number written on it."""
     picture = np.full((160, 320, 3), level, np.uint8)

@@ -121,19 +121,8 @@ def test_what_lies_behind_a_hole_is_found(killed: tuple[Path, Contents], layout:
     assert f"{lost_from:,} to {lost_to:,}" in [name for _, name in written.skipped]
 
 
-LENGTHS = {
-    "nothing": 0,
-    "one less": -1,
-    "one more": 1,
-    "beyond the next chunks": 9000,
-    "beyond the file": 1 << 40,
-    "into another time": 1 << 63,
-}
-
-
-@pytest.mark.parametrize("length", LENGTHS.values(), ids=LENGTHS)
 @pytest.mark.parametrize("where", ["chunk", "index", "metadata"])
-def test_a_broken_length_costs_no_other_chunk(killed: tuple[Path, Contents], where: str, length: int) -> None:
+def test_a_broken_length_costs_no_other_chunk(killed: tuple[Path, Contents], where: str) -> None:
     path, original = killed
     data = bytearray(path.read_bytes())
     at = {
@@ -142,12 +131,13 @@ def test_a_broken_length_costs_no_other_chunk(killed: tuple[Path, Contents], whe
         "metadata": data.index(b"bc.session") - 13,  # before the first chunk
     }[where]
     told = int.from_bytes(data[at + 1 : at + 9], "little")
-    data[at + 1 : at + 9] = (told + length if abs(length) < 1 << 20 and length else length).to_bytes(8, "little")
-    path.write_bytes(data)
     sound = [chunk for i, chunk in enumerate(original.chunks) if (i, where) != (5, "chunk")]
-    assert pictures_of(path) == pictures_in(sound)
-    with Log(path) as log:
-        assert log.lost
+    for length in (0, told - 1, told + 1, told + 9000, 1 << 40, 1 << 63):
+        data[at + 1 : at + 9] = length.to_bytes(8, "little")
+        path.write_bytes(data)
+        assert pictures_of(path) == pictures_in(sound), length
+        with Log(path) as log:
+            assert log.lost, length
 
 
 def test_a_changed_first_byte_of_a_chunk_is_no_silent_loss(
