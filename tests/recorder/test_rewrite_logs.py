@@ -10,16 +10,17 @@ import pytest
 from mcap.writer import CompressionType
 
 from dataset import IndexConfig, Samples, build_index
-from driving import one_line_of, run
+from driving import one_line_in
 from layouts import write_as_before
 from logs import write_log
 from plain_mcap import contents, write_plain
 from recorder import Log, LogError
 from recorder.log.tags import Tag, add_tags, read_tags
+from recorder.log_cli import main
 from recorder.upkeep.check import check
 from recorder.upkeep.edit import rewrite, trim
 from recorder.upkeep.recover import recover
-from udacity import jpeg
+from udacity import call, jpeg
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(120)]
 CONFIG = IndexConfig(block_s=1.0, gap_s=0.2)
@@ -143,13 +144,13 @@ def test_a_log_whose_metadata_another_program_left_out_stays_one_of_ours(old: Pa
     assert fingerprints(tmp_path / "rewritten.mcap")[0] == fingerprints(filtered)[0]
 
 
-def test_nothing_is_overwritten_and_a_damaged_log_leaves_nothing(old: Path, tmp_path: Path) -> None:
-    done = run("bc-log", "rewrite", str(old), "--to", str(tmp_path / "new.mcap"))
-    assert done.returncode == 0
-    assert "you can replace it" in done.stderr
-    again = run("bc-log", "rewrite", str(old), "--to", str(tmp_path / "new.mcap"))
-    assert again.returncode == 1
-    assert "--force" in one_line_of(again)
+def test_nothing_is_overwritten_and_a_damaged_log_leaves_nothing(
+    old: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(main, "rewrite", old, "--to", tmp_path / "new.mcap") == 0
+    assert "you can replace it" in capsys.readouterr().err
+    assert call(main, "rewrite", old, "--to", tmp_path / "new.mcap") == 1
+    assert "--force" in one_line_in(capsys)
     at = contents(old).chunks[3].start + 200
     data = bytearray(old.read_bytes())
     data[at] ^= 1
