@@ -348,7 +348,7 @@ def test_trim_merge_split_and_recover_write_new_logs(tmp_path: Path, capsys: pyt
     assert call(main, "recover", tmp_path / "k.mcap.0a1b2c.part") == 0
     assert "k.mcap: 50 rows, 200 messages" in capsys.readouterr().out
     assert call(main, "recover", tmp_path / "k.mcap.0a1b2c.part") == 0  # that name is taken now
-    assert {each.name for each in tmp_path.glob("k.*mcap")} == {"k.mcap", "k.recovered.mcap"}
+    assert {log.name for log in tmp_path.glob("k.*mcap")} == {"k.mcap", "k.recovered.mcap"}
 
 
 def test_a_whole_log_is_not_recovered_but_copied_if_that_is_asked_for(
@@ -466,9 +466,6 @@ def test_one_is_not_said_as_many(tmp_path: Path, capsys: pytest.CaptureFixture[s
     for line in (["check", path], ["info", path], ["trim", path, "--to", tmp_path / "b.mcap", "--end", 1]):
         assert call(main, *line) == 0
         assert not re.search(r"\b1 (drives|rows|messages|pictures|findings)\b", capsys.readouterr().out)
-
-
-# What a review found
 
 
 def test_a_log_without_any_picture_is_found(tmp_path: Path) -> None:

@@ -169,16 +169,6 @@ def test_whoever_wants_no_picture_reads_none(forged: Path, damaged: str, reader:
         reader(forged, forged)
 
 
-def test_a_picture_is_not_read_out_of_such_a_chunk(tmp_path: Path) -> None:
-    """Not even where its place is known from before, as an index keeps it."""
-    path = write_log(tmp_path / "a.mcap", [0.1] * 5, picture)
-    with Log(path) as log:
-        frame = log.frames().to_pylist()[0]
-    without_crc(path, 0)
-    with Log(path) as log, pytest.raises(LogError, match="CRC"):
-        log.read(frame["offset"], frame["length"], frame["chunk"])
-
-
 def test_the_commands_say_so(
     forged: Path,
     damaged: str,

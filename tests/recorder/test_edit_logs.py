@@ -150,14 +150,6 @@ def test_a_log_that_was_killed_at_any_chunk_is_sound_when_it_is_recovered(tmp_pa
         assert kinds == (set() if done.rows else {"stretches of pictures without a row"}), chunk.start
 
 
-def test_without_any_row_every_picture_is_kept(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    with LogWriter(path, {}) as writer:
-        for row in range(9):
-            writer.picture("center", START_NS + row, row, b"picture")
-    assert contents(recover(path, tmp_path / "b.mcap").path).messages == contents(path).messages
-
-
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
 def test_a_compressed_log_of_another_program_is_recovered_uncompressed(
     tmp_path: Path, compression: CompressionType

@@ -229,19 +229,6 @@ def state_steering(folder: Path) -> dict[int, float]:
     )
 
 
-def test_no_state_knows_the_action_of_its_row(tmp_path: Path) -> None:
-    steering_of_rows = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
-    times_s = [row / 10 for row in range(6)]
-    export_lerobot([written(tmp_path / "a.mcap", steering_of_rows, times_s)], tmp_path / "a")
-    for row in range(6):
-        other = [*steering_of_rows[:row], *(-value for value in steering_of_rows[row:])]
-        folder = tmp_path / f"other-{row}"
-        export_lerobot([written(tmp_path / f"{row}.mcap", other, times_s)], folder)
-        states = [pq.read_table(path / DATA)["observation.state"].to_pylist() for path in (tmp_path / "a", folder)]
-        assert states[0][: row + 1] == states[1][: row + 1]
-        assert row == 5 or states[0][row + 1] != states[1][row + 1]
-
-
 def test_a_state_is_of_the_row_before_and_0_where_a_drive_begins(tmp_path: Path) -> None:
     # row 3 is no steering, between 5 and 6 are 2 s, and at row 8 time goes back
     steering_of_rows = [0.125, 0.25, 0.375, 2.0, 0.5, 0.625, 0.75, 0.875, -0.125, -0.25]

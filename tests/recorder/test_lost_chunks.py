@@ -13,7 +13,7 @@ import pytest
 from common.car import CAMERAS
 from logs import START_NS, STEP_NS, not_a_picture
 from plain_mcap import Contents, Stored, StoredChunk, by_topic, contents
-from recorder import LogError, LogWriter
+from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.topics import PICTURE_TOPICS, ROW_TOPICS
 from recorder.upkeep.check import check
@@ -169,8 +169,3 @@ def test_without_any_row_the_pictures_are_kept_and_the_rows_are_named(whole: Pat
     ]
     kinds = {kind for kind, _ in check(written.path, look=False).findings}
     assert kinds == {"stretches of pictures without a row"}
-
-
-def test_without_any_chunk_nothing_is_recovered(whole: Path) -> None:
-    with pytest.raises(LogError, match="no complete message"):
-        recover(without(whole, contents(whole).chunks), whole.with_name("recovered.mcap"))

@@ -22,9 +22,9 @@ PICTURES = {*(f"/camera/{camera}" for camera in CAMERAS), "/pilot/input"}
 ROWS = 200
 
 
-def drive(path: Path, *, live: bool = False, rows: int = ROWS) -> Path:
-    with LogWriter(path, {"source": "test"}, live=live) as writer:
-        for row in range(rows):
+def drive(path: Path) -> Path:
+    with LogWriter(path, {"source": "test"}) as writer:
+        for row in range(ROWS):
             time_ns = START_NS + row * STEP_NS
             for camera in CAMERAS:
                 writer.picture(camera, time_ns, row, not_a_picture(camera, row) * 20)
@@ -51,21 +51,6 @@ def bytes_read(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[int, int]
 
 def picture_chunks(found: Contents) -> list[tuple[int, int]]:
     return [(chunk.start, chunk.end) for chunk in found.chunks if chunk.messages[0].topic in PICTURES]
-
-
-@pytest.mark.parametrize("live", [False, True])
-def test_no_chunk_holds_both_and_every_topic_is_in_its_order(tmp_path: Path, live: bool) -> None:
-    found = contents(drive(tmp_path / "a.mcap", live=live))
-    for chunk in found.chunks:
-        assert len({message.topic in PICTURES for message in chunk.messages}) == 1
-    assert len(found.chunks) > 10
-    for messages in found.by_topic.values():
-        times = [message.log_time for message in messages]
-        assert times == sorted(times)
-    assert {topic: len(messages) for topic, messages in found.by_topic.items()} == {
-        **dict.fromkeys((*PICTURES, "/vehicle", "/pilot/command", "/pose"), ROWS),
-        "/events": ROWS // 10,
-    }
 
 
 def test_a_row_is_written_after_its_pictures(tmp_path: Path) -> None:

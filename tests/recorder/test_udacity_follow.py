@@ -139,15 +139,6 @@ def test_a_finished_recording_gives_what_its_import_gives(tmp_path: Path) -> Non
     assert contents(one.path) == contents(two.path)
 
 
-@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"], ids=["LF", "CRLF", "CR only"])
-def test_every_way_to_end_a_line(tmp_path: Path, end: str) -> None:
-    make_recording(tmp_path / "drive", "".join(row + end for row in ROWS), range(6))
-    one = import_udacity(tmp_path / "drive", tmp_path / "imported.mcap")
-    two = watch_udacity(tmp_path / "drive", tmp_path / "watched.mcap", idle_s=0)
-    assert (two.rows, two.pictures, len(two.skipped)) == (6, 18, 0)
-    assert contents(one.path) == contents(two.path)
-
-
 def test_rows_and_pictures_are_logged_when_they_are_complete(tmp_path: Path) -> None:
     drive = Drive(tmp_path / "drive")
 
@@ -206,13 +197,6 @@ def test_what_never_came_is_named_and_in_the_log(tmp_path: Path) -> None:
     }
     events = [event.message for _, event in read_messages(done.path)["/events"]]
     assert sorted(events) == sorted(f"skipped {reason}: {name}" for reason, name in done.skipped)
-
-
-def test_a_last_line_that_is_cut_off_is_named(tmp_path: Path) -> None:
-    make_recording(tmp_path / "drive", f"{ROWS[0]}\n{ROWS[1][:-8]}", [0])
-    done = watch_udacity(tmp_path / "drive", tmp_path / "watched.mcap", idle_s=0)
-    assert done.rows == 1
-    assert list(done.skipped) == [("rows with fewer than four values, or cut off", "line 2")]
 
 
 def test_nothing_came(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
