@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -22,6 +23,7 @@ CYCLE_M = 12.0
 """After so much of the way, another wall is ahead."""
 
 
+@cache
 def wall(way_m: float) -> bytes:
     """A picture of a patterned wall that fills it: nearer, it is larger."""
     number, part = divmod(way_m, CYCLE_M)
