@@ -85,11 +85,6 @@ def test_what_the_rows_and_pictures_have_wrong_is_found(tmp_path: Path) -> None:
     assert ("pictures that do not decode", "/camera/center row 100") not in found_in(path, look=False)
 
 
-def test_a_standing_car_may_see_the_same_and_steer_the_same(tmp_path: Path) -> None:
-    rows: list[tuple[float, float, float, bytes | None]] = [(row / 10, 0.3, 0.0, jpeg(50)) for row in range(60)]
-    assert found_in(log_with(tmp_path / "a.mcap", rows)) == []
-
-
 def test_pictures_without_a_row_and_rows_out_of_order_are_found(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with LogWriter(path, {"source": "test"}) as writer:

@@ -24,8 +24,6 @@ FIRST_NS = FIRST_MS * 1_000_000
 STEP_NS = 50_000_000
 STATES = [(-1.0, 0.5, 0.0), (0.0, 0.0, 0.0), (0.25, 0.0, 0.5571428571428572), (1.0, 1.0, 0.0)]
 
-Make = Callable[[Path], Path]
-
 
 def imported(folder: Path) -> Imported:
     return import_tub(folder, folder.parent / "imported.mcap")
@@ -400,37 +398,24 @@ def test_a_tub_is_told_from_other_folders(tmp_path: Path) -> None:
     assert not is_tub(old / "record_0.json")
 
 
-def empty(folder: Path) -> Path:
-    folder.mkdir()
-    return folder
-
-
-def without_records(folder: Path) -> Path:
-    return write_tub_2(folder, [])
-
-
-def without_pictures(folder: Path) -> Path:
-    return write_tub_2(folder, map(record_2, range(4)), pictures=[])
-
-
-def without_images(folder: Path) -> Path:
-    (without_pictures(folder) / "images").rmdir()
-    return folder
-
-
-def all_deleted(folder: Path) -> Path:
-    return write_tub_2(folder, map(record_2, range(4)), deleted=range(4))
-
-
-def not_there(folder: Path) -> Path:
-    return folder
+RECORDS = [record_2(index) for index in range(4)]
 
 
 @pytest.mark.parametrize(
-    "make", [empty, without_records, without_pictures, without_images, all_deleted, not_there]
+    "make",
+    [
+        Path.mkdir,
+        lambda folder: write_tub_2(folder, []),
+        lambda folder: write_tub_2(folder, RECORDS, pictures=[]),
+        lambda folder: (write_tub_2(folder, RECORDS, pictures=[]) / "images").rmdir(),
+        lambda folder: write_tub_2(folder, RECORDS, deleted=range(4)),
+        lambda folder: None,
+    ],
+    ids=["empty", "no records", "no pictures", "no images", "all deleted", "not there"],
 )
-def test_a_tub_without_anything_usable_writes_nothing(tmp_path: Path, make: Make) -> None:
-    folder = make(tmp_path / "tub")
+def test_a_tub_without_anything_usable_writes_nothing(tmp_path: Path, make: Callable[[Path], object]) -> None:
+    folder = tmp_path / "tub"
+    make(folder)
     with pytest.raises(RecordingError) as error:
         import_tub(folder, tmp_path / "sessions" / "tub.mcap")
     assert str(folder) in str(error.value)

@@ -100,17 +100,14 @@ def error_of(source: Path, topics: Topics = TOPICS) -> str:
         {"compression": CompressionType.LZ4},
         {"compression": CompressionType.NONE},
         {"compression": CompressionType.ZSTD, "chunk_size": 1},
+        {"use_chunking": False},
     ],
-    ids=["zstd", "lz4", "uncompressed", "a chunk each"],
+    ids=["zstd", "lz4", "uncompressed", "a chunk each", "no chunks"],
 )
 def test_every_picture_gets_the_last_steering_before_it(tmp_path: Path, options: dict[str, Any]) -> None:
     done = imported(write_mcap(tmp_path / "other.mcap", DRIVE, **options))
     assert rows_of(done.path) == ROWS
     assert (done.rows, done.pictures, list(done.skipped)) == (3, 3, [])
-
-
-def test_a_file_without_chunks(tmp_path: Path) -> None:
-    assert rows_of(imported(write_mcap(tmp_path / "other.mcap", DRIVE, use_chunking=False)).path) == ROWS
 
 
 def test_the_log_says_where_it_comes_from(tmp_path: Path) -> None:

@@ -385,30 +385,27 @@ def test_bc_record_ends_with_3_and_names_what_was_left_out(
     assert all(picture_name(camera, 2) in told.err for camera in CAMERAS)
 
 
-def empty(folder: Path) -> None:
-    folder.mkdir()
-
-
 def without_csv(folder: Path) -> None:
     make_recording(folder, three_rows())
     (folder / "driving_log.csv").unlink()
 
 
-def without_usable_row(folder: Path) -> None:
-    make_recording(folder, f"center,left,right,steering,throttle,brake,speed\n{paths(0)},a,b\n")
+HEADER = "center,left,right,steering,throttle,brake,speed\n"
 
 
-def without_pictures(folder: Path) -> None:
-    make_recording(folder, three_rows(), [])
-
-
-def not_there(folder: Path) -> None:
-    assert not folder.exists()
-
-
-@pytest.mark.parametrize("make", [empty, without_csv, without_usable_row, without_pictures, not_there])
+@pytest.mark.parametrize(
+    "make",
+    [
+        Path.mkdir,
+        without_csv,
+        lambda folder: make_recording(folder, f"{HEADER}{paths(0)},a,b\n"),
+        lambda folder: make_recording(folder, three_rows(), []),
+        lambda folder: None,
+    ],
+    ids=["empty", "no csv", "no usable row", "no pictures", "not there"],
+)
 def test_a_recording_without_anything_usable_writes_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Callable[[Path], None]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Callable[[Path], object]
 ) -> None:
     folder = tmp_path / "drive"
     make(folder)

@@ -209,14 +209,6 @@ def test_a_log_appears_under_its_name_only_when_it_is_closed(tmp_path: Path) -> 
     assert len(read_messages(path)["/vehicle"]) == 1
 
 
-def test_discard_leaves_nothing(tmp_path: Path) -> None:
-    writer = LogWriter(tmp_path / "a.mcap", {})
-    writer.vehicle(1, 0, VehicleState())
-    assert len(list(tmp_path.iterdir())) == 1
-    writer.discard()
-    assert list(tmp_path.iterdir()) == []
-
-
 def record_and_fail(path: Path, error: BaseException, *, live: bool) -> None:
     with LogWriter(path, {}, live=live) as writer:
         writer.vehicle(1, 0, VehicleState(steering=0.5))
@@ -375,33 +367,18 @@ def test_wherever_ctrl_c_comes_a_file_is_whole_or_not_there(tmp_path: Path) -> N
 # Damage
 
 
-def of_another_program(path: Path) -> None:
-    path.write_bytes(jpeg(50))
-
-
-def empty(path: Path) -> None:
-    path.touch()
-
-
-def missing(path: Path) -> None:
-    assert not path.exists()
-
-
-def a_folder(path: Path) -> None:
-    path.mkdir()
-
-
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (of_another_program, "not an MCAP log"),
-        (empty, "not an MCAP log"),
-        (missing, "cannot be opened"),
-        (a_folder, "cannot be opened"),
+        (lambda path: path.write_bytes(jpeg(50)), "not an MCAP log"),
+        (Path.touch, "not an MCAP log"),
+        (lambda path: None, "cannot be opened"),
+        (Path.mkdir, "cannot be opened"),
     ],
+    ids=["of another program", "empty", "missing", "a folder"],
 )
 def test_a_log_that_cannot_be_read_is_a_log_error_with_its_name(
-    tmp_path: Path, make: Callable[[Path], None], says: str
+    tmp_path: Path, make: Callable[[Path], object], says: str
 ) -> None:
     path = tmp_path / "session.mcap"
     make(path)

@@ -163,11 +163,3 @@ def test_pictures_of_different_sizes_are_no_loss(tmp_path: Path, capsys: pytest.
     printed = capsys.readouterr()
     assert "pictures of different sizes: 320 x 240 px (1), 160 x 120 px (3)" in printed.err
     assert "4 rows, 4 pictures" in printed.out
-
-
-def test_one_row_is_one_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    make_folder(tmp_path / "torcs", ROWS.splitlines()[0])
-    for number in range(2, 5):
-        (tmp_path / "torcs" / "IMG" / f"{number}.jpg").unlink()
-    assert call(main, "x", "--from", tmp_path / "torcs", "--rate", 20, "--sessions", tmp_path) == 0
-    assert "x.mcap: 1 row, 1 picture, 0.0 MB" in capsys.readouterr().out
