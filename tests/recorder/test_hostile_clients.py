@@ -6,22 +6,16 @@ import contextlib
 import gc
 import select
 import socket
-import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 import websocket
 
-from drive.config import DriveConfig
-from drive.drive_server import DriveServer
-from driving import PATIENCE_S, untrained_run
-from model import load_pilot
+from driving import PATIENCE_S
 from recorder.server import (
     connection_guard,
     engineio_connection,
@@ -37,7 +31,6 @@ from serving import (
     PollingClient,
     RawClient,
     Serving,
-    fields,
     steered,
     tell,
 )
@@ -213,43 +206,6 @@ def test_a_client_has_one_place_however_often_it_connects() -> None:
         client.close()
         wait_until(lambda: "disconnected" in book.calls)
         assert book.calls == ["connected", "telemetry", "answered", "disconnected"]
-
-
-# Malformed telemetries, by everything that drives
-
-
-@contextlib.contextmanager
-def driving(log: Path, pilot_run: Path) -> Iterator[DriveServer]:
-    """bc-drive's own server, in a thread."""
-    stop = threading.Event()
-    with (
-        DriveServer(load_pilot(pilot_run, "float32"), DriveConfig(), log, port=0) as server,
-        ThreadPoolExecutor(1) as thread,
-    ):
-        running = thread.submit(server.run, stop.is_set)
-        try:
-            yield server
-        finally:
-            stop.set()
-            running.result(PATIENCE_S)
-
-
-def test_a_client_that_polls_is_driven_like_any_other(tmp_path: Path) -> None:
-    run = untrained_run(tmp_path / "run")
-    log = tmp_path / "run.mcap"
-    with driving(log, run) as server:
-        raw = RawClient(server.port)
-        raw.tell(fields(3))
-        _, expected = raw.command()
-        raw.close()
-        wait_until(lambda: not server.session.is_connected)
-        polling = PollingClient(server.port)
-        name, command = polling.tell(fields(3))
-        assert (name, command["steering_angle"]) == ("steer", expected["steering_angle"])
-        assert polling.tell("nonsense")[0] == "steer"
-        assert polling.tell(None)[0] == "manual"
-    summary = server.session.summary
-    assert (summary.frames, summary.malformed) == (2, 1)
 
 
 # Web pages of other sites, in the user's own browser

@@ -16,7 +16,6 @@ from plain_mcap import contents
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.rows.row_quality import ROW_FLAGS, RowFlag, States, drive_numbers, row_flags, summary
-from recorder.upkeep.recover import recover
 
 SECOND_NS = 1_000_000_000
 
@@ -200,19 +199,10 @@ def write(path: Path) -> Path:
     return path
 
 
-EXPECTED = {
-    "rows": "51",
-    "drives": "2",
-    "gap": "1",
-    "out_of_range": "1",
-    "standing_still": "1",
-    "stuck_steering": "50",
-}
-
-
 def test_a_written_log_says_what_is_odd_about_its_rows(tmp_path: Path) -> None:
     told = dict(contents(write(tmp_path / "a.mcap")).metadata)["bc.quality"]
-    assert told.items() >= EXPECTED.items()
+    counts = {"gap": "1", "out_of_range": "1", "standing_still": "1", "stuck_steering": "50"}
+    assert told.items() >= ({"rows": "51", "drives": "2"} | counts).items()
     assert json.loads(told["stretches"]) == [
         ["stuck_steering", 0, 49, 0.0, 4.9],
         ["gap", 50, 50, 4.9, 10.0],
@@ -221,12 +211,6 @@ def test_a_written_log_says_what_is_odd_about_its_rows(tmp_path: Path) -> None:
     ]
     with Log(tmp_path / "a.mcap") as log:
         assert log.read_metadata("bc.quality") == told
-
-
-def test_a_recovered_log_says_it_of_the_rows_it_has(tmp_path: Path) -> None:
-    whole = write(tmp_path / "a.mcap")
-    told = dict(contents(recover(whole, tmp_path / "b.mcap").path).metadata)["bc.quality"]
-    assert told.items() >= EXPECTED.items()
 
 
 def test_a_log_without_vehicle_states_says_nothing(tmp_path: Path) -> None:
