@@ -25,6 +25,11 @@ def jpeg(level: int, number: int = 0) -> bytes:
     return encoded.tobytes()
 
 
+def picture(camera: Camera, row: int) -> bytes:
+    """A picture of its own for every frame."""
+    return jpeg(60 + row, 10 * row + len(camera))
+
+
 def picture_name(camera: Camera, number: int) -> str:
     """The name that the simulator gives to the picture taken `number` tenths of a second after the start."""
     return f"{camera}_2024_07_13_14_30_{16 + number // 10:02d}_{number % 10}00.jpg"

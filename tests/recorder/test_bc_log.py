@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from mcap.writer import Writer as McapWriter
 
-from common.car import Camera
 from common.location import Location
 from disk import files_of_at_most
 from driving import PATIENCE_S, command, environment, run
@@ -27,11 +26,7 @@ from recorder.bc_pb2 import VehicleState
 from recorder.log_cli import main
 from recorder.upkeep.check import check, is_whole
 from recorder.upkeep.check_contents import Finding
-from udacity import call, jpeg
-
-
-def picture(camera: Camera, row: int) -> bytes:
-    return jpeg(60 + row, 10 * row + len(camera))
+from udacity import call, jpeg, picture
 
 
 def log_with(path: Path, rows: list[tuple[float, float, float, bytes | None]]) -> Path:

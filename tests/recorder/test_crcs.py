@@ -16,7 +16,7 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 
-from common.car import CAMERAS, Camera
+from common.car import CAMERAS
 from dataset.cli import main as bc_index
 from dataset.loader.log_crops import LogCrops
 from drive.evaluation.eval_cli import main as bc_eval
@@ -35,16 +35,12 @@ from recorder.upkeep.check import check, is_whole
 from recorder.upkeep.edit import merge, split, trim, trim_times
 from recorder.upkeep.log_info import describe
 from recorder.upkeep.recover import recover
-from udacity import call, jpeg
+from udacity import call, jpeg, picture
 from viz.cli import main as bc_play
 
 DATA_END = 0x0F
 CRC_AT = 33  # within a chunk: opcode, length, two times, size, CRC
 WITHOUT = "written without CRCs: damage to it cannot be noticed"
-
-
-def picture(camera: Camera, row: int) -> bytes:
-    return jpeg(60 + row, row + 1)
 
 
 def without_crc(path: Path, number: int) -> Path:

@@ -19,11 +19,11 @@ from common import UserError
 from common.car import CAMERAS
 from common.versions import version_of
 from layouts import Layout, mixed, two_kinds
-from logs import START_NS, STEP_NS, not_a_picture, write_log
+from logs import START_NS, STEP_NS, not_a_picture, tags_of, write_log
 from plain_mcap import Contents, Stored, by_topic, contents, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.tags import Tag, add_tags, read_tags, tags_path
+from recorder.log.tags import Tag, add_tags, tags_path
 from recorder.topics import ROW_TOPICS
 from recorder.upkeep.check import check
 from recorder.upkeep.edit import merge, rows_between, split, trim, trim_times
@@ -77,11 +77,6 @@ def tag(path: Path, *tags: tuple[int, int, str]) -> Path:
         for one in tags:
             add_tags(path, log.fingerprint, [Tag(*one)])
     return path
-
-
-def tags_of(path: Path) -> list[tuple[int, int, str]]:
-    with Log(path) as log:
-        return [(tag.first_row, tag.last_row, tag.name) for tag in read_tags(path, log.fingerprint)]
 
 
 CHUNK_BYTES = 2100

@@ -9,15 +9,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from numpy.typing import NDArray
 
 from lerobot_folders import as_image, image_feature, numbers_feature, write_dataset
-from lerobot_logs import jpeg, write_drives
+from lerobot_logs import decoded, jpeg, write_drives
 from logs import START_NS, read_messages
 from recorder import Imported, Log, LogError, LogWriter, RecordingError
 from recorder.bc_pb2 import VehicleState
@@ -52,12 +50,6 @@ def content(log: Path) -> dict[str, list[tuple[Any, ...]]]:
         elif topic.startswith("/camera/"):
             found[topic] = [(m.log_time, m.sequence, image.data) for m, image in messages]
     return found
-
-
-def decoded(picture: bytes) -> NDArray[np.float64]:
-    found = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
-    assert found is not None
-    return found.astype(np.float64)
 
 
 def others(folder: Path, **info: Any) -> Path:

@@ -9,18 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import av
-import cv2
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from numpy.typing import NDArray
 
 from common import UserError
 from common.car import CAMERAS
 from disk import files_of_at_most
-from lerobot_logs import DRIVES, TIMES_NS, jpeg, steering, write_drives
+from lerobot_logs import DRIVES, TIMES_NS, decoded, jpeg, steering, write_drives
 from places import Place
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
@@ -38,12 +36,6 @@ ROWS = range(len(TIMES_NS))
 def info_of(folder: Path) -> dict[str, Any]:
     loaded: dict[str, Any] = json.loads((folder / "meta/info.json").read_text())
     return loaded
-
-
-def decoded(picture: bytes) -> NDArray[np.int64]:
-    found = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
-    assert found is not None
-    return found.astype(np.int64)
 
 
 def exported_rows(folder: Path) -> list[int]:

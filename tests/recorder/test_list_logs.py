@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer as McapWriter
 
-from common.car import Camera
 from logs import START_NS, STEP_NS, write_log
 from recorder import Log
 from recorder.bc_pb2 import VehicleState
@@ -18,13 +17,9 @@ from recorder.log_cli import main
 from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.settings import SimulatedDrive
 from recorder.upkeep.log_info import describe
-from udacity import call, jpeg
+from udacity import call, picture
 
 DAY_NS = 24 * 3600 * 10**9
-
-
-def picture(camera: Camera, row: int) -> bytes:
-    return jpeg(60 + row, 10 * row + len(camera))
 
 
 @pytest.fixture

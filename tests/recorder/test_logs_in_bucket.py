@@ -30,13 +30,9 @@ from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main
 from recorder.upkeep.check import check
 from recorder.upkeep.copy_log import copy_log
-from udacity import call, jpeg
+from udacity import call, picture
 
 ROWS = 40
-
-
-def picture(camera: str, row: int) -> bytes:
-    return jpeg(60 + row, 10 * row + len(camera))
 
 
 @pytest.fixture

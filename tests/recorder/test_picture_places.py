@@ -15,7 +15,7 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from bytes_read import count_bytes, note_reads
-from common.car import CAMERAS, Camera
+from common.car import CAMERAS
 from logs import write_log
 from mcap_patch import nested, patched
 from plain_mcap import contents
@@ -23,7 +23,7 @@ from recorder import Log
 from recorder.upkeep.check import check
 from recorder.upkeep.edit import merge, split, trim
 from recorder.upkeep.recover import recover
-from udacity import jpeg
+from udacity import picture
 
 PLACE = struct.Struct("<HIQIIIII")  # channel, row, time, chunk, offset, length, picture, its length
 CHUNK = struct.Struct("<QI")  # start, CRC
@@ -33,10 +33,6 @@ OTHER_PICTURES = "chunks of other pictures than are listed"
 
 Places = list[list[int]]
 Change = Callable[[Places], Places]
-
-
-def picture(camera: Camera, row: int) -> bytes:
-    return jpeg(60 + row, row + len(camera))
 
 
 @pytest.fixture

@@ -12,10 +12,10 @@ from mcap.writer import CompressionType
 from dataset import IndexConfig, Samples, build_index
 from driving import one_line_in
 from layouts import write_as_before
-from logs import write_log
+from logs import tags_of, write_log
 from plain_mcap import contents, write_plain
 from recorder import Log, LogError
-from recorder.log.tags import Tag, add_tags, read_tags
+from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main
 from recorder.upkeep.check import check
 from recorder.upkeep.edit import rewrite, trim
@@ -52,8 +52,7 @@ def test_messages_rows_times_metadata_and_tags_are_the_same(old: Path, tmp_path:
     session = dict(after.metadata)["bc.session"]
     assert session["rewritten_from"] == "old.mcap"
     assert session.items() >= dict(before.metadata)["bc.session"].items()
-    with Log(done.path) as log:
-        assert read_tags(done.path, log.fingerprint) == [Tag(10, 20, "exclude")]
+    assert tags_of(done.path) == [(10, 20, "exclude")]
     assert check(done.path).findings == []
 
 
@@ -71,8 +70,7 @@ def test_tags_come_along_when_it_is_damaged_and_recovered(old: Path, tmp_path: P
     data[(len(data) if where == "its end" else contents(new).chunks[0].end) - 20] ^= 1
     new.write_bytes(data)
     to = recover(new, tmp_path / "recovered.mcap").path
-    with Log(to) as log:
-        assert read_tags(to, log.fingerprint) == [Tag(10, 20, "exclude")]
+    assert tags_of(to) == [(10, 20, "exclude")]
 
 
 def test_what_is_cut_out_of_it_is_another_log(old: Path, tmp_path: Path) -> None:

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from common.errors import UsageError
-from logs import write_log
-from recorder import Log, LogWriter
+from logs import tags_of, write_log
+from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.tagged_rows import TaggedRows
-from recorder.log.tags import Tag, read_tags
+from recorder.log.tags import Tag
 from recorder.log_cli import main
 from recorder.rows.row_condition import rows_where
 from recorder.rows.row_quality import States
@@ -33,11 +33,6 @@ def parked(tmp_path: Path) -> Path:
     return path
 
 
-def tags(path: Path) -> list[tuple[int, int, str]]:
-    with Log(path) as log:
-        return [(tag.first_row, tag.last_row, tag.name) for tag in read_tags(path, log.fingerprint)]
-
-
 def test_what_is_surely_odd_is_listed_tagged_and_taken_back(
     parked: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -45,22 +40,22 @@ def test_what_is_surely_odd_is_listed_tagged_and_taken_back(
     output = capsys.readouterr()
     assert output.err.startswith("parked: rows 80 to 149, 8.0 to 14.9 s (stands for 7 s)")
     assert output.out == "exclude: rows 80 to 149\n"
-    assert tags(parked) == [(80, 149, "exclude")]
+    assert tags_of(parked) == [(80, 149, "exclude")]
     assert call(main, "tag", parked, "exclude", "--odd", "--remove") == 0
-    assert tags(parked) == []
+    assert tags_of(parked) == []
 
 
 def test_rows_for_which_a_condition_holds_are_tagged_as_stretches(parked: Path) -> None:
     assert call(main, "tag", parked, "exclude", "--where", "speed_mph > 2 and (time_s < 0.5 or row >= 228)") == 0
-    assert tags(parked) == [(0, 4, "exclude"), (228, 229, "exclude")]
+    assert tags_of(parked) == [(0, 4, "exclude"), (228, 229, "exclude")]
     assert call(main, "tag", parked, "exclude", "--where", "row >= 228", "--remove") == 0
-    assert tags(parked) == [(0, 4, "exclude")]
+    assert tags_of(parked) == [(0, 4, "exclude")]
 
 
 def test_where_nothing_is_found_nothing_is_tagged(parked: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, "tag", parked, "exclude", "--where", "speed_mph > 100") == 1
     assert "no row meets this condition; nothing was tagged" in capsys.readouterr().err
-    assert tags(parked) == []
+    assert tags_of(parked) == []
     clean = write_log(parked.with_name("clean.mcap"), [0.1 * (row % 7) for row in range(60)])
     assert call(main, "tag", clean, "exclude", "--odd") == 0
     assert "nothing that is surely odd; nothing was tagged" in (said := capsys.readouterr().err)
@@ -80,9 +75,9 @@ def test_a_person_is_asked_once_it_is_listed(
     monkeypatch.setattr("recorder.log_tag_cli.ask", ask)
     assert call(main, "tag", parked, "exclude", "--odd") == (0 if answer else 1)
     assert asked == ["Tag 70 rows in 1 stretch 'exclude'?"]
-    assert tags(parked) == expected
+    assert tags_of(parked) == expected
     assert call(main, "tag", parked, "exclude", "--odd", "--yes") == 0
-    assert (len(asked), tags(parked)) == (1, [(80, 149, "exclude")])
+    assert (len(asked), tags_of(parked)) == (1, [(80, 149, "exclude")])
 
 
 @pytest.mark.parametrize(
@@ -99,7 +94,7 @@ def test_flags_that_contradict_each_other_are_a_mistake(
 ) -> None:
     assert call(main, "tag", parked, "exclude", *flags) == 2
     assert said in capsys.readouterr().err
-    assert tags(parked) == []
+    assert tags_of(parked) == []
 
 
 # Rows that are fine
