@@ -13,14 +13,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from mcap.writer import Writer as McapWriter
 
 from common.location import Location
 from disk import files_of_at_most
 from driving import PATIENCE_S, command, environment, run
 from logs import START_NS, STEP_NS, read_messages, write_log
 from places import Place
-from plain_mcap import contents
+from plain_mcap import contents, plain_writer
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log_cli import main
@@ -189,13 +188,10 @@ def test_info_of_very_many_topics_and_settings_shows_the_first(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = tmp_path / "many.mcap"
-    with log.open("wb") as stream:
-        writer = McapWriter(stream)
-        writer.start("", "somebody")
+    with plain_writer(log, "", "somebody") as writer:
         for number in range(300):
             writer.register_channel(f"/topic_{number:03d}", "json", 0)
         writer.add_metadata("bc.session", {f"setting_{number:04d}": "x" for number in range(1300)})
-        writer.finish()  # type: ignore[no-untyped-call]
     assert call(main, "info", log) == 0
     output = capsys.readouterr().out
     assert (output.count("/topic_"), output.count("setting_")) == (200, 200)
@@ -489,14 +485,11 @@ def test_merged_drives_have_the_rate_at_which_they_were_driven(
 
 def test_what_another_program_wrote_moves_no_cursor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / ":car:.mcap"
-    with path.open("wb") as stream:
-        writer = McapWriter(stream)
-        writer.start()
+    with plain_writer(path) as writer:
         writer.add_metadata("bc.session", {"driver": "x\x1b[2J\x1b]0;y\x07", "[red]": "a\nb"})
         schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", b"{}")
         channel = writer.register_channel("/camera/center", "json", schema)
         writer.add_message(channel, 5, b'{"data": ""}', 5)
-        writer.finish()  # type: ignore[no-untyped-call]
     assert call(main, "info", path) == 0
     out = capsys.readouterr().out
     assert "\x1b" not in out

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 
 from common.car import CAMERAS
@@ -25,7 +24,7 @@ from layouts import mixed
 from logs import START_NS, STEP_NS, write_log
 from model.cli import main as bc_train
 from other_logs import CAMERA, DRIVE, PICTURES, TOPICS, write_mcap
-from plain_mcap import by_topic, contents, write_plain
+from plain_mcap import by_topic, contents, plain_writer, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.cli import main as bc_record
@@ -263,9 +262,9 @@ def test_the_data_section_has_one_too(tmp_path: Path) -> None:
 def test_the_earliest_logs_of_ours_had_none_of_the_data_section(tmp_path: Path) -> None:
     """They have the version number of later ones, but no bc.quality, which came with that CRC."""
     path = tmp_path / "a.mcap"
-    with path.open("wb") as stream:
-        writer = McapWriter(stream, compression=CompressionType.NONE)
-        writer.start(profile="bc", library="behavioural-cloning-toolkit 0.1.0")
+    with plain_writer(
+        path, profile="bc", library="behavioural-cloning-toolkit 0.1.0", compression=CompressionType.NONE
+    ) as writer:
         writer.add_metadata("bc.session", {"source": "test", "toolkit": "0.1.0"})
         image = writer.register_channel("/camera/center", "protobuf", register_schema(writer, CompressedImage))
         state = writer.register_channel("/vehicle", "protobuf", register_schema(writer, VehicleState))
@@ -274,7 +273,6 @@ def test_the_earliest_logs_of_ours_had_none_of_the_data_section(tmp_path: Path) 
             writer.add_message(image, row * 10**8, message, row * 10**8, row)
             data = VehicleState(steering=row / 10, throttle=0.5).SerializeToString()
             writer.add_message(state, row * 10**8, data, row * 10**8, row)
-        writer.finish()  # type: ignore[no-untyped-call]
     assert check(path).findings == []
     assert is_whole(path)
 

@@ -13,14 +13,13 @@ import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
 
 from common import UserError
 from common.car import CAMERAS
 from common.versions import version_of
 from layouts import Layout, mixed, two_kinds
 from logs import START_NS, STEP_NS, not_a_picture, tags_of, write_log
-from plain_mcap import Contents, Stored, by_topic, contents, write_plain
+from plain_mcap import Contents, Stored, by_topic, contents, plain_writer, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.tags import Tag, add_tags, tags_path
@@ -158,13 +157,10 @@ def test_a_compressed_log_of_another_program_is_recovered_uncompressed(
 
 def test_attachments_and_messages_without_a_schema_are_recovered_too(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    with path.open("wb") as stream:
-        writer = McapWriter(stream)
-        writer.start()
+    with plain_writer(path) as writer:
         channel = writer.register_channel("/json", "json", 0)
         writer.add_message(channel, 1, b"{}", 2, 3)
         writer.add_attachment(4, 5, "notes.txt", "text/plain", b"hello")
-        writer.finish()  # type: ignore[no-untyped-call]
     found = contents(recover(path, tmp_path / "b.mcap").path)
     assert found.messages == [Stored("/json", "", 3, 1, 2, b"{}")]
     assert found.attachments == [("notes.txt", b"hello")]
@@ -172,14 +168,11 @@ def test_attachments_and_messages_without_a_schema_are_recovered_too(tmp_path: P
 
 def test_a_message_of_a_time_that_no_table_can_hold_is_left_out_and_named(tmp_path: Path) -> None:
     plain = tmp_path / "plain.mcap"
-    with plain.open("wb") as stream:
-        writer = McapWriter(stream)
-        writer.start()
+    with plain_writer(plain) as writer:
         schema = writer.register_schema("bc.VehicleState", "protobuf", b"")
         channel = writer.register_channel("/vehicle", "protobuf", schema)
         for row, log_time in enumerate([START_NS, 2**64 - 1, START_NS + 1]):
             writer.add_message(channel, log_time, b"", log_time, row)
-        writer.finish()  # type: ignore[no-untyped-call]
     done = recover(plain, tmp_path / "b.mcap")
     assert [message.sequence for message in contents(done.path).messages] == [0, 2]
     assert "messages of a time that cannot be" in done.skipped.counts
@@ -236,15 +229,12 @@ def test_a_time_that_comes_twice_is_no_stretch(tmp_path: Path) -> None:
 
 def foreign(path: Path) -> Path:
     """Another program's log: ten messages, a tenth of a second apart, of no topic that we know."""
-    with path.open("wb") as stream:
-        writer = McapWriter(stream, chunk_size=100)
-        writer.start("other", "other")
+    with plain_writer(path, "other", "other", chunk_size=100) as writer:
         channel = writer.register_channel("/tf", "json", writer.register_schema("tf", "jsonschema", b"{}"))
         for number in range(10):
             time_ns = START_NS + number * STEP_NS
             writer.add_message(channel, time_ns, b"%d" % number, time_ns, number)
         writer.add_metadata("calibration", {"k": "1"})
-        writer.finish()  # type: ignore[no-untyped-call]
     return path
 
 

@@ -15,12 +15,12 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
 
 from common.car import CAMERAS, Camera
 from dataset.frames.frame_flags import ImageFindings
 from dataset.frames.image_check_cache import check_all_images, check_images, read_image_check, write_image_check
 from logs import START_NS, STEP_NS
+from plain_mcap import CopiedTopics, plain_writer
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.pictures.image_check import ImageCheck
@@ -166,12 +166,9 @@ def test_empty_pictures_at_the_start_are_frozen_from_the_first_one_on(tmp_path: 
 def test_a_time_that_no_clock_shows_is_a_finding(tmp_path: Path, topic: str) -> None:
     path = tmp_path / "late.mcap"
     schema = "bc.VehicleState" if topic == "/vehicle" else "foxglove.CompressedImage"
-    with path.open("wb") as stream:
-        writer = McapWriter(stream)
-        writer.start()
+    with plain_writer(path) as writer:
         channel = writer.register_channel(topic, "protobuf", writer.register_schema(schema, "protobuf", b""))
         writer.add_message(channel, 2**63, b"", 2**63, 7)
-        writer.finish()  # type: ignore[no-untyped-call]
     assert findings(path, "times that no clock shows") == [f"{topic} row 7"]
 
 
@@ -202,20 +199,13 @@ def test_compressed_logs_with_some_plain_chunks_are_read_in_order(tmp_path: Path
     """Writers store a chunk as it is where compression gains nothing."""
     source = write_drive(tmp_path / "a.mcap")
     mixed = tmp_path / "mixed.mcap"
-    with source.open("rb") as stream, mixed.open("wb") as target:
-        writer = McapWriter(target, chunk_size=8_000, compression=CompressionType.ZSTD)
-        writer.start("bc")
-        channels: dict[str, int] = {}
+    options = {"chunk_size": 8_000, "compression": CompressionType.ZSTD}
+    with source.open("rb") as stream, plain_writer(mixed, "bc", **options) as writer:
+        topics = CopiedTopics(writer)
         for schema, channel, message in make_reader(stream).iter_messages(log_time_order=False):
-            assert schema is not None
-            if channel.topic not in channels:
-                number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.topic] = writer.register_channel(channel.topic, "protobuf", number)
-            at = channels[channel.topic]
-            writer.add_message(at, message.log_time, message.data, message.publish_time, message.sequence)
+            topics.add(schema, channel, message)
             plain = (message.sequence // 3) % 2
             writer._Writer__compression = CompressionType.NONE if plain else CompressionType.ZSTD  # type: ignore[attr-defined]
-        writer.finish()  # type: ignore[no-untyped-call]
     with Log(mixed) as log, Log(source) as original:
         assert {chunk.compression for chunk in log.chunks} == {"", "zstd"}
         assert check_images(log) == check_images(original)

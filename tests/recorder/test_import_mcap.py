@@ -23,7 +23,6 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 from rosbags.rosbag2 import StoragePlugin
 
@@ -52,6 +51,7 @@ from other_logs import (
     write_bag,
     write_mcap,
 )
+from plain_mcap import plain_writer
 from recorder import Imported, Log, LogError, RecordingError
 from recorder.cli import main as bc_record
 from recorder.sources.find_recording import kind_of
@@ -329,15 +329,12 @@ def test_without_any_picture_in_time_the_error_says_why(tmp_path: Path) -> None:
 def test_an_unknown_encoding_or_definition_is_named(tmp_path: Path) -> None:
     for encoding, schema, told in (("ros1", b"float64 x", "ros1"), ("protobuf", b"\xff", "definition")):
         source = tmp_path / f"{encoding}.mcap"
-        with source.open("wb") as stream:
-            writer = McapWriter(stream)
-            writer.start()
+        with plain_writer(source) as writer:
             number = writer.register_schema("car.Wheel", encoding, schema)
             writer.add_message(writer.register_channel(WHEEL, encoding, number), 0, b"?", 0)
             writer.add_message(
                 writer.register_channel(CAMERA, "protobuf", register_schema(writer, CompressedImage)), 0, b"", 0
             )
-            writer.finish()  # type: ignore[no-untyped-call]
         assert told in error_of(source)
 
 

@@ -7,9 +7,9 @@ import os
 from pathlib import Path
 
 import pytest
-from mcap.writer import Writer as McapWriter
 
 from logs import START_NS, STEP_NS, write_log
+from plain_mcap import plain_writer
 from recorder import Log
 from recorder.bc_pb2 import VehicleState
 from recorder.log.writer import LogWriter
@@ -91,11 +91,8 @@ def test_without_logs_it_says_how_to_begin(project: Path, capsys: pytest.Capture
 def hostile(path: Path, name: str, values: dict[str, str]) -> Path:
     """A log of another program, whose metadata `name` has these values."""
     path.parent.mkdir(exist_ok=True)
-    with path.open("wb") as stream:
-        writer = McapWriter(stream)
-        writer.start("bc", "somebody")
+    with plain_writer(path, "bc", "somebody") as writer:
         writer.add_metadata(name, values)
-        writer.finish()  # type: ignore[no-untyped-call]
     return path
 
 

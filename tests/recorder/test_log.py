@@ -21,13 +21,13 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType
-from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 
 from common import UserError, atomic_file, files
 from common.car import CAMERAS, Camera
 from logs import START_NS, STEP_NS, plain_read, read_messages, write_log
 from places import Place
+from plain_mcap import plain_writer
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log import writer as writing
@@ -186,13 +186,10 @@ def test_a_message_that_is_no_picture_is_a_log_error(tmp_path: Path, data: bytes
 
 def write_raw(path: Path, compression: CompressionType, data: bytes, time_ns: int = 1) -> None:
     """A log of one message on /camera/center, written by mcap alone."""
-    with path.open("wb") as stream:
-        writer = McapWriter(stream, compression=compression)
-        writer.start()
+    with plain_writer(path, compression=compression) as writer:
         schema = register_schema(writer, CompressedImage)
         channel = writer.register_channel("/camera/center", "protobuf", schema)
         writer.add_message(channel, log_time=time_ns, publish_time=time_ns, sequence=0, data=data)
-        writer.finish()  # type: ignore[no-untyped-call]
 
 
 # Writing: whole or not at all
@@ -482,14 +479,11 @@ def test_what_was_made_stays_if_its_name_is_taken_meanwhile(tmp_path: Path) -> N
 )
 def test_a_finished_log_with_a_sparse_summary_is_a_finished_one(tmp_path: Path, left_out: dict[str, Any]) -> None:
     path = tmp_path / "other.mcap"
-    with path.open("wb") as stream:
-        writer = McapWriter(stream, **left_out)
-        writer.start()
+    with plain_writer(path, **left_out) as writer:
         schema = register_schema(writer, CompressedImage)
         channel = writer.register_channel("/camera/center", "protobuf", schema)
         for number in range(3):
             writer.add_message(channel, number, CompressedImage(data=bytes([number])).SerializeToString(), number)
-        writer.finish()  # type: ignore[no-untyped-call]
     with Log(path) as log:
         assert (log.problem, log.notice, log.lost) == ("", "", [])
         pictures = log.pictures("/camera/center")

@@ -12,13 +12,12 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import ChunkIndex, McapRecord, Statistics
 from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
 
 from bytes_read import count_bytes, note_reads
 from common.car import CAMERAS
 from logs import write_log
 from mcap_patch import nested, patched
-from plain_mcap import contents
+from plain_mcap import CopiedTopics, contents, plain_writer
 from recorder import Log
 from recorder.upkeep.check import check
 from recorder.upkeep.edit import merge, split, trim
@@ -283,35 +282,19 @@ def test_lists_within_lists_are_given_up(path: Path, monkeypatch: pytest.MonkeyP
 
 def copied(path: Path, to: Path, first_row: int = 0, chunk_bytes: int = 3000, profile: str = "bc") -> Path:
     """As another program copies a log, or a version before: other chunks, and attachments as they are."""
-    with path.open("rb") as source, to.open("wb") as stream:
+    options = {"chunk_size": chunk_bytes, "compression": CompressionType.NONE, "enable_data_crcs": True}
+    with path.open("rb") as source:
         reader = make_reader(source)
-        writer = McapWriter(
-            stream, chunk_size=chunk_bytes, compression=CompressionType.NONE, enable_data_crcs=True
-        )
-        writer.start(profile, reader.get_header().library)
-        for record in reader.iter_metadata():
-            writer.add_metadata(record.name, record.metadata)
-        channels: dict[int, int] = {}
-        schemas: dict[int, int] = {}
-        for schema, channel, message in reader.iter_messages(log_time_order=False):
-            assert schema is not None
-            if channel.id not in channels:
-                if schema.id not in schemas:
-                    schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
-                number = schemas[schema.id]
-                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, number)
-            if message.sequence >= first_row:
-                number = channels[channel.id]
-                writer.add_message(number, message.log_time, message.data, message.publish_time, message.sequence)
-        for attachment in reader.iter_attachments():
-            writer.add_attachment(
-                attachment.create_time,
-                attachment.log_time,
-                attachment.name,
-                attachment.media_type,
-                attachment.data,
-            )
-        writer.finish()  # type: ignore[no-untyped-call]
+        with plain_writer(to, profile, reader.get_header().library, **options) as writer:
+            for record in reader.iter_metadata():
+                writer.add_metadata(record.name, record.metadata)
+            topics = CopiedTopics(writer)
+            for schema, channel, message in reader.iter_messages(log_time_order=False):
+                topics.channel(schema, channel)
+                if message.sequence >= first_row:
+                    topics.add(schema, channel, message)
+            for attachment in reader.iter_attachments():
+                writer.add_attachment(**vars(attachment))
     return to
 
 
