@@ -63,6 +63,14 @@ def tags_of(path: Path) -> list[tuple[int, int, str]]:
         return [(tag.first_row, tag.last_row, tag.name) for tag in read_tags(path, log.fingerprint)]
 
 
+def flip_bit(path: Path, *positions: int) -> None:
+    """Damage these bytes of a file; below 0, they count from its end."""
+    data = bytearray(path.read_bytes())
+    for position in positions:
+        data[position] ^= 1
+    path.write_bytes(data)
+
+
 def plain_read(path: Path, offset: int, length: int) -> bytes:
     """Bytes of a file, without any of the toolkit's code."""
     with path.open("rb") as stream:

@@ -17,7 +17,7 @@ import pytest
 from common.location import Location
 from disk import files_of_at_most
 from driving import PATIENCE_S, command, environment, run
-from logs import START_NS, STEP_NS, read_messages, write_log
+from logs import START_NS, STEP_NS, flip_bit, read_messages, write_log
 from places import Place
 from plain_mcap import contents, plain_writer
 from recorder import LogError, LogWriter
@@ -354,11 +354,9 @@ def test_what_is_not_whole_in_every_byte_is_recovered(
     tmp_path: Path, damaged: str, code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1] * 5)
-    data = bytearray(path.read_bytes())
-    chunk = contents(path).chunks[0]
-    place = {"chunk": chunk.end - 1, "index": chunk.end + 20, "summary": -60, "metadata": data.index(b"toolkit")}
-    data[place[damaged]] ^= 1
-    path.write_bytes(data)
+    end, metadata = contents(path).chunks[0].end, path.read_bytes().index(b"toolkit")
+    places = {"chunk": end - 1, "index": end + 20, "summary": -60, "metadata": metadata}
+    flip_bit(path, places[damaged])
     assert call(main, "recover", path) == code
     assert (tmp_path / "a.recovered.mcap").exists()
     assert "complete, nothing to recover" not in capsys.readouterr().out

@@ -18,7 +18,7 @@ from common import UserError
 from common.car import CAMERAS
 from common.versions import version_of
 from layouts import Layout, mixed, two_kinds
-from logs import START_NS, STEP_NS, not_a_picture, tags_of, write_log
+from logs import START_NS, STEP_NS, flip_bit, not_a_picture, tags_of, write_log
 from plain_mcap import Contents, Stored, by_topic, contents, plain_writer, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
@@ -390,10 +390,10 @@ def test_tags_go_where_their_rows_go(tmp_path: Path) -> None:
 def test_a_damaged_log_keeps_its_tags_when_it_is_recovered(tmp_path: Path) -> None:
     """Whichever chunk is damaged; they are cut to the rows that are left."""
     whole = tag(drive(tmp_path / "a.mcap", range(20)), (0, 19, "exclude"))
-    chunks, data = contents(whole).chunks, whole.read_bytes()
-    to = tmp_path / "b.mcap"
-    for chunk in chunks:
-        whole.write_bytes(data[: chunk.end - 1] + bytes([data[chunk.end - 1] ^ 1]) + data[chunk.end :])
+    data, to = whole.read_bytes(), tmp_path / "b.mcap"
+    for chunk in contents(whole).chunks:
+        whole.write_bytes(data)
+        flip_bit(whole, chunk.end - 1)
         tags_path(to).unlink(missing_ok=True)
         recover(whole, to, overwrite=True)
         rows = [message.sequence for message in contents(to).of("/vehicle")]
@@ -466,10 +466,7 @@ def test_split_overwrites_nothing_either(tmp_path: Path) -> None:
 @pytest.mark.parametrize("edit", EDITS.values(), ids=EDITS)
 def test_an_edit_that_fails_leaves_no_folder(tmp_path: Path, edit: Edit) -> None:
     path = drive(tmp_path / "a.mcap", range(20))
-    data = bytearray(path.read_bytes())
-    for chunk in contents(path).chunks:
-        data[chunk.end - 1] ^= 1
-    path.write_bytes(data)
+    flip_bit(path, *(chunk.end - 1 for chunk in contents(path).chunks))
     with pytest.raises(LogError):
         edit(path, tmp_path / "new" / "folder" / "b.mcap", False)
     assert list(tmp_path.iterdir()) == [path]
@@ -490,9 +487,7 @@ def test_a_new_log_tells_both_versions_that_made_it(tmp_path: Path, monkeypatch:
 @pytest.mark.parametrize("edit", [EDITS["trim"], EDITS["merge"]], ids=["trim", "merge"])
 def test_a_damaged_log_is_not_edited_by_halves(tmp_path: Path, edit: Edit) -> None:
     path = drive(tmp_path / "a.mcap", range(20))
-    data = bytearray(path.read_bytes())
-    data[contents(path).chunks[3].end - 1] ^= 1
-    path.write_bytes(data)
+    flip_bit(path, contents(path).chunks[3].end - 1)
     with pytest.raises(LogError, match=r"a\.mcap: damaged.*bc-log recover"):
         edit(path, tmp_path / "b.mcap", False)
     assert list(tmp_path.iterdir()) == [path]

@@ -19,7 +19,7 @@ from mcap.writer import CompressionType
 from common.car import CAMERAS, Camera
 from dataset.frames.frame_flags import ImageFindings
 from dataset.frames.image_check_cache import check_all_images, check_images, read_image_check, write_image_check
-from logs import START_NS, STEP_NS
+from logs import START_NS, STEP_NS, flip_bit
 from plain_mcap import CopiedTopics, plain_writer
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
@@ -229,9 +229,7 @@ def test_an_unchanged_log_is_looked_at_once(tmp_path: Path) -> None:
 
 def test_what_was_looked_at_stays_when_a_later_log_stops_the_work(tmp_path: Path) -> None:
     logs = {name: write_drive(tmp_path / f"{name}.mcap") for name in ("a", "b")}
-    data = bytearray(logs["b"].read_bytes())
-    data[data.index(WHOLE[5]) + 100] ^= 1
-    logs["b"].write_bytes(data)
+    flip_bit(logs["b"], logs["b"].read_bytes().index(WHOLE[5]) + 100)
     with pytest.raises(LogError, match=r"b\.mcap: damaged"):
         check_all_images(logs, tmp_path / "index")
     assert read_image_check(tmp_path / "index", "a", fingerprint(logs["a"])) is not None

@@ -28,7 +28,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from common import UserError
 from driving import one_line_in
-from logs import read_messages
+from logs import flip_bit, read_messages
 from other_logs import (
     CAMERA,
     DRIVE,
@@ -268,9 +268,7 @@ def test_an_unfinished_file_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
 
 def test_a_damaged_chunk_is_an_error_that_says_what_to_do(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE, compression=CompressionType.NONE)
-    data = bytearray(source.read_bytes())
-    data[data.index(PICTURES[1]) + 500] ^= 1
-    source.write_bytes(data)
+    flip_bit(source, source.read_bytes().index(PICTURES[1]) + 500)
     with pytest.raises(LogError, match="bc-log recover"):
         imported(source)
 

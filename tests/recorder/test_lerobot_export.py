@@ -19,6 +19,7 @@ from common import UserError
 from common.car import CAMERAS
 from disk import files_of_at_most
 from lerobot_logs import DRIVES, TIMES_NS, decoded, jpeg, steering, write_drives
+from logs import flip_bit
 from places import Place
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
@@ -170,9 +171,7 @@ def test_of_a_damaged_log_what_is_whole_is_exported(tmp_path: Path) -> None:
     log = write_drives(tmp_path / "two.mcap")
     with Log(log) as opened:
         picture = opened.pictures("/camera/left")
-    data = bytearray(log.read_bytes())
-    data[int(picture.offset[3]) + 50] ^= 1
-    log.write_bytes(data)
+    flip_bit(log, int(picture.offset[3]) + 50)
     # of so small a log, all pictures are in one chunk
     with pytest.raises(LogError, match=r"no row can be exported; pictures in damaged chunks .* recover"):
         export_lerobot([log], tmp_path / "out")

@@ -21,7 +21,7 @@ from disk import files_of_at_most
 from driving import one_line_in
 from faulty_proxy import Passing
 from layouts import mixed
-from logs import write_log
+from logs import flip_bit, write_log
 from long_log import lengthened
 from mcap_patch import patched
 from recorder import Log, LogError
@@ -165,11 +165,9 @@ def test_ls_lists_a_folder_in_a_store(bucket: Bucket, log: Path, capsys: pytest.
 
 
 def test_damage_in_a_store_is_found_and_named(bucket: Bucket, log: Path) -> None:
-    data = bytearray(log.read_bytes())
     with Log(log) as opened:
-        at = int(opened.pictures("/camera/center").offset[3]) + 20
-    data[at] ^= 1
-    log.write_bytes(data)
+        picture_at = int(opened.pictures("/camera/center").offset[3])
+    flip_bit(log, picture_at + 20)
     with (
         Log(bucket.url("b.mcap")) as opened,
         pytest.raises(LogError, match=r"does not match its CRC; `bc-log copy s3://logs/b"),
@@ -471,9 +469,7 @@ def test_what_is_not_whole_is_not_copied(
 ) -> None:
     source = tmp_path if is_upload else bucket.folder
     log = write_log(source / "a.mcap", [0.1] * 50, picture)
-    data = bytearray(log.read_bytes())
-    data[len(data) // 2] ^= 1
-    log.write_bytes(data)
+    flip_bit(log, log.stat().st_size // 2)
     places = (log, bucket.url()) if is_upload else (bucket.url("a.mcap"), tmp_path / "here")
     assert call(main, "copy", *places) == 1
     assert "damaged" in one_line_in(capsys)

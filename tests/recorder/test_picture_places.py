@@ -15,7 +15,7 @@ from mcap.writer import CompressionType
 
 from bytes_read import count_bytes, note_reads
 from common.car import CAMERAS
-from logs import write_log
+from logs import flip_bit, write_log
 from mcap_patch import nested, patched
 from plain_mcap import CopiedTopics, contents, plain_writer
 from recorder import Log
@@ -177,10 +177,8 @@ def test_without_it_all_is_read(path: Path, names: set[str]) -> None:
 @pytest.mark.parametrize("name", [b"bc.pictures", b"bc.chunks"])
 def test_a_damaged_one_is_not_believed(path: Path, name: bytes) -> None:
     truth, messages = given_out(path), contents(path).by_topic
-    data = bytearray(path.read_bytes())
-    at = data.index(name)
-    data[at + 100] ^= 1
-    path.write_bytes(data)
+    at = path.read_bytes().index(name)
+    flip_bit(path, at + 100)
     assert given_out(path) == truth
     assert ("damaged attachments", f"{name.decode()} at byte {at - 29:,}") in check(path, look=False).findings
     written = recover(path, path.with_name("b.mcap"))

@@ -12,7 +12,7 @@ from mcap.writer import CompressionType
 from dataset import IndexConfig, Samples, build_index
 from driving import one_line_in
 from layouts import write_as_before
-from logs import tags_of, write_log
+from logs import flip_bit, tags_of, write_log
 from plain_mcap import contents, write_plain
 from recorder import Log, LogError
 from recorder.log.tags import Tag, add_tags
@@ -66,9 +66,7 @@ def test_it_and_its_rewrites_have_the_fingerprint_of_the_original(old: Path, tmp
 @pytest.mark.parametrize("where", ["its end", "a picture"])
 def test_tags_come_along_when_it_is_damaged_and_recovered(old: Path, tmp_path: Path, where: str) -> None:
     new = rewrite(old, tmp_path / "new.mcap").path
-    data = bytearray(new.read_bytes())
-    data[(len(data) if where == "its end" else contents(new).chunks[0].end) - 20] ^= 1
-    new.write_bytes(data)
+    flip_bit(new, -20 if where == "its end" else contents(new).chunks[0].end - 20)
     to = recover(new, tmp_path / "recovered.mcap").path
     assert tags_of(to) == [(10, 20, "exclude")]
 
@@ -149,10 +147,7 @@ def test_nothing_is_overwritten_and_a_damaged_log_leaves_nothing(
     assert "you can replace it" in capsys.readouterr().err
     assert call(main, "rewrite", old, "--to", tmp_path / "new.mcap") == 1
     assert "--force" in one_line_in(capsys)
-    at = contents(old).chunks[3].start + 200
-    data = bytearray(old.read_bytes())
-    data[at] ^= 1
-    old.write_bytes(data)
+    flip_bit(old, contents(old).chunks[3].start + 200)
     with pytest.raises(LogError, match="bc-log recover"):
         rewrite(old, tmp_path / "damaged.mcap")
     assert not list(tmp_path.glob("damaged*"))
