@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -456,12 +455,6 @@ def test_a_row_that_comes_twice_is_taken_once(tmp_path: Path) -> None:
     done = imported(tmp_path)
     assert values_of(done.path) == VALUES
     assert done.skipped.counts == {"rows with the pictures of an earlier row": 3}
-
-
-def test_a_name_that_is_not_utf8_is_named_escaped(tmp_path: Path) -> None:
-    make_recording(tmp_path, three_rows())
-    (tmp_path / "IMG" / os.fsdecode(b"caf\xe9.jpg")).write_bytes(jpeg(1))
-    assert [name for _, name in imported(tmp_path).skipped] == ["caf\\udce9.jpg"]
 
 
 @pytest.mark.parametrize("year", ["1960", "2300"])
