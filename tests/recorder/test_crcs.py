@@ -97,9 +97,9 @@ def forged(tmp_path_factory: pytest.TempPathFactory, whole: Path, damaged: str) 
     return without_crc(path, DAMAGED[damaged])
 
 
-def asked(path: Path, what: Callable[[Log], object]) -> None:
+def asked(path: Path, read: Callable[[Log], object]) -> None:
     with Log(path) as log:
-        what(log)
+        read(log)
 
 
 def every_picture(log: Log) -> None:

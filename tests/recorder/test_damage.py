@@ -324,13 +324,19 @@ def test_chunks_that_have_changed_places_are_all_kept_and_named(
     chunks = original.chunks
     damaged, to = whole.with_name("damaged.mcap"), whole.with_name("recovered.mcap")
     for i, j in itertools.combinations(range(len(chunks)), 2):
-        one, two = chunks[i], chunks[j]
-        parts = [(0, one.start), (two.start, two.end), (one.end, two.start), (one.start, one.end), (two.end, None)]
+        first, second = chunks[i], chunks[j]
+        parts = [
+            (0, first.start),
+            (second.start, second.end),
+            (first.end, second.start),
+            (first.start, first.end),
+            (second.end, None),
+        ]
         swapped = b"".join(data[start:end] for start, end in parts)
         damaged.write_bytes(swapped[: chunks[-1].end] if is_killed else swapped)
         written = recover(damaged, to, overwrite=True)
         assert set(contents(to).messages) == set(original.messages), (i, j)
-        topics = [{message.topic for message in chunk.messages} for chunk in (one, two)]
+        topics = [{message.topic for message in chunk.messages} for chunk in (first, second)]
         if topics[0] & topics[1]:
             assert "chunks out of order" in written.notices[0], (i, j)
 

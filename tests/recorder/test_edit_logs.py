@@ -73,8 +73,8 @@ def numbered_on(messages: list[Stored], first: int) -> list[Stored]:
 
 def tag(path: Path, *tags: tuple[int, int, str]) -> Path:
     with Log(path) as log:
-        for one in tags:
-            add_tags(path, log.fingerprint, [Tag(*one)])
+        for tag in tags:
+            add_tags(path, log.fingerprint, [Tag(*tag)])
     return path
 
 

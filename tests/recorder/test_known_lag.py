@@ -104,19 +104,19 @@ def test_a_log_of_before_is_measured_by_a_check_once(
     place: Place, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = without_lag(write_drive(tmp_path / "a.mcap", views(ROWS), late))
-    there = place(path)
-    assert call(main, "info", there) == 0
+    log = place(path)
+    assert call(main, "info", log) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    assert f"(lag not measured); `bc-log check {there}` measures it" in shown
-    assert call(main, "check", "--no-look", there) == 0
+    assert f"(lag not measured); `bc-log check {log}` measures it" in shown
+    assert call(main, "check", "--no-look", log) == 0
     assert not (tmp_path / "a.lag.json").exists()
-    assert call(main, "check", there) == 0
+    assert call(main, "check", log) == 0
     assert "  lag +0.30 ±0.10 s" in capsys.readouterr().out
-    assert lag_s(describe(there)) == pytest.approx(LATE_S, abs=0.051)
+    assert lag_s(describe(log)) == pytest.approx(LATE_S, abs=0.051)
     monkeypatch.setattr(steering_lag, "measure_lag", None)
-    assert call(main, "check", there, "--json") == 0
+    assert call(main, "check", log, "--json") == 0
     assert json.loads(capsys.readouterr().out)["lag"]["lag_s"] == pytest.approx(LATE_S, abs=0.051)
-    assert call(main, "info", there) == 0
+    assert call(main, "info", log) == 0
     assert "is 0.4 s late" in " ".join(capsys.readouterr().out.split())
 
 
@@ -174,6 +174,6 @@ def test_a_killed_log_is_measured_when_it_is_recovered(tmp_path: Path) -> None:
     killed.write_bytes(path.read_bytes()[: path.stat().st_size * 3 // 4])
     assert describe(killed).lacks_lag
     assert call(main, "check", killed) == 3
-    assert not [each for each in tmp_path.iterdir() if each.name.endswith(".lag.json")]
+    assert not [path for path in tmp_path.iterdir() if path.name.endswith(".lag.json")]
     recover(killed, tmp_path / "recovered.mcap")
     assert noted(tmp_path / "recovered.mcap")["lag_s"] == pytest.approx(LATE_S, abs=0.051)

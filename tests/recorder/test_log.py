@@ -118,13 +118,13 @@ def test_the_file_is_what_the_design_says(tmp_path: Path) -> None:
             [name] = {channels[number] for number in chunk.message_index_offsets}
             sizes[name].append(chunk.uncompressed_size)
         assert set(schemas.values()) == sizes.keys()
-    for name, its_sizes in sizes.items():
+    for name, chunk_sizes in sizes.items():
         limit = 1024 * (32 if name == "bc.VehicleState" else 256)
-        assert max(its_sizes) < limit + 5000, name
-        full = [size for size in its_sizes if size >= limit]
+        assert max(chunk_sizes) < limit + 5000, name
+        full = [size for size in chunk_sizes if size >= limit]
         assert len(full) > 2, name
         short = 2 if name == "bc.VehicleState" else 1 + len(sizes["bc.VehicleState"])
-        assert len(its_sizes) - len(full) <= short, name
+        assert len(chunk_sizes) - len(full) <= short, name
 
 
 def test_messages_keep_the_order_of_writing_whatever_their_times(tmp_path: Path) -> None:

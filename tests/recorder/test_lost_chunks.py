@@ -135,9 +135,9 @@ def test_whatever_chunk_is_lost_costs_no_more_than_it_must(whole: Path, is_kille
     assert sum(map(is_of_pictures, chunks)) > 20
     assert len(chunks) - sum(map(is_of_pictures, chunks)) > 5
     complaints = [
-        f"chunk {chunks.index(chunk)}: {what}"
+        f"chunk {chunks.index(chunk)}: {complaint}"
         for chunk in (behind_descriptions(chunks) if is_killed else chunks)
-        for what in complaints_of(whole, [chunk], is_killed=is_killed)
+        for complaint in complaints_of(whole, [chunk], is_killed=is_killed)
     ]
     assert complaints == []
 
@@ -150,7 +150,9 @@ def test_whatever_chunks_are_lost_cost_no_more_than_they_must(whole: Path, is_ki
     complaints = []
     for turn in range(times):
         lost = chance.sample(behind_descriptions(chunks), chance.randint(2, 5))
-        complaints += [f"turn {turn}: {what}" for what in complaints_of(whole, lost, is_killed=is_killed)]
+        complaints += [
+            f"turn {turn}: {complaint}" for complaint in complaints_of(whole, lost, is_killed=is_killed)
+        ]
     assert complaints == []
 
 

@@ -84,7 +84,7 @@ def test_enums_and_fields_that_may_be_missing_are_those_of_protobuf(contents: li
             decode_numbers(contents, PilotCommand, names)
         return
     expected = [[getattr(message, name) for message in messages] for name in names[:3]]
-    expected.append([each.expert_steering if each.HasField(names[3]) else math.nan for each in messages])
+    expected.append([message.expert_steering if message.HasField(names[3]) else math.nan for message in messages])
     assert np.array_equal(decode_numbers(contents, PilotCommand, names), np.array(expected), equal_nan=True)
 
 

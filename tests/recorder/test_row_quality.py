@@ -43,9 +43,9 @@ def states(
     )
 
 
-def flagged(of: States, flag: RowFlag) -> list[int]:
+def flagged(rows: States, flag: RowFlag) -> list[int]:
     """The positions of the rows that a flag holds for."""
-    positions: list[int] = np.flatnonzero(row_flags(of)[flag]).tolist()
+    positions: list[int] = np.flatnonzero(row_flags(rows)[flag]).tolist()
     return positions
 
 

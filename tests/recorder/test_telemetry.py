@@ -64,7 +64,7 @@ def test_the_throttle_tells_how_the_machine_separates_decimals(throttle: object,
 
 
 @pytest.mark.parametrize(
-    ("known", "throttle", "speed", "angle", "speed_mph", "degrees", "separator"),
+    ("separator_before", "throttle", "speed", "angle", "speed_mph", "degrees", "separator"),
     [
         (None, "0", "9,25", "-1,5", 9.25, -1.5, ","),  # C#'s ToString()
         (None, "1", "9.25", "-1.5", 9.25, -1.5, "."),
@@ -82,7 +82,7 @@ def test_the_throttle_tells_how_the_machine_separates_decimals(throttle: object,
     ],
 )
 def test_whole_numbers_do_not_change_a_known_decimal_separator(
-    known: str | None,
+    separator_before: str | None,
     throttle: object,
     speed: str,
     angle: str,
@@ -90,7 +90,7 @@ def test_whole_numbers_do_not_change_a_known_decimal_separator(
     degrees: float,
     separator: str,
 ) -> None:
-    parsed = parse_telemetry(telemetry(throttle=throttle, speed=speed, steering_angle=angle), known)
+    parsed = parse_telemetry(telemetry(throttle=throttle, speed=speed, steering_angle=angle), separator_before)
     assert (parsed.speed_mph, parsed.decimal_separator) == (speed_mph, separator)
     assert parsed.steering == pytest.approx(degrees / 25)
 

@@ -189,7 +189,7 @@ def test_the_telemetry_is_good_whatever_its_world_is() -> None:
 def test_what_is_wrong_with_a_world_is_named_once(pilot: Pilot) -> None:
     driver = Driver(pilot, DriveConfig())
     worlds = [{"time_s": k / 10, "laps": "half", **({"offset": True} if k > 2 else {})} for k in range(6)]
-    said = [driver.decide(telemetry(world=each), 0.0, now_s=0.0).events for each in worlds]
+    said = [driver.decide(telemetry(world=value), 0.0, now_s=0.0).events for value in worlds]
     laps = "the simulator's world is not used whole: laps is a string that is no plain number"
     offset = "the simulator's world is not used whole: offset is not a number but true or false"
     assert said == [(laps,), (), (), (offset,), (), ()]

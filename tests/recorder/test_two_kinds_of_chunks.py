@@ -105,7 +105,7 @@ def test_numbers_are_read_without_a_picture(tmp_path: Path, bytes_read: list[tup
         assert log.fingerprint == log.file_fingerprint
     assert describe(path).flags is not None
     build_index([path], tmp_path / "index", IndexConfig(block_s=1.0, gap_s=0.2))
-    inside = [one for one in bytes_read if any(start < one[1] and one[0] < end for start, end in pictures)]
+    inside = [place for place in bytes_read if any(start < place[1] and place[0] < end for start, end in pictures)]
     assert inside == []
 
 
@@ -117,5 +117,7 @@ def test_a_picture_costs_its_own_chunk_and_no_other(tmp_path: Path, bytes_read: 
         bytes_read.clear()
         log.picture(70, "left")
         log.picture(70, "right")
-    touched = {(start, end) for start, end in pictures for one in bytes_read if start < one[1] and one[0] < end}
+    touched = {
+        (start, end) for start, end in pictures for place in bytes_read if start < place[1] and place[0] < end
+    }
     assert 1 <= len(touched) <= 2

@@ -312,7 +312,7 @@ class Drive:
         answered_s = list(self.answered_s)
         if len(answered_s) < 3:
             return 0
-        return sum(each < answered_s[-3] - PROMISED_S for each in answered_s)
+        return sum(at_s < answered_s[-3] - PROMISED_S for at_s in answered_s)
 
     def run(self) -> None:
         client = SimulatorClient(port=self._port(), wait_s=0.0)
