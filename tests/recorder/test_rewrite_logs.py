@@ -26,12 +26,17 @@ STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(120)]
 CONFIG = IndexConfig(block_s=1.0, gap_s=0.2)
 
 
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("old")
+    new = write_log(folder / "new.mcap", STEERING, lambda camera, row: jpeg(len(camera), row))
+    return write_as_before(new, folder / "old.mcap", chunk_bytes=20_000)
+
+
 @pytest.fixture
-def old(tmp_path: Path) -> Path:
+def old(tmp_path: Path, original: Path) -> Path:
     """A log as earlier versions wrote it, with a tag."""
-    new = write_log(tmp_path / "new.mcap", STEERING, lambda camera, row: jpeg(len(camera), row))
-    path = write_as_before(new, tmp_path / "old.mcap", chunk_bytes=20_000)
-    new.unlink()
+    path = Path(shutil.copy(original, tmp_path))
     with Log(path) as log:
         add_tags(path, log.fingerprint, [Tag(10, 20, "exclude")])
     return path
