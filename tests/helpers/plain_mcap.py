@@ -158,9 +158,8 @@ def write_plain(
     enable_crcs: bool = True,
 ) -> Path:
     """A log of centre pictures and vehicle states, written by mcap alone."""
-    crcs = {"enable_crcs": enable_crcs, "enable_data_crcs": enable_crcs}
-    options = {"chunk_size": chunk_bytes, "compression": compression, "use_chunking": use_chunking, **crcs}
-    with plain_writer(path, **options) as writer:
+    options: dict[str, Any] = {"chunk_size": chunk_bytes, "compression": compression, "use_chunking": use_chunking}
+    with plain_writer(path, enable_crcs=enable_crcs, enable_data_crcs=enable_crcs, **options) as writer:
         image = writer.register_channel("/camera/center", "protobuf", register_schema(writer, CompressedImage))
         state = writer.register_channel("/vehicle", "protobuf", register_schema(writer, VehicleState))
         for row in rows:
