@@ -372,6 +372,9 @@ def test_bc_record_tells_what_it_wrote(
     assert "sessions/lake.mcap: 3 rows, 9 pictures" in told.out
     assert told.err == "next: `bc-index`\n"
     assert values_of(tmp_path / "sessions" / "lake.mcap") == VALUES
+    make_recording(tmp_path / "short", f"{paths(0)},{CELLS[0]}\n", [0])
+    assert call(main, "short", "--from", "short") == 0
+    assert "short.mcap: 1 row, 3 pictures" in capsys.readouterr().out
 
 
 def test_bc_record_ends_with_3_and_names_what_was_left_out(
