@@ -62,17 +62,12 @@ def test_a_gap_is_more_than_a_second_or_time_that_goes_back() -> None:
 @pytest.mark.parametrize(
     ("values", "is_out"),
     [
-        ({"steering": 1.0}, False),
         ({"steering": -1.0}, False),
         ({"steering": 1.0001}, True),
-        ({"steering": -25.0}, True),
         ({"steering": math.nan}, True),
-        ({"steering": math.inf}, True),
         ({"throttle": 1.0}, False),
         ({"throttle": -0.1}, True),
-        ({"throttle": math.nan}, True),
         ({"brake": 1.1}, True),
-        ({"brake": 1.0}, False),
         ({"speed_mph": math.nan}, False),
         ({"speed_mph": -30.0}, False),
         ({"speed_mph": -40.0}, True),

@@ -197,7 +197,6 @@ GOOD = {
     [
         {"steering": 1.01},
         {"throttle": -2},
-        {"steering": None},
         {"steering": "0"},
         {"number": -1},
         {"device": "thought"},
