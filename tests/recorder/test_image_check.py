@@ -199,7 +199,7 @@ def test_compressed_logs_with_some_plain_chunks_are_read_in_order(tmp_path: Path
     """Writers store a chunk as it is where compression gains nothing."""
     source = write_drive(tmp_path / "a.mcap")
     mixed = tmp_path / "mixed.mcap"
-    options = {"chunk_size": 8_000, "compression": CompressionType.ZSTD}
+    options: dict[str, Any] = {"chunk_size": 8_000, "compression": CompressionType.ZSTD}
     with source.open("rb") as stream, plain_writer(mixed, "bc", **options) as writer:
         topics = CopiedTopics(writer)
         for schema, channel, message in make_reader(stream).iter_messages(log_time_order=False):
