@@ -9,7 +9,8 @@ from pathlib import Path
 from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
 from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
+
+from plain_mcap import CopiedTopics, plain_writer
 
 CHUNK_BYTES = 256 * 1024
 Found = tuple[Schema | None, Channel, Message]
@@ -31,32 +32,19 @@ def mixed(path: Path, chunk_bytes: int = CHUNK_BYTES) -> Path:
 
 def write_as_before(log: Path, path: Path, chunk_bytes: int = CHUNK_BYTES, *, with_metadata: bool = True) -> Path:
     """The messages and metadata of `log`, row by row in chunks that mix all topics, by mcap's own writer."""
-    with log.open("rb") as stream, path.open("wb") as written:
+    options = {"chunk_size": chunk_bytes, "compression": CompressionType.NONE, "enable_data_crcs": True}
+    with log.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         header = reader.get_header()
         metadata = list(reader.iter_metadata()) if with_metadata else []
-        writer = McapWriter(
-            written, chunk_size=chunk_bytes, compression=CompressionType.NONE, enable_data_crcs=True
-        )
-        writer.start(profile=header.profile, library=header.library)
-        for record in metadata[:1]:
-            writer.add_metadata(record.name, record.metadata)
-        schemas: dict[str, int] = {}
-        channels: dict[str, int] = {}
-        for schema, channel, message in _row_by_row(list(reader.iter_messages(log_time_order=False))):
-            if channel.topic not in channels:
-                assert schema is not None
-                if schema.name not in schemas:
-                    schemas[schema.name] = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.topic] = writer.register_channel(
-                    channel.topic, channel.message_encoding, schemas[schema.name], channel.metadata
-                )
-            writer.add_message(
-                channels[channel.topic], message.log_time, message.data, message.publish_time, message.sequence
-            )
-        for record in metadata[1:]:
-            writer.add_metadata(record.name, record.metadata)
-        writer.finish()  # type: ignore[no-untyped-call]
+        with plain_writer(path, header.profile, header.library, **options) as writer:
+            for record in metadata[:1]:
+                writer.add_metadata(record.name, record.metadata)
+            topics = CopiedTopics(writer)
+            for message in _row_by_row(list(reader.iter_messages(log_time_order=False))):
+                topics.add(*message)
+            for record in metadata[1:]:
+                writer.add_metadata(record.name, record.metadata)
     return path
 
 

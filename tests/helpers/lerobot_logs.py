@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from common.car import CAMERAS, Camera
 from recorder import LogWriter
@@ -35,6 +36,12 @@ def jpeg(camera: Camera, row: int, size: tuple[int, int] = (64, 32)) -> bytes:
     ok, encoded = cv2.imencode(".jpg", picture)
     assert ok
     return encoded.tobytes()
+
+
+def decoded(picture: bytes) -> NDArray[np.float64]:
+    image = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    return image.astype(np.float64)
 
 
 def write_drives(

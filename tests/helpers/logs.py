@@ -12,9 +12,10 @@ from mcap.records import Message
 from mcap_protobuf.decoder import DecoderFactory
 
 from common.car import CAMERAS, Camera
-from recorder import LogWriter
+from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.session_car import Car, metadata_of
+from recorder.log.tags import read_tags
 
 START_NS = 1_720_880_000_000_000_000
 STEP_NS = 100_000_000
@@ -61,6 +62,19 @@ def read_messages(path: Path) -> dict[str, list[tuple[Message, Any]]]:
         for _, channel, message, decoded in reader.iter_decoded_messages(log_time_order=False):
             found[channel.topic].append((message, decoded))
     return dict(found)
+
+
+def tags_of(path: Path) -> list[tuple[int, int, str]]:
+    with Log(path) as log:
+        return [(tag.first_row, tag.last_row, tag.name) for tag in read_tags(path, log.fingerprint)]
+
+
+def flip_bit(path: Path, *positions: int) -> None:
+    """Damage these bytes of a file; below 0, they count from its end."""
+    data = bytearray(path.read_bytes())
+    for position in positions:
+        data[position] ^= 1
+    path.write_bytes(data)
 
 
 def plain_read(path: Path, offset: int, length: int) -> bytes:

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from google.protobuf.message import Message
-from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from plain_mcap import plain_writer
 from recorder.sources.settings import Topics
 from udacity import jpeg
 
@@ -38,9 +38,7 @@ def image(picture: bytes) -> CompressedImage:
 
 def write_mcap(path: Path, told: Iterable[Told], **options: Any) -> Path:
     """A file as another program would write it: protobuf messages, and dictionaries or bytes as JSON."""
-    with path.open("wb") as stream:
-        writer = McapWriter(stream, **options)
-        writer.start(profile="other", library="other 1.0")
+    with plain_writer(path, profile="other", library="other 1.0", **options) as writer:
         channels: dict[str, int] = {}
         for topic, time_s, content in told:
             if topic not in channels:
@@ -59,7 +57,6 @@ def write_mcap(path: Path, told: Iterable[Told], **options: Any) -> Path:
             )
             time_ns = START_NS + round(time_s * S)
             writer.add_message(channels[topic], time_ns, data, time_ns)
-        writer.finish()  # type: ignore[no-untyped-call]
     return path
 
 

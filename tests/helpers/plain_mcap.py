@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata, Schema
@@ -110,6 +111,42 @@ def _chunk_start(chunk: Chunk) -> bytes:
     return b"\x06" + length.to_bytes(8, "little") + chunk.message_start_time.to_bytes(8, "little")
 
 
+@contextmanager
+def plain_writer(path: Path, profile: str = "", library: str = "", **options: Any) -> Iterator[McapWriter]:
+    """mcap's own writer of a new file, which is finished at the end."""
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, **options)
+        writer.start(profile, library)
+        yield writer
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+class CopiedTopics:
+    """Adds messages of other logs to one, and each of their topics once."""
+
+    def __init__(self, writer: McapWriter) -> None:
+        self._writer = writer
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+
+    def channel(self, schema: Schema | None, channel: Channel) -> int:
+        """The number of a topic in the new log."""
+        if channel.topic not in self._channels:
+            assert schema is not None
+            if schema.name not in self._schemas:
+                self._schemas[schema.name] = self._writer.register_schema(
+                    schema.name, schema.encoding, schema.data
+                )
+            self._channels[channel.topic] = self._writer.register_channel(
+                channel.topic, channel.message_encoding, self._schemas[schema.name], channel.metadata
+            )
+        return self._channels[channel.topic]
+
+    def add(self, schema: Schema | None, channel: Channel, message: Message) -> None:
+        number = self.channel(schema, channel)
+        self._writer.add_message(number, message.log_time, message.data, message.publish_time, message.sequence)
+
+
 def write_plain(
     path: Path,
     compression: CompressionType,
@@ -121,16 +158,8 @@ def write_plain(
     enable_crcs: bool = True,
 ) -> Path:
     """A log of centre pictures and vehicle states, written by mcap alone."""
-    with path.open("wb") as stream:
-        writer = McapWriter(
-            stream,
-            chunk_size=chunk_bytes,
-            compression=compression,
-            use_chunking=use_chunking,
-            enable_crcs=enable_crcs,
-            enable_data_crcs=enable_crcs,
-        )
-        writer.start()
+    options: dict[str, Any] = {"chunk_size": chunk_bytes, "compression": compression, "use_chunking": use_chunking}
+    with plain_writer(path, enable_crcs=enable_crcs, enable_data_crcs=enable_crcs, **options) as writer:
         image = writer.register_channel("/camera/center", "protobuf", register_schema(writer, CompressedImage))
         state = writer.register_channel("/vehicle", "protobuf", register_schema(writer, VehicleState))
         for row in rows:
@@ -139,5 +168,4 @@ def write_plain(
             message = CompressedImage(data=data, format="jpeg").SerializeToString()
             writer.add_message(image, time_ns, message, time_ns, row)
             writer.add_message(state, time_ns, VehicleState(steering=row / 10).SerializeToString(), time_ns, row)
-        writer.finish()  # type: ignore[no-untyped-call]
     return path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from common.car import CAMERAS, Camera
 
 
+@cache
 def jpeg(level: int, number: int = 0) -> bytes:
     """A 320x160 picture of one grey level with a number written on it."""
     picture = np.full((160, 320, 3), level, np.uint8)
@@ -33,6 +35,11 @@ def scene(camera: Camera, row: int) -> bytes:
     """A 320x160 picture of its own for every camera and row: coloured patches without symmetry."""
     random = np.random.default_rng((row, CAMERAS.index(camera)))
     return encode(cv2.resize(random.integers(0, 256, (6, 9, 3), dtype=np.uint8), (320, 160)))
+
+
+def picture(camera: Camera, row: int) -> bytes:
+    """A picture of its own for every frame."""
+    return jpeg(60 + row, 10 * row + len(camera))
 
 
 def picture_name(camera: Camera, number: int) -> str:

@@ -58,13 +58,6 @@ def test_what_was_driven_backwards_is_found_without_a_sign_of_speed() -> None:
     assert (found != truth).sum() <= 3  # where it stands
 
 
-def test_a_speed_with_a_sign_says_it() -> None:
-    driven = pedals("lake", THERE_AND_BACK)
-    states = driven.states
-    states.speed_mph[:] = driven.speed_mph
-    assert (row_flags(states)["backwards"] == (states.speed_mph < -0.5)).all()
-
-
 @pytest.mark.parametrize("track", ["lake", "mountain", "random:1"])
 def test_nothing_of_a_fast_expert_is_odd(track: str) -> None:
     road = load_track(track)

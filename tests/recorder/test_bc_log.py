@@ -13,28 +13,19 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from mcap.writer import Writer as McapWriter
 
-from common.car import Camera
-from common.location import Location, Url
+from common.location import Location
 from disk import files_of_at_most
 from driving import PATIENCE_S, command, environment, run
-from layouts import Layout, mixed, two_kinds
-from logs import START_NS, STEP_NS, read_messages, write_log
+from logs import START_NS, STEP_NS, flip_bit, read_messages, write_log
 from places import Place
-from plain_mcap import contents
+from plain_mcap import contents, plain_writer
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log_cli import main
 from recorder.upkeep.check import check, is_whole
 from recorder.upkeep.check_contents import Finding
-from udacity import call, jpeg
-
-LAYOUTS = pytest.mark.parametrize("layout", [two_kinds, mixed])
-
-
-def picture(camera: Camera, row: int) -> bytes:
-    return jpeg(60 + row, 10 * row + len(camera))
+from udacity import call, jpeg, picture
 
 
 def log_with(path: Path, rows: list[tuple[float, float, float, bytes | None]]) -> Path:
@@ -63,7 +54,7 @@ def test_nothing_is_wrong_with_a_sound_log(
     assert capsys.readouterr().out == f"{place(path)}: 12 messages, 9 pictures decoded: nothing wrong\n"
 
 
-def test_what_the_rows_and_pictures_have_wrong_is_found(tmp_path: Path, place: Place) -> None:
+def test_what_the_rows_and_pictures_have_wrong_is_found(tmp_path: Path) -> None:
     good = [jpeg(40 + row, row + 1) for row in range(120)]
     rows: list[tuple[float, float, float, bytes | None]] = [
         (row / 10, row / 200, 9.0, good[row]) for row in range(120)
@@ -77,7 +68,7 @@ def test_what_the_rows_and_pictures_have_wrong_is_found(tmp_path: Path, place: P
     rows[100] = (10.0, 0.5, 9.0, b"\xff\xd8\xffno picture\xff\xd9")
     rows[110:] = [(at_s + 5, *rest) for at_s, *rest in rows[110:]]  # type: ignore[misc]
     path = log_with(tmp_path / "a.mcap", rows)
-    assert sorted(found_in(place(path))) == [
+    assert sorted(found_in(path)) == [
         ("gaps in time", "before row 110"),
         ("pictures that do not decode", "/camera/center row 100"),
         ("stretches of frozen pictures", "/camera/center rows 20 to 22"),
@@ -85,22 +76,17 @@ def test_what_the_rows_and_pictures_have_wrong_is_found(tmp_path: Path, place: P
         ("stretches of stuck steering", "rows 50 to 89"),
         ("stretches of values out of range", "row 30"),
     ]
-    assert ("pictures that do not decode", "/camera/center row 100") not in found_in(place(path), look=False)
+    assert ("pictures that do not decode", "/camera/center row 100") not in found_in(path, look=False)
 
 
-def test_a_standing_car_may_see_the_same_and_steer_the_same(tmp_path: Path) -> None:
-    rows: list[tuple[float, float, float, bytes | None]] = [(row / 10, 0.3, 0.0, jpeg(50)) for row in range(60)]
-    assert found_in(log_with(tmp_path / "a.mcap", rows)) == []
-
-
-def test_pictures_without_a_row_and_rows_out_of_order_are_found(tmp_path: Path, place: Place) -> None:
+def test_pictures_without_a_row_and_rows_out_of_order_are_found(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with LogWriter(path, {"source": "test"}) as writer:
         for row in (0, 3, 2, 1):  # pictures may come in any order, rows may not
             writer.picture("center", START_NS + row * STEP_NS, row, jpeg(50 + row))
             if row != 1:
                 writer.vehicle(START_NS + row * STEP_NS, row, VehicleState(speed_mph=9))
-    assert sorted(found_in(place(path))) == [
+    assert sorted(found_in(path)) == [
         ("gaps in time", "before row 2"),
         ("rows out of order", "/vehicle row 2"),
         ("stretches of pictures without a row", "/camera/center row 1"),
@@ -177,15 +163,13 @@ def test_info_tells_what_is_in_a_log(tmp_path: Path, place: Place, capsys: pytes
     }
 
 
-def test_info_tells_gaps_odd_rows_and_tags(
-    tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_tells_gaps_odd_rows_and_tags(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows: list[tuple[float, float, float, bytes | None]] = [(row / 10, 0.1, 9.0, jpeg(50)) for row in range(10)]
     rows += [(30 + row / 10, 0.1, 0.0, jpeg(50)) for row in range(10)]
     path = log_with(tmp_path / "a.mcap", rows)
     assert call(main, "tag", path, "recovery", "--rows", 3, 5) == 0
     capsys.readouterr()
-    told = info_of(place(path), capsys)
+    told = info_of(path, capsys)
     assert told["drives"] == 2
     assert {flag: count for flag, count in told["flags"].items() if count} == {"gap": 1, "standing_still": 10}
     assert told["odd"] == []
@@ -194,7 +178,7 @@ def test_info_tells_gaps_odd_rows_and_tags(
         ("standing_still", 10, 19, 30.0, 30.9),
     }
     assert told["tags"] == [{"first_row": 3, "last_row": 5, "name": "recovery"}]
-    assert call(main, "info", place(path)) == 0
+    assert call(main, "info", path) == 0
     printed = capsys.readouterr().out
     assert "2 drives" in printed
     assert "tag recovery: rows 3 to 5" in printed
@@ -204,13 +188,10 @@ def test_info_of_very_many_topics_and_settings_shows_the_first(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = tmp_path / "many.mcap"
-    with log.open("wb") as stream:
-        writer = McapWriter(stream)
-        writer.start("", "somebody")
+    with plain_writer(log, "", "somebody") as writer:
         for number in range(300):
             writer.register_channel(f"/topic_{number:03d}", "json", 0)
         writer.add_metadata("bc.session", {f"setting_{number:04d}": "x" for number in range(1300)})
-        writer.finish()  # type: ignore[no-untyped-call]
     assert call(main, "info", log) == 0
     output = capsys.readouterr().out
     assert (output.count("/topic_"), output.count("setting_")) == (200, 200)
@@ -233,16 +214,11 @@ def test_info_reads_only_the_end_of_a_finished_log(
     assert info_of(place(path), capsys) == before
 
 
-@LAYOUTS
 def test_info_of_an_unfinished_log_says_so(
-    tmp_path: Path,
-    place: Place,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    layout: Layout,
+    tmp_path: Path, place: Place, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 1000)
-    path = layout(write_log(tmp_path / "a.mcap", [0.1] * 40, lambda camera, row: bytes(20_000)))
+    path = write_log(tmp_path / "a.mcap", [0.1] * 40, lambda camera, row: bytes(20_000))
     os.truncate(path, path.stat().st_size // 2)
     assert call(main, "info", place(path)) == 3
     said = capsys.readouterr()
@@ -294,7 +270,6 @@ def test_tags_are_given_listed_and_removed(
 )
 def test_what_cannot_be_done_says_why(
     tmp_path: Path,
-    place: Place,
     line: list[object],
     says: str,
     capsys: pytest.CaptureFixture[str],
@@ -303,9 +278,7 @@ def test_what_cannot_be_done_says_why(
     monkeypatch.chdir(tmp_path)
     path = write_log(tmp_path / "a.mcap", [0.1] * 50)
     before = path.read_bytes()
-    assert call(main, *(place(path) if word == "LOG" else word for word in line)) == 1
-    if line[0] in ("trim", "split") and isinstance(place(path), Url):
-        says = "must be on this machine: run `bc-log copy"
+    assert call(main, *(path if word == "LOG" else word for word in line)) == 1
     assert says in capsys.readouterr().err
     assert path.read_bytes() == before
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
@@ -318,7 +291,6 @@ def test_what_cannot_be_done_says_why(
         (["tag", "LOG", "x"], "which rows?"),
         (["tag", "LOG", "--rows", 1, 2], "give the name"),
         (["tag", "LOG", "x", "--rows", 1, 2, "--end", 3], "either --rows, or"),
-        (["tag", "LOG", "x", "--start", 2, "--end", 1], "--start 2 --end 1: "),
         (["trim", "LOG", "--to", "new", "--end", 3], "new.mcap"),
         (["trim", "LOG", "--to", "new.mcap", "--rows", 5, 3], "--rows 5 3: "),
         (["trim", "LOG", "--to", "new.mcap", "--start", "nan"], "--start nan "),
@@ -362,7 +334,7 @@ def test_trim_merge_split_and_recover_write_new_logs(tmp_path: Path, capsys: pyt
     assert call(main, "recover", tmp_path / "k.mcap.0a1b2c.part") == 0
     assert "k.mcap: 50 rows, 200 messages" in capsys.readouterr().out
     assert call(main, "recover", tmp_path / "k.mcap.0a1b2c.part") == 0  # that name is taken now
-    assert {each.name for each in tmp_path.glob("k.*mcap")} == {"k.mcap", "k.recovered.mcap"}
+    assert {log.name for log in tmp_path.glob("k.*mcap")} == {"k.mcap", "k.recovered.mcap"}
 
 
 def test_a_whole_log_is_not_recovered_but_copied_if_that_is_asked_for(
@@ -377,21 +349,16 @@ def test_a_whole_log_is_not_recovered_but_copied_if_that_is_asked_for(
     assert read_messages(tmp_path / "b.mcap").keys() == read_messages(path).keys()
 
 
-@LAYOUTS
-@pytest.mark.parametrize("what", ["chunk", "index", "summary", "metadata"])
+@pytest.mark.parametrize(("damaged", "code"), [("chunk", 3), ("index", 0), ("summary", 0), ("metadata", 3)])
 def test_what_is_not_whole_in_every_byte_is_recovered(
-    tmp_path: Path, layout: Layout, what: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, damaged: str, code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = layout(write_log(tmp_path / "a.mcap", [0.1] * 5))
-    data = bytearray(path.read_bytes())
-    chunk = contents(path).chunks[0]
-    place = {"chunk": chunk.end - 1, "index": chunk.end + 20, "summary": -60, "metadata": data.index(b"toolkit")}
-    data[place[what]] ^= 1
-    path.write_bytes(data)
-    is_all = what == "chunk" and layout is mixed  # else there are the rows
-    code = 1 if is_all else 3 if what in ("chunk", "metadata") else 0  # what nobody can tell the truth of
+    path = write_log(tmp_path / "a.mcap", [0.1] * 5)
+    end, metadata = contents(path).chunks[0].end, path.read_bytes().index(b"toolkit")
+    places = {"chunk": end - 1, "index": end + 20, "summary": -60, "metadata": metadata}
+    flip_bit(path, places[damaged])
     assert call(main, "recover", path) == code
-    assert (tmp_path / "a.recovered.mcap").exists() is not is_all
+    assert (tmp_path / "a.recovered.mcap").exists()
     assert "complete, nothing to recover" not in capsys.readouterr().out
 
 
@@ -485,12 +452,9 @@ def test_one_is_not_said_as_many(tmp_path: Path, capsys: pytest.CaptureFixture[s
         assert not re.search(r"\b1 (drives|rows|messages|pictures|findings)\b", capsys.readouterr().out)
 
 
-# What a review found
-
-
-def test_a_log_without_any_picture_is_found(tmp_path: Path, place: Place) -> None:
+def test_a_log_without_any_picture_is_found(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1] * 5, cameras=())
-    assert found_in(place(path)) == [("stretches of rows without a picture", "/camera/center rows 0 to 4")]
+    assert found_in(path) == [("stretches of rows without a picture", "/camera/center rows 0 to 4")]
 
 
 def test_one_log_that_cannot_be_read_does_not_hide_the_others(
@@ -519,14 +483,11 @@ def test_merged_drives_have_the_rate_at_which_they_were_driven(
 
 def test_what_another_program_wrote_moves_no_cursor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / ":car:.mcap"
-    with path.open("wb") as stream:
-        writer = McapWriter(stream)
-        writer.start()
+    with plain_writer(path) as writer:
         writer.add_metadata("bc.session", {"driver": "x\x1b[2J\x1b]0;y\x07", "[red]": "a\nb"})
         schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", b"{}")
         channel = writer.register_channel("/camera/center", "json", schema)
         writer.add_message(channel, 5, b'{"data": ""}', 5)
-        writer.finish()  # type: ignore[no-untyped-call]
     assert call(main, "info", path) == 0
     out = capsys.readouterr().out
     assert "\x1b" not in out
@@ -538,9 +499,7 @@ def test_what_another_program_wrote_moves_no_cursor(tmp_path: Path, capsys: pyte
     assert found_in(path) == []
 
 
-@pytest.mark.parametrize(
-    "stretches", ["[1", "[[1]]", '[["gap", 1, 2, NaN, Infinity]]', '[["gap", 1e400, 2, 0, 1]]', "{}"]
-)
+@pytest.mark.parametrize("stretches", ["[1", '[["gap", 1, 2, NaN, Infinity]]', '[["gap", 1e400, 2, 0, 1]]', "{}"])
 def test_info_is_valid_json_whatever_a_log_says_of_itself(
     tmp_path: Path, stretches: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -560,7 +519,7 @@ def test_info_is_valid_json_whatever_a_log_says_of_itself(
 def test_names_of_any_file_system_can_be_printed(tmp_path: Path) -> None:
     path = tmp_path / os.fsdecode(b"caf\xe9.mcap")
     write_log(path, [0.1] * 5, picture)
-    for line in (["info", path], ["check", path], ["trim", path, "--to", tmp_path / "b.mcap", "--end", 0.2]):
+    for line in (["info", path], ["trim", path, "--to", tmp_path / "b.mcap", "--end", 0.2]):
         done = run("bc-log", *line)
         assert done.returncode == 0, done.stderr
         assert "Traceback" not in done.stderr

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -12,19 +13,18 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 
-from common.car import CAMERAS, Camera
+from common.car import CAMERAS
 from dataset.cli import main as bc_index
 from dataset.loader.log_crops import LogCrops
 from drive.evaluation.eval_cli import main as bc_eval
-from driving import run, untrained_run
+from driving import untrained_run
 from layouts import mixed
 from logs import START_NS, STEP_NS, write_log
 from model.cli import main as bc_train
 from other_logs import CAMERA, DRIVE, PICTURES, TOPICS, write_mcap
-from plain_mcap import by_topic, contents, write_plain
+from plain_mcap import by_topic, contents, plain_writer, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.cli import main as bc_record
@@ -34,16 +34,12 @@ from recorder.upkeep.check import check, is_whole
 from recorder.upkeep.edit import merge, split, trim, trim_times
 from recorder.upkeep.log_info import describe
 from recorder.upkeep.recover import recover
-from udacity import call, jpeg
+from udacity import call, jpeg, picture
 from viz.cli import main as bc_play
 
 DATA_END = 0x0F
 CRC_AT = 33  # within a chunk: opcode, length, two times, size, CRC
 WITHOUT = "written without CRCs: damage to it cannot be noticed"
-
-
-def picture(camera: Camera, row: int) -> bytes:
-    return jpeg(60 + row, row + 1)
 
 
 def without_crc(path: Path, number: int) -> Path:
@@ -78,26 +74,32 @@ DAMAGED = {"mixed": 3, "pictures": 3, "rows": -1}
 """What is in the damaged chunk, and which one it is."""
 
 
-@pytest.fixture(params=DAMAGED)
+@pytest.fixture(scope="module", params=DAMAGED)
 def damaged(request: pytest.FixtureRequest) -> str:
     kind: str = request.param
     return kind
 
 
-@pytest.fixture
-def forged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damaged: str) -> Path:
-    """Forty rows in chunks of a few pictures, or of all rows; one of them has no CRC, and a wrong bit."""
-    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 20_000)
-    path = forty_rows(tmp_path / "a.mcap")
-    if damaged == "mixed":
-        mixed(path, 20_000)
-    path = without_crc(path, DAMAGED[damaged])
-    return path
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory, damaged: str) -> Path:
+    """Forty rows in chunks of a few pictures, or of all rows."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 20_000)
+        path = forty_rows(tmp_path_factory.mktemp("whole") / "a.mcap")
+        return mixed(path, 20_000) if damaged == "mixed" else path
 
 
-def asked(path: Path, what: Callable[[Log], object]) -> None:
+@pytest.fixture(scope="module")
+def forged(tmp_path_factory: pytest.TempPathFactory, whole: Path, damaged: str) -> Path:
+    """The same; a chunk has no CRC, and a wrong bit. Tests only read it."""
+    path = tmp_path_factory.mktemp("forged") / "a.mcap"
+    shutil.copy(whole, path)
+    return without_crc(path, DAMAGED[damaged])
+
+
+def asked(path: Path, read: Callable[[Log], object]) -> None:
     with Log(path) as log:
-        what(log)
+        read(log)
 
 
 def every_picture(log: Log) -> None:
@@ -149,7 +151,7 @@ READS_ROWS: dict[str, Reader] = {
 def test_no_reader_believes_a_chunk_without_its_crc(forged: Path, tmp_path: Path, reader: Reader) -> None:
     with pytest.raises(LogError, match=r"a\.mcap: damaged: .*CRC.*bc-log recover"):
         reader(forged, tmp_path / "new.mcap")
-    assert list(tmp_path.iterdir()) == [forged]
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("reader", READS_ROWS.values(), ids=READS_ROWS)
@@ -160,16 +162,6 @@ def test_whoever_wants_no_picture_reads_none(forged: Path, damaged: str, reader:
         return
     with pytest.raises(LogError, match=r"a\.mcap: damaged: .*CRC.*bc-log recover"):
         reader(forged, forged)
-
-
-def test_a_picture_is_not_read_out_of_such_a_chunk(tmp_path: Path) -> None:
-    """Not even where its place is known from before, as an index keeps it."""
-    path = write_log(tmp_path / "a.mcap", [0.1] * 5, picture)
-    with Log(path) as log:
-        frame = log.frames().to_pylist()[0]
-    without_crc(path, 0)
-    with Log(path) as log, pytest.raises(LogError, match="CRC"):
-        log.read(frame["offset"], frame["length"], frame["chunk"])
 
 
 def test_the_commands_say_so(
@@ -197,18 +189,17 @@ def test_the_commands_say_so(
         assert call(bc_index, forged, "--index", index) == 1
         assert "a.mcap: damaged" in capsys.readouterr().err
         assert not (index / "samples.parquet").exists()
-        done = run("bc-play", forged, "--save", tmp_path / "a.rrd")
-        assert (done.returncode, "a.mcap: damaged" in done.stderr) == (1, True)
+        assert call(bc_play, forged, "--save", tmp_path / "a.rrd") == 1
+        assert "a.mcap: damaged" in capsys.readouterr().err
         assert not (tmp_path / "a.rrd").exists()
     assert ("damaged chunks", f"bytes {start:,} to {end:,}") in check(forged).findings
 
 
-def test_recovering_gives_it_no_new_crc(forged: Path, damaged: str, tmp_path: Path) -> None:
+def test_recovering_gives_it_no_new_crc(whole: Path, forged: Path, damaged: str, tmp_path: Path) -> None:
     start, end = place_of_chunk(forged, DAMAGED[damaged])
     written = recover(forged, tmp_path / "b.mcap")
     assert ("damaged chunks", f"bytes {start:,} to {end:,}") in list(written.skipped)
-    whole = forty_rows(tmp_path / "whole.mcap")
-    recorded = contents(mixed(whole, 20_000) if damaged == "mixed" else whole)
+    recorded = contents(whole)
     hit = recorded.chunks[DAMAGED[damaged]].messages
     # nothing of a row whose state was in the hole
     lost = {message.sequence for message in hit if message.topic == VEHICLE} if damaged == "mixed" else set()
@@ -216,9 +207,9 @@ def test_recovering_gives_it_no_new_crc(forged: Path, damaged: str, tmp_path: Pa
     assert contents(written.path).by_topic == by_topic(kept)
 
 
-def test_a_killed_recording_is_read_without_it(forged: Path, damaged: str) -> None:
+def test_a_killed_recording_is_read_without_it(forged: Path, damaged: str, tmp_path: Path) -> None:
     start, end = place_of_chunk(forged, DAMAGED[damaged])
-    part = forged.with_name("a.mcap.0a1b2c.part")
+    part = tmp_path / "a.mcap.0a1b2c.part"
     part.write_bytes(forged.read_bytes()[: place_of_chunk(forged, -1)[1]])
     with Log(part) as log:
         assert start not in [chunk.start for chunk in log.chunks]
@@ -271,9 +262,9 @@ def test_the_data_section_has_one_too(tmp_path: Path) -> None:
 def test_the_earliest_logs_of_ours_had_none_of_the_data_section(tmp_path: Path) -> None:
     """They have the version number of later ones, but no bc.quality, which came with that CRC."""
     path = tmp_path / "a.mcap"
-    with path.open("wb") as stream:
-        writer = McapWriter(stream, compression=CompressionType.NONE)
-        writer.start(profile="bc", library="behavioural-cloning-toolkit 0.1.0")
+    with plain_writer(
+        path, profile="bc", library="behavioural-cloning-toolkit 0.1.0", compression=CompressionType.NONE
+    ) as writer:
         writer.add_metadata("bc.session", {"source": "test", "toolkit": "0.1.0"})
         image = writer.register_channel("/camera/center", "protobuf", register_schema(writer, CompressedImage))
         state = writer.register_channel("/vehicle", "protobuf", register_schema(writer, VehicleState))
@@ -282,7 +273,6 @@ def test_the_earliest_logs_of_ours_had_none_of_the_data_section(tmp_path: Path) 
             writer.add_message(image, row * 10**8, message, row * 10**8, row)
             data = VehicleState(steering=row / 10, throttle=0.5).SerializeToString()
             writer.add_message(state, row * 10**8, data, row * 10**8, row)
-        writer.finish()  # type: ignore[no-untyped-call]
     assert check(path).findings == []
     assert is_whole(path)
 

@@ -12,9 +12,8 @@ from rosbags.rosbag2 import StoragePlugin
 from driving import one_line_in
 from logs import read_messages
 from other_logs import DRIVE, write_bag, write_mcap
-from recorder import Log, RecordingError, import_udacity
+from recorder import RecordingError, import_udacity
 from recorder.cli import main
-from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.recording_kinds import import_recording
 from recorder.sources.settings import Topics
 from tubs import record_2, write_tub_2
@@ -140,40 +139,10 @@ def test_what_cannot_be_followed_is_refused(home: Path, capsys: pytest.CaptureFi
     assert "--watch follows folders of the Udacity simulator" in capsys.readouterr().err
 
 
-# Catalogues that a tub's manifest does not name
-
-
-def without_its_last_catalogue(folder: Path) -> Path:
-    """The manifest was not brought to the disk when the car lost its power."""
-    manifest = write_tub_2(folder, map(record_2, range(5)), pictures=range(5), deleted=[1]) / "manifest.json"
-    manifest.write_text(manifest.read_text().replace(', "catalog_1.catalog"', ""))
-    return folder
-
-
-def steerings(log: Path) -> list[float]:
-    return [state.steering for _, state in read_messages(log)["/vehicle"]]
-
-
-def test_catalogues_that_the_manifest_omits_are_taken_without_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    folder = without_its_last_catalogue(tmp_path / "data")
-    assert call(main, "few", "--from", folder) == 3
-    assert "(without manifest.json, all are read): 1 (catalog_1.catalog)" in capsys.readouterr().err
-    assert steerings(tmp_path / "sessions" / "few.mcap") == [-1.0, 0.25]
-    (folder / "manifest.json").unlink()
-    call(main, "all", "--from", folder)
-    assert "catalog_1" not in capsys.readouterr().err
-    assert steerings(tmp_path / "sessions" / "all.mcap") == [-1.0, 0.0, 0.25, 1.0, -1.0]
-
-
 def test_a_tub_without_any_manifest_is_still_one(tmp_path: Path) -> None:
-    folder = without_its_last_catalogue(tmp_path / "data")
+    folder = write_tub_2(tmp_path / "data", map(record_2, range(5)), pictures=range(5), deleted=[1])
     (folder / "manifest.json").unlink()
     done = import_recording(folder, tmp_path / "log.mcap")
-    assert steerings(done.path) == [-1.0, 0.0, 0.25, 1.0, -1.0]
+    states = [state.steering for _, state in read_messages(done.path)["/vehicle"]]
+    assert states == [-1.0, 0.0, 0.25, 1.0, -1.0]
     assert done.skipped.counts == {"lists of deleted records that cannot be read": 1}
-    assert import_tub(folder, tmp_path / "again.mcap").rows == 5
-    with Log(done.path) as log:
-        assert log.metadata["clock"] == "recorded"

@@ -1,4 +1,6 @@
-"""A disk that fills up while a recording is made, or Ctrl-C: the file is named, and no half recording stays."""
+"""A disk that fills up while a recording is made, or Ctrl-C: the file is named, and no half recording stays.
+A log that exists stays, too.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +15,18 @@ from rosbags.rosbag2 import StoragePlugin
 from common import UserError
 from disk import files_of_at_most
 from driving import PATIENCE_S, Process, command
+from lerobot_folders import as_image, image_feature, numbers_feature, write_dataset
+from logs import read_messages
 from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
 from recorder import import_udacity
 from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.import_donkeycar import import_tub
+from recorder.sources.import_lerobot import import_lerobot
 from recorder.sources.import_mcap import import_mcap
 from recorder.sources.settings import SimulatedDrive
 from recorder.sources.udacity_follow import watch_udacity
 from tubs import record_2, write_tub_2
-from udacity import make_recording, paths
+from udacity import jpeg, make_recording, paths
 
 LIMIT_BYTES = 2_000  # less than a picture has
 SHORT_DRIVE = SimulatedDrive(laps=0.005)
@@ -44,19 +49,43 @@ def bag(folder: Path) -> Path:
     return write_bag(folder, StoragePlugin.SQLITE3)
 
 
-@pytest.mark.parametrize(
+def dataset(folder: Path) -> Path:
+    pictures = [as_image(jpeg(100 + row, row + 1)) for row in range(4)]
+    features = {"observation.images.front": image_feature(), "action": numbers_feature(["steering"], 1)}
+    return write_dataset(folder, features, {"observation.images.front": pictures, "action": [0.5] * 4}, [4])
+
+
+each_kind = pytest.mark.parametrize(
     ("make", "record"),
     [
         (recording, import_udacity),
         (tub, import_tub),
-        (mcap, lambda source, log: import_mcap(source, log, TOPICS)),
-        (bag, lambda source, log: import_mcap(source, log, ROS_TOPICS)),
-        (recording, lambda _, log: record_simulated(SHORT_DRIVE, log)),
+        (mcap, lambda source, log, **force: import_mcap(source, log, TOPICS, **force)),
+        (bag, lambda source, log, **force: import_mcap(source, log, ROS_TOPICS, **force)),
+        (dataset, import_lerobot),
+        (recording, lambda _, log, **force: record_simulated(SHORT_DRIVE, log, **force)),
     ],
-    ids=["Udacity", "tub", "mcap", "bag", "built-in"],
+    ids=["Udacity", "tub", "mcap", "bag", "LeRobot", "built-in"],
 )
+
+
+@each_kind
+def test_an_existing_log_is_replaced_only_if_asked(
+    tmp_path: Path, make: Callable[[Path], Path], record: Callable[..., object]
+) -> None:
+    source, log = make(tmp_path / "source"), tmp_path / "log.mcap"
+    log.write_bytes(b"somebody's work")
+    with pytest.raises(UserError, match="--force"):
+        record(source, log)
+    assert log.read_bytes() == b"somebody's work"
+    record(source, log, overwrite=True)
+    assert read_messages(log)["/vehicle"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.mcap", "source"]
+
+
+@each_kind
 def test_nothing_of_an_import_stays(
-    tmp_path: Path, make: Callable[[Path], Path], record: Callable[[Path, Path], object]
+    tmp_path: Path, make: Callable[[Path], Path], record: Callable[..., object]
 ) -> None:
     source = make(tmp_path / "source")
     log = tmp_path / "sessions" / "log.mcap"

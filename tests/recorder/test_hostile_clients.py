@@ -6,22 +6,16 @@ import contextlib
 import gc
 import select
 import socket
-import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 import websocket
 
-from drive.config import DriveConfig
-from drive.drive_server import DriveServer
-from driving import PATIENCE_S, untrained_run
-from model import load_pilot
+from driving import PATIENCE_S
 from recorder.server import (
     connection_guard,
     engineio_connection,
@@ -37,7 +31,6 @@ from serving import (
     PollingClient,
     RawClient,
     Serving,
-    fields,
     steered,
     tell,
 )
@@ -215,43 +208,6 @@ def test_a_client_has_one_place_however_often_it_connects() -> None:
         assert book.calls == ["connected", "telemetry", "answered", "disconnected"]
 
 
-# Malformed telemetries, by everything that drives
-
-
-@contextlib.contextmanager
-def driving(log: Path, pilot_run: Path) -> Iterator[DriveServer]:
-    """bc-drive's own server, in a thread."""
-    stop = threading.Event()
-    with (
-        DriveServer(load_pilot(pilot_run, "float32"), DriveConfig(), log, port=0) as server,
-        ThreadPoolExecutor(1) as thread,
-    ):
-        running = thread.submit(server.run, stop.is_set)
-        try:
-            yield server
-        finally:
-            stop.set()
-            running.result(PATIENCE_S)
-
-
-def test_a_client_that_polls_is_driven_like_any_other(tmp_path: Path) -> None:
-    run = untrained_run(tmp_path / "run")
-    log = tmp_path / "run.mcap"
-    with driving(log, run) as server:
-        raw = RawClient(server.port)
-        raw.tell(fields(3))
-        _, expected = raw.command()
-        raw.close()
-        wait_until(lambda: not server.session.is_connected)
-        polling = PollingClient(server.port)
-        name, command = polling.tell(fields(3))
-        assert (name, command["steering_angle"]) == ("steer", expected["steering_angle"])
-        assert polling.tell("nonsense")[0] == "steer"
-        assert polling.tell(None)[0] == "manual"
-    summary = server.session.summary
-    assert (summary.frames, summary.malformed) == (2, 1)
-
-
 # Web pages of other sites, in the user's own browser
 
 
@@ -275,22 +231,9 @@ WEBSOCKET = {
 @pytest.mark.parametrize(
     ("headers", "is_let_in"),
     [
-        ({"Host": "127.0.0.1:4567"}, True),
         ({"Host": "localhost:4567"}, True),
-        ({"Host": "LocalHost.:80"}, True),
-        ({"Host": "[::1]:4567"}, True),
-        ({"Host": "127.9.9.9"}, True),
         ({}, True),
-        ({"Host": "127.0.0.1:4567", "Origin": "http://localhost:8888"}, True),
         ({"Host": "evil.example:4801", "Origin": "http://evil.example:4801"}, False),  # DNS rebinding
-        ({"Host": "evil.example:4801"}, False),
-        ({"Host": "127.0.0.1.evil.example"}, False),
-        ({"Host": "localhost@evil.example"}, False),
-        ({"Host": "192.168.0.7:4567"}, False),
-        ({"Host": ""}, False),
-        ({"Host": "[::1"}, False),
-        ({"Host": "127.0.0.1:4567", "Origin": "http://evil.example"}, False),
-        ({"Host": "127.0.0.1:4567", "Origin": "null"}, False),
         ({"Host": "127.0.0.1:4567", "Origin": "http://evil.example", "X_Forwarded_Host": "evil.example"}, False),
     ],
 )
@@ -330,6 +273,17 @@ def test_names_that_are_tried_one_after_the_other_are_one_line() -> None:
         ("192.168.0.7", "192.168.0.8:4567", None, False),
         ("car.example.org", "car.example.org:4567", "http://car.example.org", True),
         ("car.example.org", "mybox", None, False),
+        ("127.0.0.1", "LocalHost.:80", None, True),
+        ("127.0.0.1", "[::1]:4567", None, True),
+        ("127.0.0.1", "127.9.9.9", "http://localhost:8888", True),
+        ("127.0.0.1", "evil.example:4801", None, False),
+        ("127.0.0.1", "127.0.0.1.evil.example", None, False),
+        ("127.0.0.1", "192.168.0.7:4567", None, False),
+        ("127.0.0.1", "", None, False),
+        ("127.0.0.1", "[::1", None, False),
+        ("127.0.0.1", "127.0.0.1:4567", "http://evil.example", False),
+        ("127.0.0.1", "127.0.0.1:4567", "null", False),
+        ("127.0.0.1", "localhost@evil.example", None, False),
         ("127.0.0.1", "evil.example@127.0.0.1", None, False),
         ("127.0.0.1", "evil.example@127.0.0.1:4567", None, False),
         ("127.0.0.1", "[::1].evil.example", None, False),

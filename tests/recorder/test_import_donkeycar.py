@@ -8,25 +8,21 @@ import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common import UserError
 from logs import read_messages
 from recorder import Imported, Log, RecordingError
 from recorder.sources.donkeycar_tub import is_tub
 from recorder.sources.import_donkeycar import import_tub
-from tubs import CREATED_S, FIRST_MS, VALUES, jpeg, name_1, name_2, record_1, record_2, write_tub_1, write_tub_2
+from tubs import FIRST_MS, jpeg, name_1, name_2, record_1, record_2, write_tub_1, write_tub_2
 
 START_NS = 1_679_574_289_750_000_000
 FIRST_NS = FIRST_MS * 1_000_000
 STEP_NS = 50_000_000
 STATES = [(-1.0, 0.5, 0.0), (0.0, 0.0, 0.0), (0.25, 0.0, 0.5571428571428572), (1.0, 1.0, 0.0)]
-
-Make = Callable[[Path], Path]
 
 
 def imported(folder: Path) -> Imported:
@@ -64,16 +60,6 @@ def tub_2(folder: Path) -> Path:
 
 def tub_1(folder: Path) -> Path:
     return write_tub_1(folder, {index: record_1(index) for index in range(4)})
-
-
-both_versions = pytest.mark.parametrize(
-    ("write", "record"),
-    [
-        (lambda folder, records: write_tub_2(folder, records), record_2),
-        (lambda folder, records: write_tub_1(folder, dict(enumerate(records))), record_1),
-    ],
-    ids=["version 2", "version 1"],
-)
 
 
 def test_every_record_of_a_version_2_tub(tmp_path: Path) -> None:
@@ -133,7 +119,7 @@ def test_records_without_a_time_are_20_a_second_from_the_start(tmp_path: Path) -
         assert "start" not in metadata_of(done.path)
 
 
-@pytest.mark.parametrize("start_s", [None, math.nan, -1.0, 1e300])
+@pytest.mark.parametrize("start_s", [None, math.nan, -1.0])
 def test_a_tub_without_a_start_begins_in_1970_and_its_log_says_so(tmp_path: Path, start_s: float | None) -> None:
     done = imported(write_tub_1(tmp_path / "tub", {0: record_1(0)}, start_s=start_s))
     assert [time_ns for time_ns, *_ in frames_of(done.path)] == [100_000_000]
@@ -158,44 +144,27 @@ def test_deleted_records_are_left_out_and_named(tmp_path: Path) -> None:
         assert list(done.skipped) == [("deleted records", name) for name in expected]
 
 
-@both_versions
-@pytest.mark.parametrize("mode", ["local", "local_angle", "pilot", "local_pilot", 7])
-def test_what_the_pilot_drove_is_no_label(
-    tmp_path: Path, write: Callable[..., Path], record: Callable[..., Any], mode: object
-) -> None:
-    records = [record(0), record(1, **{"user/mode": mode, "pilot/angle": 0.75}), without(record(2), "user/mode")]
-    done = imported(write(tmp_path / "tub", records))
+@pytest.mark.parametrize("mode", ["local_angle", "pilot", 7])
+def test_what_the_pilot_drove_is_no_label(tmp_path: Path, mode: object) -> None:
+    pilot = record_2(1, **{"user/mode": mode, "pilot/angle": 0.75})
+    done = imported(write_tub_2(tmp_path / "data", [record_2(0), pilot, without(record_2(2), "user/mode")]))
     assert kept(done.path) == [0, 2]
     assert done.skipped.counts["rows driven by DonkeyCar's pilot"] == 1
 
 
-def cut_off(folder: Path) -> None:
-    for path in (folder / "images" / name_2(1), folder / name_1(1)):
-        if path.exists():
-            path.write_bytes(jpeg(1)[:-200])
-
-
-def missing(folder: Path) -> None:
-    for path in (folder / "images" / name_2(1), folder / name_1(1)):
-        path.unlink(missing_ok=True)
-
-
-def another_format(folder: Path) -> None:
-    for path in (folder / "images" / name_2(1), folder / name_1(1)):
-        if path.exists():
-            path.write_bytes(b"\x89PNG\r\n\x1a\n")
-
-
-@both_versions
-@pytest.mark.parametrize("damage", [cut_off, missing, another_format])
-def test_a_record_without_a_whole_picture_is_left_out_and_named(
-    tmp_path: Path, write: Callable[..., Path], record: Callable[..., Any], damage: Callable[[Path], None]
-) -> None:
-    folder = write(tmp_path / "tub", [record(index) for index in range(4)])
-    damage(folder)
-    done = imported(folder)
-    assert kept(done.path) == [0, 2, 3]
-    assert [name for _, name in done.skipped] in (["catalog_0.catalog line 2"], ["record_1.json"])
+@pytest.mark.parametrize(
+    "data", [jpeg(1)[:-200], b"\x89PNG\r\n\x1a\n", None], ids=["cut off", "another format", "missing"]
+)
+def test_a_record_without_a_whole_picture_is_left_out_and_named(tmp_path: Path, data: bytes | None) -> None:
+    old, new = tub_1(tmp_path / "old"), tub_2(tmp_path / "new")
+    places = [(old, name_1(1), "record_1.json"), (new, f"images/{name_2(1)}", "catalog_0.catalog line 2")]
+    for folder, picture, record in places:
+        (folder / picture).unlink()
+        if data is not None:
+            (folder / picture).write_bytes(data)
+        done = import_tub(folder, folder / "imported.mcap")
+        assert kept(done.path) == [0, 2, 3]
+        assert [name for _, name in done.skipped] == [record]
 
 
 def test_a_picture_without_a_record_is_named(tmp_path: Path) -> None:
@@ -211,23 +180,20 @@ def test_a_picture_that_two_records_name_is_taken_once(tmp_path: Path) -> None:
 
 
 HUGE = "1" + "0" * 400
-NOT_NUMBERS = ["NaN", "Infinity", "-Infinity", HUGE, "1e999", '"0.5"', "true", "null", "[0]", "{}"]
+NOT_NUMBERS = ["NaN", HUGE, "1e999", '"0.5"', "true", "null"]
 
 
-@both_versions
 @pytest.mark.parametrize("field", ["user/angle", "user/throttle"])
 @pytest.mark.parametrize("text", NOT_NUMBERS)
-def test_a_value_that_is_no_finite_number_costs_its_record_only(
-    tmp_path: Path, write: Callable[..., Path], record: Callable[..., Any], field: str, text: str
-) -> None:
-    broken = json.dumps(record(1, **{field: "HERE"})).replace('"HERE"', text).encode() + b"\r\n"
-    done = imported(write(tmp_path / "tub", [record(0), broken, record(2), record(3)]))
+def test_a_value_that_is_no_finite_number_costs_its_record_only(tmp_path: Path, field: str, text: str) -> None:
+    broken = json.dumps(record_2(1, **{field: "HERE"})).replace('"HERE"', text).encode() + b"\r\n"
+    done = imported(write_tub_2(tmp_path / "data", [record_2(0), broken, record_2(2), record_2(3)]))
     assert kept(done.path) == [0, 2, 3]
     ((reason, _),) = done.skipped
     assert field in reason
 
 
-@pytest.mark.parametrize("text", [*NOT_NUMBERS, "-1", "9223372036855", "1e300", "9" * 300])
+@pytest.mark.parametrize("text", ["NaN", HUGE, '"0.5"', "-1", "9223372036855", "1e300"])
 def test_a_time_that_no_log_can_hold_costs_its_record_only(tmp_path: Path, text: str) -> None:
     broken = json.dumps(record_2(1, _timestamp_ms="HERE")).replace('"HERE"', text).encode() + b"\r\n"
     done = imported(write_tub_2(tmp_path / "data", [record_2(0), broken, record_2(2), record_2(3)]))
@@ -236,7 +202,7 @@ def test_a_time_that_no_log_can_hold_costs_its_record_only(tmp_path: Path, text:
     assert "time" in reason
 
 
-NOT_RECORDS = [b"", b"{", b"[1]", b"7", b"\xff\xfe", b"[" * 100_000, b"9" * 5_000, b"\x00", b'{"a": "\\ud800']
+NOT_RECORDS = [b"", b"{", b"[1]", b"\xff\xfe", b"[" * 100_000, b"9" * 5_000, b'{"a": "\\ud800']
 
 
 @pytest.mark.parametrize("line", NOT_RECORDS, ids=range(len(NOT_RECORDS)))
@@ -265,7 +231,7 @@ def test_line_ends(tmp_path: Path, line_end: bytes) -> None:
     assert done.skipped.counts == {"deleted records": 1}
 
 
-@pytest.mark.parametrize("kept_bytes", [0, 10, -3, -60])
+@pytest.mark.parametrize("kept_bytes", [0, -3])
 def test_a_manifest_that_is_cut_off_hides_no_record_but_is_named(tmp_path: Path, kept_bytes: int) -> None:
     """A car that loses its power leaves it so; what was deleted is then not known."""
     folder = write_tub_2(tmp_path / "data", map(record_2, range(4)), deleted=[1])
@@ -298,7 +264,7 @@ def test_catalogues_that_are_missing_or_not_listed_are_named(tmp_path: Path) -> 
 # Somebody else's data
 
 
-@pytest.mark.parametrize("prefix", ["../../", "/home/pi/mycar/data/images/", "C:\\mycar\\data\\", "images/"])
+@pytest.mark.parametrize("prefix", ["../../", "C:\\mycar\\data\\"])
 def test_only_the_file_name_of_a_picture_counts(tmp_path: Path, prefix: str) -> None:
     """`../../` names a picture that is there, outside of the tub: the one inside is taken."""
     folder = tmp_path / "one" / "data"
@@ -312,7 +278,7 @@ def test_only_the_file_name_of_a_picture_counts(tmp_path: Path, prefix: str) -> 
     assert done.skipped.counts == {"records without a picture": 1}
 
 
-@pytest.mark.parametrize("picture", ["", ".", "..", "/", "x\x00.jpg", "\ud800.jpg", "a" * 5_000, 7, None, ["a"]])
+@pytest.mark.parametrize("picture", ["", "..", "/", "x\x00.jpg", "\ud800.jpg", "a" * 5_000, 7, None])
 def test_a_picture_name_that_is_none_costs_its_record_only(tmp_path: Path, picture: object) -> None:
     records = [record_2(0), record_2(1, **{"cam/image_array": picture})]
     done = imported(write_tub_2(tmp_path / "data", records, pictures=[0]))
@@ -432,57 +398,26 @@ def test_a_tub_is_told_from_other_folders(tmp_path: Path) -> None:
     assert not is_tub(old / "record_0.json")
 
 
-def empty(folder: Path) -> Path:
-    folder.mkdir()
-    return folder
-
-
-def without_records(folder: Path) -> Path:
-    return write_tub_2(folder, [])
-
-
-def without_pictures(folder: Path) -> Path:
-    return write_tub_2(folder, map(record_2, range(4)), pictures=[])
-
-
-def without_images(folder: Path) -> Path:
-    (without_pictures(folder) / "images").rmdir()
-    return folder
-
-
-def all_deleted(folder: Path) -> Path:
-    return write_tub_2(folder, map(record_2, range(4)), deleted=range(4))
-
-
-def not_there(folder: Path) -> Path:
-    return folder
+RECORDS = [record_2(index) for index in range(4)]
 
 
 @pytest.mark.parametrize(
-    "make", [empty, without_records, without_pictures, without_images, all_deleted, not_there]
+    "make",
+    [
+        Path.mkdir,
+        lambda folder: write_tub_2(folder, []),
+        lambda folder: write_tub_2(folder, RECORDS, pictures=[]),
+        lambda folder: (write_tub_2(folder, RECORDS, pictures=[]) / "images").rmdir(),
+        lambda folder: write_tub_2(folder, RECORDS, deleted=range(4)),
+        lambda folder: None,
+    ],
+    ids=["empty", "no records", "no pictures", "no images", "all deleted", "not there"],
 )
-def test_a_tub_without_anything_usable_writes_nothing(tmp_path: Path, make: Make) -> None:
-    folder = make(tmp_path / "tub")
+def test_a_tub_without_anything_usable_writes_nothing(tmp_path: Path, make: Callable[[Path], object]) -> None:
+    folder = tmp_path / "tub"
+    make(folder)
     with pytest.raises(RecordingError) as error:
         import_tub(folder, tmp_path / "sessions" / "tub.mcap")
     assert str(folder) in str(error.value)
     assert len(str(error.value).splitlines()) == 1
     assert not (tmp_path / "sessions").exists()
-
-
-def test_an_existing_log_is_replaced_only_if_asked(tmp_path: Path) -> None:
-    folder = tub_2(tmp_path / "data")
-    log = tmp_path / "data.mcap"
-    log.write_bytes(b"somebody's work")
-    with pytest.raises(UserError, match="--force"):
-        import_tub(folder, log)
-    assert log.read_bytes() == b"somebody's work"
-    assert kept(import_tub(folder, log, overwrite=True).path) == [0, 1, 2, 3]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["data", "data.mcap"]
-
-
-def test_the_values_are_those_of_the_tub() -> None:
-    """The expected states stand in this file; they follow from what the helper writes."""
-    for (angle, throttle), (steering, forward, brake) in zip(VALUES, STATES, strict=True):
-        assert (angle, throttle) == (steering, forward - brake)
-    assert int(CREATED_S * 4) * 250_000_000 == START_NS

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from numpy.typing import NDArray
 
-from common import UserError
 from lerobot_folders import as_image, image_feature, numbers_feature, write_dataset
-from lerobot_logs import jpeg, write_drives
+from lerobot_logs import decoded, jpeg, write_drives
 from logs import START_NS, read_messages
 from recorder import Imported, Log, LogError, LogWriter, RecordingError
 from recorder.bc_pb2 import VehicleState
@@ -52,12 +50,6 @@ def content(log: Path) -> dict[str, list[tuple[Any, ...]]]:
         elif topic.startswith("/camera/"):
             found[topic] = [(m.log_time, m.sequence, image.data) for m, image in messages]
     return found
-
-
-def decoded(picture: bytes) -> NDArray[np.float64]:
-    found = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
-    assert found is not None
-    return found.astype(np.float64)
 
 
 def others(folder: Path, **info: Any) -> Path:
@@ -259,77 +251,53 @@ def change_info(folder: Path, **changes: Any) -> None:
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
 
 
-def version_2(folder: Path) -> None:
-    change_info(folder, codebase_version="v2.1")
+def change_features(folder: Path, **features: Any) -> None:
+    change_info(folder, features={FRONT: image_feature(), **features})
 
 
-def not_json(folder: Path) -> None:
-    (folder / "meta/info.json").write_text("{" * 2000)
+DATA = "data/chunk-000/file-000.parquet"
+NOT_LEROBOTS = r"info.json: not as LeRobot writes it"
+SPOILT: dict[str, tuple[Callable[[Path], object], str]] = {
+    "version 2": (
+        lambda folder: change_info(folder, codebase_version="v2.1"),
+        r"format v2.1; v3.0 was expected. LeRobot converts it: `python -m lerobot",
+    ),
+    "not JSON": (lambda folder: (folder / "meta/info.json").write_text("{" * 2000), r"info.json: not JSON"),
+    "without features": (lambda folder: change_info(folder, features=7), NOT_LEROBOTS),
+    "infinite frames": (lambda folder: change_info(folder, total_frames=math.inf), NOT_LEROBOTS),
+    "too many frames a second": (lambda folder: change_info(folder, fps=10**400), NOT_LEROBOTS),
+    "cut off": (
+        lambda folder: os.truncate(folder / DATA, (folder / DATA).stat().st_size - 500),
+        r"file-000.parquet: cannot be read as parquet .* Download it again",
+    ),
+    "without data": (lambda folder: (folder / DATA).unlink(), r"data: no parquet file in it"),
+    "steering of another shape": (
+        lambda folder: change_features(
+            folder, action={"dtype": "float32", "shape": [5, 2], "names": ["steering"]}
+        ),
+        r"which number is the steering\? Give --steering, one of none",
+    ),
+    "a shape that is not true": (
+        lambda folder: change_features(folder, action=numbers_feature([*"abcdefg", "steering"], 8)),
+        r"file-000.parquet: not of the shapes that meta/info.json promises",
+    ),
+    "a column that is not there": (
+        lambda folder: change_features(folder, act=numbers_feature(["steering"], 1)),
+        r"no column 'act', which meta/info.json promises",
+    ),
+    "no pictures": (
+        lambda folder: change_info(folder, features={"action": numbers_feature(["steering"], 1)}),
+        r"it has no colour pictures",
+    ),
+    "a link out of it": (
+        lambda folder: (folder / DATA).symlink_to((folder / DATA).rename(folder.parent / "elsewhere.parquet")),
+        r"a link out of the dataset is not followed",
+    ),
+}
 
 
-def without_features(folder: Path) -> None:
-    change_info(folder, features=7)
-
-
-def frames_beyond_count(folder: Path) -> None:
-    change_info(folder, total_frames=math.inf)
-
-
-def more_frames_a_second_than_there_are_numbers(folder: Path) -> None:
-    change_info(folder, fps=10**400)
-
-
-def cut_off(folder: Path) -> None:
-    path = folder / "data/chunk-000/file-000.parquet"
-    path.write_bytes(path.read_bytes()[:-500])
-
-
-def without_data(folder: Path) -> None:
-    (folder / "data/chunk-000/file-000.parquet").unlink()
-
-
-def steering_of_another_shape(folder: Path) -> None:
-    feature = {"dtype": "float32", "shape": [5, 2], "names": ["steering"]}
-    change_info(folder, features={FRONT: image_feature(), "action": feature})
-
-
-def a_shape_that_is_not_true(folder: Path) -> None:
-    features = {FRONT: image_feature(), "action": numbers_feature([*"abcdefg", "steering"], 8)}
-    change_info(folder, features=features)
-
-
-def a_column_that_is_not_there(folder: Path) -> None:
-    change_info(folder, features={FRONT: image_feature(), "act": numbers_feature(["steering"], 1)})
-
-
-def no_pictures(folder: Path) -> None:
-    change_info(folder, features={"action": numbers_feature(["steering"], 1)})
-
-
-def a_link_out_of_it(folder: Path) -> None:
-    path = folder / "data/chunk-000/file-000.parquet"
-    path.rename(folder.parent / "elsewhere.parquet")
-    path.symlink_to(folder.parent / "elsewhere.parquet")
-
-
-@pytest.mark.parametrize(
-    ("spoil", "why"),
-    [
-        (version_2, r"format v2.1; v3.0 was expected. LeRobot converts it: `python -m lerobot"),
-        (not_json, r"info.json: not JSON"),
-        (without_features, r"info.json: not as LeRobot writes it"),
-        (frames_beyond_count, r"info.json: not as LeRobot writes it"),
-        (more_frames_a_second_than_there_are_numbers, r"info.json: not as LeRobot writes it"),
-        (cut_off, r"file-000.parquet: cannot be read as parquet .* Download it again"),
-        (without_data, r"data: no parquet file in it"),
-        (steering_of_another_shape, r"which number is the steering\? Give --steering, one of none"),
-        (a_shape_that_is_not_true, r"file-000.parquet: not of the shapes that meta/info.json promises"),
-        (a_column_that_is_not_there, r"no column 'act', which meta/info.json promises"),
-        (no_pictures, r"it has no colour pictures"),
-        (a_link_out_of_it, r"a link out of the dataset is not followed"),
-    ],
-)
-def test_what_cannot_be_read_is_one_line(tmp_path: Path, spoil: Callable[[Path], None], why: str) -> None:
+@pytest.mark.parametrize(("spoil", "why"), SPOILT.values(), ids=SPOILT)
+def test_what_cannot_be_read_is_one_line(tmp_path: Path, spoil: Callable[[Path], object], why: str) -> None:
     theirs = others(tmp_path / "theirs")
     spoil(theirs)
     with pytest.raises(RecordingError, match=why) as raised:
@@ -359,14 +327,6 @@ def test_videos_that_are_missing_or_none_are_one_line(tmp_path: Path) -> None:
     change_info(tmp_path / "out", video_path="{video_key:>999999999999}")
     with pytest.raises(RecordingError, match="was expected"):
         imported(tmp_path / "out")
-
-
-def test_a_log_that_exists_is_not_replaced(tmp_path: Path) -> None:
-    theirs = others(tmp_path / "theirs")
-    first = imported(theirs).path.read_bytes()
-    with pytest.raises(UserError, match="exists already"):
-        imported(theirs)
-    assert imported(theirs, overwrite=True).path.read_bytes() == first
 
 
 def test_a_folder_beside_it_is_suggested(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import itertools
-import os
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
 from common.car import CAMERAS
-from driving import run
+from driving import one_line_in
 from logs import read_messages
 from recorder import Imported, RecordingError, import_udacity
 from recorder.cli import main
@@ -54,13 +54,7 @@ def assert_all_three_rows(folder: Path, pictures: dict[str, bytes]) -> None:
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"], ids=["LF", "CRLF", "CR only"])
-@pytest.mark.parametrize("separator", [",", ", "], ids=["comma", "comma and space"])
-def test_separators_and_line_ends(tmp_path: Path, separator: str, end: str) -> None:
-    assert_all_three_rows(tmp_path, make_recording(tmp_path, three_rows(separator=separator, end=end)))
-
-
-@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"], ids=["LF", "CRLF", "CR only"])
-def test_no_final_newline(tmp_path: Path, end: str) -> None:
+def test_line_ends_and_no_final_one(tmp_path: Path, end: str) -> None:
     assert_all_three_rows(tmp_path, make_recording(tmp_path, three_rows(end=end).removesuffix(end)))
 
 
@@ -73,16 +67,9 @@ def test_separators_and_line_ends_mixed_in_one_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "prefix",
     [
-        "C:\\self driving\\data\\IMG\\",
         "D:\\IMG/",
-        "/Users/someone/Desktop/track1/IMG/",
-        "/home/b-sh/term1/IMG/",
-        "/Users/someone/My Drives (new)/IMG/",
         "C:\\Usuários\\José\\área de trabalho\\IMG\\",
-        "/Users/someone/Anna’s MacBook/IMG/",
         "/data/laps 1, 2 and 3/IMG/",
-        "IMG/",
-        "IMG\\",
         "../IMG/",
         "",
     ],
@@ -126,15 +113,10 @@ def test_scientific_notation(tmp_path: Path) -> None:
     [
         ("-0,08581576|0,1286689|0|12,1822", (-0.08581576, 0.1286689, 0.0, 12.1822)),
         ("-0,5|0,25|0,125|3,75", (-0.5, 0.25, 0.125, 3.75)),
-        ("0|1|0|30,19", (0.0, 1.0, 0.0, 30.19)),
         ("0|0|0|0,5", (0.0, 0.0, 0.0, 0.5)),
-        ("0|0|0|0", (0.0, 0.0, 0.0, 0.0)),
         ("1|1|0|9", (1.0, 1.0, 0.0, 9.0)),
-        ("-1|0,4|0|22,40861", (-1.0, 0.4, 0.0, 22.40861)),
         ("0|0|1|15,5", (0.0, 0.0, 1.0, 15.5)),
-        ("0,05|0|0|8,25", (0.05, 0.0, 0.0, 8.25)),
         ("0|1|0|7,8E-05", (0.0, 1.0, 0.0, 7.8e-05)),
-        ("0,1|1|0|30,02", (0.1, 1.0, 0.0, 30.02)),
     ],
 )
 def test_decimal_commas(tmp_path: Path, separator: str, cells: str, values: tuple[float, ...]) -> None:
@@ -220,8 +202,11 @@ def test_a_camera_without_any_picture(tmp_path: Path) -> None:
 def test_pictures_without_a_row_are_named(tmp_path: Path) -> None:
     make_recording(tmp_path, three_rows(), [0, 1, 2, 7])
     done = imported(tmp_path)
-    assert list(done.skipped) == [("pictures without a row", picture_name(camera, 7)) for camera in CAMERAS]
+    reason, names = "pictures without a row", [picture_name(camera, 7) for camera in CAMERAS]
+    assert list(done.skipped) == [(reason, name) for name in names]
     assert (done.rows, done.pictures) == (3, 9)
+    events = [event.message for _, event in read_messages(done.path)["/events"]]
+    assert events == [f"skipped {reason}: {name}" for name in names]
 
 
 def test_several_drives_and_time_going_backwards_keep_their_order(tmp_path: Path) -> None:
@@ -254,19 +239,10 @@ def test_a_last_row_that_is_cut_off_is_named(tmp_path: Path, kept: int) -> None:
 @pytest.mark.parametrize(
     "cells",
     [
-        *["nan,0,0,1", "0,inf,0,1", "0,1e999,0,1", "left,0,0,1", "0,0,0", ""],
+        *["nan,0,0,1", "0,1e999,0,1", "left,0,0,1", "0,0,0", ""],
         # Python's float() takes these
-        *["1_0,0,0,1", "0,0,0,1_0.5", "\u0663,0,0,1", "\u0660.\u0665,0,0,1", "infinity,0,0,1", "\uff11,0,0,1"],
-        *[
-            "0x1,0,0,1",
-            "0 1,0,0,1",
-            "0.1\0,0,0,1",
-            "--1,0,0,1",
-            "1-2,0,0,1",
-            "-1-,0,0,1",
-            "1/2/2024,0,0,1",
-            ".,0,0,1",
-        ],
+        *["1_0,0,0,1", "\u0663,0,0,1", "infinity,0,0,1"],
+        *["0x1,0,0,1", "0.1\0,0,0,1", "--1,0,0,1", "-1-,0,0,1", "1/2/2024,0,0,1", ".,0,0,1"],
     ],
 )
 def test_a_row_without_four_numbers_is_named_and_the_others_are_kept(tmp_path: Path, cells: str) -> None:
@@ -277,16 +253,16 @@ def test_a_row_without_four_numbers_is_named_and_the_others_are_kept(tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("data", "why"),
-    [(b"", "empty"), (b"GIF89a not a JPEG", "another format"), (jpeg(90)[:-300], "cut off")],
-    ids=["empty", "another format", "cut off"],
+    "data",
+    [b"", b"GIF89a not a JPEG", jpeg(90)[:-300], b"\xff\xd8\xff" + bytes(500) + b"\xff\xd9"],
+    ids=["empty", "another format", "cut off", "begin and end only"],
 )
-def test_a_picture_that_is_not_a_whole_jpeg_is_left_out_and_named(tmp_path: Path, data: bytes, why: str) -> None:
+def test_a_picture_that_is_not_a_whole_jpeg_is_left_out_and_named(tmp_path: Path, data: bytes) -> None:
     pictures = make_recording(tmp_path, three_rows())
     broken = picture_name("center", 1)
     (tmp_path / "IMG" / broken).write_bytes(data)
     done = imported(tmp_path)
-    assert [name for _, name in done.skipped] == [broken], why
+    assert [name for _, name in done.skipped] == [broken]
     del pictures[broken]
     assert pictures_of(done.path) == pictures
     assert values_of(done.path) == VALUES
@@ -383,22 +359,22 @@ def test_the_same_recording_gives_the_same_bytes(tmp_path: Path) -> None:
     assert logs[0] == logs[1]
 
 
-def test_what_was_skipped_is_an_event_in_the_log(tmp_path: Path) -> None:
-    make_recording(tmp_path, three_rows(), [0, 1, 2, 7])
-    events = [event.message for _, event in read_messages(imported(tmp_path).path)["/events"]]
-    assert len(events) == 3
-    assert all(name in event for name, event in zip([picture_name(c, 7) for c in CAMERAS], events, strict=True))
-
-
 # The command
 
 
-def test_bc_record_tells_what_it_wrote(tmp_path: Path) -> None:
+def test_bc_record_tells_what_it_wrote(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
     make_recording(tmp_path / "drive", three_rows())
-    done = run("bc-record", "lake", "--from", tmp_path / "drive", cwd=tmp_path)
-    assert (done.returncode, done.stderr.replace(".venv/bin/", "")) == (0, "next: `bc-index`\n")
-    assert "sessions/lake.mcap: 3 rows, 9 pictures" in done.stdout
+    assert call(main, "lake", "--from", "drive") == 0
+    told = capsys.readouterr()
+    assert "sessions/lake.mcap: 3 rows, 9 pictures" in told.out
+    assert told.err == "next: `bc-index`\n"
     assert values_of(tmp_path / "sessions" / "lake.mcap") == VALUES
+    make_recording(tmp_path / "short", f"{paths(0)},{CELLS[0]}\n", [0])
+    assert call(main, "short", "--from", "short") == 0
+    assert "short.mcap: 1 row, 3 pictures" in capsys.readouterr().out
 
 
 def test_bc_record_ends_with_3_and_names_what_was_left_out(
@@ -411,33 +387,29 @@ def test_bc_record_ends_with_3_and_names_what_was_left_out(
     assert all(picture_name(camera, 2) in told.err for camera in CAMERAS)
 
 
-def empty(folder: Path) -> None:
-    folder.mkdir()
-
-
 def without_csv(folder: Path) -> None:
     make_recording(folder, three_rows())
     (folder / "driving_log.csv").unlink()
 
 
-def without_usable_row(folder: Path) -> None:
-    make_recording(folder, f"center,left,right,steering,throttle,brake,speed\n{paths(0)},a,b\n")
+HEADER = "center,left,right,steering,throttle,brake,speed\n"
 
 
-def without_pictures(folder: Path) -> None:
-    make_recording(folder, three_rows(), [])
-
-
-def not_there(folder: Path) -> None:
-    assert not folder.exists()
-
-
-@pytest.mark.parametrize("make", [empty, without_csv, without_usable_row, without_pictures, not_there])
+@pytest.mark.parametrize(
+    "make",
+    [
+        Path.mkdir,
+        without_csv,
+        lambda folder: make_recording(folder, f"{HEADER}{paths(0)},a,b\n"),
+        lambda folder: make_recording(folder, three_rows(), []),
+        lambda folder: None,
+    ],
+    ids=["empty", "no csv", "no usable row", "no pictures", "not there"],
+)
 def test_a_recording_without_anything_usable_writes_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], make: object
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Callable[[Path], object]
 ) -> None:
     folder = tmp_path / "drive"
-    assert callable(make)
     make(folder)
     assert call(main, "lake", "--from", folder, "--sessions", tmp_path / "sessions") == 1
     told = capsys.readouterr()
@@ -462,20 +434,13 @@ def test_an_existing_session_is_replaced_only_with_force(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["drive", "lake.mcap"]
 
 
-@pytest.mark.parametrize("name", ["../x", "a/b", "", "/abs", "..", ".hidden", "a\\b"])
-def test_a_name_that_is_no_plain_name_is_refused(
+@pytest.mark.parametrize("name", ["../x", "a/b", "", "..", ".hidden", "a\\b", "a:b", "a\x1b[2Jb", "a\udc80"])
+def test_a_name_that_no_index_can_hold_is_refused_at_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
-    make_recording(tmp_path / "drive", three_rows())
-    before = sorted(tmp_path.rglob("*"))
-    assert call(main, name, "--from", tmp_path / "drive", "--sessions", tmp_path / "sessions") == 2
-    assert "bc-record" in capsys.readouterr().err
-    assert sorted(tmp_path.rglob("*")) == before
-
-
-def test_a_wrong_flag_is_bad_usage(capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(main, "lake", "--form", "folder") == 2
-    assert "--form" in capsys.readouterr().err
+    assert call(main, name, "--sessions", tmp_path / "sessions") == 2
+    assert "not a name for a session" in one_line_in(capsys)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_every_split_of_a_decimal_comma_row_that_is_written_is_read(tmp_path: Path) -> None:
@@ -495,12 +460,6 @@ def test_a_row_that_comes_twice_is_taken_once(tmp_path: Path) -> None:
     assert done.skipped.counts == {"rows with the pictures of an earlier row": 3}
 
 
-def test_a_name_that_is_not_utf8_is_named_escaped(tmp_path: Path) -> None:
-    make_recording(tmp_path, three_rows())
-    (tmp_path / "IMG" / os.fsdecode(b"caf\xe9.jpg")).write_bytes(jpeg(1))
-    assert [name for _, name in imported(tmp_path).skipped] == ["caf\\udce9.jpg"]
-
-
 @pytest.mark.parametrize("year", ["1960", "2300"])
 def test_a_time_that_no_log_can_hold_costs_the_row(tmp_path: Path, year: str) -> None:
     names = ",".join(f"IMG/{camera}_{year}_01_01_00_00_00_000.jpg" for camera in CAMERAS)
@@ -510,13 +469,6 @@ def test_a_time_that_no_log_can_hold_costs_the_row(tmp_path: Path, year: str) ->
         3,
         {"rows with a time in their pictures' names that no log can hold": 1},
     )
-
-
-def test_a_file_that_only_begins_and_ends_like_a_jpeg_is_left_out(tmp_path: Path) -> None:
-    make_recording(tmp_path, three_rows())
-    broken = picture_name("left", 2)
-    (tmp_path / "IMG" / broken).write_bytes(b"\xff\xd8\xff" + bytes(500) + b"\xff\xd9")
-    assert [name for _, name in imported(tmp_path).skipped] == [broken]
 
 
 def test_an_empty_csv_is_called_empty(tmp_path: Path) -> None:

@@ -57,9 +57,10 @@ def test_every_common_encoding_is_taken(encoding: str, is_grey: bool) -> None:
     assert whole_jpeg_size(encoded(encoding, is_grey)) == (56, 40)
 
 
-def test_every_picture_of_real_recordings_is_taken(recordings: Path) -> None:
-    pictures = sorted(recordings.glob("*/IMG/*.jpg"))
-    assert len(pictures) > 8000
+def test_pictures_of_real_recordings_are_taken(recordings: Path) -> None:
+    """Every twentieth: tests/test_real_recordings.py imports all of two recordings."""
+    pictures = sorted(recordings.glob("*/IMG/*.jpg"))[::20]
+    assert len(pictures) > 400
     assert [path.name for path in pictures if not is_whole_jpeg(path.read_bytes())] == []
 
 

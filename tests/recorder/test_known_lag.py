@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,17 @@ def lag_s(info: LogInfo) -> float:
     return info.lag.lag_s
 
 
+@pytest.fixture(scope="module")
+def late_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return without_lag(write_drive(tmp_path_factory.mktemp("late") / "a.mcap", views(ROWS), late))
+
+
+@pytest.fixture
+def unmeasured(tmp_path: Path, late_drive: Path) -> Path:
+    """A log of before, whose lag nobody knows; a.mcap."""
+    return Path(shutil.copy(late_drive, tmp_path))
+
+
 @pytest.mark.parametrize("live", [False, True])
 def test_a_writer_notes_what_the_pictures_show(
     live: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -101,49 +113,41 @@ def test_a_recording_is_kept_though_its_pictures_cannot_be_looked_at(
 
 
 def test_a_log_of_before_is_measured_by_a_check_once(
-    place: Place, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    place: Place, unmeasured: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = without_lag(write_drive(tmp_path / "a.mcap", views(ROWS), late))
-    there = place(path)
-    assert call(main, "info", there) == 0
+    log = place(unmeasured)
+    assert call(main, "info", log) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    assert f"(lag not measured); `bc-log check {there}` measures it" in shown
-    assert call(main, "check", "--no-look", there) == 0
-    assert not (tmp_path / "a.lag.json").exists()
-    assert call(main, "check", there) == 0
+    assert f"(lag not measured); `bc-log check {log}` measures it" in shown
+    assert call(main, "check", "--no-look", log) == 0
+    assert not unmeasured.with_name("a.lag.json").exists()
+    assert call(main, "check", log) == 0
     assert "  lag +0.30 ±0.10 s" in capsys.readouterr().out
-    assert lag_s(describe(there)) == pytest.approx(LATE_S, abs=0.051)
+    assert lag_s(describe(log)) == pytest.approx(LATE_S, abs=0.051)
     monkeypatch.setattr(steering_lag, "measure_lag", None)
-    assert call(main, "check", there, "--json") == 0
+    assert call(main, "check", log, "--json") == 0
     assert json.loads(capsys.readouterr().out)["lag"]["lag_s"] == pytest.approx(LATE_S, abs=0.051)
-    assert call(main, "info", there) == 0
+    assert call(main, "info", log) == 0
     assert "is 0.4 s late" in " ".join(capsys.readouterr().out.split())
 
 
-def test_what_is_kept_is_for_one_content_and_may_be_damaged(tmp_path: Path) -> None:
-    path = without_lag(write_drive(tmp_path / "a.mcap", views(ROWS), late))
-    describe(path, look=True)
+def test_what_is_kept_is_for_one_content_and_may_be_damaged(tmp_path: Path, unmeasured: Path) -> None:
+    describe(unmeasured, look=True)
     kept = tmp_path / "a.lag.json"
     good = json.loads(kept.read_text())
-    for bad in (
-        "{",
-        "[" * 9999,
-        json.dumps(good | {"log": "another"}),
-        json.dumps(good | {"lag": 3}),
-        " " * 99999,
-    ):
+    others = (json.dumps(good | {"log": "another"}), json.dumps(good | {"lag": 3}))
+    for bad in ("{", "[" * 9999, " " * 99999, *others):
         kept.write_text(bad)
-        assert describe(path).lacks_lag
+        assert describe(unmeasured).lacks_lag
     kept.unlink()
     kept.symlink_to(tmp_path / "elsewhere")
     (tmp_path / "elsewhere").write_text(json.dumps(good))
-    assert describe(path).lacks_lag
+    assert describe(unmeasured).lacks_lag
 
 
-def test_a_check_that_cannot_keep_the_lag_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = without_lag(write_drive(tmp_path / "a.mcap", views(ROWS), late))
-    (tmp_path / "a.lag.json").mkdir()
-    call(main, "check", path)
+def test_a_check_that_cannot_keep_the_lag_says_so(unmeasured: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    unmeasured.with_name("a.lag.json").mkdir()
+    call(main, "check", unmeasured)
     out, err = capsys.readouterr()
     assert "lag +0.30" in out
     assert "`bc-index --look` keeps the lag in the index" in " ".join(err.split())
@@ -174,6 +178,6 @@ def test_a_killed_log_is_measured_when_it_is_recovered(tmp_path: Path) -> None:
     killed.write_bytes(path.read_bytes()[: path.stat().st_size * 3 // 4])
     assert describe(killed).lacks_lag
     assert call(main, "check", killed) == 3
-    assert not [each for each in tmp_path.iterdir() if each.name.endswith(".lag.json")]
+    assert not [path for path in tmp_path.iterdir() if path.name.endswith(".lag.json")]
     recover(killed, tmp_path / "recovered.mcap")
     assert noted(tmp_path / "recovered.mcap")["lag_s"] == pytest.approx(LATE_S, abs=0.051)

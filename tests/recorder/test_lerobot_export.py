@@ -9,18 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import av
-import cv2
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from numpy.typing import NDArray
 
 from common import UserError
 from common.car import CAMERAS
 from disk import files_of_at_most
-from lerobot_logs import DRIVES, TIMES_NS, jpeg, steering, write_drives
+from lerobot_logs import DRIVES, TIMES_NS, decoded, jpeg, steering, write_drives
+from logs import flip_bit
 from places import Place
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
@@ -38,12 +37,6 @@ ROWS = range(len(TIMES_NS))
 def info_of(folder: Path) -> dict[str, Any]:
     loaded: dict[str, Any] = json.loads((folder / "meta/info.json").read_text())
     return loaded
-
-
-def decoded(picture: bytes) -> NDArray[np.int64]:
-    found = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
-    assert found is not None
-    return found.astype(np.int64)
 
 
 def exported_rows(folder: Path) -> list[int]:
@@ -178,9 +171,7 @@ def test_of_a_damaged_log_what_is_whole_is_exported(tmp_path: Path) -> None:
     log = write_drives(tmp_path / "two.mcap")
     with Log(log) as opened:
         picture = opened.pictures("/camera/left")
-    data = bytearray(log.read_bytes())
-    data[int(picture.offset[3]) + 50] ^= 1
-    log.write_bytes(data)
+    flip_bit(log, int(picture.offset[3]) + 50)
     # of so small a log, all pictures are in one chunk
     with pytest.raises(LogError, match=r"no row can be exported; pictures in damaged chunks .* recover"):
         export_lerobot([log], tmp_path / "out")
@@ -227,19 +218,6 @@ def state_steering(folder: Path) -> dict[int, float]:
     return dict(
         zip(table["log_row"].to_pylist(), [row[at] for row in table["observation.state"].to_pylist()], strict=True)
     )
-
-
-def test_no_state_knows_the_action_of_its_row(tmp_path: Path) -> None:
-    steering_of_rows = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
-    times_s = [row / 10 for row in range(6)]
-    export_lerobot([written(tmp_path / "a.mcap", steering_of_rows, times_s)], tmp_path / "a")
-    for row in range(6):
-        other = [*steering_of_rows[:row], *(-value for value in steering_of_rows[row:])]
-        folder = tmp_path / f"other-{row}"
-        export_lerobot([written(tmp_path / f"{row}.mcap", other, times_s)], folder)
-        states = [pq.read_table(path / DATA)["observation.state"].to_pylist() for path in (tmp_path / "a", folder)]
-        assert states[0][: row + 1] == states[1][: row + 1]
-        assert row == 5 or states[0][row + 1] != states[1][row + 1]
 
 
 def test_a_state_is_of_the_row_before_and_0_where_a_drive_begins(tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def test_enums_and_fields_that_may_be_missing_are_those_of_protobuf(contents: li
             decode_numbers(contents, PilotCommand, names)
         return
     expected = [[getattr(message, name) for message in messages] for name in names[:3]]
-    expected.append([each.expert_steering if each.HasField(names[3]) else math.nan for each in messages])
+    expected.append([message.expert_steering if message.HasField(names[3]) else math.nan for message in messages])
     assert np.array_equal(decode_numbers(contents, PilotCommand, names), np.array(expected), equal_nan=True)
 
 
@@ -94,10 +94,7 @@ def test_fields_are_given_in_the_order_that_is_asked_for() -> None:
     assert found.tolist() == [[0, 1, 2], [0.5, 0.5, 0.5]]
 
 
-def test_messages_with_other_fields_and_fields_of_fields_are_read_as_well() -> None:
-    command = PilotCommand(steering=0.25, driver=PilotCommand.EXPERT, expert_steering=0.5)
-    found = decode_numbers([command.SerializeToString()], PilotCommand, ("steering", "driver", "expert_steering"))
-    assert found[:, 0].tolist() == [0.25, PilotCommand.EXPERT, 0.5]
+def test_fields_of_fields_are_read_as_well() -> None:
     pose = PoseInFrame()
     pose.pose.position.x = 3.0
     assert decode_numbers([pose.SerializeToString()], PoseInFrame, ("pose.position.x",)).tolist() == [[3.0]]

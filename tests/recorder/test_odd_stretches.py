@@ -35,7 +35,10 @@ def driven(*parts: Part) -> States:
 
 
 def found_in(*parts: Part) -> list[tuple[str, float, float, bool]]:
-    return [(each.kind, each.begin_s, each.end_s, each.is_sure) for each in odd_stretches(driven(*parts))]
+    return [
+        (stretch.kind, stretch.begin_s, stretch.end_s, stretch.is_sure)
+        for stretch in odd_stretches(driven(*parts))
+    ]
 
 
 def test_reversing_is_driving_backwards_until_the_car_stands_again() -> None:
@@ -80,9 +83,9 @@ def test_a_parked_car_stands_for_long_and_an_ordinary_start_does_not() -> None:
 
 def test_creeping_and_coasting_to_a_halt_are_told_but_not_sure() -> None:
     creep = [STOP, (4.0, 0.0, 0.1, 0.6, 2.0), START]
-    assert [each[0::3] for each in found_in(CRUISE, *creep, CRUISE)] == [("creeping", False)]
+    assert [stretch[0::3] for stretch in found_in(CRUISE, *creep, CRUISE)] == [("creeping", False)]
     coast = [(6.0, 0.0, 0.0, 20.0, 0.0), (1.0, 0.0, 0.0, 0.0, 0.0), START]
-    assert [each[0::3] for each in found_in(CRUISE, *coast, CRUISE)] == [("coasting", False)]
+    assert [stretch[0::3] for stretch in found_in(CRUISE, *coast, CRUISE)] == [("coasting", False)]
 
 
 @pytest.mark.parametrize(
@@ -118,7 +121,7 @@ def test_a_log_keeps_what_is_odd_and_an_earlier_one_is_measured(
         return describe(tmp_path / name).odd
 
     expected = odd_stretches(states)
-    assert [each.kind for each in expected] == ["backwards"]
+    assert [stretch.kind for stretch in expected] == ["backwards"]
     assert written("a.mcap") == expected
     monkeypatch.setattr("recorder.log.writer.odd_summary", lambda states: {})
     assert written("earlier.mcap") == expected
@@ -149,7 +152,7 @@ def test_on_real_recordings_the_crashes_are_found_and_nothing_else(recordings: P
         values = [(row.steering, row.throttle, row.brake, row.speed_mph) for row in rows]
         time_ns = np.array([row.time_ns for row in rows])
         odd = odd_stretches(States(np.arange(len(rows)), time_ns, *np.array(values).T.copy()))
-        found[name] = [(each.kind, each.first_row, each.last_row) for each in odd]
+        found[name] = [(stretch.kind, stretch.first_row, stretch.last_row) for stretch in odd]
     assert found == {
         "lake_windows": [],
         "lake_14hz": [],

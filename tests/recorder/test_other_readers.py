@@ -72,9 +72,9 @@ def digest(data: bytes) -> str:
 def gathered(found: Iterable[tuple[Schema | None, Channel, Message]]) -> Read:
     messages: dict[str, list[Told]] = defaultdict(list)
     schemas = {}
-    for schema, channel, its in found:
+    for schema, channel, message in found:
         assert schema is not None
-        told = Told(its.sequence, its.log_time, its.publish_time, digest(its.data))
+        told = Told(message.sequence, message.log_time, message.publish_time, digest(message.data))
         messages[channel.topic].append(told)
         schemas[channel.topic] = (schema.name, schema.encoding, digest(schema.data), channel.message_encoding)
     return Read(dict(messages), schemas)
@@ -142,7 +142,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], P
     found: dict[tuple[str, str], Path] = {}
     for name, path in zip(LOGS, (first, live, two), strict=True):
         before = write_as_before(path, path.with_stem(f"{path.stem}-before"), CHUNK_BYTES)
-        found |= {(layout, name): its for layout, its in zip(LAYOUTS, (path, before), strict=True)}
+        found |= {(layout, name): log for layout, log in zip(LAYOUTS, (path, before), strict=True)}
     return found
 
 
@@ -196,9 +196,9 @@ def test_the_messages_of_a_topic_are_those_of_the_chunks(log: Path) -> None:
         assert opened.schemas == {topic: name for topic, (name, *_) in expected.schemas.items()}
         for topic, messages in expected.messages.items():
             found = []
-            for each in opened.messages(topic):
-                content = digest(opened.read(each.offset, each.length, each.chunk))
-                found.append(Told(each.sequence, each.log_time_ns, each.log_time_ns, content))
+            for message in opened.messages(topic):
+                content = digest(opened.read(message.offset, message.length, message.chunk))
+                found.append(Told(message.sequence, message.log_time_ns, message.log_time_ns, content))
             assert found == messages, topic
 
 
@@ -353,12 +353,14 @@ def test_rerun_decodes_the_pictures_and_the_numbers(log: Path) -> None:
     with Log(log) as opened:
         for camera in CAMERAS:
             places = opened.pictures(f"/camera/{camera}")
-            each = zip(places.log_time_ns, places.offset, places.length, places.chunk, strict=True)
-            jpegs = [(time_ns, list(opened.read(*place))) for time_ns, *place in (map(int, its) for its in each)]
+            entries = zip(places.log_time_ns, places.offset, places.length, places.chunk, strict=True)
+            jpegs = [
+                (time_ns, list(opened.read(*place))) for time_ns, *place in (map(int, entry) for entry in entries)
+            ]
             assert shown(f"/camera/{camera}", "EncodedImage:blob") == sorted(jpegs)
         for topic, message in (("/vehicle", "bc.VehicleState"), ("/pilot/command", "bc.PilotCommand")):
-            steering = [(time_ns, its["steering"]) for time_ns, its in shown(topic, f"{message}:message")]
-            assert steering == sorted((told.log_time_ns, its.steering) for told, its in opened.decoded(topic))
+            steering = [(time_ns, state["steering"]) for time_ns, state in shown(topic, f"{message}:message")]
+            assert steering == sorted((told.log_time_ns, state.steering) for told, state in opened.decoded(topic))
 
 
 def test_rerun_finds_nothing_wrong(log: Path, name: str) -> None:

@@ -81,10 +81,10 @@ def test_what_is_there_is_what_is_on_the_disk_also_over_a_bad_connection(store: 
     if store.scheme == "gs":
         store.put(log.with_name("a.tags.jsonl"), "x/a.tags.jsonl")
     store.way.fail_each_once()
-    with Log(url) as there, Log(log) as here:
-        assert there.problem == ""
-        assert there.frames().equals(here.frames())
-        assert read_tags(url, there.fingerprint) == [TAG]
+    with Log(url) as stored, Log(log) as local:
+        assert stored.problem == ""
+        assert stored.frames().equals(local.frames())
+        assert read_tags(url, stored.fingerprint) == [TAG]
     assert check(url).findings == []
     copy_log(url, log.parent / "back/a.mcap")
     assert (log.parent / "back/a.mcap").read_bytes() == log.read_bytes()
@@ -144,8 +144,8 @@ def test_a_log_goes_to_google_whole_and_over_nothing(
             copy_log(write_log(tmp_path / "other/a.mcap", [0.2] * 5), url)
     forget_stores()
     names = ("a.mcap", "a.tags.jsonl")
-    there = tmp_path / "server/logs/new"
-    assert {path.name: path.read_bytes() for path in there.iterdir()} == {
+    folder = tmp_path / "server/logs/new"
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == {
         name: log.with_name(name).read_bytes() for name in names
     }
 
@@ -155,13 +155,13 @@ def test_a_log_goes_to_azure_whole_and_over_nothing(azure: Store, log: Path, tmp
     azure.way.fail_each_once()
     assert copy_log(log, azure.url("new/a.mcap")).is_new
     azure.way.pass_all()
-    assert [each.url.name for each in list_objects(azure.url("new"))] == ["a.mcap", "a.tags.jsonl"]
+    assert [listed.url.name for listed in list_objects(azure.url("new"))] == ["a.mcap", "a.tags.jsonl"]
     assert not copy_log(log, azure.url("new/a.mcap")).is_new
     other = write_log(tmp_path / "other/a.mcap", [0.2] * 5)
     with pytest.raises(ObjectExistsError):
         copy_log(other, azure.url("new/a.mcap"))
-    with Log(azure.url("new/a.mcap")) as there, Log(log) as here:
-        assert there.file_fingerprint == here.file_fingerprint
+    with Log(azure.url("new/a.mcap")) as stored, Log(log) as local:
+        assert stored.file_fingerprint == local.file_fingerprint
 
 
 @pytest.mark.long

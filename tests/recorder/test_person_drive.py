@@ -33,7 +33,6 @@ from recorder.sources.person_pedals import CoursePedals
 from recorder.sources.real_time import RealTime
 from recorder.sources.record_person import record_person
 from recorder.sources.settings import SimulatedDrive
-from recorder.teleop.frame_state import road_edges
 from recorder.teleop.open_wheels import open_wheels
 from recorder.teleop.seat import Control
 from recorder.upkeep.check import check
@@ -429,15 +428,6 @@ def test_a_larger_picture_shows_the_same_view(tmp_path: Path) -> None:
     halved = cv2.resize(large, (320, 160), interpolation=cv2.INTER_AREA).astype(np.float32)
     shifted = np.abs(np.roll(small, 8, axis=1) - halved).mean()
     assert np.abs(small - halved).mean() < min(6.0, shifted / 2)
-
-
-def test_the_edges_of_the_road_lie_half_its_width_from_the_line() -> None:
-    track = load_track("lake")
-    road: Any = road_edges(track)
-    left, right = np.array(road["left"]), np.array(road["right"])
-    width = np.hypot(*(left - right).T)
-    assert np.abs(width / 2 - track.half_width_m[::8]).max() < 0.02
-    assert np.abs((left + right) / 2 - track.line.points_m[::8, :2]).max() < 0.3
 
 
 def test_the_first_step_that_steers_another_way_is_shown_at_once() -> None:

@@ -139,7 +139,6 @@ def test_car_racing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
         ([{"args": [1]}, *CENTRE], 2, "Expected `object`, got `array`"),
         ([{"wheels": 3}, *CENTRE], 2, "unknown settings: wheels"),
         (["--gym", "missing.toml", *CENTRE], 2, "--gym missing.toml: no such file"),
-        ([{"speed": 3}, *CENTRE], 2, "Expected `str | null`, got `int`"),
         ([{"args": {"observation": "numbers"}}, *CENTRE], 1, "no camera picture in its observation"),
         ([{"args": {"observation": "two"}}, *CENTRE], 1, "Give its key as picture, one of front, rear"),
         ([{"picture": "rear"}, *CENTRE], 1, "it has: pixels.front"),

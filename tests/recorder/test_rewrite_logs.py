@@ -10,27 +10,33 @@ import pytest
 from mcap.writer import CompressionType
 
 from dataset import IndexConfig, Samples, build_index
-from driving import one_line_of, run
+from driving import one_line_in
 from layouts import write_as_before
-from logs import write_log
+from logs import flip_bit, tags_of, write_log
 from plain_mcap import contents, write_plain
 from recorder import Log, LogError
-from recorder.log.tags import Tag, add_tags, read_tags
+from recorder.log.tags import Tag, add_tags
+from recorder.log_cli import main
 from recorder.upkeep.check import check
 from recorder.upkeep.edit import rewrite, trim
 from recorder.upkeep.recover import recover
-from udacity import jpeg
+from udacity import call, jpeg
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(120)]
 CONFIG = IndexConfig(block_s=1.0, gap_s=0.2)
 
 
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("old")
+    new = write_log(folder / "new.mcap", STEERING, lambda camera, row: jpeg(len(camera), row))
+    return write_as_before(new, folder / "old.mcap", chunk_bytes=20_000)
+
+
 @pytest.fixture
-def old(tmp_path: Path) -> Path:
+def old(tmp_path: Path, original: Path) -> Path:
     """A log as earlier versions wrote it, with a tag."""
-    new = write_log(tmp_path / "new.mcap", STEERING, lambda camera, row: jpeg(len(camera), row))
-    path = write_as_before(new, tmp_path / "old.mcap", chunk_bytes=20_000)
-    new.unlink()
+    path = Path(shutil.copy(original, tmp_path))
     with Log(path) as log:
         add_tags(path, log.fingerprint, [Tag(10, 20, "exclude")])
     return path
@@ -51,8 +57,7 @@ def test_messages_rows_times_metadata_and_tags_are_the_same(old: Path, tmp_path:
     session = dict(after.metadata)["bc.session"]
     assert session["rewritten_from"] == "old.mcap"
     assert session.items() >= dict(before.metadata)["bc.session"].items()
-    with Log(done.path) as log:
-        assert read_tags(done.path, log.fingerprint) == [Tag(10, 20, "exclude")]
+    assert tags_of(done.path) == [(10, 20, "exclude")]
     assert check(done.path).findings == []
 
 
@@ -66,12 +71,9 @@ def test_it_and_its_rewrites_have_the_fingerprint_of_the_original(old: Path, tmp
 @pytest.mark.parametrize("where", ["its end", "a picture"])
 def test_tags_come_along_when_it_is_damaged_and_recovered(old: Path, tmp_path: Path, where: str) -> None:
     new = rewrite(old, tmp_path / "new.mcap").path
-    data = bytearray(new.read_bytes())
-    data[(len(data) if where == "its end" else contents(new).chunks[0].end) - 20] ^= 1
-    new.write_bytes(data)
+    flip_bit(new, -20 if where == "its end" else contents(new).chunks[0].end - 20)
     to = recover(new, tmp_path / "recovered.mcap").path
-    with Log(to) as log:
-        assert read_tags(to, log.fingerprint) == [Tag(10, 20, "exclude")]
+    assert tags_of(to) == [(10, 20, "exclude")]
 
 
 def test_what_is_cut_out_of_it_is_another_log(old: Path, tmp_path: Path) -> None:
@@ -143,17 +145,14 @@ def test_a_log_whose_metadata_another_program_left_out_stays_one_of_ours(old: Pa
     assert fingerprints(tmp_path / "rewritten.mcap")[0] == fingerprints(filtered)[0]
 
 
-def test_nothing_is_overwritten_and_a_damaged_log_leaves_nothing(old: Path, tmp_path: Path) -> None:
-    done = run("bc-log", "rewrite", str(old), "--to", str(tmp_path / "new.mcap"))
-    assert done.returncode == 0
-    assert "you can replace it" in done.stderr
-    again = run("bc-log", "rewrite", str(old), "--to", str(tmp_path / "new.mcap"))
-    assert again.returncode == 1
-    assert "--force" in one_line_of(again)
-    at = contents(old).chunks[3].start + 200
-    data = bytearray(old.read_bytes())
-    data[at] ^= 1
-    old.write_bytes(data)
+def test_nothing_is_overwritten_and_a_damaged_log_leaves_nothing(
+    old: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(main, "rewrite", old, "--to", tmp_path / "new.mcap") == 0
+    assert "you can replace it" in capsys.readouterr().err
+    assert call(main, "rewrite", old, "--to", tmp_path / "new.mcap") == 1
+    assert "--force" in one_line_in(capsys)
+    flip_bit(old, contents(old).chunks[3].start + 200)
     with pytest.raises(LogError, match="bc-log recover"):
         rewrite(old, tmp_path / "damaged.mcap")
     assert not list(tmp_path.glob("damaged*"))

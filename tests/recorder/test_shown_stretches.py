@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -22,6 +23,7 @@ CYCLE_M = 12.0
 """After so much of the way, another wall is ahead."""
 
 
+@cache
 def wall(way_m: float) -> bytes:
     """A picture of a patterned wall that fills it: nearer, it is larger."""
     number, part = divmod(way_m, CYCLE_M)
@@ -73,7 +75,7 @@ def test_pictures_that_shrink_show_that_a_car_rolls_backwards(
 
 def test_pictures_that_grow_show_that_it_rolls_downhill(tmp_path: Path) -> None:
     odd, shown = judged(rolling(tmp_path / "a.mcap", 1.0))
-    assert [each.kind for each in odd] == ["backwards"]
+    assert [stretch.kind for stretch in odd] == ["backwards"]
     assert shown == []
 
 
@@ -91,9 +93,9 @@ def test_steering_that_never_changes_while_pictures_turn_is_wrong(tmp_path: Path
     (stuck,), shown = judged(write_drive(tmp_path / "a.mcap", views(600), wheel))
     assert (stuck.kind, stuck.is_sure) == ("stuck_steering", False)
     assert ("stuck_steering", stuck.first_row, True) in [
-        (each.kind, each.first_row, each.is_sure) for each in shown
+        (stretch.kind, stretch.first_row, stretch.is_sure) for stretch in shown
     ]
     # where the pictures turn as little, it may be held
     held = views(600)[:200] + [views(600)[200]] * round(8 * RATE_HZ) + views(600)[280:]
     _, shown = judged(write_drive(tmp_path / "b.mcap", held, wheel))
-    assert not [each for each in shown if each.kind == "stuck_steering" and each.is_sure]
+    assert not [stretch for stretch in shown if stretch.kind == "stuck_steering" and stretch.is_sure]

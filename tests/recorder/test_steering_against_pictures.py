@@ -37,7 +37,7 @@ def wrong_for_a_while(other: Callable[[Seconds], Seconds]) -> Callable[[Seconds]
 def test_mirrored_labels_are_found(lag_s: float, tmp_path: Path) -> None:
     wheel = wrong_for_a_while(lambda at_s: -hand(at_s))
     drive = write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: wheel(at_s - lag_s))
-    assert found_in(drive) == [pytest.approx([(each + lag_s) * RATE_HZ for each in WRONG_S], abs=10)]
+    assert found_in(drive) == [pytest.approx([(at_s + lag_s) * RATE_HZ for at_s in WRONG_S], abs=10)]
 
 
 def test_sound_labels_are_not(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from logs import START_NS, write_log
 from recorder.log_cli import main
 from recorder.rows.label_plan import plan_labels
 from recorder.rows.row_quality import States
-from recorder.rows.steering_habits import LagFinding, SteeringHabits, SteeringLag, steering_habits
+from recorder.rows.steering_habits import LagFinding, SteeringLag, steering_habits
 from udacity import call
 
 
@@ -214,8 +214,3 @@ def test_a_log_that_does_not_say_it_is_asked_for_its_rows(
         path = write_log(tmp_path / f"old{number}.mcap", keys(70))
         monkeypatch.undo()
         assert info_of(path, capsys)["steering"] == new
-
-
-def test_habits_are_told_without_a_row() -> None:
-    nothing: SteeringHabits = steering_habits(rows_of([]))
-    assert (nothing.rows, nothing.rate_hz, nothing.zeros, nothing.ceiling) == (0, None, None, (None, None, None))

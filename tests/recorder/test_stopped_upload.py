@@ -76,9 +76,9 @@ def test_two_machines_may_send_parts_to_one_name_at_once(
         shutil.copy(log, other)
     bucket.delay_s = 0.01
     with ThreadPoolExecutor() as machines:
-        copies = [machines.submit(copy_log, each, bucket.url("a.mcap")) for each in (log, other)]
+        copies = [machines.submit(copy_log, path, bucket.url("a.mcap")) for path in (log, other)]
         failures = [copy.exception() for copy in copies]
-    assert sum(isinstance(each, ObjectExistsError) for each in failures) == (0 if is_same_log else 1)
+    assert sum(isinstance(failure, ObjectExistsError) for failure in failures) == (0 if is_same_log else 1)
     assert contents(bucket) == {"a.mcap": (log, other)[failures.index(None)].read_bytes()}
 
 

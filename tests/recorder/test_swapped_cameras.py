@@ -76,8 +76,8 @@ def test_pictures_that_tell_nothing_are_not_called_swapped(tmp_path: Path, seen:
     noise = np.random.default_rng(0).integers(0, 256, (5, 3, 160, 320), dtype=np.uint8)
     black = np.zeros((160, 320), np.uint8)
     moments = {
-        "noise": [[jpeg(picture) for picture in each] for each in noise],
-        "same": [[each[0], each[0], each[0]] for each in seen],  # a recorder that keeps one camera's three times
+        "noise": [[jpeg(picture) for picture in pictures] for pictures in noise],
+        "same": [[centre] * 3 for centre, _, _ in seen],  # a recorder that keeps one camera's three times
         "black": [[jpeg(black)] * 3],
         "flat": [[jpeg(black[:9])] * 3],
         "sizes": [[jpeg(black), jpeg(black[:80]), jpeg(black)]],
@@ -93,7 +93,7 @@ def test_udacitys_cameras_are_called_as_they_are(tmp_path: Path, name: str, reco
     images = recordings / name / "IMG"
     centres = sorted(images.glob("center_*.jpg"))
     chosen = [path.name for path in centres[:: len(centres) // MOMENTS]]
-    moments = [[(images / each.replace("center", camera)).read_bytes() for camera in CAMERAS] for each in chosen]
+    moments = [[(images / name.replace("center", camera)).read_bytes() for camera in CAMERAS] for name in chosen]
     with Log(log_of(tmp_path / "a.mcap", moments)) as log:
         assert not are_swapped(log)
     with Log(log_of(tmp_path / "b.mcap", [[centre, right, left] for centre, left, right in moments])) as log:

@@ -43,21 +43,13 @@ def test_degrees_become_shares_and_the_picture_its_bytes() -> None:
 @pytest.mark.parametrize(
     ("speed", "throttle", "speed_mph"),
     [
-        ("0.0000", "0.0000", 0.0),
-        ("1,234.5000", "0.5000", 1234.5),
         ("1,234,567.2500", "1.0000", 1234567.25),
-        ("-0.0100", "0.0000", -0.01),
         ("7.8E-05", "0.0000", 7.8e-5),
         (" 9.5 ", "0.0000", 9.5),
         ("30", "1", 30.0),
-        ("9,0100", "0,2500", 9.01),
-        ("1.234,5000", "0,0000", 1234.5),
         ("1.234.567,2500", "1,0000", 1234567.25),
-        ("1\u00a0234,5000", "0,0000", 1234.5),  # French
         ("1\u202f234,5000", "0,0000", 1234.5),  # French of newer machines
-        ("1'234.5000", "0.0000", 1234.5),  # Swiss
-        (9.25, 0.25, 9.25),
-        (9, 1, 9.0),
+        (9.25, 1, 9.25),
     ],
 )
 def test_numbers_as_every_machine_writes_them(speed: object, throttle: object, speed_mph: float) -> None:
@@ -72,7 +64,7 @@ def test_the_throttle_tells_how_the_machine_separates_decimals(throttle: object,
 
 
 @pytest.mark.parametrize(
-    ("known", "throttle", "speed", "angle", "speed_mph", "degrees", "separator"),
+    ("separator_before", "throttle", "speed", "angle", "speed_mph", "degrees", "separator"),
     [
         (None, "0", "9,25", "-1,5", 9.25, -1.5, ","),  # C#'s ToString()
         (None, "1", "9.25", "-1.5", 9.25, -1.5, "."),
@@ -90,7 +82,7 @@ def test_the_throttle_tells_how_the_machine_separates_decimals(throttle: object,
     ],
 )
 def test_whole_numbers_do_not_change_a_known_decimal_separator(
-    known: str | None,
+    separator_before: str | None,
     throttle: object,
     speed: str,
     angle: str,
@@ -98,7 +90,7 @@ def test_whole_numbers_do_not_change_a_known_decimal_separator(
     degrees: float,
     separator: str,
 ) -> None:
-    parsed = parse_telemetry(telemetry(throttle=throttle, speed=speed, steering_angle=angle), known)
+    parsed = parse_telemetry(telemetry(throttle=throttle, speed=speed, steering_angle=angle), separator_before)
     assert (parsed.speed_mph, parsed.decimal_separator) == (speed_mph, separator)
     assert parsed.steering == pytest.approx(degrees / 25)
 
@@ -223,22 +215,7 @@ def test_an_unusable_side_picture_is_named_and_the_others_are_kept(left: object,
     )
 
 
-NOT_NUMBERS: tuple[object, ...] = (
-    ...,
-    None,
-    "",
-    " ",
-    "nan",
-    "NaN",
-    "inf",
-    "-Infinity",
-    math.nan,
-    math.inf,
-    -math.inf,
-    10**400,
-    "1e999",
-)
-NOT_NUMBERS += ("fast", "0x1F", "1_000", "1.2.3", "--1", "9" * 64, [9.0], {"value": 9.0}, True, "9\x00")
+NOT_NUMBERS = (None, "", "nan", "-Infinity", math.nan, 10**400, "1e999", "0x1F", "1_000", "1.2.3", "9" * 64, [9.0])
 
 
 @pytest.mark.parametrize("speed", [1e300, "-1e8"])
@@ -247,8 +224,11 @@ def test_a_speed_that_no_distance_can_be_made_of_is_refused(speed: object) -> No
         parse_telemetry(telemetry(speed=speed))
 
 
-@pytest.mark.parametrize("field", ["steering_angle", "throttle", "speed"])
-@pytest.mark.parametrize("value", NOT_NUMBERS, ids=lambda value: repr(value)[:12])
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [*(("speed", value) for value in NOT_NUMBERS), ("steering_angle", "fast"), ("throttle", True)],
+    ids=lambda value: repr(value)[:12],
+)
 def test_what_is_not_a_finite_number_is_refused_by_its_fields_name(field: str, value: object) -> None:
     with pytest.raises(TelemetryError, match=f"^{field} is "):
         parse_telemetry(telemetry(**{field: value}))
@@ -278,7 +258,7 @@ def test_the_largest_picture_that_is_allowed_is_taken() -> None:
     assert len(parse_telemetry(telemetry(image="A" * MAX_IMAGE_BYTES)).picture) == MAX_IMAGE_BYTES * 3 // 4
 
 
-@pytest.mark.parametrize("data", [None, 1, "telemetry", [telemetry()], b"", True, {}, {"telemetry": telemetry()}])
+@pytest.mark.parametrize("data", [None, "telemetry", [telemetry()], {}])
 def test_what_is_not_an_object_with_the_fields_is_refused(data: object) -> None:
     with pytest.raises(TelemetryError):
         parse_telemetry(data)

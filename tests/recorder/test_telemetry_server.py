@@ -488,37 +488,31 @@ class Reasons(Book):
         return super().telemetry(sid, data, received_s)
 
 
-@pytest.mark.parametrize(
-    ("data", "reason"),
-    [
-        ('{"speed": 9.0', "telemetry is not JSON"),
-        ("'x'", "telemetry is not JSON"),
-        ("[" * 5000 + "]" * 5000, "telemetry is not JSON"),
-        ('"not JSON"', "not an object but a string"),
-        (
-            json.dumps(json.dumps(fields(0))),
-            "not an object but a string (send the object, not a string of JSON)",
-        ),
-        ("[1]", "not an object but a list"),
-        ("true", "not an object but true or false"),
-        ("7", "not an object but a number"),
-        (json.dumps(fields(0, image=7)), "image is not a string but a number"),
-        (json.dumps(fields(0, speed={})), "speed is not a number but an object"),
-    ],
-)
-def test_the_reason_is_plain_where_a_telemetry_is_no_object(data: str, reason: str) -> None:
+def test_the_reason_is_plain_where_a_telemetry_is_no_object() -> None:
+    reasons = {
+        '{"speed": 9.0': "telemetry is not JSON",
+        "'x'": "telemetry is not JSON",
+        "[" * 5000 + "]" * 5000: "telemetry is not JSON",
+        json.dumps(json.dumps(fields(0))): "not an object but a string (send the object, not a string of JSON)",
+        '"not JSON"': "not an object but a string",
+        "[1]": "not an object but a list",
+        "true": "not an object but true or false",
+        json.dumps(fields(0, image=7)): "image is not a string but a number",
+        json.dumps(fields(0, speed={})): "speed is not a number but an object",
+    }
     book = Reasons()
     with Serving(book) as serving:
         client = RawClient(serving.port)
-        client.websocket.send(f'42["telemetry",{data}]')
-        assert client.command() == steered(UNUSED)
+        for data in reasons:
+            client.websocket.send(f'42["telemetry",{data}]')
+            assert client.command() == steered(UNUSED)
         client.close()
-    assert book.reasons == [reason]
+    assert book.reasons == list(reasons.values())
 
 
-def test_thousands_of_malformed_telemetries_are_each_answered_once() -> None:
+def test_hundreds_of_malformed_telemetries_are_each_answered_once() -> None:
     with Serving(Book()) as serving:
-        ask(serving, 2_000, seed=7)
+        ask(serving, 600, seed=7)
     assert serving.said == []
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 import math
 from typing import Any
 
@@ -59,7 +58,7 @@ def test_each_member_may_be_told_by_itself() -> None:
     assert WORLD.expert == (-0.5, 0.25)
 
 
-@pytest.mark.parametrize("time_s", [-0.96, 0, 12, 1.76e9, 1e12, "12.5", " -3 ", "1e-3"])
+@pytest.mark.parametrize("time_s", [-0.96, 0, 1e12, " -3 ", "1e-3"])
 def test_a_clock_may_begin_before_0_and_numbers_may_stand_in_strings(time_s: float | str) -> None:
     parsed = used({"time_s": time_s})
     assert parsed == World(time_s=float(time_s))
@@ -67,7 +66,7 @@ def test_a_clock_may_begin_before_0_and_numbers_may_stand_in_strings(time_s: flo
     assert type(parsed.time_s) is float
 
 
-@pytest.mark.parametrize("count", [2, 2.0, "2", "2.0", "2e0"])
+@pytest.mark.parametrize("count", [2, 2.0, "2.0"])
 def test_a_count_may_be_written_with_a_point(count: object) -> None:
     parsed = used({"interventions": count})
     assert parsed == World(interventions=2)
@@ -88,12 +87,9 @@ def test_strings_have_the_decimal_point_of_the_telemetry() -> None:
     [
         ("time_s", True, "time_s is not a number but true or false"),
         ("laps", [1.0], "laps is not a number but a list"),
-        ("laps", {"value": 1.0}, "laps is not a number but an object"),
-        ("offset", "left", "offset is a string that is no plain number"),
         ("offset", "", "offset is a string that is no plain number"),
         ("offset", "٠", "offset is a string that is no plain number"),
         ("time_s", math.nan, "time_s is beyond 1e+12, or no number"),
-        ("time_s", -math.inf, "time_s is beyond 1e+12, or no number"),
         ("laps", 10**400, "laps is beyond 1e+09, or no number"),
         ("laps", "9e99", "laps is beyond 1e+09, or no number"),
         ("offset", 2 * MAX_WORLD_NUMBER, "offset is beyond 1e+09, or no number"),
@@ -121,23 +117,13 @@ def test_half_a_pose_and_half_an_expert_are_none_and_named() -> None:
     assert parsed.pose is None
 
 
-@pytest.mark.parametrize(
-    ("value", "kind"),
-    [
-        (True, "true or false"),
-        (1, "a number"),
-        (1.5, "a number"),
-        ("world", "a string"),
-        ([], "a list"),
-        ([{"time_s": 1.0}], "a list"),
-    ],
-)
+@pytest.mark.parametrize(("value", "kind"), [(True, "true or false"), ("world", "a string"), ([], "a list")])
 def test_what_is_no_object_is_said_to_be_none(value: object, kind: str) -> None:
     assert parse_world(value)[0] is None
     assert problem(value) == f"it is not an object but {kind}"
 
 
-@pytest.mark.parametrize("value", [{}, {"time": 3}, {"world": {"time_s": 1.0}}])
+@pytest.mark.parametrize("value", [{}, {"time": 3}])
 def test_names_that_nobody_knows_are_told_those_that_are(value: object) -> None:
     assert parse_world(value)[0] is None
     assert all(name in problem(value) for name in MEMBERS)
@@ -203,7 +189,7 @@ def test_the_telemetry_is_good_whatever_its_world_is() -> None:
 def test_what_is_wrong_with_a_world_is_named_once(pilot: Pilot) -> None:
     driver = Driver(pilot, DriveConfig())
     worlds = [{"time_s": k / 10, "laps": "half", **({"offset": True} if k > 2 else {})} for k in range(6)]
-    said = [driver.decide(telemetry(world=each), 0.0, now_s=0.0).events for each in worlds]
+    said = [driver.decide(telemetry(world=value), 0.0, now_s=0.0).events for value in worlds]
     laps = "the simulator's world is not used whole: laps is a string that is no plain number"
     offset = "the simulator's world is not used whole: offset is not a number but true or false"
     assert said == [(laps,), (), (), (offset,), (), ()]
@@ -221,10 +207,6 @@ def test_a_simulator_that_tells_its_time_alone_is_driven_by_it(pilot: Pilot) -> 
 
     assert steered(0.001) == steered(7.0)
     assert len({*steered(7.0)}) == 5
-
-
-def test_json_says_it_as_python_does() -> None:
-    assert used(json.loads(json.dumps(world()))) == WORLD
 
 
 def test_the_docs_name_every_member() -> None:

@@ -64,11 +64,13 @@ def rows(draw: st.DrawFn, number: int, decimal_sign: str, minus: str) -> Line:
     separator, path_separator = draw(st.sampled_from([",", ", "])), draw(st.sampled_from([",", ", "]))
     numbers = draw(NUMBERS)
     cells = [written(text, decimal_sign, minus) for text in numbers]
-    its_paths = paths(number, draw(st.sampled_from(PREFIXES)), path_separator)
+    joined_paths = paths(number, draw(st.sampled_from(PREFIXES)), path_separator)
     if draw(st.booleans()):  # one camera; a path may have a comma in it
-        center = its_paths[: its_paths.index(picture_name("center", number))] + picture_name("center", number)
-        its_paths = center + 2 * path_separator
-    text = f"{its_paths},{separator[1:]}{separator.join(cells)}"
+        center = joined_paths[: joined_paths.index(picture_name("center", number))] + picture_name(
+            "center", number
+        )
+        joined_paths = center + 2 * path_separator
+    text = f"{joined_paths},{separator[1:]}{separator.join(cells)}"
     steering, throttle, brake, speed_mph = map(float, numbers)
     encoding = draw(st.sampled_from(["utf-8", "mac_roman"])) if "".join(cells).isascii() else "utf-8"
     return Line(text.encode(encoding), (steering, throttle, brake, speed_mph))

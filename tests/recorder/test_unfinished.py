@@ -93,7 +93,7 @@ def zero(path: Path, start: int, end: int) -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5], ids=["a whole chunk", "from the middle of one to that of the next"])
-def test_what_lies_behind_a_hole_is_found(killed: tuple[Path, Contents], layout: Layout, share: float) -> None:
+def test_what_lies_behind_a_hole_is_found(killed: tuple[Path, Contents], share: float) -> None:
     """A pulled plug leaves zeros where the disk had not written yet what came before. Rows that only lost their
     pictures stay."""
     path, original = killed
@@ -112,28 +112,12 @@ def test_what_lies_behind_a_hole_is_found(killed: tuple[Path, Contents], layout:
     written = recover(path, path.with_name("recovered.mcap"))
     driven = {m.sequence for chunk in sound for m in chunk.messages if m.topic == "/vehicle"}
     kept = [m for chunk in sound for m in chunk.messages if m.sequence in driven]
-    if layout is two_kinds:
-        pictures = {m.sequence for m in by_topic(kept)["/camera/center"]}
-        named = [name for reason, name in written.skipped if reason == "stretches of rows without a picture"]
-        without = [row for row in range(ROWS) if row not in pictures]
-        assert f"/camera/center rows {without[0]} to {without[-1]}" in named
     assert contents(written.path).by_topic == by_topic(kept)
     assert f"{lost_from:,} to {lost_to:,}" in [name for _, name in written.skipped]
 
 
-LENGTHS = {
-    "nothing": 0,
-    "one less": -1,
-    "one more": 1,
-    "beyond the next chunks": 9000,
-    "beyond the file": 1 << 40,
-    "into another time": 1 << 63,
-}
-
-
-@pytest.mark.parametrize("length", LENGTHS.values(), ids=LENGTHS)
 @pytest.mark.parametrize("where", ["chunk", "index", "metadata"])
-def test_a_broken_length_costs_no_other_chunk(killed: tuple[Path, Contents], where: str, length: int) -> None:
+def test_a_broken_length_costs_no_other_chunk(killed: tuple[Path, Contents], where: str) -> None:
     path, original = killed
     data = bytearray(path.read_bytes())
     at = {
@@ -142,12 +126,13 @@ def test_a_broken_length_costs_no_other_chunk(killed: tuple[Path, Contents], whe
         "metadata": data.index(b"bc.session") - 13,  # before the first chunk
     }[where]
     told = int.from_bytes(data[at + 1 : at + 9], "little")
-    data[at + 1 : at + 9] = (told + length if abs(length) < 1 << 20 and length else length).to_bytes(8, "little")
-    path.write_bytes(data)
     sound = [chunk for i, chunk in enumerate(original.chunks) if (i, where) != (5, "chunk")]
-    assert pictures_of(path) == pictures_in(sound)
-    with Log(path) as log:
-        assert log.lost
+    for length in (0, told - 1, told + 1, told + 9000, 1 << 40, 1 << 63):
+        data[at + 1 : at + 9] = length.to_bytes(8, "little")
+        path.write_bytes(data)
+        assert pictures_of(path) == pictures_in(sound), length
+        with Log(path) as log:
+            assert log.lost, length
 
 
 def test_a_changed_first_byte_of_a_chunk_is_no_silent_loss(
@@ -157,7 +142,7 @@ def test_a_changed_first_byte_of_a_chunk_is_no_silent_loss(
     path, original = killed
     before = path.read_bytes()
     five = original.chunks[5]
-    for opcode in {*range(256)} - {6}:
+    for opcode in {*range(17), 0x80, 0xFF} - {6}:  # those of records, one of none, and private ones
         path.write_bytes(before[: five.start] + bytes([opcode]) + before[five.start + 1 :])
         with Log(path) as log:
             [(lost_from, lost_to)] = log.lost
@@ -327,7 +312,7 @@ class Drive:
         answered_s = list(self.answered_s)
         if len(answered_s) < 3:
             return 0
-        return sum(each < answered_s[-3] - PROMISED_S for each in answered_s)
+        return sum(at_s < answered_s[-3] - PROMISED_S for at_s in answered_s)
 
     def run(self) -> None:
         client = SimulatorClient(port=self._port(), wait_s=0.0)

@@ -1,4 +1,4 @@
-"""`bc-record --speed 10 30` drives the same road at each speed, one after the other, into one session."""
+"""`bc-record` drives the built-in simulator: at several speeds into one session, and as people do (`--driver`)."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import json
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from dataset import IndexConfig, build_index
 from driving import one_line_in
 from recorder import Log
 from recorder.cli import main as record_main
@@ -115,10 +117,33 @@ def test_speeds_that_nobody_drives_are_refused(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["a/b", "a:b", ".a", "", "a\tb", "a\x1b[2Jb", "a\udc80"])
-def test_a_name_that_no_index_can_hold_is_refused_before_driving(
-    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+# Simulated people
+
+
+def test_the_log_names_the_driver_and_is_indexed_whole(tmp_path: Path) -> None:
+    arguments = ("--sessions", tmp_path, "--driver", "keyboard", "--laps", "0.008", "--recovery", "0")
+    assert call(record_main, "mine", *arguments) == 0
+    with Log(tmp_path / "mine.mcap") as log:
+        assert (log.metadata["source"], log.metadata["driver"]) == ("simulator", "keyboard")
+        steering = log.vehicle()["steering"].to_numpy()
+    assert np.mean(steering == 0.0) > 0.3
+    # takeovers are chosen by the commands of a drive: a session has none, and is taken whole
+    index = build_index([tmp_path / "mine.mcap"], tmp_path / "index", IndexConfig(drives="takeovers"))
+    assert index.frames.num_rows == 3 * len(steering)
+    assert index.counts["mine"].not_taken_over == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--from", "recording", "--driver", "keyboard"), "--from and --listen record other drives"),
+        (("--listen", "--driver", "mouse"), "--from and --listen record other drives"),
+        (("--driver", "wheel"), "wheel"),
+    ],
+)
+def test_a_driver_that_cannot_be_is_a_mistake_in_the_command(
+    arguments: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(record_main, name, "--sessions", tmp_path) == 2
-    assert "not a name for a session" in one_line_in(capsys)
-    assert list(tmp_path.iterdir()) == []
+    assert call(record_main, "x", "--sessions", tmp_path, *arguments) == 2
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
