@@ -33,7 +33,8 @@ from recorder.server.telemetry import Telemetry
 from recorder.server.world import World
 from recorder.upkeep.check import check
 from recorder.upkeep.recover import recover
-from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
+from simulator.protocol.client import SimulatorClient
+from simulator.protocol.replay import replay
 
 WORLD = World(
     time_s=0.0,
@@ -496,18 +497,7 @@ def test_a_viewer_that_is_stopped_keeps_neither_the_drive_nor_its_log(tmp_path: 
             pytest.skip("a stopped viewer was not tried: this system does not list a process's children")
         (child,) = map(int, children.read_text().split())
         os.kill(child, signal.SIGSTOP)
-        left = iter(range(300))
-        answers: list[object] = []
-
-        def next_telemetry(answer: ServerCommand) -> SimulatorMessage:
-            if answer is not None:
-                answers.append(answer)
-            number = next(left, None)
-            if number is not None:
-                return SimulatorTelemetry(0.0, 0.25, 9.0, road_jpeg(number % 50))
-            return None if len(answers) == 300 else "nothing"
-
-        SimulatorClient(port=port).run(next_telemetry)
+        replay(SimulatorClient(port=port), [road_jpeg(number % 50) for number in range(300)])
         state = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[0]
         assert state == "T"  # as it was all the while
         assert process.end() == 0
