@@ -123,7 +123,7 @@ def drive_manually(port: int) -> list[ServerCommand]:
     """Tells "manual", a telemetry, "manual", ... and keeps the answers."""
     answers: list[ServerCommand] = []
     telemetries: Iterator[SimulatorMessage] = iter(
-        what for i in range(MANUAL) for what in ("manual", SimulatorTelemetry(0.0, 0.0, 5.0, road_jpeg(i)))
+        message for i in range(MANUAL) for message in ("manual", SimulatorTelemetry(0.0, 0.0, 5.0, road_jpeg(i)))
     )
 
     def next_telemetry(answer: ServerCommand) -> SimulatorMessage:

@@ -318,10 +318,10 @@ def test_the_metadata_has_a_unit_in_every_name_that_needs_one() -> None:
         summary.decision(decided(world=world, in_flight=1 + i // 12), 2.0, i)
     summary.dropped_pictures, summary.dropped_rows = 4, 1
     summary.pushes, summary.unanswered = 3, 2
-    found = summary.as_metadata()
-    assert all(isinstance(value, str) for value in found.values())
-    assert found.pop("clock") == "simulator"
-    assert {name: float(value) for name, value in found.items()} == pytest.approx(
+    metadata = summary.as_metadata()
+    assert all(isinstance(value, str) for value in metadata.values())
+    assert metadata.pop("clock") == "simulator"
+    assert {name: float(value) for name, value in metadata.items()} == pytest.approx(
         {
             "frames": 26,
             "malformed": 0,
