@@ -8,7 +8,6 @@ import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.parse import urlencode
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -23,9 +22,8 @@ from model.config import TrainConfig
 from udacity import call
 from waiting import wait_until
 from web.index.index_view import session_bins_sketch
-from workbench import Served, served
+from workbench import Served, plain, served
 
-FORM = {"Content_Type": "application/x-www-form-urlencoded"}
 AWKWARD = "<b>a 'b' é"
 
 
@@ -51,10 +49,6 @@ def changed_bench(bench: Served, tmp_path: Path) -> Iterator[Served]:
     shutil.rmtree(index)
     shutil.copytree(tmp_path / "index", index)
     tags.unlink()
-
-
-def plain(page: str) -> str:
-    return html.unescape(" ".join(re.sub(r"<[^>]*>", " ", page).split()))
 
 
 def test_the_page_shows_what_the_index_holds(bench: Served) -> None:
@@ -137,7 +131,7 @@ def test_other_settings_are_tried_before_they_are_written(changed_bench: Served)
         call(recorder.log_cli.main, "tag", bench.folder / "sessions" / "left.mcap", "exclude", "--rows", 3, 9) == 0
     )
     asked = {"bins": "5", "labels": "as-recorded", "sessions": "left"}
-    answer = bench.ask("POST", "/index.try", urlencode(asked).encode(), **FORM)
+    answer = bench.post("/index.try", **asked)
     assert answer.status == 303
     job = answer.headers["location"]
     wait_until(lambda: "running" not in bench.get(f"{job}/body").text)
@@ -149,7 +143,7 @@ def test_other_settings_are_tried_before_they_are_written(changed_bench: Served)
     assert samples.read_bytes() == before
     hidden = dict(re.findall(r'type="hidden" name="([^"]*)" value="([^"]*)"', page))
     assert hidden == {"form": "index", **asked}
-    done = bench.ask("POST", "/jobs", urlencode(hidden).encode(), **FORM).headers["location"]
+    done = bench.post("/jobs", **hidden).headers["location"]
     wait_until(lambda: "running" not in bench.get(f"{done}/body").text)
     assert samples.read_bytes() != before
     assert "5 bins" in plain(bench.get("/index").text)

@@ -18,7 +18,7 @@ from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from udacity import call
 from waiting import wait_until
-from workbench import Answer, Served, served
+from workbench import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -41,11 +41,6 @@ def bench(tmp_path: Path) -> Iterator[Served]:
 
 def command(bench: Served, job: str, *values: tuple[str, str], log: str = "two") -> str:
     return bench.get(f"/sessions/{log}/make/{job}/command?{urlencode(values)}").text
-
-
-def post(bench: Served, job: str, **values: str) -> Answer:
-    form = {"Content_Type": "application/x-www-form-urlencoded"}
-    return bench.ask("POST", f"/sessions/two/make/{job}", urlencode(values).encode(), **form)
 
 
 def rows(path: Path) -> list[int]:
@@ -113,7 +108,7 @@ def test_what_cannot_be_done_is_told_and_not_started(bench: Served) -> None:
         ("merge", {"other": "none"}, "no log 'none'"),
         ("rm", {}, "no job on a log has this name"),
     ):
-        answer = post(bench, job, **values)
+        answer = bench.post(f"/sessions/two/make/{job}", **values)
         assert answer.status in (404, 409, 422)
         assert why in answer.json["error"]
     assert "Nothing was started here yet" in bench.get("/jobs").text
@@ -129,4 +124,4 @@ def test_a_log_that_is_recorded_or_deleted_meanwhile_is_left_alone(bench: Served
     finally:
         writer.close()
     (sessions / "two.mcap").unlink()
-    assert post(bench, "split").status == 404
+    assert bench.post("/sessions/two/make/split").status == 404

@@ -18,7 +18,7 @@ from model.runs.kept_results import keep_result
 from runs import a_run
 from waiting import wait_until
 from web.server.templates import with_code
-from workbench import Served, served
+from workbench import Served, plain, served
 
 AWKWARD = "a & <b>'é 100%"
 CROP = {"session": "sunday", "row": 7, "log_time_ns": 7, "log_time_utc": "then", "recorded_deg": 1.0}
@@ -48,10 +48,6 @@ def rows(bench: Served, query: str = "") -> dict[str, str]:
     found = re.findall(r"<tr id=.*?</tr>", bench.get(f"/runs.rows{query}").text, re.DOTALL)
     names = [re.findall(r'class="name"[^>]*>(.*?)</a>', row, re.DOTALL)[0] for row in found]
     return {html.unescape(name): plain(row) for name, row in zip(names, found, strict=True)}
-
-
-def plain(page: str) -> str:
-    return html.unescape(" ".join(re.sub(r"<[^>]*>", " ", page).split()))
 
 
 def key_of(bench: Served, name: str) -> str:

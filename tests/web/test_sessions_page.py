@@ -24,7 +24,7 @@ from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from udacity import call
 from waiting import wait_until
-from workbench import Served, served
+from workbench import Served, plain, served
 
 AWKWARD = "<b>a & \"b\" 'c' 100%?#é\n;"
 
@@ -58,9 +58,8 @@ def rows(bench: Served, **query: str) -> dict[str, str]:
     """The text of each session in the list, by name and in the order of the list."""
     page = bench.get(f"/sessions.rows?{urlencode(query)}").text
     items = re.findall(r"<li .*?</li>", page, re.DOTALL)
-    plain = [html.unescape(" ".join(re.sub(r"<[^>]*>", " ", item).split())) for item in items]
     names = [html.unescape(re.findall(r'class="name"[^>]*>(.*?)</a>', item, re.DOTALL)[0]) for item in items]
-    return dict(zip(names, plain, strict=True))
+    return dict(zip(names, map(plain, items), strict=True))
 
 
 def test_each_session_is_told_as_the_commands_tell_it(bench: Served, capsys: pytest.CaptureFixture[str]) -> None:

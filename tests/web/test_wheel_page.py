@@ -6,7 +6,6 @@ import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.parse import urlencode
 
 import pytest
 
@@ -22,9 +21,7 @@ from waiting import wait_until
 from web.errors import WebError
 from web.folders.project_folders import ProjectFolders
 from web.jobs.wheels import new_drive, quick_epochs, training
-from workbench import Answer, Served, served
-
-FORM = {"Content_Type": "application/x-www-form-urlencoded"}
+from workbench import Served, served
 
 
 @pytest.fixture
@@ -32,10 +29,6 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
     monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
     with served(tmp_path) as found:
         yield found
-
-
-def post(bench: Served, path: str, **values: str) -> Answer:
-    return bench.ask("POST", path, urlencode(values).encode(), **FORM)
 
 
 @pytest.mark.parametrize(
@@ -120,7 +113,7 @@ def test_a_drive_is_listed_while_it_runs(bench: Served) -> None:
 
 def test_a_drive_that_cannot_begin_says_why(bench: Served) -> None:
     write_log(bench.folder / "sessions" / "taken.mcap", [0.1])
-    begun = post(bench, "/wheel", name="taken")
+    begun = bench.post("/wheel", name="taken")
     assert begun.status == 303
     page = begun.headers["location"]
     wait_until(lambda: "has not begun" in bench.get(page).text)
