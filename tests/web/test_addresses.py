@@ -22,8 +22,8 @@ def bench(tmp_path: Path) -> Iterator[Served]:
     write_log(tmp_path / "sessions" / "a.mcap", [0.1, 0.2, 0.3], lambda camera, row: road_jpeg(row))
     (tmp_path / "runs" / "r").mkdir(parents=True)
     (tmp_path / "runs" / "r" / "config.json").write_text("{}")
-    with served(tmp_path) as found:
-        yield found
+    with served(tmp_path) as server:
+        yield server
 
 
 @pytest.mark.parametrize("number", ["1" * 5000, "-1", "%D9%A1"])

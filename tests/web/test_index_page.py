@@ -36,8 +36,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     write_log(sessions / f"{AWKWARD}.mcap", turning, lambda camera, row: road_jpeg(10_000 + row))
     arguments = ("--sessions", sessions, "--index", folder / "index", "--labels", "as-recorded")
     assert call(dataset.cli.main, *arguments) == 0
-    with served(folder) as found:
-        yield found
+    with served(folder) as server:
+        yield server
 
 
 @pytest.fixture
@@ -79,12 +79,12 @@ def test_a_session_is_sketched_in_the_bins_of_its_index(bins: int, tmp_path: Pat
 def test_samples_are_shown_as_training_sees_them(bench: Served) -> None:
     """Beside the crops that they were made of; as in the first epoch of a training with default options."""
     page = bench.get("/index.altered").text
-    found = re.findall(r'<img src="(/index.altered/(\d+)/([01]).jpg[^"]*)"', page)
+    pictures_shown = re.findall(r'<img src="(/index.altered/(\d+)/([01]).jpg[^"]*)"', page)
     told = re.findall(
         r"<span>([^<]*)</span>\s*<span class=\"dim\">[^;]*, (-?[0-9.]+)° learnt; (.*) row (\d+), (\w+)</span>",
         page,
     )
-    assert len(found) == 2 * len(told) > 4
+    assert len(pictures_shown) == 2 * len(told) > 4
     assert bench.get("/index.altered?others=1").text != page
     index, alterations = bench.folder / "index", TrainConfig().epoch_alterations
     with load(index, batch=1, alter_each_epoch=alterations) as loader, Samples(index) as samples:
@@ -92,7 +92,7 @@ def test_samples_are_shown_as_training_sees_them(bench: Served) -> None:
         table = samples.of_split("train")
         for number, (done, label_deg, session, row, camera) in enumerate(told):
             as_driven, as_learnt = (
-                decode(bench.get(html.unescape(found[2 * number + at][0])).body) for at in (0, 1)
+                decode(bench.get(html.unescape(pictures_shown[2 * number + at][0])).body) for at in (0, 1)
             )
             assert as_driven.shape == as_learnt.shape == (128, 128, 3)
             names = html.unescape(done).split(", ")

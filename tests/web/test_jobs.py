@@ -27,8 +27,8 @@ FORM = {"Content_Type": "application/x-www-form-urlencoded"}
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Served]:
-    with served(tmp_path) as found:
-        yield found
+    with served(tmp_path) as server:
+        yield server
 
 
 def start(bench: Served, **values: str) -> str:
@@ -200,12 +200,12 @@ def test_a_job_that_was_killed_or_damaged_is_told(bench: Served) -> None:
     folder = next(iter((bench.folder / "cache").rglob("jobs")), bench.folder / "cache" / "jobs")
     job = start(bench, form="record", name="x", laps="many")
     wait_until(lambda: "running" not in text(bench, f"{job}/body"))
-    (there,) = folder.glob("*/*")
-    (there / "exit").unlink()
+    (stored,) = folder.glob("*/*")
+    (stored / "exit").unlink()
     assert "ended without a word" in text(bench, job)
-    about = json.loads((there / "job.json").read_text())
-    (there / "job.json").write_text(json.dumps({**about, "words": ["<b>bc-x</b>"]}))
+    about = json.loads((stored / "job.json").read_text())
+    (stored / "job.json").write_text(json.dumps({**about, "words": ["<b>bc-x</b>"]}))
     assert "<b>bc-x" not in bench.get("/jobs").text
-    (there / "job.json").write_text("{")
+    (stored / "job.json").write_text("{")
     assert bench.get(job).status == 404
     assert bench.get("/jobs").status == 200

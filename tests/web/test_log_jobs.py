@@ -35,8 +35,8 @@ def bench(tmp_path: Path) -> Iterator[Served]:
             time_ns = START_NS + row * 100_000_000 + (row >= 12) * 60_000_000_000
             writer.vehicle(time_ns, row, VehicleState(steering=row / 100, speed_mph=9.0))
     write_log(sessions / "other one.mcap", [0.3] * 7)
-    with served(tmp_path) as found:
-        yield found
+    with served(tmp_path) as server:
+        yield server
 
 
 def command(bench: Served, job: str, *values: tuple[str, str], log: str = "two") -> str:
@@ -49,9 +49,9 @@ def rows(path: Path) -> list[int]:
 
 
 def key_of_other(bench: Served) -> str:
-    found = re.search(r'<option value="([^"]*)">other one', bench.get("/sessions/two").text)
-    assert found is not None
-    return found[1]
+    option = re.search(r'<option value="([^"]*)">other one', bench.get("/sessions/two").text)
+    assert option is not None
+    return option[1]
 
 
 def test_a_selected_stretch_becomes_a_log_that_the_job_links_to(browser: Browser, bench: Served) -> None:

@@ -27,8 +27,8 @@ from workbench import Served, served
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
     monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
-    with served(tmp_path) as found:
-        yield found
+    with served(tmp_path) as server:
+        yield server
 
 
 @pytest.mark.parametrize(
