@@ -26,7 +26,6 @@ def bench(tmp_path: Path) -> Iterator[Served]:
         yield server
 
 
-@pytest.mark.parametrize("number", ["1" * 5000, "-1", "%D9%A1"])
 @pytest.mark.parametrize(
     "path",
     [
@@ -38,10 +37,11 @@ def bench(tmp_path: Path) -> Iterator[Served]:
         "/index.altered/0/{}.jpg",
     ],
 )
-def test_what_is_no_number_of_a_picture_is_not_there(bench: Served, path: str, number: str) -> None:
-    answer = bench.get(path.format(number))
-    assert answer.status == 404
-    assert "a number was expected in the address" in answer.json["error"]
+def test_what_is_no_number_of_a_picture_is_not_there(bench: Served, path: str) -> None:
+    for number in ("1" * 5000, "-1", "%D9%A1"):
+        answer = bench.get(path.format(number))
+        assert answer.status == 404
+        assert "a number was expected in the address" in answer.json["error"]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")

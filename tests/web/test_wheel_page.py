@@ -95,7 +95,7 @@ def test_training_on_a_session_makes_a_run_of_its_name(tmp_path: Path, monkeypat
     assert training("sessions", log, ProjectFolders())[1] == "mine-2"
 
 
-@pytest.mark.parametrize(("rows", "epochs"), [(0, 10), (600, 10), (1100, 6), (2200, 6), (4300, 3), (100_000, 2)])
+@pytest.mark.parametrize(("rows", "epochs"), [(0, 10), (1100, 6), (4300, 3), (100_000, 2)])
 def test_the_button_passes_less_often_over_a_longer_drive(rows: int, epochs: int) -> None:
     assert quick_epochs(rows) == epochs
 
