@@ -215,7 +215,6 @@ def test_it_says_which_log_and_which_weights(project: Path, tmp_path: Path) -> N
     ("flag", "name", "ending"),
     [
         ("--write", "said.rrd", ".mcap"),
-        ("--save", "said.mcap", ".rrd"),
         ("--save", "said", ".rrd"),
         ("--video", "said.avi", ".mp4"),
     ],
