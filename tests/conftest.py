@@ -93,8 +93,8 @@ def recordings() -> Path:
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
     """One for all pages, and one window of it (pages.py)."""
-    with chromium() as found:
-        yield found
+    with chromium() as started:
+        yield started
 
 
 @pytest.fixture

@@ -85,9 +85,9 @@ def test_the_command_lines_in_the_documentation_have_flags_that_exist(flags: dic
     wrong = []
     for page, line in lines:
         words = shlex.split(line, comments=True)
-        known = flags.get(" ".join(words[:2]), flags.get(words[0]))
-        unknown = {word.split("=")[0] for word in words if word.startswith("--")} - (known or set())
-        if known is None or unknown - {"--help", "--help-all"}:
+        existing = flags.get(" ".join(words[:2]), flags.get(words[0]))
+        unknown = {word.split("=")[0] for word in words if word.startswith("--")} - (existing or set())
+        if existing is None or unknown - {"--help", "--help-all"}:
             wrong.append(f"{page}: {line}")
     assert wrong == []
 
@@ -170,27 +170,23 @@ def texts_in(path: Path) -> Iterator[str]:
             yield node.value
 
 
-@pytest.mark.parametrize(
-    "name", [page for page in PAGES if page.name != "CHANGELOG.md"], ids=lambda page: page.name
-)
-def test_no_page_installs_the_toolkit_from_an_index_that_lacks_it(name: Path) -> None:
+def test_no_page_installs_the_toolkit_from_an_index_that_lacks_it() -> None:
     install = r"(?:pip|pipx|uv tool) install [^`\n]*behavioural-cloning-toolkit[^`\n]*"
-    lines = re.findall(install, name.read_text(encoding="utf-8"))
+    pages = [page for page in PAGES if page.name != "CHANGELOG.md"]
+    lines = [line for page in pages for line in re.findall(install, page.read_text(encoding="utf-8"))]
     assert [line for line in lines if "@ git+" not in line] == []
 
 
 def test_no_file_names_a_place_on_one_persons_machine() -> None:
-    listed = subprocess.run(
-        ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False
-    )  # fmt: skip
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False)
     if listed.returncode != 0:
         pytest.skip("not a git checkout: what belongs to the project is not known")
     place = re.compile(rb"(?<![\w.])/(?:work|root|tmp/w)(?:/|\b)")
-    found = []
+    naming = []
     for name in listed.stdout.decode().split("\0"):
         path = ROOT / name
         if name and path.is_file() and path != Path(__file__):
             data = path.read_bytes()
             if b"\0" not in data and place.search(data):
-                found.append(name)
-    assert found == []
+                naming.append(name)
+    assert naming == []

@@ -51,25 +51,6 @@ def car_racing(folder: Path) -> list[object]:
     return ["--gym", race, "--expert", f"{ROOT / 'examples' / 'car_racing_expert.py'}:drive"]
 
 
-def pictures_with_a_csv(folder: Path) -> list[object]:
-    folder.mkdir()
-    for number in range(PICTURES):
-        (folder / f"{number:04d}.jpg").write_bytes(road_jpeg(300 + number))
-    rows = [f"{number},{25 * value}" for number, value in enumerate(STEERING)]
-    (folder / "angles.csv").write_text("\n".join(["frame,degrees", *rows]))
-    return [
-        "--from",
-        folder,
-        "--columns",
-        "image=frame",
-        "steering=degrees",
-        "--rate",
-        10,
-        "--steering-scale",
-        0.04,
-    ]
-
-
 SOURCES: dict[str, Callable[[Path], list[object]]] = {
     "tub_1": tub_1,
     "tub_2": tub_2,

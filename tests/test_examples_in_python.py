@@ -104,12 +104,12 @@ def test_foxglove_is_sent_every_message_as_it_is(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.mcap", STEERING[:3], road)
     messages = read_messages(path)
     channels, listener = channels_of(path), Subscribed()
-    found: dict[str, list[tuple[int, bytes]]] = {topic: [] for topic in messages}
+    received: dict[str, list[tuple[int, bytes]]] = {topic: [] for topic in messages}
     server = foxglove.start_server(port=0, server_listener=listener)
     try:
         url = f"ws://127.0.0.1:{server.port}"
         with connect(url, subprotocols=[Subprotocol("foxglove.sdk.v1")], open_timeout=PATIENCE_S) as client:
-            told = {each["id"]: each for each in advertised(client, len(channels))}
+            told = {message["id"]: message for message in advertised(client, len(channels))}
             wanted = [{"id": number, "channelId": number} for number in told]
             client.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
             wait_until(lambda: listener.topics == set(messages))
@@ -118,27 +118,29 @@ def test_foxglove_is_sent_every_message_as_it_is(tmp_path: Path) -> None:
                 content = client.recv(PATIENCE_S)
                 assert isinstance(content, bytes)
                 number, time_ns = struct.unpack_from("<xIQ", content)  # Foxglove's protocol: its message data
-                found[told[number]["topic"]].append((time_ns, content[13:]))
+                received[told[number]["topic"]].append((time_ns, content[13:]))
     finally:
         server.stop()
-    assert found == {topic: [(each.log_time, each.data) for each, _ in of] for topic, of in messages.items()}
-    assert {each["schemaName"] for each in told.values()} == {"bc.VehicleState", "foxglove.CompressedImage"}
+    assert received == {
+        topic: [(message.log_time, message.data) for message, _ in sent] for topic, sent in messages.items()
+    }
+    assert {message["schemaName"] for message in told.values()} == {"bc.VehicleState", "foxglove.CompressedImage"}
 
 
 def advertised(client: ClientConnection, count: int) -> list[dict[str, Any]]:
     """The topics that a server tells of when somebody has connected."""
-    found: list[dict[str, Any]] = []
-    while len(found) < count:
+    channels: list[dict[str, Any]] = []
+    while len(channels) < count:
         told = json.loads(client.recv(PATIENCE_S))
-        found += told["channels"] if told["op"] == "advertise" else []
-    return found
+        channels += told["channels"] if told["op"] == "advertise" else []
+    return channels
 
 
 def test_rerun_reads_the_same_log_by_itself(tmp_path: Path) -> None:
     path, rrd = write_log(tmp_path / "a.mcap", STEERING[:3], road), tmp_path / "a.rrd"
     show_in_rerun(path, str(rrd))
     wait_until(lambda: arrived(rrd, "/camera/center", "EncodedImage:blob") == 3)
-    found = contents(rrd)
+    entities = contents(rrd)
     with Log(path) as log:
-        for row, (blob,) in enumerate(found["/camera/center"]["EncodedImage:blob"]):
+        for row, (blob,) in enumerate(entities["/camera/center"]["EncodedImage:blob"]):
             assert bytes(blob) == log.picture(row)

@@ -41,13 +41,13 @@ LONG = [
     ],
 )
 def test_a_fork_ends_as_a_start_does(end: str, code: int, tmp_path: Path) -> None:
-    found = environment()
+    variables = environment()
     line = [sys.executable, "-c", BEGIN + end, "a", "b c"]
     pipe, nothing = subprocess.PIPE, subprocess.DEVNULL
     done = subprocess.run(
-        line, cwd=tmp_path, env=found, stdin=nothing, stdout=pipe, stderr=pipe, text=True, check=False
+        line, cwd=tmp_path, env=variables, stdin=nothing, stdout=pipe, stderr=pipe, text=True, check=False
     )
-    fork = SERVER.start(BEGIN + end, ["a", "b c"], tmp_path, found)
+    fork = SERVER.start(BEGIN + end, ["a", "b c"], tmp_path, variables)
     assert fork.stdout is not None
     assert fork.stderr is not None
     with fork.stdout, fork.stderr:

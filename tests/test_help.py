@@ -33,5 +33,5 @@ def test_its_example_calls_what_there_is(package: ModuleType) -> None:
     called = {node.func.id: node for node in calls if isinstance(node.func, ast.Name) and node.func.id in names}
     assert len(called) >= 4
     for name, node in called.items():
-        flags = {each.arg: each.value for each in node.keywords if each.arg is not None}
+        flags = {keyword.arg: keyword.value for keyword in node.keywords if keyword.arg is not None}
         inspect.signature(names[name]).bind(*node.args, **flags)  # type: ignore[arg-type]

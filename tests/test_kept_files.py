@@ -32,8 +32,8 @@ WITH_RUN = [version for version in VERSIONS if (DATA / version / "run").is_dir()
 
 
 def expected(version: str) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((DATA / version / "expected.json").read_text(encoding="utf-8"))
-    return found
+    stored: dict[str, Any] = json.loads((DATA / version / "expected.json").read_text(encoding="utf-8"))
+    return stored
 
 
 def test_this_version_has_files_and_all_of_them_are_small() -> None:
@@ -81,8 +81,8 @@ def test_runs_steer_as_they_did(version: str) -> None:
     folder = DATA / version
     pilot = load_pilot(folder / "run", "float32")
     with Log(folder / "toy.mcap") as log:
-        found = [pilot.predict(pilot.crop(decode(log.picture(row)))) for row in ROWS]
-    np.testing.assert_allclose(found, expected(version)["predicted"], atol=1e-4)
+        predicted = [pilot.predict(pilot.crop(decode(log.picture(row)))) for row in ROWS]
+    np.testing.assert_allclose(predicted, expected(version)["predicted"], atol=1e-4)
     assert summarize_run(folder / "run").problem == ""
 
 

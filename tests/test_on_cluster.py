@@ -106,12 +106,12 @@ def index_files(index: Path) -> dict[str, bytes]:
 def test_the_index_has_the_same_bytes_and_omits_a_damaged_log(tmp_path: Path, small_cluster: Any) -> None:
     drives(tmp_path / "sessions", picture=tiny_picture)
     (tmp_path / "sessions" / "damaged.mcap").write_bytes(b"this is no log")
-    here = run("bc-index", "--look", "--index", "here", cwd=tmp_path)
-    there = run("bc-index", "--look", "--index", "there", "--ray", small_cluster.address, cwd=tmp_path)
-    assert (here.returncode, there.returncode) == (3, 3), there.stderr
-    assert messages(there.stderr) == [line.replace("here", "there") for line in messages(here.stderr)]
-    assert "sessions/damaged.mcap: not an MCAP log" in there.stderr
-    assert there.stdout == here.stdout.replace("here:", "there:")
+    local = run("bc-index", "--look", "--index", "here", cwd=tmp_path)
+    remote = run("bc-index", "--look", "--index", "there", "--ray", small_cluster.address, cwd=tmp_path)
+    assert (local.returncode, remote.returncode) == (3, 3), remote.stderr
+    assert messages(remote.stderr) == [line.replace("here", "there") for line in messages(local.stderr)]
+    assert "sessions/damaged.mcap: not an MCAP log" in remote.stderr
+    assert remote.stdout == local.stdout.replace("here:", "there:")
     assert index_files(tmp_path / "there") == index_files(tmp_path / "here")
     assert len(index_files(tmp_path / "there")) == 5
     looks = [
@@ -140,11 +140,11 @@ def tasks_whose_node_dies(folder: Path) -> Iterator[Tasks]:
 
     with ray_cluster(nodes=0) as cluster:
         dying = cluster.add_node(num_cpus=1, include_dashboard=False)
-        with cluster_tasks(cluster.address) as there:
+        with cluster_tasks(cluster.address) as run_there:
 
             def tasks(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
                 marked = [(number == len(calls) - 1, *arguments) for number, arguments in enumerate(calls)]
-                for number, result in there(holding(function), marked):
+                for number, result in run_there(holding(function), marked):
                     if not gone.exists():
                         wait_until(began.exists)
                         gone.write_text("")
@@ -170,12 +170,12 @@ def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_drives(tmp_path: Pa
     run = untrained_run(tmp_path / "runs" / "untrained")
     lake = BuiltInSimulator("lake", laps=0.002)
     drives = [(lake, DriveConfig(set_speed_mph=speed)) for speed in (8, 12)]
-    here = dict(drive_runs([(run, LogFolder(tmp_path / "here"))], drives, one_by_one))
+    local = dict(drive_runs([(run, LogFolder(tmp_path / "here"))], drives, one_by_one))
     with tasks_whose_node_dies(tmp_path) as tasks:
-        there = dict(drive_runs([(run, LogFolder(tmp_path / "there"))], drives, tasks))
-    assert sorted(there) == [0, 1]
-    for number, driven in there.items():
-        assert driven.report["trajectory_sha256"] == here[number].report["trajectory_sha256"]
+        remote = dict(drive_runs([(run, LogFolder(tmp_path / "there"))], drives, tasks))
+    assert sorted(remote) == [0, 1]
+    for number, driven in remote.items():
+        assert driven.report["trajectory_sha256"] == local[number].report["trajectory_sha256"]
         assert not check(driven.log).findings
     assert len(list((tmp_path / "there").iterdir())) == 2
 
@@ -201,10 +201,10 @@ def test_calls_in_shared_tasks_have_their_results_and_one_error(cluster: Any) ->
         return number // 2
 
     with cluster_tasks(cluster.address) as tasks:
-        found = dict(tasks(half, [(2 * number,) for number in range(4_001)]))
+        halves = dict(tasks(half, [(2 * number,) for number in range(4_001)]))
         with pytest.raises(UserError, match="17: an even number was expected"):
             list(tasks(half, [(2 * number + (number == 8),) for number in range(4_001)]))
-    assert found == {number: number for number in range(4_001)}
+    assert halves == {number: number for number in range(4_001)}
 
 
 @pytest.mark.long
@@ -295,13 +295,13 @@ def test_a_session_is_not_taken_for_an_address(tmp_path: Path) -> None:
 def test_drives_on_a_cluster_have_the_numbers_of_drives_one_by_one(tmp_path: Path, cluster: Any) -> None:
     untrained_run(tmp_path / "runs" / "untrained")
     drives = ["--simulator", "lake", "--speed", 8, 12, "--laps", 0.002, "--json"]
-    here = run("bc-eval", *drives, "--drives", "here", cwd=tmp_path)
-    there = run("bc-eval", *drives, "--drives", "there", "--ray", cluster.address, cwd=tmp_path)
-    assert (here.returncode, there.returncode) == (0, 0), there.stderr
+    local = run("bc-eval", *drives, "--drives", "here", cwd=tmp_path)
+    remote = run("bc-eval", *drives, "--drives", "there", "--ray", cluster.address, cwd=tmp_path)
+    assert (local.returncode, remote.returncode) == (0, 0), remote.stderr
     # how far it is, where that takes long
-    assert all(line.startswith("driving: ") for line in there.stderr.splitlines()), there.stderr
-    expected = [line.replace('"here/', '"there/') for line in here.stdout.splitlines()]
-    assert sorted(there.stdout.splitlines()) == sorted(expected)
+    assert all(line.startswith("driving: ") for line in remote.stderr.splitlines()), remote.stderr
+    expected = [line.replace('"here/', '"there/') for line in local.stdout.splitlines()]
+    assert sorted(remote.stdout.splitlines()) == sorted(expected)
     assert all("trajectory_sha256" in line for line in expected)
     assert len(list((tmp_path / "there").glob("*.mcap"))) == 2
 
@@ -325,7 +325,7 @@ def test_logs_in_a_bucket_are_indexed_by_a_cluster_of_this_machine(
     monkeypatch.setenv("RAY_AUTH_TOKEN", "a" * 64)  # else Ray would leave one in ~/.ray
     with serving_bucket(tmp_path / "server", monkeypatch) as bucket:
         drives(bucket.folder, sessions=3)
-        here = run("bc-index", "--sessions", bucket.url(), "--index", "here", cwd=tmp_path)
-        there = run("bc-index", "--sessions", bucket.url(), "--index", "there", "--ray", "local", cwd=tmp_path)
-    assert (here.returncode, there.returncode) == (0, 0), there.stderr
+        local = run("bc-index", "--sessions", bucket.url(), "--index", "here", cwd=tmp_path)
+        remote = run("bc-index", "--sessions", bucket.url(), "--index", "there", "--ray", "local", cwd=tmp_path)
+    assert (local.returncode, remote.returncode) == (0, 0), remote.stderr
     assert index_files(tmp_path / "there") == index_files(tmp_path / "here")

@@ -25,17 +25,17 @@ EXTRAS = ("ray", "obstore", "boto3")
 
 def loaded_with(path: Path) -> set[str]:
     """The modules that a file imports when it is imported itself, and not only in a function or for its types."""
-    found = set[str]()
+    loaded = set[str]()
     waiting: list[ast.AST] = [*ast.parse(path.read_text(encoding="utf-8")).body]
     while waiting:
         node = waiting.pop()
         if isinstance(node, ast.Try | ast.ExceptHandler):
             waiting += ast.iter_child_nodes(node)
         elif isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            loaded |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
-            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-    return found
+            loaded |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return loaded
 
 
 def those_that_load() -> set[str]:
@@ -46,11 +46,11 @@ def those_that_load() -> set[str]:
         for path in make_architecture.modules(room)
     }
     loads = {name: loaded_with(path) for name, path in modules.items()}
-    found = {name for name, loaded in loads.items() if {each.split(".")[0] for each in loaded} & {*EXTRAS}}
-    found.add("common.ray_cluster")  # it imports Ray when it connects
-    while more := {name for name, loaded in loads.items() if loaded & found} - found:
-        found |= more
-    return found
+    speaking = {name for name, loaded in loads.items() if {module.split(".")[0] for module in loaded} & {*EXTRAS}}
+    speaking.add("common.ray_cluster")  # it imports Ray when it connects
+    while more := {name for name, loaded in loads.items() if loaded & speaking} - speaking:
+        speaking |= more
+    return speaking
 
 
 def test_commands_work_where_neither_obstore_nor_ray_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

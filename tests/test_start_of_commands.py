@@ -15,9 +15,11 @@ from pathlib import Path
 import pytest
 from test_rooms import MAY_IMPORT
 
-from driving import COMMANDS, PATIENCE_S, command, environment, run, run_code
+import behavioural_cloning_toolkit
+from driving import COMMANDS, PATIENCE_S, command, environment, run_code
 from logs import write_log
 from repository import ROOT
+from udacity import call
 
 HIDING = {"a module": "{room}.py", "a package": "{room}/__init__.py", "a folder": "{room}/notes.txt"}
 
@@ -57,28 +59,28 @@ def test_a_command_under_nohup_does_not_hear_a_terminal_that_is_closed() -> None
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("what", HIDING)
-def test_what_is_in_the_way_of_a_rooms_name_is_named(what: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", HIDING)
+def test_what_is_in_the_way_of_a_rooms_name_is_named(kind: str, tmp_path: Path) -> None:
     """A script of a student's, and beside it something that is called as a room is."""
-    hiding = tmp_path / HIDING[what].format(room="common")
+    hiding = tmp_path / HIDING[kind].format(room="common")
     hiding.parent.mkdir(exist_ok=True)
     hiding.touch()
     script = tmp_path / "mine.py"
     script.write_text("from recorder import Log\n")
-    found = environment()
-    if what == "a folder":  # without an __init__.py it only hides what comes after all folders of the path
-        found.pop("PYTHONPATH")
-        if subprocess.run([sys.executable, "-c", "import common"], cwd="/", env=found, check=False).returncode:
+    variables = environment()
+    if kind == "a folder":  # without an __init__.py it only hides what comes after all folders of the path
+        variables.pop("PYTHONPATH")
+        if subprocess.run([sys.executable, "-c", "import common"], cwd="/", env=variables, check=False).returncode:
             pytest.skip("the toolkit is not installed")
     done = subprocess.run(
-        [sys.executable, str(script)], cwd=tmp_path, env=found, capture_output=True, text=True, check=False
+        [sys.executable, str(script)], cwd=tmp_path, env=variables, capture_output=True, text=True, check=False
     )
     if done.returncode == 0:
-        assert what == "a folder"  # of an installation that is no link to the sources
+        assert kind == "a folder"  # of an installation that is no link to the sources
         return
     last = done.stderr.splitlines()[-1]
     assert last.startswith("ImportError: ")
-    assert str(hiding if what != "a folder" else hiding.parent) in last
+    assert str(hiding if kind != "a folder" else hiding.parent) in last
     assert "is in the way: Python takes it for this toolkit's `common`; rename it" in last
 
 
@@ -89,17 +91,22 @@ def test_a_module_that_a_room_does_not_need_is_in_nobodys_way(tmp_path: Path) ->
     assert done.returncode == 0
 
 
+def record_installed(folder: Path, package: str, file: str) -> None:
+    """Write down, as pip does, that a package has installed this file into the folder."""
+    record = folder / f"{package}-1.0.dist-info"
+    record.mkdir()
+    (record / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    (record / "RECORD").write_text(f"{file},,\n{record.name}/METADATA,,\n")
+
+
 def test_a_package_that_owns_a_rooms_name_is_named(tmp_path: Path) -> None:
     (tmp_path / "common").mkdir()
     (tmp_path / "common" / "__init__.py").touch()
-    record = tmp_path / "othertool-1.0.dist-info"
-    record.mkdir()
-    (record / "METADATA").write_text("Metadata-Version: 2.1\nName: othertool\nVersion: 1.0\n")
-    (record / "RECORD").write_text("common/__init__.py,,\nothertool-1.0.dist-info/METADATA,,\n")
-    found = environment()
-    found["PYTHONPATH"] = os.pathsep.join([str(tmp_path), found["PYTHONPATH"]])
+    record_installed(tmp_path, "othertool", "common/__init__.py")
+    variables = environment()
+    variables["PYTHONPATH"] = os.pathsep.join([str(tmp_path), variables["PYTHONPATH"]])
     done = subprocess.run(
-        command("bc-log", "--help"), cwd="/", env=found, capture_output=True, text=True, check=False
+        command("bc-log", "--help"), cwd="/", env=variables, capture_output=True, text=True, check=False
     )
     assert done.returncode == 1
     assert done.stderr == (
@@ -116,13 +123,10 @@ def test_a_package_that_has_written_over_a_room_is_named(is_uninstalled: bool, t
     (tmp_path / "dataset" / "config.py").touch()
     if not is_uninstalled:
         (tmp_path / "dataset" / "__init__.py").write_text("from dataset.database import Database\n")
-        record = tmp_path / "dataset-2.0.dist-info"
-        record.mkdir()
-        (record / "METADATA").write_text("Metadata-Version: 2.1\nName: dataset\nVersion: 2.0\n")
-        (record / "RECORD").write_text("dataset/__init__.py,,\ndataset-2.0.dist-info/METADATA,,\n")
-    found = {**environment(), "PYTHONPATH": str(tmp_path)}
+        record_installed(tmp_path, "dataset", "dataset/__init__.py")
+    variables = {**environment(), "PYTHONPATH": str(tmp_path)}
     done = subprocess.run(
-        command("bc-index", "--help"), cwd="/", env=found, capture_output=True, text=True, check=False
+        command("bc-index", "--help"), cwd="/", env=variables, capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stdout) == (1, "")
     if is_uninstalled:
@@ -173,17 +177,17 @@ def test_a_log_is_described_without_arrow_and_opencv(tmp_path: Path) -> None:
     assert loaded_by("bc-log", "info", str(log)) == "['numpy', 'mcap']"
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_prints_its_version(name: str) -> None:
-    import behavioural_cloning_toolkit
-
-    done = run(name, "--version")
-    assert (done.returncode, done.stdout) == (0, f"{name} {behavioural_cloning_toolkit.__version__}\n")
+def test_every_command_prints_its_version(capsys: pytest.CaptureFixture[str]) -> None:
+    mains = re.findall(
+        r'_command\("(bc-[\w-]+)", "([\w.]+)"\)', (ROOT / "behavioural_cloning_toolkit.py").read_text()
+    )
+    assert {name for name, _ in mains} == set(COMMANDS)
+    for name, module in mains:
+        assert call(import_module(module).main, "--version") == 0
+        assert capsys.readouterr().out == f"{name} {behavioural_cloning_toolkit.__version__}\n"
 
 
 def test_the_version_stands_in_one_place_and_in_the_changelog() -> None:
-    import behavioural_cloning_toolkit
-
     file = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     assert "version" not in file["project"]
     module, _, name = file["tool"]["setuptools"]["dynamic"]["version"]["attr"].rpartition(".")
@@ -330,10 +334,3 @@ def test_a_ctrl_c_that_comes_while_python_tidies_up_is_not_lost() -> None:
     """What is raised in a callback of a weak reference goes no further, and the command would wait for ever."""
     done = run_action("interrupted_in_a_callback(); sleep()")
     assert (done.returncode, done.stderr) == (130, "bc-test: stopped\n")
-
-
-def test_every_command_is_begun_here() -> None:
-    import behavioural_cloning_toolkit
-
-    assert all(callable(getattr(behavioural_cloning_toolkit, name.replace("-", "_"))) for name in COMMANDS)
-    assert run("bc-log", "--help").returncode == 0

@@ -18,9 +18,7 @@ from udacity import call
 from waiting import wait_until
 
 
-@pytest.mark.parametrize(
-    "flag", ["--epochs=0", "--laps=0", "--laps=nan", "--share=0", "--share=nan", "--share=-1"]
-)
+@pytest.mark.parametrize("flag", ["--epochs=0", "--laps=nan", "--share=0"])
 def test_what_would_fail_after_minutes_is_refused_before_the_first_step(
     flag: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -46,11 +44,10 @@ def installed(tmp_path: Path) -> Path:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell of Unix")
 def test_the_commands_that_it_ends_with_can_be_typed(installed: Path, tmp_path: Path) -> None:
-    found = environment()
-    found["PATH"] = os.defpath
+    variables = environment() | {"PATH": os.defpath}
     code = "from behavioural_cloning_toolkit import bc_demo; bc_demo()"
     line = [str(installed), "-c", code, "--folder", "my demo"]
-    done = subprocess.run(line, cwd=tmp_path, env=found, capture_output=True, text=True, check=True)
+    done = subprocess.run(line, cwd=tmp_path, env=variables, capture_output=True, text=True, check=True)
     said = done.stdout.splitlines()
     steps = [number for number, text in enumerate(said) if text.startswith("$ bc-")]
     assert len(steps) == 6
@@ -62,7 +59,7 @@ def test_the_commands_that_it_ends_with_can_be_typed(installed: Path, tmp_path: 
     assert "drive yourself" in said[-2]
     for closing, program, last in ((said[-3], "bc-play", "10mph.mcap"), (said[-1], "bc-web", "--open")):
         typed = subprocess.run(
-            closing, cwd=tmp_path, env=found, shell=True, capture_output=True, text=True, check=True
+            closing, cwd=tmp_path, env=variables, shell=True, capture_output=True, text=True, check=True
         )
         assert typed.stdout.startswith(f"called in {tmp_path}: ")
         assert f"/{program} " in typed.stdout

@@ -10,9 +10,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
-from mcap.reader import make_reader
 
 from drive.cli import main as drive_main
 from drive.config import DriveConfig
@@ -21,9 +18,9 @@ from drive.evaluation.eval_cli import main as eval_main
 from drive.evaluation.simulator_process import BuiltInSimulator
 from driving import Process as Child
 from driving import command, one_line_in, run, untrained_run
+from logs import read_messages
 from model import load_pilot
 from recorder import Imported, Log, RecordingError, import_udacity
-from recorder.bc_pb2 import VehicleState
 from recorder.cli import main as record_main
 from recorder.log.session_car import built_in, car_in
 from recorder.sources.built_in_simulator import record_simulated
@@ -36,17 +33,8 @@ DRIVE = SimulatedDrive(track="lake", laps=0.01, seed=5)
 CAMERAS = ("/camera/center", "/camera/left", "/camera/right")
 
 
-def messages(path: Path, topic: str) -> list[tuple[int, int, bytes]]:
-    """Sequence, log time and data of a topic's messages, by mcap's own reader."""
-    with path.open("rb") as stream:
-        found = make_reader(stream, validate_crcs=True).iter_messages(topics=[topic], log_time_order=False)
-        return [(message.sequence, message.log_time, message.data) for _, _, message in found]
-
-
 def pictures(path: Path, camera: str) -> list[bytes]:
-    with Log(path) as log:
-        where = log.pictures(camera)
-        return [log.read(int(o), int(n)) for o, n in zip(where.offset, where.length, strict=True)]
+    return [image.data for _, image in read_messages(path)[camera]]
 
 
 @pytest.fixture(scope="module")
@@ -60,8 +48,9 @@ def recorded(folder: Path) -> Imported:
 
 
 def test_a_recording_has_cameras_vehicle_and_pose_at_equal_times(recorded: Imported) -> None:
+    messages = read_messages(recorded.path)
     stamps = [
-        [(sequence, time_ns) for sequence, time_ns, _ in messages(recorded.path, topic)]
+        [(message.sequence, message.log_time) for message, _ in messages[topic]]
         for topic in (*CAMERAS, "/vehicle", "/pose")
     ]
     assert len(stamps[0]) == recorded.rows == recorded.pictures // 3 > 20
@@ -84,8 +73,8 @@ def test_nothing_is_recorded_past_the_share_of_the_lap(recorded: Imported) -> No
     points_m = line.points_m[:, :2]
     end_m = (DRIVE.laps or 0.0) * line.length_m
     arcs_m = []
-    for _, _, data in messages(recorded.path, "/pose"):
-        position = PoseInFrame.FromString(data).pose.position
+    for _, pose in read_messages(recorded.path)["/pose"]:
+        position = pose.pose.position
         distance_m = ((points_m - (position.x, position.y)) ** 2).sum(axis=1) ** 0.5
         assert distance_m.min() < 6.0
         arcs_m.append(int(distance_m.argmin()) * line.length_m / len(points_m))
@@ -99,7 +88,10 @@ def test_the_same_seed_gives_the_same_bytes_and_another_one_does_not(recorded: I
     again = record_simulated(DRIVE, tmp_path / "again.mcap")
     assert again.path.read_bytes() == recorded.path.read_bytes()
     other = record_simulated(SimulatedDrive(track="lake", laps=0.002, seed=6), tmp_path / "other.mcap")
-    assert messages(other.path, "/vehicle") != messages(recorded.path, "/vehicle")[: other.rows]
+    states, others = (
+        [state for _, state in read_messages(path)["/vehicle"]] for path in (recorded.path, other.path)
+    )
+    assert others != states[: other.rows]
 
 
 def test_the_folder_it_writes_imports_to_the_same_session(
@@ -109,31 +101,14 @@ def test_the_folder_it_writes_imports_to_the_same_session(
     assert (imported.rows, imported.pictures, len(imported.skipped)) == (recorded.rows, recorded.pictures, 0)
     for camera in CAMERAS:
         assert pictures(imported.path, camera) == pictures(recorded.path, camera)
-    ours, theirs = messages(recorded.path, "/vehicle"), messages(imported.path, "/vehicle")
-    assert [time_ns for _, time_ns, _ in ours] == [time_ns for _, time_ns, _ in theirs]
-    for (_, _, a), (_, _, b) in zip(ours, theirs, strict=True):
-        mine, read = VehicleState.FromString(a), VehicleState.FromString(b)
+    ours, theirs = (read_messages(path)["/vehicle"] for path in (recorded.path, imported.path))
+    assert [message.log_time for message, _ in ours] == [message.log_time for message, _ in theirs]
+    for (_, mine), (_, read) in zip(ours, theirs, strict=True):
         for name in ("steering", "throttle", "brake", "speed_mph"):
             assert getattr(read, name) == pytest.approx(getattr(mine, name), rel=5e-7, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    "drive",
-    [
-        SimulatedDrive(track="nowhere"),
-        SimulatedDrive(laps=0),
-        SimulatedDrive(laps=float("nan")),
-        SimulatedDrive(laps=float("inf")),
-        SimulatedDrive(rate=7),
-        SimulatedDrive(rate=0),
-        SimulatedDrive(recovery=1),
-        SimulatedDrive(seed=-1),
-        SimulatedDrive(speed=(10, 0)),
-        SimulatedDrive(speed=(float("nan"),)),
-        SimulatedDrive(speed=()),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize("drive", [SimulatedDrive(track="nowhere"), SimulatedDrive(speed=())], ids=str)
 def test_a_drive_that_cannot_be_is_an_error_and_writes_nothing(drive: SimulatedDrive, tmp_path: Path) -> None:
     with pytest.raises(RecordingError):
         record_simulated(drive, tmp_path / "x.mcap", udacity=tmp_path / "x")
@@ -161,7 +136,7 @@ def test_an_unknown_track_ends_every_command_with_one_code_and_a_guess(
     assert f"{arguments[-1]} lkae: no such track; did you mean lake?" in one_line_in(capsys)
 
 
-@pytest.mark.parametrize("flags", [("--rate", "7"), ("--rate", "0"), ("--laps", "nan")])
+@pytest.mark.parametrize("flags", [("--rate", "7"), ("--laps", "nan")])
 def test_a_drive_of_bc_sim_that_cannot_be_is_one_line(
     flags: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -172,8 +147,8 @@ def test_a_drive_of_bc_sim_that_cannot_be_is_one_line(
 @pytest.mark.parametrize(
     "flag",
     [
-        *("--rate 7", "--rate nan", "--laps nan", "--laps 0", "--speed 0", "--speed nan"),
-        *("--recovery 0.95", "--recovery nan", "--noise -1", "--noise nan", "--seed -1"),
+        *("--rate 7", "--rate 0", "--rate nan", "--laps nan", "--laps 0", "--laps inf", "--speed 0"),
+        *("--speed nan", "--recovery 0.95", "--recovery nan", "--noise -1", "--noise nan", "--seed -1"),
         *("--from x --rate -1", "--from x --steering-scale 0", "--listen --port 65536", "--listen --idle nan"),
     ],
 )
@@ -212,28 +187,26 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
     with Child(
         command("bc-eval", pilot_run, "--simulator", "lake", "--laps", 0.002, "--drives", tmp_path / "b", "--json")
     ) as child:
-        (here,) = evaluate(load_pilot(pilot_run), drives, tmp_path / "a")
+        (called,) = evaluate(load_pilot(pilot_run), drives, tmp_path / "a")
         assert child.join() == 0, child.stderr
     (line,) = child.stdout.splitlines()
-    there = json.loads(line)
-    assert here.as_dict() == {**there, "log": str(here.log)}
-    assert len(there["trajectory_sha256"]) == 64
-    assert 0.002 <= there["laps"] < 0.004
+    printed = json.loads(line)
+    assert called.as_dict() == {**printed, "log": str(called.log)}
+    assert len(printed["trajectory_sha256"]) == 64
+    assert 0.002 <= printed["laps"] < 0.004
     assert {"track", "set_speed_mph", "interventions", "autonomy_percent", "mean_offset", "max_offset"} <= set(
-        there
+        printed
     )
-    assert {"mean_speed_mph", "steering_per_s", "elapsed_s", "whole_laps", "unreadable"} <= set(there)
-    expected = max(0.0, 100 * (1 - 6 * there["interventions"] / there["elapsed_s"]))
-    assert there["autonomy_percent"] == pytest.approx(expected)
-    assert Path(there["log"]).name == here.log.name
-    ours, theirs = (messages(Path(str(path)), "/camera/center") for path in (here.log, there["log"]))
+    assert {"mean_speed_mph", "steering_per_s", "elapsed_s", "whole_laps", "unreadable"} <= set(printed)
+    expected = max(0.0, 100 * (1 - 6 * printed["interventions"] / printed["elapsed_s"]))
+    assert printed["autonomy_percent"] == pytest.approx(expected)
+    assert Path(printed["log"]).name == called.log.name
+    ours, theirs = (pictures(Path(str(path)), "/camera/center") for path in (called.log, printed["log"]))
     # 25 telemetries a second; two are in flight when the drive is over
-    assert len(ours) == pytest.approx(here.report["elapsed_s"] * 25, abs=2)
-    assert [CompressedImage.FromString(data).data for _, _, data in ours] == [
-        CompressedImage.FromString(data).data for _, _, data in theirs
-    ]
-    with Log(here.log) as log:
-        assert log.read_metadata("bc.simulator")["trajectory_sha256"] == there["trajectory_sha256"]
+    assert len(ours) == pytest.approx(called.report["elapsed_s"] * 25, abs=2)
+    assert ours == theirs
+    with Log(called.log) as log:
+        assert log.read_metadata("bc.simulator")["trajectory_sha256"] == printed["trajectory_sha256"]
         assert log.metadata["track"] == "lake"  # of its map
         assert car_in(log.metadata, log.path) == built_in()  # where its cameras stand, and how it turns
 

@@ -50,8 +50,8 @@ def drive(
 
 
 def compared(a: DriveResult, b: DriveResult) -> tuple[str, dict[str, Any]]:
-    found = DriveComparison("a", "b", [a], [b]).as_dict()
-    return found["verdict"], found["measures"]
+    comparison = DriveComparison("a", "b", [a], [b]).as_dict()
+    return comparison["verdict"], comparison["measures"]
 
 
 @pytest.fixture(scope="module")
@@ -105,12 +105,12 @@ def test_a_run_drives_no_worse_than_itself_and_as_its_own_report_says(
     untrained_run(tmp_path / "runs" / "untrained", seed=1)
     flags = ("--simulator", "lake", "--laps", 0.002)
     assert call(main, "--compare", "untrained", "untrained", *flags, "--json") == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["verdict"] == "not told apart"
-    (pair,) = found["drives"]
+    comparison = json.loads(capsys.readouterr().out)
+    assert comparison["verdict"] == "not told apart"
+    (pair,) = comparison["drives"]
     assert pair["a"]["trajectory_sha256"] == pair["b"]["trajectory_sha256"]
     assert [pair[side]["log"] for side in "ab"] == [f"drives/{side}/untrained-lake-10mph.mcap" for side in "ab"]
-    for name, measure in found["measures"].items():
+    for name, measure in comparison["measures"].items():
         assert measure["a"] == pytest.approx(pair["a"][name], rel=0.05, abs=0.02), name
     assert call(main, "--compare", "untrained", "untrained", *flags) == 1  # the logs are there already
     assert "exists already: give --drives FOLDER for another place, or give --force" in capsys.readouterr().err

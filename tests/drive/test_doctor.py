@@ -43,13 +43,13 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def commands() -> list[str]:
-    return [each.command for each in examine().advice]
+    return [advice.command for advice in examine().advice]
 
 
 def test_an_empty_folder_gets_three_ways_to_begin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, tmp_path) == 0
-    *here, first, second, third = capsys.readouterr().out.replace(".venv/bin/", "").splitlines()
-    assert here == ["sessions: no logs", "index: none", "runs: none", "drives: no logs"]
+    *folders, first, second, third = capsys.readouterr().out.replace(".venv/bin/", "").splitlines()
+    assert folders == ["sessions: no logs", "index: none", "runs: none", "drives: no logs"]
     for line, program in ((first, "bc-demo"), (second, "bc-record lake"), (third, "bc-record mine --from")):
         assert line.startswith(f"next: `cd {shlex.quote(str(tmp_path))} && ")
         assert program in line
@@ -67,17 +67,17 @@ def test_a_project_is_said_in_a_line_a_folder(capsys: pytest.CaptureFixture[str]
     assert "on turns (12.00 against 9.00 degrees)" in good
     assert sum(line.startswith("next: `") for line in lines) == 3
     assert call(main, "--json") == 0
-    found = json.loads(capsys.readouterr().out)
-    assert len(found["advice"]) == 3
-    assert found["problems"] == []
+    printed = json.loads(capsys.readouterr().out)
+    assert len(printed["advice"]) == 3
+    assert printed["problems"] == []
 
 
 @pytest.mark.usefixtures("project")
 def test_what_is_new_is_the_next_thing_to_do() -> None:
     write_log(Path("sessions") / "new.mcap", STEERING)
-    found = examine()
-    assert "index: does not hold new" in found.odd
-    assert found.advice[0].command == "bc-index"
+    project = examine()
+    assert "index: does not hold new" in project.odd
+    assert project.advice[0].command == "bc-index"
     Path("index/samples.parquet").unlink()
     assert commands()[0] == "bc-index"
 
@@ -101,7 +101,9 @@ def test_what_is_perhaps_odd_is_to_be_looked_at() -> None:
     before = examine().advice
     assert call(log_command, "tag", "sessions/sunday.mcap", "exclude", "--start", 0) == 0
     os.utime("sessions/sunday.tags.jsonl", (2e9, 2e9))  # whatever the clock's steps are
-    assert next(each for each in examine().advice if each not in before).why == "tags are newer than the index"
+    assert (
+        next(advice for advice in examine().advice if advice not in before).why == "tags are newer than the index"
+    )
     assert "bc-log check sessions/sunday.mcap" not in commands()
     write_log(Path("sessions") / "sunday.mcap", [3.0] * 30 + STEERING[:30], overwrite=True)
     assert any("values out of range: 30" in line for line in examine().odd)
@@ -170,8 +172,8 @@ def test_an_earlier_versions_index_is_said() -> None:
     stored = json.loads(table.schema.metadata[b"bc.index"])
     del stored["counts"]["monday"]["not_measured"]
     pq.write_table(table.replace_schema_metadata({b"bc.index": json.dumps(stored).encode()}), file)
-    found = examine()
+    project = examine()
     assert (
-        "index: an earlier version made it, which held out crashes and did not know all that is odd" in found.odd
+        "index: an earlier version made it, which held out crashes and did not know all that is odd" in project.odd
     )
-    assert found.advice[0].command == "bc-index"
+    assert project.advice[0].command == "bc-index"

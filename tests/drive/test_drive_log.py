@@ -33,7 +33,8 @@ from recorder.server.telemetry import Telemetry
 from recorder.server.world import World
 from recorder.upkeep.check import check
 from recorder.upkeep.recover import recover
-from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
+from simulator.protocol.client import SimulatorClient
+from simulator.protocol.replay import replay
 
 WORLD = World(
     time_s=0.0,
@@ -98,8 +99,8 @@ def test_a_row_holds_what_was_told_seen_and_answered(tmp_path: Path) -> None:
     assert (log.frames, log.dropped_pictures, log.dropped_rows) == (30, 0, 0)
     messages = read_messages(path)
     assert sorted(messages) == ["/camera/center", "/pilot/command", "/pilot/input", "/vehicle"]
-    stamps = {topic: [(m.sequence, m.log_time) for m, _ in found] for topic, found in messages.items()}
-    assert all(found == stamps["/vehicle"] for found in stamps.values())
+    stamps = {topic: [(m.sequence, m.log_time) for m, _ in rows] for topic, rows in messages.items()}
+    assert all(rows == stamps["/vehicle"] for rows in stamps.values())
     assert [row for row, _ in stamps["/vehicle"]] == list(range(30))
     for row, decision in enumerate(decisions):
         telemetry = decision.telemetry
@@ -214,7 +215,7 @@ def test_events_of_decisions_stand_in_their_order(tmp_path: Path) -> None:
         ("nonsense for a second: braking", "WARNING", "drive"),
         ("disconnected: it went away", "WARNING", "drive"),
     ]
-    times_ns = [message.log_time for found in read_messages(path).values() for message, _ in found]
+    times_ns = [message.log_time for of_topic in read_messages(path).values() for message, _ in of_topic]
     assert len(set(times_ns)) == len(events) + 1
 
 
@@ -247,7 +248,7 @@ def test_a_humans_stretch_is_no_gap_whatever_the_simulators_clock(tmp_path: Path
     checked = check(path, look=False)
     where = ["before row 2"]
     assert checked.meant_gaps == (where if is_manual else [])
-    assert [found.where for found in checked.findings if found.kind == "gaps in time"] == (
+    assert [finding.where for finding in checked.findings if finding.kind == "gaps in time"] == (
         [] if is_manual else where
     )
 
@@ -296,24 +297,24 @@ def test_no_time_is_the_same_or_back_and_simulated_time_is_kept(received: list[t
     clock = LogClock()
     received_ns, last_ns = 0, 0
     last_row: tuple[int, float | None] | None = None
-    for passed_ns, what in received:
+    for passed_ns, moment in received:
         received_ns += passed_ns
-        time_ns = clock.event(received_ns) if what == "event" else clock.row(received_ns, what)
+        time_ns = clock.event(received_ns) if moment == "event" else clock.row(received_ns, moment)
         assert time_ns > last_ns
-        if what != "event":
+        if moment != "event":
             if last_row is not None:
                 before_ns, before = last_row
                 if (
-                    what is not None
+                    moment is not None
                     and before is not None
-                    and 0 <= round(what * 1e9) - round(before * 1e9) <= 60e9
+                    and 0 <= round(moment * 1e9) - round(before * 1e9) <= 60e9
                 ):
                     # to the nanosecond, but for rows and events of the very same moment
-                    late_ns = time_ns - before_ns - (round(what * 1e9) - round(before * 1e9))
+                    late_ns = time_ns - before_ns - (round(moment * 1e9) - round(before * 1e9))
                     assert abs(late_ns) <= len(received)
-                elif what is not None or before is not None:
+                elif moment is not None or before is not None:
                     assert time_ns - before_ns > 1e9  # another clock: a break, as between two drives
-            last_row = time_ns, what
+            last_row = time_ns, moment
         last_ns = time_ns
 
 
@@ -373,7 +374,7 @@ def test_where_the_disk_stands_still_pictures_are_lost_before_commands(
         goes_on.set()
         log.close()
     messages = read_messages(path)
-    counts = {topic: len(found) for topic, found in messages.items() if topic != "/events"}
+    counts = {topic: len(of_topic) for topic, of_topic in messages.items() if topic != "/events"}
     assert counts == {
         **dict.fromkeys(("/vehicle", "/pilot/command", "/pose"), 100),
         **dict.fromkeys(("/camera/center", "/pilot/input"), kept),
@@ -495,18 +496,7 @@ def test_a_viewer_that_is_stopped_keeps_neither_the_drive_nor_its_log(tmp_path: 
             pytest.skip("a stopped viewer was not tried: this system does not list a process's children")
         (child,) = map(int, children.read_text().split())
         os.kill(child, signal.SIGSTOP)
-        left = iter(range(300))
-        answers: list[object] = []
-
-        def next_telemetry(answer: ServerCommand) -> SimulatorMessage:
-            if answer is not None:
-                answers.append(answer)
-            number = next(left, None)
-            if number is not None:
-                return SimulatorTelemetry(0.0, 0.25, 9.0, road_jpeg(number % 50))
-            return None if len(answers) == 300 else "nothing"
-
-        SimulatorClient(port=port).run(next_telemetry)
+        replay(SimulatorClient(port=port), [road_jpeg(number % 50) for number in range(300)])
         state = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[0]
         assert state == "T"  # as it was all the while
         assert process.end() == 0

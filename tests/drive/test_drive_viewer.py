@@ -5,14 +5,14 @@ from __future__ import annotations
 import shlex
 import signal
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from driving import PATIENT, Process, command, command_after, environment, road_jpeg, untrained_run, with_viewer
 from logs import read_messages
-from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
+from simulator.protocol.client import SimulatorClient
+from simulator.protocol.replay import replay
 from waiting import wait_until
 
 FRAMES = 20
@@ -39,20 +39,8 @@ def display(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def drive(process: Process) -> None:
     """Be a simulator that has driven `FRAMES` frames when this returns."""
-    pictures = [road_jpeg(i) for i in range(FRAMES)]
-    rows: Iterator[int] = iter(range(FRAMES))
-    waiting = 0
-
-    def next_telemetry(answer: ServerCommand) -> SimulatorMessage:
-        nonlocal waiting
-        waiting -= answer is not None
-        if (row := next(rows, None)) is None:
-            return "nothing" if waiting else None
-        waiting += 1
-        return SimulatorTelemetry(0.0, 0.25, 9.0, pictures[row])
-
     port = int(process.wait_for(r"is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1])
-    SimulatorClient(port=port).run(next_telemetry)
+    replay(SimulatorClient(port=port), [road_jpeg(i) for i in range(FRAMES)])
 
 
 @pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="there is always a display there")

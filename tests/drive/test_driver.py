@@ -20,10 +20,9 @@ from drive.config import DriveConfig
 from drive.control.driver import Decision, Driver
 from drive.control.speed_controller import max_curve_speed_mph
 from drive.control.telemetry_picture import MAX_PIXELS
-from drive.errors import DriveError
 from driving import road_jpeg
 from model import Pilot
-from model.network.original import SteeringNetwork
+from model.network.small import SmallNetwork
 from recorder.server.world import World
 from simulator.driving.expert import BEND_MPS2
 from simulator.driving.vehicle import STEP_S, CarState, step
@@ -32,7 +31,7 @@ MIDDLE = World(0.0, 1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, -0.3, 0.7)
 NONSENSE = {"speed": "fast"}
 
 
-def say(network: SteeringNetwork, steering: float) -> SteeringNetwork:
+def say(network: SmallNetwork, steering: float) -> SmallNetwork:
     """Every picture gets the same answer from now on."""
     with torch.no_grad():
         network.head[-1].weight.zero_()  # type: ignore[operator]
@@ -41,12 +40,12 @@ def say(network: SteeringNetwork, steering: float) -> SteeringNetwork:
 
 
 def pilot_that_says(steering: float) -> Pilot:
-    return Pilot(say(SteeringNetwork(), steering))
+    return Pilot(say(SmallNetwork(), steering))
 
 
 def untrained_pilot() -> Pilot:
     torch.manual_seed(3)
-    return Pilot(SteeringNetwork())
+    return Pilot(SmallNetwork())
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +89,7 @@ def drive(driver: Driver, data: object, now_s: float = 0.0) -> Decision:
 def pilot_that_wants(**wanted: float) -> Pilot:
     """It answers these targets, and steers straight on."""
     names: tuple[TargetName, ...] = ("steering", *(name for name in TARGET_NAMES if name in wanted))
-    network = SteeringNetwork(outputs=len(names))
+    network = SmallNetwork(outputs=len(names))
     network.outputs = len(names)
     say(network, 0.0)
     with torch.no_grad():
@@ -130,7 +129,7 @@ def test_the_throttle_that_the_network_wants_is_sent_below_the_set_speed(
 
 def test_a_network_of_little_throttle_is_kept_to_the_set_speed() -> None:
     """What the car lacked meanwhile it lacked because of the network, not because of a hill."""
-    network = say(SteeringNetwork(outputs=2), 0.0)
+    network = say(SmallNetwork(outputs=2), 0.0)
     network.outputs = 2
     pilot, car = Pilot(network, targets=("steering", "throttle")), CarState(0.0, 0.0, 0.0, 8.0)
     driver = Driver(pilot, DriveConfig(set_speed_mph=20.0))
@@ -174,7 +173,7 @@ def test_steering_is_clamped_and_the_prediction_is_not(said: float, sent: float)
     assert (decision.predicted_steering, decision.steering) == (said, sent)
 
 
-@pytest.mark.parametrize(("width", "height"), [(640, 480), (160, 120), (1, 1), (1920, 1080), (5, 4000)])
+@pytest.mark.parametrize(("width", "height"), [(640, 480), (1, 1), (5, 4000)])
 def test_a_picture_of_another_size_is_driven_on_and_that_is_said_once(
     half_right: Pilot, width: int, height: int
 ) -> None:
@@ -300,7 +299,7 @@ def test_good_telemetry_in_between_is_driven_and_begins_the_second_again(half_ri
 
 
 @pytest.mark.parametrize("data", [NONSENSE, None, message(image="AAAA", speed_mph=30.0)])
-@pytest.mark.parametrize("speed_mph", [0.5, 5.0, 10.0, 30.0])
+@pytest.mark.parametrize("speed_mph", [0.5, 30.0])
 def test_after_a_second_of_nonsense_the_car_stops_and_is_not_reversed(
     half_right: Pilot, speed_mph: float, data: object
 ) -> None:
@@ -331,9 +330,8 @@ def test_after_a_second_of_nonsense_the_car_stops_and_is_not_reversed(
     assert events == [f"nothing usable for 1 s: the car {'stands' if stands else 'is braked'}"]
 
 
-@pytest.mark.parametrize("slope", [0.0, -0.1])
-@pytest.mark.parametrize("speed_mph", [0.0, 5.0, 20.0, 30.0])
-@pytest.mark.parametrize("image", ["%%%", "AAAA", ...])
+@pytest.mark.parametrize(("speed_mph", "slope"), [(0.0, 0.0), (5.0, 0.0), (30.0, -0.1)])
+@pytest.mark.parametrize("image", ["%%%", ...])
 def test_a_car_of_which_only_the_speed_is_readable_is_braked(
     half_right: Pilot, speed_mph: float, image: object, slope: float
 ) -> None:
@@ -355,7 +353,7 @@ def test_a_car_of_which_only_the_speed_is_readable_is_braked(
     assert abs(car.speed_mph) < 2.0
 
 
-@pytest.mark.parametrize("speed_mph", [0.0, 5.0, 20.0, 30.0])
+@pytest.mark.parametrize("speed_mph", [0.0, 30.0])
 def test_a_car_without_a_speed_is_braked_once_and_never_reversed(half_right: Pilot, speed_mph: float) -> None:
     driver = Driver(half_right, DriveConfig())
     car = CarState(0.0, 0.0, 0.0, speed_mps=speed_mph * 0.44704)
@@ -529,7 +527,7 @@ def test_the_simulators_own_clock_counts_where_it_tells_it(half_right: Pilot) ->
     assert steering == pytest.approx([0.0, 0.1, 0.1, 0.2, 0.2, 0.3])
 
 
-@pytest.mark.parametrize("steering", [0.05, 0.2, -0.4, 0.7, -1.0])
+@pytest.mark.parametrize("steering", [0.05, -0.4, 1.0])
 def test_in_curves_the_car_drifts_outwards_as_the_expert_allows(steering: float) -> None:
     """By the simulator's own car, held at the speed and the steering until it has settled."""
     speed_mph = min(max_curve_speed_mph(steering), 100.0)
@@ -553,28 +551,12 @@ def test_the_set_speed_is_lowered_in_curves_if_asked_for(half_right: Pilot) -> N
 
 def test_what_a_curve_takes_off_is_not_missing_on_the_straight_behind_it() -> None:
     config = DriveConfig(set_speed_mph=25.0, slow_in_curves=True)
-    network = say(SteeringNetwork(), 0.5)
+    network = say(SmallNetwork(), 0.5)
     driver, data = Driver(Pilot(network), config), message(speed_mph=20.0)
     for k in range(20):
         drive(driver, data, k / 10)
     say(network, 0.0)
     assert drive(driver, data, 2.0).throttle == drive(Driver(pilot_that_says(0.0), config), data).throttle
-
-
-@pytest.mark.parametrize(
-    ("flag", "values"),
-    [
-        ("--speed", {"set_speed_mph": 0.0}),
-        ("--speed", {"set_speed_mph": math.nan}),
-        ("--smooth", {"smooth_s": -0.1}),
-        ("--smooth", {"smooth_s": math.inf}),
-        ("--steering-rate", {"max_steering_per_s": -1.0}),
-        ("--steering-rate", {"max_steering_per_s": math.nan}),
-    ],
-)
-def test_settings_that_make_no_sense_are_one_line_that_names_the_flag(flag: str, values: dict[str, float]) -> None:
-    with pytest.raises(DriveError, match=f"^{flag} [^\n]+$"):
-        DriveConfig(**values)  # type: ignore[arg-type]
 
 
 # Who drives

@@ -59,7 +59,7 @@ def test_it_drives_episodes_and_logs_them(capsys: pytest.CaptureFixture[str]) ->
     for start in (0, STEPS):
         assert driven[start] == 0.0
         np.testing.assert_allclose(driven[start + 1 : start + STEPS], sent[start : start + STEPS - 1])
-    assert [(one["seed"], one["steps"], one["end"]) for one in episodes] == [
+    assert [(episode["seed"], episode["steps"], episode["end"]) for episode in episodes] == [
         (3, STEPS, "truncated"),
         (4, STEPS, "truncated"),
     ]
@@ -68,8 +68,8 @@ def test_it_drives_episodes_and_logs_them(capsys: pytest.CaptureFixture[str]) ->
 def test_the_same_drive_twice_is_the_same() -> None:
     for name in ("one", "two"):
         assert call(bc_drive, "first", *bar(**SPEED, args=SHORT), *UNSEEN, "--log", f"{name}.mcap") == 0
-    one, two = (commands(f"{name}.mcap") for name in ("one", "two"))
-    assert [command.steering for command in one] == [command.steering for command in two]
+    first, second = (commands(f"{name}.mcap") for name in ("one", "two"))
+    assert [command.steering for command in first] == [command.steering for command in second]
 
 
 def test_a_drive_is_copied_to_a_store_when_it_is_finished(

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import math
+import operator
+import shutil
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -39,6 +42,22 @@ def a_run(session: Path) -> None:
     train(Path("index"), Path("runs/first"), config, show_progress=False)
 
 
+@pytest.fixture(scope="module")
+def lake(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project with the session lake and a run that has learnt from it."""
+    folder = tmp_path_factory.mktemp("lake")
+    with contextlib.chdir(folder):
+        a_run(a_session(Path("sessions/lake.mcap"), 0, 60))
+    return folder
+
+
+@pytest.fixture
+def project(lake: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A copy of it is the working folder."""
+    shutil.copytree(lake, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+
+
 def commands() -> list[PilotCommand]:
     with Log(DRIVE) as log:
         return [content for _, content in log.commands()]
@@ -47,38 +66,33 @@ def commands() -> list[PilotCommand]:
 def learnt_from() -> dict[str, list[dict[str, float]]]:
     """The samples of the next run by session."""
     samples = pq.read_table("index-next/samples.parquet").to_pylist()
-    by_session = itertools.groupby(sorted(samples, key=lambda each: each["session"]), lambda each: each["session"])
-    return {session: list(each) for session, each in by_session}
+    session_of = operator.itemgetter("session")
+    return {name: list(rows) for name, rows in itertools.groupby(sorted(samples, key=session_of), session_of)}
 
 
-def test_the_next_run_learns_from_the_session_and_the_takeovers_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    a_run(a_session(Path("sessions/lake.mcap"), 0, 60))
+@pytest.mark.usefixtures("project")
+def test_the_next_run_learns_from_the_session_and_the_takeovers_alone(capsys: pytest.CaptureFixture[str]) -> None:
     where = ("--simulator", "random:3", "--laps", 0.04, "--speed", 20, "--viewer", "off")
     assert call_drive("first", *where, "--takeover", "--log", DRIVE) == 0
     assert f"bc-train --init first --takeovers {DRIVE}" in capsys.readouterr().err
     driven = commands()
-    expert = [each for each in driven if each.driver == PilotCommand.EXPERT]
+    expert = [command for command in driven if command.driver == PilotCommand.EXPERT]
     assert 0 < len(expert) < len(driven)
-    assert all(each.steering == each.expert_steering for each in expert)
+    assert all(command.steering == command.expert_steering for command in expert)
     assert call(main, *LEARN) == 0
     samples = learnt_from()
     assert set(samples) == {"lake", "takeovers"}
-    assert all(driven[int(each["row"])].driver == PilotCommand.EXPERT for each in samples["takeovers"])
+    assert all(driven[int(sample["row"])].driver == PilotCommand.EXPERT for sample in samples["takeovers"])
     config = json.loads(Path("runs/next/config.json").read_text())
     assert (config["data"]["settings"]["drives"], config["init"]["run"]) == ("takeovers", "first")
 
 
+@pytest.mark.usefixtures("project")
 def test_another_log_in_the_place_of_one_that_was_learnt_from_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    a_run(a_session(Path("sessions/lake.mcap"), 0, 60))
     Path("sessions/lake.mcap").unlink()
     a_session(Path("sessions/lake.mcap"), 200, 50)
-    capsys.readouterr()
     assert call(main, *LEARN) == 1
     assert "lake.mcap: changed since the run learned from it" in one_line_in(capsys)
 
@@ -117,5 +131,5 @@ def test_takeovers_of_another_car_in_a_simulator_that_connects(
         assert log.vehicle()["speed_mph"].to_pylist() == pytest.approx([22.369] * 40, abs=1e-3)
     assert call(main, *LEARN) == 0
     learnt = json.loads(Path("runs/next/config.json").read_text())
-    assert {each["max_steering_deg"] for each in learnt["data"]["logs"].values()} == {23.0}
-    assert {abs(each["label"]) for each in learnt_from()["takeovers"]} == {0.5}
+    assert {log["max_steering_deg"] for log in learnt["data"]["logs"].values()} == {23.0}
+    assert {abs(sample["label"]) for sample in learnt_from()["takeovers"]} == {0.5}

@@ -176,7 +176,7 @@ def test_the_log_and_the_summary_count_the_persons_takeovers(supervised: Supervi
     with Log(supervised.log) as log:
         assert [DEVICES[number] for number in log.devices()] == ["", "keyboard", "", "keyboard", ""]
     ended = supervised.page.text("ended")
-    assert (ended["rows"], [each["row"] for each in ended["takeovers"]]) == (5, [1, 3])
+    assert (ended["rows"], [takeover["row"] for takeover in ended["takeovers"]]) == (5, [1, 3])
 
 
 def test_the_last_seconds_are_tagged_as_bad(supervised: Supervised) -> None:

@@ -74,11 +74,11 @@ def test_png_and_side_cameras_are_kept_as_they_came_and_trained_on(tmp_path: Pat
         rows = [row for row in range(ROWS) if (camera, row) != ("left", CUT_OFF)]
         assert {row: image.data for row, image in kept.items()} == {row: sent(camera, row) for row in rows}
         assert {image.format for image in kept.values()} == {"png" if camera == "center" else "jpeg"}
-    assert {(found.kind, found.where) for found in check(path, look=False).findings} == {
+    assert {(finding.kind, finding.where) for finding in check(path, look=False).findings} == {
         ("kinds of unusable telemetry", f"{problem} (1)"),
         ("stretches of rows without a picture", f"/camera/left row {CUT_OFF}"),
     }
     config = IndexConfig(balance=False, flip=False, block_s=0.5, gap_s=0.0, labels="as-recorded")
     samples = pq.read_table(build_index([path], tmp_path / "index", config).path / "samples.parquet").to_pylist()
-    labels = {(each["camera"], round(each["label"], 6)) for each in samples}
+    labels = {(sample["camera"], round(sample["label"], 6)) for sample in samples}
     assert labels == {("center", 0.1), ("left", 0.3), ("right", -0.1)}

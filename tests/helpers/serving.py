@@ -151,7 +151,7 @@ def tell(port: int, numbers: Sequence[int], **client: Any) -> list[ServerCommand
     return answers
 
 
-PICTURES = [road_jpeg(number) for number in range(8)]
+PICTURES = [road_jpeg(number) for number in range(20)]
 
 
 def fields(number: int, **changed: Any) -> dict[str, Any]:
@@ -221,6 +221,7 @@ class RawClient:
         """The next one; what greets modern clients and keeps their connections alive is passed over."""
         while True:
             message = str(self.websocket.recv())
+            assert message, "the server has hung up"
             if message.startswith("42"):
                 name, data = json.loads(message[2:])
                 return name, data

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import http.client
 import json
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlencode
 
 from common.location import Location
 from driving import PATIENCE_S
 from web.app import workbench_app
 from web.folders.project_folders import ProjectFolders
 from web.server.workbench_server import WorkbenchServer
+
+
+def plain(page: str) -> str:
+    """The text of a page, or of a part of it, without its elements."""
+    return html.unescape(" ".join(re.sub(r"<[^>]*>", " ", page).split()))
 
 
 @dataclass(frozen=True)
@@ -45,6 +53,11 @@ class Served:
 
     def get(self, path: str, **headers: str) -> Answer:
         return self.ask("GET", path, **headers)
+
+    def post(self, path: str, **values: str) -> Answer:
+        """Send a form of the workbench's own pages."""
+        form = {"Content_Type": "application/x-www-form-urlencoded"}
+        return self.ask("POST", path, urlencode(values).encode(), **form)
 
     def ask(self, method: str, path: str, body: bytes | None = None, /, **headers: str) -> Answer:
         """As a program asks that is no browser; `headers` are said as they are, `Sec_Fetch_Site` with dashes."""

@@ -80,10 +80,10 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_everything_that_is_drawn_is_in_a_view_and_no_view_is_empty(drive: Path) -> None:
-    found = contents(drive)
-    drawn = {entity for entity, columns in found.items() if set(DRAWN) & columns.keys()}
+    entities = contents(drive)
+    drawn = {entity for entity, columns in entities.items() if set(DRAWN) & columns.keys()}
     origins = {str(view.origin) for view in views_of(log_layout(TOPICS[:-1]))}
-    inside = {origin: {each for each in drawn if f"{each}/".startswith(f"{origin}/")} for origin in origins}
+    inside = {origin: {path for path in drawn if f"{path}/".startswith(f"{origin}/")} for origin in origins}
     assert all(inside.values()), inside
     assert set().union(*inside.values()) == drawn
     assert view_names(drive) == {view.name for view in views_of(log_layout(TOPICS[:-1]))}
@@ -102,9 +102,9 @@ def test_the_histogram_has_the_frames_of_each_steering(drive: Path) -> None:
 
 
 def test_arcs_bend_to_where_the_car_is_steered(drive: Path) -> None:
-    found = contents(drive)
+    entities = contents(drive)
     for name, first, last in (("recorded", -0.5, 0.02), ("predicted", 1.0, 1.0), ("sent", 0.5, 0.5)):
-        strips = found[f"/camera/center/steering/{name}"]["LineStrips2D:strips"]
+        strips = entities[f"/camera/center/steering/{name}"]["LineStrips2D:strips"]
         arcs = [np.array(strip[0]) for strip in strips if strip]
         assert len(arcs) == ROWS
         for arc, steering in ((arcs[0], first), (arcs[-1], last)):
@@ -115,21 +115,21 @@ def test_arcs_bend_to_where_the_car_is_steered(drive: Path) -> None:
 
 
 def test_who_drives_is_told_where_that_changes(drive: Path) -> None:
-    found = contents(drive)["/driver"]
-    states = [state[0] for state in found["StateChange:state"] if state]
+    driver = contents(drive)["/driver"]
+    states = [state[0] for state in driver["StateChange:state"] if state]
     assert states == ["pilot", "human"]
-    assert found["message_log_time"] == [START_NS, START_NS + ROWS // 2 * STEP_NS]
+    assert driver["message_log_time"] == [START_NS, START_NS + ROWS // 2 * STEP_NS]
 
 
 def test_the_path_from_above_is_the_way_that_was_driven(drive: Path) -> None:
     """North is up: in a picture, y points down."""
-    found = contents(drive)
-    (way,) = [strip[0] for strip in found["/path/driven"]["LineStrips2D:strips"] if strip]
+    entities = contents(drive)
+    (way,) = [strip[0] for strip in entities["/path/driven"]["LineStrips2D:strips"] if strip]
     assert way[0] == pytest.approx((0, 0))
     radius_m = np.hypot(np.array(way)[:, 0], np.array(way)[:, 1] + 100)
     assert radius_m == pytest.approx(100, abs=0.01)
-    car = found["/path/car"]
-    origins, vectors = ([each[0] for each in car[f"Arrows2D:{part}"] if each] for part in ("origins", "vectors"))
+    car = entities["/path/car"]
+    origins, vectors = ([end[0] for end in car[f"Arrows2D:{part}"] if end] for part in ("origins", "vectors"))
     assert len(origins) == len(vectors) == ROWS
     assert vectors[0] == pytest.approx((8, 0))  # to the east
     angle = math.pi / 2 * (ROWS - 1) / ROWS

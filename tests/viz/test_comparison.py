@@ -49,56 +49,56 @@ def shown(rrd: Path, *words: object) -> dict[str, dict[str, list[Any]]]:
     return contents(rrd)
 
 
-def values(found: dict[str, dict[str, list[Any]]], entity: str, component: str = "Scalars:scalars") -> list[Any]:
-    return [value[0] for value in found[entity][component] if value]
+def values(shown: dict[str, dict[str, list[Any]]], entity: str, component: str = "Scalars:scalars") -> list[Any]:
+    return [value[0] for value in shown[entity][component] if value]
 
 
 def test_logs_of_different_days_stand_beside_each_other_from_their_starts(tmp_path: Path) -> None:
     logs = write_drive(tmp_path / "a.mcap"), write_drive(tmp_path / "b.mcap", start_s=86_400, speed_m_s=20)
-    found = shown(tmp_path / "x.rrd", *logs)
+    entities = shown(tmp_path / "x.rrd", *logs)
     since_start = [row * STEP_NS for row in range(ROWS)]
     for name, speed in (("a", 10.0), ("b", 20.0)):
-        times = found[f"/{name}/steering/recorded"]["since start"]
+        times = entities[f"/{name}/steering/recorded"]["since start"]
         assert [round(time.total_seconds() * 1e9) for time in times] == since_start
-        assert values(found, f"/{name}/steering/recorded") == pytest.approx([row / 100 for row in range(ROWS)])
-        assert values(found, f"/{name}/steering/sent") == pytest.approx([-row / 100 for row in range(ROWS)])
-        assert values(found, f"/{name}/speed_mph/driven") == [speed] * ROWS
-        blobs = values(found, f"/{name}/camera/center", "EncodedImage:blob")
+        assert values(entities, f"/{name}/steering/recorded") == pytest.approx([row / 100 for row in range(ROWS)])
+        assert values(entities, f"/{name}/steering/sent") == pytest.approx([-row / 100 for row in range(ROWS)])
+        assert values(entities, f"/{name}/speed_mph/driven") == [speed] * ROWS
+        blobs = values(entities, f"/{name}/camera/center", "EncodedImage:blob")
         assert [bytes(blob) for blob in blobs] == [road_jpeg(row) for row in range(ROWS)]
-        assert len(values(found, f"/{name}/path/car", "Arrows2D:origins")) == ROWS
-        assert values(found, f"/{name}/driver", "StateChange:state") == ["pilot"]
-    assert values(found, "/b/events", "TextLog:text") == ["begins at 86400 s"]
-    assert not {entity for entity in found if not entity.startswith(("/a/", "/b/", "/__"))}
+        assert len(values(entities, f"/{name}/path/car", "Arrows2D:origins")) == ROWS
+        assert values(entities, f"/{name}/driver", "StateChange:state") == ["pilot"]
+    assert values(entities, "/b/events", "TextLog:text") == ["begins at 86400 s"]
+    assert not {entity for entity in entities if not entity.startswith(("/a/", "/b/", "/__"))}
 
 
 def test_by_place_the_same_place_has_the_same_number(tmp_path: Path) -> None:
     """The second drive is twice as fast: after half the time it is at the same place."""
     logs = write_drive(tmp_path / "a.mcap"), write_drive(tmp_path / "b.mcap", start_s=50, speed_m_s=20)
-    found = shown(tmp_path / "x.rrd", *logs, "--by", "place")
+    entities = shown(tmp_path / "x.rrd", *logs, "--by", "place")
     driven_cm = {name: [speed * row * 10 for row in range(ROWS)] for name, speed in (("a", 10), ("b", 20))}
-    assert found["/a/steering/recorded"]["place_cm"] == pytest.approx(driven_cm["a"], abs=2)
-    assert found["/a/camera/center"]["place_cm"] == found["/a/steering/recorded"]["place_cm"]
+    assert entities["/a/steering/recorded"]["place_cm"] == pytest.approx(driven_cm["a"], abs=2)
+    assert entities["/a/camera/center"]["place_cm"] == entities["/a/steering/recorded"]["place_cm"]
     together = [at for at in driven_cm["b"] if at <= driven_cm["a"][-1]]
-    assert found["/b/steering/recorded"]["place_cm"][: len(together)] == pytest.approx(together, abs=2)
+    assert entities["/b/steering/recorded"]["place_cm"][: len(together)] == pytest.approx(together, abs=2)
     beyond = driven_cm["b"][len(together) :]  # where the first has not been
-    assert found["/b/camera/center"]["place_cm"][len(together) :] == pytest.approx(beyond, abs=100)
+    assert entities["/b/camera/center"]["place_cm"][len(together) :] == pytest.approx(beyond, abs=100)
 
 
 def test_the_layout_has_every_view_of_each_log_and_what_they_share(tmp_path: Path) -> None:
     logs = write_drive(tmp_path / "a.mcap"), write_drive(tmp_path / "b.mcap", poses=False)
     shown(tmp_path / "x.rrd", *logs)
-    each = ("centre camera", "who drives", "steering, -1 left .. 1 right", "events")
-    both = {f"{name}: {view}" for name in ("a", "b") for view in each}
+    views = ("centre camera", "who drives", "steering, -1 left .. 1 right", "events")
+    both = {f"{name}: {view}" for name in ("a", "b") for view in views}
     assert view_names(tmp_path / "x.rrd") == both | {"speed, mph", "paths from above, m"}
 
 
 def test_what_they_share_has_a_name_and_a_colour_for_each(tmp_path: Path) -> None:
     logs = write_drive(tmp_path / "a.mcap"), write_drive(tmp_path / "b.mcap")
-    found = shown(tmp_path / "x.rrd", *logs)
-    names = [values(found, f"/{name}/speed_mph/driven", "SeriesLines:names") for name in ("a", "b")]
+    entities = shown(tmp_path / "x.rrd", *logs)
+    names = [values(entities, f"/{name}/speed_mph/driven", "SeriesLines:names") for name in ("a", "b")]
     assert names == [["a"], ["b"]]
     for entity, component in (("speed_mph/driven", "SeriesLines:colors"), ("path/driven", "LineStrips2D:colors")):
-        colors = [values(found, f"/{name}/{entity}", component)[0] for name in ("a", "b")]
+        colors = [values(entities, f"/{name}/{entity}", component)[0] for name in ("a", "b")]
         assert colors[0] != colors[1]
 
 
@@ -110,9 +110,9 @@ def test_a_log_without_a_sound_end_is_compared_and_said(
     part.write_bytes(data[: len(data) * 7 // 10])
     assert call(main, whole, part, "--save", tmp_path / "x.rrd") == 3
     assert f"{part}: unfinished" in capsys.readouterr().err
-    found = contents(tmp_path / "x.rrd")
-    assert 0 < len(values(found, "/killed/camera/center", "EncodedImage:blob")) < 4 * ROWS
-    assert len(values(found, "/a/camera/center", "EncodedImage:blob")) == ROWS
+    entities = contents(tmp_path / "x.rrd")
+    assert 0 < len(values(entities, "/killed/camera/center", "EncodedImage:blob")) < 4 * ROWS
+    assert len(values(entities, "/a/camera/center", "EncodedImage:blob")) == ROWS
 
 
 def test_what_networks_said_stands_beside_what_was_driven(tmp_path: Path) -> None:
@@ -121,10 +121,10 @@ def test_what_networks_said_stands_beside_what_was_driven(tmp_path: Path) -> Non
         for row in range(ROWS):
             steering = Prediction(steering=-row / 100, recorded_steering=row / 100)
             log.prediction("first", START_NS + row * STEP_NS, row, steering)
-    found = shown(tmp_path / "x.rrd", drive, said)
-    predicted = values(found, "/said/steering/predicted_by/first")
+    entities = shown(tmp_path / "x.rrd", drive, said)
+    predicted = values(entities, "/said/steering/predicted_by/first")
     assert predicted == pytest.approx([-row / 100 for row in range(ROWS)])
-    times = found["/said/steering/predicted_by/first"]["since start"]
+    times = entities["/said/steering/predicted_by/first"]["since start"]
     assert [round(time.total_seconds() * 1e9) for time in times if time] == [
         row * STEP_NS for row in range(1, ROWS)
     ]
@@ -133,12 +133,12 @@ def test_what_networks_said_stands_beside_what_was_driven(tmp_path: Path) -> Non
 
 
 def test_logs_of_one_name_are_told_apart(tmp_path: Path) -> None:
-    one, two = tmp_path / "one" / "run.mcap", tmp_path / "two" / "run.mcap"
-    assert names_of([one, two]) == ["one/run", "two/run"]
-    assert names_of([one, one, one]) == ["one/run", "one/run (2)", "one/run (3)"]
-    found = shown(tmp_path / "x.rrd", write_drive(one), write_drive(two))
-    assert len(values(found, "/one\\/run/steering/recorded")) == ROWS
-    assert len(values(found, "/two\\/run/steering/recorded")) == ROWS
+    first, second = tmp_path / "one" / "run.mcap", tmp_path / "two" / "run.mcap"
+    assert names_of([first, second]) == ["one/run", "two/run"]
+    assert names_of([first, first, first]) == ["one/run", "one/run (2)", "one/run (3)"]
+    entities = shown(tmp_path / "x.rrd", write_drive(first), write_drive(second))
+    assert len(values(entities, "/one\\/run/steering/recorded")) == ROWS
+    assert len(values(entities, "/two\\/run/steering/recorded")) == ROWS
 
 
 def test_what_cannot_be_compared_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -178,9 +178,9 @@ def test_a_second_lap_goes_on_where_the_first_ended() -> None:
 
 def test_a_road_that_comes_near_itself_is_not_jumped_across() -> None:
     """There and back, 5 m aside: who drives there is not placed on the way back."""
-    there = np.stack([np.arange(0.0, 200.0), np.zeros(200)], axis=1)
+    out = np.stack([np.arange(0.0, 200.0), np.zeros(200)], axis=1)
     back = np.stack([np.arange(199.0, -1.0, -1.0), np.full(200, 5.0)], axis=1)
-    way = np.concatenate([there, back])
+    way = np.concatenate([out, back])
     placed = distances_along(way, way + np.array((0.0, 3.0)))  # nearer to the way back
     assert placed is not None
     assert np.all(np.diff(placed) >= 0)

@@ -36,13 +36,13 @@ def time_panel(rrd: Path) -> dict[str, Any]:
     """What the layout says of the time panel, by component."""
     reader = RrdReader(rrd)
     (blueprint,) = reader.blueprints()
-    found: dict[str, Any] = {}
+    components: dict[str, Any] = {}
     for chunk in reader.stream(store=blueprint).to_chunks():
         batch = chunk.to_record_batch()
         for name in batch.schema.names:
             if name.startswith("TimePanelBlueprint:"):
-                found[name.partition(":")[2]] = batch.column(name).to_pylist()[-1][0]
-    return found
+                components[name.partition(":")[2]] = batch.column(name).to_pylist()[-1][0]
+    return components
 
 
 PAUSED, PLAYING, SELECTION = 1, 2, 2  # as Rerun numbers them
@@ -54,9 +54,9 @@ def test_a_log_opens_at_its_beginning_on_a_clock_of_seconds_since_then(log: Path
     assert panel["timeline"] == "since start"
     assert panel["play_state"] == PAUSED
     assert "time_selection" not in panel
-    found = contents(tmp_path / "a.rrd")
+    entities = contents(tmp_path / "a.rrd")
     for entity in ("/camera/center", "/steering/recorded", "/camera/center/steering/recorded"):
-        times = [each.total_seconds() for each in found[entity]["since start"]]
+        times = [time.total_seconds() for time in entities[entity]["since start"]]
         assert times == pytest.approx([row * STEP_NS * 1e-9 for row in range(ROWS)])
 
 
@@ -87,11 +87,12 @@ def test_a_viewer_stands_at_the_moment_that_was_asked_for(log: Path, monkeypatch
     with headless_viewer(monkeypatch) as viewer:
         port = viewer.url.rpartition(":")[2].partition("/")[0]
         for flags, expected_s in ((("--at", 2.5), 2.5), ((), 0.0)):
-            before = {each.store_id for each in viewer.get_state().recordings}
+            before = {recording.store_id for recording in viewer.get_state().recordings}
             assert call(main, log, "--connect", port, *flags) == 0
 
             def shown() -> float | None:
-                new = [each for each in viewer.get_state().recordings if each.store_id not in before]  # noqa: B023
+                opened = viewer.get_state().recordings
+                new = [recording for recording in opened if recording.store_id not in before]  # noqa: B023
                 return new[0].current_time if new and new[0].current_timeline == "since start" else None
 
             assert wait_until(lambda: shown() is not None)

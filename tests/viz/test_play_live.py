@@ -75,10 +75,12 @@ def received(ports: Ports, rrd: Path, pictures: int = ROWS) -> Iterator[None]:
 
 
 def holds_all(rrd: Path) -> bool:
-    found = contents(rrd)
-    pictures = [[bytes(blob[0]) for blob in found[f"/camera/{camera}"]["EncodedImage:blob"]] for camera in CAMERAS]
+    entities = contents(rrd)
+    pictures = [
+        [bytes(blob[0]) for blob in entities[f"/camera/{camera}"]["EncodedImage:blob"]] for camera in CAMERAS
+    ]
     return pictures == [[picture(camera, row) for row in range(ROWS)] for camera in CAMERAS] and [
-        value[0] for value in found["/steering/recorded"]["Scalars:scalars"] if value
+        value[0] for value in entities["/steering/recorded"]["Scalars:scalars"] if value
     ] == pytest.approx([row / 100 for row in range(ROWS)])
 
 
@@ -107,11 +109,11 @@ def test_of_a_large_log_a_viewer_gets_some_rows_pictures_and_all_curves(
     with contextlib.ExitStack() as client, running_viewer() as ports:
         assert call(main, log, "--connect", ports.data) == 0
         client.enter_context(received(ports, tmp_path / "got.rrd", 5))
-    found = contents(tmp_path / "got.rrd")
+    entities = contents(tmp_path / "got.rrd")
     for camera in CAMERAS:
-        blobs = [bytes(blob[0]) for blob in found[f"/camera/{camera}"]["EncodedImage:blob"]]
+        blobs = [bytes(blob[0]) for blob in entities[f"/camera/{camera}"]["EncodedImage:blob"]]
         assert blobs == [picture(camera, row) for row in (0, 8, 16, 24, 29)]
-    assert len(found["/steering/recorded"]["Scalars:scalars"]) >= ROWS
+    assert len(entities["/steering/recorded"]["Scalars:scalars"]) >= ROWS
     assert "one picture of 8" in capsys.readouterr().err
 
 
@@ -335,10 +337,12 @@ def test_a_file_has_all_that_was_written_before_it_is_left(tmp_path: Path) -> No
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the system knows no lowest priority of all")
 @pytest.mark.parametrize("idle_priority", [False, True])
-def test_a_viewer_has_a_lower_priority_than_what_it_shows(idle_priority: bool, tmp_path: Path) -> None:
+def test_a_viewer_has_a_lower_priority_than_what_it_shows(
+    idle_priority: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("common.preview.VIEWER", ("-c", "import time; time.sleep(1000)"))
     before = set(children_of(os.getpid()))
-    writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
-    with preview(writer.part, str(tmp_path / "a.rrd"), idle_priority=idle_priority):
+    with preview(tmp_path / "a.mcap", "web", idle_priority=idle_priority):
         (viewer,) = set(children_of(os.getpid())) - before
         scheduled = os.SCHED_IDLE if idle_priority else os.SCHED_OTHER
         assert os.sched_getscheduler(viewer.pid) == scheduled
@@ -346,7 +350,6 @@ def test_a_viewer_has_a_lower_priority_than_what_it_shows(idle_priority: bool, t
         group = Path(f"/proc/{viewer.pid}/autogroup")
         if group.exists():  # "/autogroup-7 nice 19"
             assert group.read_text().split()[-1] == ("19" if idle_priority else "0")
-        writer.close()
 
 
 PREVIEW = """
@@ -378,11 +381,18 @@ def test_a_preview_ends_when_who_started_it_is_killed(tmp_path: Path) -> None:
                 process.popen.wait(PATIENCE_S)
                 wait_until(lambda: not any(map(lives, previews)))
             finally:
-                for each in previews:
+                for viewer in previews:
                     with contextlib.suppress(psutil.NoSuchProcess):
-                        each.kill()
+                        viewer.kill()
     assert len(previews) == 1
     assert [path.name for path in tmp_path.glob("a.rrd*")] == ["a.rrd"]  # what was there by then
+
+
+BEGINS_A_FILE = """
+import sys, time
+open(f"{sys.argv[-1]}.ab12cd.part", "x")
+time.sleep(1000)
+"""
 
 
 @not_on_windows
@@ -391,6 +401,7 @@ def test_a_file_that_is_never_finished_is_said_and_nothing_of_it_stays(
 ) -> None:
     for grace, seconds in (("FILE_GRACE_S", 0.2), ("NOTICE_AFTER_S", 0.1), ("EXIT_GRACE_S", 0.1)):
         monkeypatch.setattr(f"common.preview.{grace}", seconds)
+    monkeypatch.setattr("common.preview.VIEWER", ("-c", BEGINS_A_FILE))
     others = set(children_of(os.getpid()))
     rrd, foreign = tmp_path / "a.rrd", tmp_path / "a.rrd.0123ab.part"
     foreign.write_bytes(b"another's")

@@ -30,7 +30,7 @@ from viz.cli import main
 ROWS = 60
 CHUNK_BYTES = 20_000  # some rows each
 CAMERAS = ("/camera/center", "/camera/left", "/pilot/input")
-Found = dict[str, dict[str, list[Any]]]
+Entities = dict[str, dict[str, list[Any]]]
 
 
 @pytest.fixture(autouse=True)
@@ -80,18 +80,18 @@ def log(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return layouts(tmp_path)[request.param]
 
 
-def shown(log: Path) -> Found:
+def shown(log: Path) -> Entities:
     rrd = log.with_suffix(".rrd")
     assert call(main, log, "--save", rrd) == 0
     return contents(rrd)
 
 
-def blobs(found: Found, topic: str) -> list[bytes]:
-    return [bytes(blob[0]) for blob in found.get(topic, {}).get("EncodedImage:blob", []) if blob]
+def blobs(entities: Entities, topic: str) -> list[bytes]:
+    return [bytes(blob[0]) for blob in entities.get(topic, {}).get("EncodedImage:blob", []) if blob]
 
 
 def test_every_picture_is_shown_at_its_time_as_mcaps_own_reader_finds_it(log: Path) -> None:
-    found = shown(log)
+    entities = shown(log)
     with log.open("rb") as stream:
         messages = [
             (channel.topic, message.log_time, CompressedImage.FromString(message.data))
@@ -100,7 +100,7 @@ def test_every_picture_is_shown_at_its_time_as_mcaps_own_reader_finds_it(log: Pa
         ]
     assert len(messages) == 3 * ROWS + 1
     for topic in {topic for topic, *_ in messages}:
-        entity = found[topic.replace(" ", "\\ ")]
+        entity = entities[topic.replace(" ", "\\ ")]
         expected = [(time, image) for name, time, image in messages if name == topic]
         assert [bytes(blob[0]) for blob in entity["EncodedImage:blob"]] == [image.data for _, image in expected]
         kinds = [f"image/{image.format}" for _, image in expected]
@@ -111,7 +111,7 @@ def test_every_picture_is_shown_at_its_time_as_mcaps_own_reader_finds_it(log: Pa
 
 
 def test_all_else_is_shown_as_reruns_own_reader_shows_it(log: Path) -> None:
-    found, own = shown(log), reruns(log)
+    entities, own = shown(log), reruns(log)
     for entity in ("/map", "/pose", "/events", "/__mcap_metadata", "/__mcap_properties"):
         # a frame of its own would only keep the pose out of views of the other entities
         names = {
@@ -120,25 +120,25 @@ def test_all_else_is_shown_as_reruns_own_reader_shows_it(log: Path) -> None:
             if name.split(":")[0] not in ("McapChannel", "McapSchema", "CoordinateFrame")
         }
         for name in names - {"message_publish_time", "timestamp"}:
-            assert found[entity][name] == own[entity][name], (entity, name)
+            assert entities[entity][name] == own[entity][name], (entity, name)
     for entity in ("/map", *CAMERAS):
         names = {name for name in own[entity] if name.startswith(("McapChannel", "McapSchema"))}
         assert names
-        assert {name: found[entity][name] for name in names} == {name: own[entity][name] for name in names}
+        assert {name: entities[entity][name] for name in names} == {name: own[entity][name] for name in names}
 
 
-def reruns(log: Path) -> Found:
+def reruns(log: Path) -> Entities:
     """What Rerun makes of a log by itself."""
-    found: Found = {}
+    entities: Entities = {}
     for chunk in McapReader(log).stream():
         batch = chunk.to_record_batch()
-        entity = found.setdefault(str(chunk.entity_path), {})
+        entity = entities.setdefault(str(chunk.entity_path), {})
         for name in batch.schema.names:
             if name != "rerun.controls.RowId":
                 column = batch.column(name)
                 in_ns = column.cast("int64") if str(column.type).startswith("timestamp") else column
                 entity.setdefault(name, []).extend(in_ns.to_pylist())
-    return found
+    return entities
 
 
 def test_what_tells_where_pictures_lie_in_the_log_is_not_shown(tmp_path: Path) -> None:
@@ -168,8 +168,17 @@ def damage(log: Path, chunk: StoredChunk, how: str) -> list[str]:
     return [f"{message.topic} row {message.sequence}" for message in chunk.messages]
 
 
-@pytest.mark.parametrize("how", ["a picture", "a length", "its header", "all of it"])
-@pytest.mark.parametrize("number", [0, 3, -2])
+@pytest.mark.parametrize(
+    ("how", "number"),
+    [
+        ("a picture", 0),
+        ("a picture", -2),
+        ("a length", 3),
+        ("its header", 0),
+        ("its header", -2),
+        ("all of it", 3),
+    ],
+)
 def test_a_damaged_chunk_of_pictures_is_left_out_and_told(
     tmp_path: Path, how: str, number: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -188,15 +197,17 @@ def test_a_damaged_chunk_of_pictures_is_left_out_and_told(
     assert f"`bc-log recover {log}`" in line
     assert f": {len(lost)} ({lost[0]}, " in line
     assert "written" in said.out
-    found, written = contents(rrd), rrd.read_bytes()
+    entities, written = contents(rrd), rrd.read_bytes()
     for topic in CAMERAS:
         kept = [picture(topic, row) for row in range(ROWS) if f"{topic} row {row}" not in lost]
-        assert blobs(found, topic) == kept
+        assert blobs(entities, topic) == kept
     for name in lost:  # whatever else is in the file
         assert f"<{name}>".encode() not in written
     for entity in ("/steering/recorded", "/steering/sent", "/pose", "/events", "/camera/center/steering/recorded"):
         columns = {name for name in sound[entity] if name != "rerun.controls.RowId"}
-        assert {name: found[entity][name] for name in columns} == {name: sound[entity][name] for name in columns}
+        assert {name: entities[entity][name] for name in columns} == {
+            name: sound[entity][name] for name in columns
+        }
 
 
 def test_python_is_told_what_was_left_out(tmp_path: Path) -> None:
@@ -235,9 +246,9 @@ def test_of_compared_logs_the_sound_pictures_are_shown(tmp_path: Path) -> None:
     line, _ = done.stderr.splitlines()
     assert str(logs[1]) in line
     assert str(logs[0]) not in line
-    found = contents(tmp_path / "x.rrd")
+    entities = contents(tmp_path / "x.rrd")
     for topic in CAMERAS:
         whole = [picture(topic, row) for row in range(ROWS)]
-        assert blobs(found, f"/a{topic}") == whole
-        sound = [each for row, each in enumerate(whole) if f"{topic} row {row}" not in lost]
-        assert blobs(found, f"/b{topic}") == sound
+        assert blobs(entities, f"/a{topic}") == whole
+        sound = [blob for row, blob in enumerate(whole) if f"{topic} row {row}" not in lost]
+        assert blobs(entities, f"/b{topic}") == sound

@@ -19,14 +19,12 @@ from driving import call_drive, road_jpeg, untrained_run
 from logs import START_NS, STEP_NS, read_messages, write_log
 from model import RunError, load_pilot
 from model.evaluation.predict_log import predict_log
-from ports import free_ports
-from recorder import LogWriter
+from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.upkeep.check import check
 from rrd import contents, view_names
 from udacity import call
 from viz.cli import main
-from viz.viewer_process import Ports, open_viewer, wait_until_it_listens
 
 ROWS = 70  # more than a batch
 STEERING = [round(0.9 * np.sin(row / 9), 3) for row in range(ROWS)]
@@ -38,7 +36,7 @@ def picture(camera: Camera, row: int) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """runs/first and runs/second, never trained, and a session."""
     folder = tmp_path_factory.mktemp("predictions")
     untrained_run(folder / "runs" / "first", seed=1)
@@ -48,27 +46,27 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def _worked_in(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(here)
+def _worked_in(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(project)
     monkeypatch.setenv("COLUMNS", "400")
 
 
 @pytest.fixture(scope="module")
-def said(here: Path) -> dict[str, list[float]]:
+def said(project: Path) -> dict[str, list[float]]:
     """What each network says of each picture, asked as when it drives."""
     result = {}
     for name in ("first", "second"):
-        pilot = load_pilot(here / "runs" / name, "float32")
+        pilot = load_pilot(project / "runs" / name, "float32")
         result[name] = [pilot.predict(pilot.crop(decode(road_jpeg(row)))) for row in range(ROWS)]
     return result
 
 
 @pytest.fixture(scope="module")
-def shown(here: Path) -> Path:
-    flags = ("--run", "first", "--run", "second", "--runs", here / "runs", "--save", here / "session.rrd")
-    with (here / "said.txt").open("w") as stream, contextlib.redirect_stdout(stream):
-        assert call(main, here / "session.mcap", *flags) == 0
-    return here / "session.rrd"
+def shown(project: Path) -> Path:
+    flags = ("--run", "first", "--run", "second", "--runs", project / "runs", "--save", project / "session.rrd")
+    with (project / "said.txt").open("w") as stream, contextlib.redirect_stdout(stream):
+        assert call(main, project / "session.mcap", *flags) == 0
+    return project / "session.rrd"
 
 
 def values(rrd: Path, entity: str) -> list[float]:
@@ -76,18 +74,18 @@ def values(rrd: Path, entity: str) -> list[float]:
 
 
 def test_each_run_has_a_curve_beside_what_was_recorded(shown: Path, said: dict[str, list[float]]) -> None:
-    found = contents(shown)
+    entities = contents(shown)
     assert values(shown, "/steering/recorded") == pytest.approx(STEERING)
     for name in ("first", "second"):
         entity = f"/steering/predicted_by/{name}"
         assert values(shown, entity) == pytest.approx(said[name], abs=1e-4)
-        assert found[entity]["message_log_time"] == [START_NS + row * STEP_NS for row in range(ROWS)]
-        assert found[entity]["SeriesLines:names"] == [[name]]
+        assert entities[entity]["message_log_time"] == [START_NS + row * STEP_NS for row in range(ROWS)]
+        assert entities[entity]["SeriesLines:names"] == [[name]]
     assert said["first"] != pytest.approx(said["second"], abs=0.01)
 
 
 def test_the_errors_are_in_degrees_against_what_was_recorded(shown: Path, said: dict[str, list[float]]) -> None:
-    expected = [25 * (one - other) for one, other in zip(said["second"], STEERING, strict=True)]
+    expected = [25 * (predicted - recorded) for predicted, recorded in zip(said["second"], STEERING, strict=True)]
     assert values(shown, "/error_deg/second") == pytest.approx(expected, abs=0.01)
 
 
@@ -112,8 +110,8 @@ def test_the_layout_shows_errors_and_attention_if_asked_for(shown: Path) -> None
     assert not [entity for entity in contents(shown) if entity.startswith("/attention")]
 
 
-def test_how_far_each_run_is_off_is_printed(here: Path, shown: Path, said: dict[str, list[float]]) -> None:
-    lines = (here / "said.txt").read_text().splitlines()
+def test_how_far_each_run_is_off_is_printed(project: Path, shown: Path, said: dict[str, list[float]]) -> None:
+    lines = (project / "said.txt").read_text().splitlines()
     error = 25 * (np.array(said["first"]) - np.array(STEERING))
     rmse, mean = np.sqrt(np.mean(error**2)), 25 * np.std(STEERING)
     expected = (
@@ -123,22 +121,22 @@ def test_how_far_each_run_is_off_is_printed(here: Path, shown: Path, said: dict[
     assert lines[1].startswith(f"second: {ROWS} frames")
 
 
-def test_the_network_that_drove_says_again_what_it_said_then(here: Path, tmp_path: Path) -> None:
+def test_the_network_that_drove_says_again_what_it_said_then(project: Path, tmp_path: Path) -> None:
     log = tmp_path / "drive.mcap"
-    flags = ("--simulator", "lake", "--laps", 0.01, "--precision", "float32", "--log", log)
+    flags = ("--simulator", "lake", "--laps", 0.003, "--precision", "float32", "--log", log)
     assert call_drive("first", *flags) == 0
-    found = predict_log(log, [here / "runs" / "first"])
+    predictions = predict_log(log, [project / "runs" / "first"])
     commands = read_messages(log)["/pilot/command"]
     assert len(commands) > 20
-    assert found.log_time_ns.tolist() == [message.log_time for message, _ in commands]
-    assert found.row.tolist() == [message.sequence for message, _ in commands]
+    assert predictions.log_time_ns.tolist() == [message.log_time for message, _ in commands]
+    assert predictions.row.tolist() == [message.sequence for message, _ in commands]
     logged = [command.predicted_steering for _, command in commands]
-    np.testing.assert_allclose(found.predicted["first"], logged, atol=1e-5)
+    np.testing.assert_allclose(predictions.predicted["first"], logged, atol=1e-5)
     states = [state.steering for _, state in read_messages(log)["/vehicle"]]
-    np.testing.assert_allclose(found.recorded, states, atol=1e-9)
+    np.testing.assert_allclose(predictions.recorded, states, atol=1e-9)
 
 
-def test_runs_of_the_same_name_are_told_apart_by_their_folders(here: Path, tmp_path: Path) -> None:
+def test_runs_of_the_same_name_are_told_apart_by_their_folders(project: Path, tmp_path: Path) -> None:
     twin = untrained_run(tmp_path / "others" / "first", seed=2)
     assert call(main, "session.mcap", "--run", "first", "--run", twin, "--save", tmp_path / "x.rrd") == 0
     names = [name for entity in contents(tmp_path / "x.rrd") if entity.startswith("/error_deg/")
@@ -149,29 +147,20 @@ def test_runs_of_the_same_name_are_told_apart_by_their_folders(here: Path, tmp_p
 def test_their_steering_is_drawn_over_the_frame(shown: Path, said: dict[str, list[float]]) -> None:
     """As an arc whose end is to the side by what is steered."""
     (first, second) = (contents(shown)[f"/camera/center/steering/predicted_by/{name}"] for name in said)
-    for found, name in ((first, "first"), (second, "second")):
-        ends = [strips[0][-1][0] for strips in found["LineStrips2D:strips"]]
+    for arcs, name in ((first, "first"), (second, "second")):
+        ends = [strips[0][-1][0] for strips in arcs["LineStrips2D:strips"]]
         assert ends == pytest.approx([160 + 144 * np.clip(value, -1, 1) for value in said[name]], abs=0.1)
     assert first["LineStrips2D:colors"] != second["LineStrips2D:colors"]
 
 
-def test_a_viewer_that_runs_gets_it_and_bc_play_ends(capsys: pytest.CaptureFixture[str]) -> None:
-    web, data = free_ports(2)
-    ports = Ports(web, data)
-    with open_viewer(ports, web=True) as viewer:
-        wait_until_it_listens(viewer, ports.data_address)
-        assert call(main, "session.mcap", "--run", "first", "--connect", data) == 0
-    assert capsys.readouterr().out.startswith(f"first: {ROWS} frames, RMSE")
-
-
-def test_where_an_expert_took_over_his_command_counts_as_in_an_index(here: Path, tmp_path: Path) -> None:
+def test_where_an_expert_took_over_his_command_counts_as_in_an_index(project: Path, tmp_path: Path) -> None:
     pilot, expert = PilotCommand.PILOT, PilotCommand.EXPERT
     with LogWriter(tmp_path / "drive.mcap", {}) as log:
         for row, (wheels, commanded, driver) in enumerate([(0.1, 0.2, pilot), (0.2, -0.5, expert)]):
             log.picture("center", START_NS + row, row, road_jpeg(row))
             log.vehicle(START_NS + row, row, VehicleState(steering=wheels))
             log.command(START_NS + row, row, PilotCommand(steering=commanded, driver=driver))
-    assert predict_log(tmp_path / "drive.mcap", [here / "runs" / "first"]).recorded.tolist() == [0.1, -0.5]
+    assert predict_log(tmp_path / "drive.mcap", [project / "runs" / "first"]).recorded.tolist() == [0.1, -0.5]
 
 
 # A log of their own
@@ -186,11 +175,13 @@ def test_they_are_kept_as_a_log_that_others_read_and_bc_play_shows(
     messages = read_messages(kept)
     assert set(messages) == {"/prediction/first", "/prediction/second", "/events"}
     for name in ("first", "second"):
-        found = messages[f"/prediction/{name}"]
-        assert [message.log_time for message, _ in found] == [START_NS + row * STEP_NS for row in range(ROWS)]
-        assert [message.sequence for message, _ in found] == list(range(ROWS))
-        assert [each.steering for _, each in found] == pytest.approx(said[name], abs=1e-4)
-        assert [each.recorded_steering for _, each in found] == STEERING
+        predictions = messages[f"/prediction/{name}"]
+        assert [message.log_time for message, _ in predictions] == [
+            START_NS + row * STEP_NS for row in range(ROWS)
+        ]
+        assert [message.sequence for message, _ in predictions] == list(range(ROWS))
+        assert [prediction.steering for _, prediction in predictions] == pytest.approx(said[name], abs=1e-4)
+        assert [prediction.recorded_steering for _, prediction in predictions] == STEERING
     assert len(messages["/events"]) == len({event.message for _, event in messages["/events"]}) > 10
     assert check(kept).findings == []
 
@@ -198,27 +189,25 @@ def test_they_are_kept_as_a_log_that_others_read_and_bc_play_shows(
     assert values(tmp_path / "kept.rrd", "/steering/predicted_by/second") == pytest.approx(
         said["second"], abs=1e-4
     )
-    expected = [25 * (one - other) for one, other in zip(said["first"], STEERING, strict=True)]
+    expected = [25 * (predicted - recorded) for predicted, recorded in zip(said["first"], STEERING, strict=True)]
     assert values(tmp_path / "kept.rrd", "/error_deg/first") == pytest.approx(expected, abs=0.01)
     assert "error in degrees: predicted - recorded" in view_names(tmp_path / "kept.rrd")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")
-def test_the_worst_moments_of_a_log_whose_name_is_not_utf8(here: Path, tmp_path: Path) -> None:
-    log = shutil.copy(here / "session.mcap", tmp_path / os.fsdecode(b"b\xffd.mcap"))
-    (worst,) = predict_log(log, [here / "runs" / "first"]).worst("first", 1)
+def test_the_worst_moments_of_a_log_whose_name_is_not_utf8(project: Path, tmp_path: Path) -> None:
+    log = shutil.copy(project / "session.mcap", tmp_path / os.fsdecode(b"b\xffd.mcap"))
+    (worst,) = predict_log(log, [project / "runs" / "first"]).worst("first", 1)
     assert worst.session == "b\\udcffd"
 
 
-def test_it_says_which_log_and_which_weights(here: Path, tmp_path: Path) -> None:
+def test_it_says_which_log_and_which_weights(project: Path, tmp_path: Path) -> None:
     assert call(main, "session.mcap", "--run", "first", "--write", tmp_path / "kept.mcap") == 0
-    from recorder import Log
-
     with Log(tmp_path / "kept.mcap") as kept, Log("session.mcap") as session:
         assert kept.metadata["source"] == "prediction"
         assert kept.metadata["log"] == "session.mcap"
         assert kept.metadata["log_fingerprint"] == session.fingerprint
-        weights = load_pilot(here / "runs" / "first").weights_sha256
+        weights = load_pilot(project / "runs" / "first").weights_sha256
         assert kept.metadata["weights_sha256.first"] == weights
 
 
@@ -226,7 +215,6 @@ def test_it_says_which_log_and_which_weights(here: Path, tmp_path: Path) -> None
     ("flag", "name", "ending"),
     [
         ("--write", "said.rrd", ".mcap"),
-        ("--save", "said.mcap", ".rrd"),
         ("--save", "said", ".rrd"),
         ("--video", "said.avi", ".mp4"),
     ],
@@ -255,15 +243,15 @@ def test_an_existing_file_is_kept_unless_it_is_forced(
 
 @pytest.mark.parametrize("flags", [("--save",), ("--run", "first", "--save"), ("--run", "first", "--write")])
 def test_a_log_is_never_written_over(
-    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...]
+    project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...]
 ) -> None:
     log = tmp_path / "session.mcap"
-    log.write_bytes((here / "session.mcap").read_bytes())
+    log.write_bytes((project / "session.mcap").read_bytes())
     (tmp_path / "link").symlink_to(log)
     for name in ("session.mcap", "link"):
         assert call(main, log, *flags, tmp_path / name, "--force") == 1
         assert f"{flags[-1]} {tmp_path / name}: is the log itself" in capsys.readouterr().err
-    assert log.read_bytes() == (here / "session.mcap").read_bytes()
+    assert log.read_bytes() == (project / "session.mcap").read_bytes()
     both = tmp_path / "both"
     assert call(main, log, "--run", "first", "--save", both, "--write", both) == 2
     assert f"--write {both}: two files would have this name" in capsys.readouterr().err
@@ -283,29 +271,31 @@ def test_a_broken_picture_is_named_and_the_others_are_shown(
     skipped, step = capsys.readouterr().err.splitlines()
     assert skipped == f"skipped pictures that do not decode: 1 (hurt row {BROKEN} center)"
     assert step.endswith(f"bc-play {tmp_path / 'kept.mcap'}`")
-    found = read_messages(tmp_path / "kept.mcap")["/prediction/first"]
+    messages = read_messages(tmp_path / "kept.mcap")["/prediction/first"]
     rows = [row for row in range(ROWS) if row != BROKEN]
-    assert [message.sequence for message, _ in found] == rows
-    assert [each.steering for _, each in found] == pytest.approx([said["first"][row] for row in rows], abs=1e-4)
+    assert [message.sequence for message, _ in messages] == rows
+    assert [prediction.steering for _, prediction in messages] == pytest.approx(
+        [said["first"][row] for row in rows], abs=1e-4
+    )
 
 
 def test_an_unfinished_log_is_looked_at_as_far_as_it_goes(
-    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], said: dict[str, list[float]]
+    project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], said: dict[str, list[float]]
 ) -> None:
-    whole = (here / "session.mcap").read_bytes()
+    whole = (project / "session.mcap").read_bytes()
     log = tmp_path / "killed.mcap.ab12cd.part"
     log.write_bytes(whole[: int(0.8 * len(whole))])
     assert call(main, log, "--run", "first", "--save", tmp_path / "x.rrd") == 3
     line, _ = capsys.readouterr().err.splitlines()
     assert f"{log}: unfinished" in line
-    found = values(tmp_path / "x.rrd", "/steering/predicted_by/first")
-    assert 20 < len(found) < ROWS
-    assert found == pytest.approx(said["first"][: len(found)], abs=1e-4)
+    predicted = values(tmp_path / "x.rrd", "/steering/predicted_by/first")
+    assert 20 < len(predicted) < ROWS
+    assert predicted == pytest.approx(said["first"][: len(predicted)], abs=1e-4)
     assert {path.name for path in tmp_path.iterdir()} == {log.name, "x.rrd"}
 
 
 def test_a_picture_without_a_row_has_a_prediction_and_no_error(
-    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with LogWriter(tmp_path / "a.mcap", {}) as log:
         for row in range(3):
@@ -313,25 +303,27 @@ def test_a_picture_without_a_row_has_a_prediction_and_no_error(
     flags = ("--run", "first", "--save", tmp_path / "a.rrd", "--write", tmp_path / "kept.mcap")
     assert call(main, tmp_path / "a.mcap", *flags) == 0
     assert "first: 3 frames, nothing recorded with them" in capsys.readouterr().out
-    found = contents(tmp_path / "a.rrd")
-    assert len(found["/steering/predicted_by/first"]["Scalars:scalars"]) == 3
-    assert not [entity for entity in found if entity.startswith(("/error_deg", "/events"))]
+    entities = contents(tmp_path / "a.rrd")
+    assert len(entities["/steering/predicted_by/first"]["Scalars:scalars"]) == 3
+    assert not [entity for entity in entities if entity.startswith(("/error_deg", "/events"))]
     kept = read_messages(tmp_path / "kept.mcap")
-    assert [each.HasField("recorded_steering") for _, each in kept["/prediction/first"]] == [False] * 3
+    assert [prediction.HasField("recorded_steering") for _, prediction in kept["/prediction/first"]] == [False] * 3
     assert set(kept) == {"/prediction/first"}
 
 
-def test_what_cannot_be_is_one_line(here: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_is_one_line(project: Path, tmp_path: Path) -> None:
     with LogWriter(tmp_path / "states.mcap", {}) as log:
         log.event(1, "nothing")
     weights = untrained_run(tmp_path / "wild") / "model.safetensors"
     save_file({name: np.full_like(value, np.nan) for name, value in load_file(weights).items()}, weights)
     with pytest.raises(UserError, match="no picture of the centre camera"):
-        predict_log(tmp_path / "states.mcap", [here / "runs" / "first"])
+        predict_log(tmp_path / "states.mcap", [project / "runs" / "first"])
     with pytest.raises(RunError, match="predicts something that is not a number"):
-        predict_log(here / "session.mcap", [tmp_path / "wild"])
+        predict_log(project / "session.mcap", [tmp_path / "wild"])
     with pytest.raises(RunError, match="first: given 2 times"):
-        predict_log(here / "session.mcap", [here / "runs" / "first", here / "runs" / "second" / ".." / "first"])
+        predict_log(
+            project / "session.mcap", [project / "runs" / "first", project / "runs" / "second" / ".." / "first"]
+        )
 
 
 @pytest.mark.parametrize(
@@ -349,20 +341,20 @@ def test_what_cannot_be_is_one_line(here: Path, tmp_path: Path) -> None:
     ],
 )
 def test_flags_that_contradict_each_other_are_one_line(
-    here: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], expected: str
+    project: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], expected: str
 ) -> None:
-    before = sorted(here.iterdir())
+    before = sorted(project.iterdir())
     assert call(main, "session.mcap", *flags) == (1 if "third" in flags else 2)  # which is a name of no run
     (line,) = capsys.readouterr().err.splitlines()
     assert expected in line
-    assert sorted(here.iterdir()) == before
+    assert sorted(project.iterdir()) == before
 
 
 def test_what_is_damaged_of_a_log_is_named_and_the_rest_is_predicted(
-    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = tmp_path / "hurt.mcap"
-    data = bytearray((here / "session.mcap").read_bytes())
+    data = bytearray((project / "session.mcap").read_bytes())
     data[len(data) // 2 : len(data) // 2 + 1000] = bytes(1000)
     log.write_bytes(data)
     assert call(main, log, "--run", "first", "--save", tmp_path / "x.rrd") == 3

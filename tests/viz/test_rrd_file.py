@@ -10,18 +10,6 @@ from common import UserError
 from viz.rrd_file import rrd_file
 
 
-def test_a_file_that_is_there_stays_unless_it_may_be_replaced(tmp_path: Path) -> None:
-    path = tmp_path / "a.rrd"
-    path.write_bytes(b"precious")
-    with pytest.raises(UserError, match="exists already"), rrd_file(path, overwrite=False):
-        pass
-    assert path.read_bytes() == b"precious"
-    with rrd_file(path, overwrite=True):
-        assert path.read_bytes() == b"precious"
-    assert path.read_bytes() != b"precious"
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_a_file_that_somebody_writes_meanwhile_stays(tmp_path: Path) -> None:
     path = tmp_path / "a.rrd"
     with (

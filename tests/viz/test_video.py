@@ -113,12 +113,12 @@ def test_every_picture_appears_at_its_own_time(tmp_path: Path) -> None:
     shown = [20 + 25 * i for i in range(len(times_s))]
     log = write_log(tmp_path / "x.mcap", [grey(level) for level in shown], times_s)
     made = write_video(log, tmp_path / "x.mp4")
-    found = decoded(tmp_path / "x.mp4")
-    assert found.times_s == pytest.approx(times_s, abs=TICK_S / 2 + 1e-6)
-    assert levels(found.frames) == pytest.approx(shown, abs=2)
-    assert {frame.shape for frame in found.frames} == {(2 * HEIGHT, 2 * WIDTH, 3)}
+    video = decoded(tmp_path / "x.mp4")
+    assert video.times_s == pytest.approx(times_s, abs=TICK_S / 2 + 1e-6)
+    assert levels(video.frames) == pytest.approx(shown, abs=2)
+    assert {frame.shape for frame in video.frames} == {(2 * HEIGHT, 2 * WIDTH, 3)}
     # the last one stays as long as most do: 0.1 s
-    assert found.duration_s == pytest.approx(1.65, abs=TICK_S) == made.duration_s
+    assert video.duration_s == pytest.approx(1.65, abs=TICK_S) == made.duration_s
     assert (made.pictures, made.left_out, made.gaps, len(made.skipped), made.notice) == (8, 0, 0, 0, "")
 
 
@@ -147,9 +147,9 @@ def test_a_gap_is_shortened_and_said(tmp_path: Path, play: Callable[..., Done]) 
     """Pushes that were not recorded, and hours between drives."""
     log = write_log(tmp_path / "x.mcap", [grey(i) for i in (50, 100, 150, 200)], [0.0, 1.0, 3.2, 7203.2])
     done = play(log, "--video", tmp_path / "x.mp4")
-    found = decoded(tmp_path / "x.mp4")
-    assert found.times_s == pytest.approx([0.0, 1.0, 1.0 + HELD_S, 1.0 + 2 * HELD_S], abs=1e-6)
-    assert levels(found.frames) == pytest.approx([50, 100, 150, 200], abs=2)
+    video = decoded(tmp_path / "x.mp4")
+    assert video.times_s == pytest.approx([0.0, 1.0, 1.0 + HELD_S, 1.0 + 2 * HELD_S], abs=1e-6)
+    assert levels(video.frames) == pytest.approx([50, 100, 150, 200], abs=2)
     assert done.code == 0
     assert done.stderr == "2 gaps of more than a second shortened to 0.5 s: 2:00:01.2 of the log in all\n"
     assert done.stdout == f"{tmp_path / 'x.mp4'}: written; 4 pictures, 640 x 320, 0:02.5 long\n"
@@ -158,9 +158,9 @@ def test_a_gap_is_shortened_and_said(tmp_path: Path, play: Callable[..., Done]) 
 def test_where_time_goes_back_another_drive_begins(tmp_path: Path) -> None:
     log = write_log(tmp_path / "x.mcap", [grey(i) for i in (50, 100, 150, 200)], [10.0, 10.1, 2.0, 2.1])
     made = write_video(log, tmp_path / "x.mp4")
-    found = decoded(tmp_path / "x.mp4")
-    assert found.times_s == pytest.approx([0.0, 0.1, 0.1 + HELD_S, 0.2 + HELD_S], abs=1e-6)
-    assert levels(found.frames) == pytest.approx([50, 100, 150, 200], abs=2)
+    video = decoded(tmp_path / "x.mp4")
+    assert video.times_s == pytest.approx([0.0, 0.1, 0.1 + HELD_S, 0.2 + HELD_S], abs=1e-6)
+    assert levels(video.frames) == pytest.approx([50, 100, 150, 200], abs=2)
     assert (made.gaps, made.cut_s) == (1, 0.0)
 
 
@@ -209,9 +209,9 @@ def angle_deg(panel: Image, color: tuple[int, int, int], low: float, high: float
     distance = np.hypot(right, up)
     # video keeps colours of areas, and blurs their edges
     is_of_color = np.abs(panel.astype(int) - color).max(axis=2) < 60
-    found = is_of_color & (distance > low) & (distance < high)
-    assert found.sum() > 20
-    return math.degrees(math.atan2(right[found].mean(), up[found].mean()))
+    pixels = is_of_color & (distance > low) & (distance < high)
+    assert pixels.sum() > 20
+    return math.degrees(math.atan2(right[pixels].mean(), up[pixels].mean()))
 
 
 @pytest.mark.parametrize(("steering", "predicted"), [(-0.6, -0.3), (0.0, 0.5), (0.35, 0.9), (1.0, -1.0)])
@@ -258,10 +258,10 @@ def test_without_network_or_states_no_pointer_and_a_straight_wheel(tmp_path: Pat
     with LogWriter(tmp_path / "bare.mcap", {"source": "test"}) as log:
         log.picture("center", START_NS, 0, grey(90))
     write_video(tmp_path / "bare.mcap", tmp_path / "bare.mp4", overlay=True)
-    found = decoded(tmp_path / "bare.mp4")
+    video = decoded(tmp_path / "bare.mp4")
     with pytest.raises(AssertionError):
-        angle_deg(found.frames[0][2 * HEIGHT :], RECORDED, 0, 200)
-    assert found.duration_s == pytest.approx(1.0)
+        angle_deg(video.frames[0][2 * HEIGHT :], RECORDED, 0, 200)
+    assert video.duration_s == pytest.approx(1.0)
 
 
 def test_impossible_numbers_are_shown_as_nothing_or_the_end_of_the_scale(tmp_path: Path) -> None:
@@ -287,11 +287,11 @@ def test_who_drives_and_how_autonomously_is_what_the_log_says(
         log.add_metadata("bc.drive", {"autonomy_percent": told})
     with Log(tmp_path / "x.mcap") as opened:
         readings = Readings(opened)
-        found = [readings.at(START_NS + row * 10**8) for row in range(len(drivers))]
+        read = [readings.at(START_NS + row * 10**8) for row in range(len(drivers))]
         late = readings.at(START_NS + 2 * 10**9)
-    assert [reading.driver for reading in found] == ["network", "expert", "human", None]
-    assert [reading.time_s for reading in found] == pytest.approx([0.0, 0.1, 0.2, 0.3])
-    assert found[0].autonomy_percent == pytest.approx(expected if expected is not None else math.nan, nan_ok=True)
+    assert [reading.driver for reading in read] == ["network", "expert", "human", None]
+    assert [reading.time_s for reading in read] == pytest.approx([0.0, 0.1, 0.2, 0.3])
+    assert read[0].autonomy_percent == pytest.approx(expected if expected is not None else math.nan, nan_ok=True)
     assert late.driver is None  # what is more than a second old is not known any more
 
 
@@ -411,7 +411,7 @@ def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
 
 
 def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
-    log = write_log(tmp_path / "x.mcap", [grey(90), grey(91)] * 3000)
+    log = write_log(tmp_path / "x.mcap", [grey(90), grey(91)] * 400)
     with Process(command("bc-play", log, "--video", tmp_path / "x.mp4", "--overlay")) as process:
         while not list(tmp_path.glob("x.mp4.*.part")):
             assert process.popen.poll() is None

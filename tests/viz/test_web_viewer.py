@@ -51,9 +51,9 @@ def served(log: Path) -> Iterator[str]:
             assert play.stdout is not None
             address = play.stdout.readline().strip()
             assert address.startswith("http://127.0.0.1:")
-            found = psutil.Process(play.pid)
+            process = psutil.Process(play.pid)
             # it says so a moment before
-            wait_until(lambda: any(web_port in listening(child) for child in found.children(recursive=True)))
+            wait_until(lambda: any(web_port in listening(child) for child in process.children(recursive=True)))
             yield address
         finally:
             play.send_signal(signal.SIGINT)
@@ -76,9 +76,9 @@ def test_the_page_shows_the_pictures_of_the_log(browser: Browser, tmp_path: Path
             red, green = (places_of(picture.astype(np.uint8), color) for color in (RED, GREEN))
             return (red, green) if min(len(red), len(green)) > MIN_PIXELS else None
 
-        found = wait_until(shown)
-    assert found is not None
-    red, green = found
+        colours = wait_until(shown)
+    assert colours is not None
+    red, green = colours
     # whole, and twice as wide as high
     height, width = np.ptp(red[:, 0]) + 1, np.ptp(red[:, 1]) + 1
     assert len(red) > 0.8 * height * width  # something may be drawn over it

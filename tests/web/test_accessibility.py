@@ -90,10 +90,10 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     untrained_run(folder / "runs" / "other")
     make_recording(folder / "recordings" / "lake", f"{paths(0)},0.1,0.5,0,9.5\n")
     a_drive(folder / "drives" / "d.mcap", "r")
-    with served(folder) as found:
-        wait_until(lambda: "reading" not in found.get("/runs.rows").text)
-        wait_until(lambda: "<circle" in found.get("/drives?log=d").text)
-        yield found
+    with served(folder) as server:
+        wait_until(lambda: "reading" not in server.get("/runs.rows").text)
+        wait_until(lambda: "<circle" in server.get("/drives?log=d").text)
+        yield server
 
 
 def test_every_page_is_for_everybody(browser: Browser, bench: Served, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -116,11 +116,11 @@ def test_every_page_is_for_everybody(browser: Browser, bench: Served, monkeypatc
             else:
                 wrong[f"{path}, by the keyboard"] = left
             page.evaluate(axe.AXE_SCRIPT)
-            if found := page.evaluate(RUN, {}):
-                wrong[path] = found
+            if violations := page.evaluate(RUN, {}):
+                wrong[path] = violations
             page.emulate_media(color_scheme="dark")
-            if found := page.evaluate(RUN, {"runOnly": ["color-contrast"]}):
-                wrong[f"{path}, dark"] = found
+            if violations := page.evaluate(RUN, {"runOnly": ["color-contrast"]}):
+                wrong[f"{path}, dark"] = violations
             page.emulate_media(color_scheme="light")
             for width in (390, 1280, 2560):
                 page.set_viewport_size({"width": width, "height": width * 9 // 16})

@@ -26,13 +26,13 @@ def run(name: str, *words: object) -> None:
 
 def test_each_key_event_has_its_delay(tmp_path: Path) -> None:
     run("at_wheel.py", "--seconds", 4, "--json", tmp_path / "found.json")
-    found = json.loads((tmp_path / "found.json").read_text())
-    assert 0 < found["delays"] <= 2 * found["presses"]
+    result = json.loads((tmp_path / "found.json").read_text())
+    assert 0 < result["delays"] <= 2 * result["presses"]
 
 
 @pytest.mark.parametrize("device", ["keys", "mouse", "gamepad"])
 def test_a_player_who_sees_the_page_alone_stays_on_the_road(tmp_path: Path, device: str) -> None:
     run("players.py", tmp_path, "--laps", 0.02, "--seeds", 9, "--devices", device, "--only", "*record lake")
-    found = json.loads((tmp_path / "results" / f"devices_{device}-9_record_lake.json").read_text())
-    assert found["rows"] > 0
-    assert found["put back"] == 0
+    result = json.loads((tmp_path / "results" / f"devices_{device}-9_record_lake.json").read_text())
+    assert result["rows"] > 0
+    assert result["put back"] == 0

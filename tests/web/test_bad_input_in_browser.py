@@ -60,8 +60,8 @@ def test_a_log_that_is_awkward_in_every_way_is_shown_and_tagged(browser: Browser
         lambda camera, row: b"\xff\xd8\xff no picture" if camera == "left" else road_jpeg(row),
         cameras=["center", "left"],
     )
-    with Log(log) as found:
-        fingerprint = found.fingerprint
+    with Log(log) as opened:
+        fingerprint = opened.fingerprint
     many = [Tag(at % ROWS, min(at % ROWS + at // ROWS, ROWS - 1), f"n{at % 97}") for at in range(TAGS)]
     add_tags(log, fingerprint, many)
     with served(tmp_path) as bench, opened_page(browser, bench.address) as page:
@@ -88,5 +88,5 @@ def test_a_log_that_is_awkward_in_every_way_is_shown_and_tagged(browser: Browser
         wait_until(lambda: "replaced by another" in page.inner_text("#problem"))
         page.keyboard.press("x")
         wait_until(lambda: "replaced since" in page.inner_text("#status"))
-    with Log(log) as found:
-        assert read_tags(log, found.fingerprint) == []  # rows of another log were not tagged
+    with Log(log) as opened:
+        assert read_tags(log, opened.fingerprint) == []  # rows of another log were not tagged

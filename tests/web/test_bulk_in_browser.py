@@ -27,9 +27,9 @@ def bench(tmp_path: Path) -> Iterator[Served]:
     for name in ("faulty", "other"):
         write_faulty(tmp_path / "sessions" / f"{name}.mcap")
     write_log(tmp_path / "sessions" / "good.mcap", [0.01 * (row % 40) for row in range(50)], road)
-    with served(tmp_path) as found:
-        wait_until(lambda: "being read" not in found.get("/sessions.rows").text)
-        yield found
+    with served(tmp_path) as server:
+        wait_until(lambda: "being read" not in server.get("/sessions.rows").text)
+        yield server
 
 
 def road(camera: str, row: int) -> bytes:
@@ -46,8 +46,8 @@ def opened(browser: Browser, bench: Served, at: str = "/sessions/faulty") -> Ite
 
 def tags(bench: Served, name: str = "faulty") -> list[tuple[str, int, int]]:
     log = bench.folder / "sessions" / f"{name}.mcap"
-    with Log(log) as found:
-        return [(tag.name, tag.first_row, tag.last_row) for tag in read_tags(log, found.fingerprint)]
+    with Log(log) as opened:
+        return [(tag.name, tag.first_row, tag.last_row) for tag in read_tags(log, opened.fingerprint)]
 
 
 def selected(page: Page) -> str:

@@ -24,12 +24,12 @@ def bench(tmp_path: Path) -> Iterator[Served]:
     for name in ("first", "second"):
         write_faulty(tmp_path / "sessions" / f"{name}.mcap")
     write_log(tmp_path / "sessions" / "good.mcap", [0.01 * (row % 40) for row in range(50)])
-    with served(tmp_path) as found:
-        wait_until(lambda: "being read" not in found.get("/sessions.rows").text)
-        yield found
+    with served(tmp_path) as server:
+        wait_until(lambda: "being read" not in server.get("/sessions.rows").text)
+        yield server
 
 
-def found(bench: Served, at: str) -> dict[str, list[list[int]]]:
+def found_rows(bench: Served, at: str) -> dict[str, list[list[int]]]:
     answer = bench.get(at)
     assert answer.status == 200, answer.text
     return {log["key"]: log["rows"] for log in answer.json["logs"]}
@@ -51,13 +51,16 @@ def tags(bench: Served, name: str) -> list[Tag]:
 
 
 def test_what_a_kind_or_a_condition_finds_is_named_by_log(bench: Served) -> None:
-    assert found(bench, CRASHES) == {"first": [[*CRASH]], "second": [[*CRASH]]}
-    assert found(bench, "/sessions.found?only=with+stuck+steering") == {"first": [[*STUCK]], "second": [[*STUCK]]}
-    assert found(bench, "/sessions.found?only=with+gap&text=first") == {"first": [[GAP_AT - 1, GAP_AT]]}
-    assert found(bench, "/sessions.found?only=with+surely+odd+rows&text=second") == {"second": [[*CRASH]]}
+    assert found_rows(bench, CRASHES) == {"first": [[*CRASH]], "second": [[*CRASH]]}
+    assert found_rows(bench, "/sessions.found?only=with+stuck+steering") == {
+        "first": [[*STUCK]],
+        "second": [[*STUCK]],
+    }
+    assert found_rows(bench, "/sessions.found?only=with+gap&text=first") == {"first": [[GAP_AT - 1, GAP_AT]]}
+    assert found_rows(bench, "/sessions.found?only=with+surely+odd+rows&text=second") == {"second": [[*CRASH]]}
     pytest.importorskip("duckdb")
     where = "/sessions.found?where=row+%3C+2+or+row+%3E+48"
-    assert found(bench, f"{where}&text=good") == {"good": [[0, 1], [49, 49]]}
+    assert found_rows(bench, f"{where}&text=good") == {"good": [[0, 1], [49, 49]]}
 
 
 def test_what_was_dealt_with_is_not_found_again(bench: Served) -> None:
@@ -66,9 +69,9 @@ def test_what_was_dealt_with_is_not_found_again(bench: Served) -> None:
         fingerprint = opened.fingerprint
     middle = (CRASH[0] + CRASH[1]) // 2
     add_tags(log, fingerprint, [Tag(CRASH[0], middle, FINE)])
-    assert "first" in found(bench, CRASHES)
+    assert "first" in found_rows(bench, CRASHES)
     add_tags(log, fingerprint, [Tag(middle + 1, CRASH[1], "exclude")])
-    assert "first" not in found(bench, CRASHES)
+    assert "first" not in found_rows(bench, CRASHES)
 
 
 def test_one_request_changes_all_logs_and_one_takes_it_back(bench: Served) -> None:

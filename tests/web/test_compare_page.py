@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from pathlib import Path
 from urllib.parse import urlencode
 
@@ -15,9 +14,7 @@ from logs import write_log
 from waiting import wait_until
 from web.jobs.job_runner import ABOUT, EXIT, OUTPUT
 from web.jobs.jobs import Jobs
-from workbench import Served, served
-
-FORM = {"Content_Type": "application/x-www-form-urlencoded"}
+from workbench import Served, plain, served
 
 
 def measured(**changed: object) -> dict[str, object]:
@@ -43,21 +40,18 @@ def measured(**changed: object) -> dict[str, object]:
     }
 
 
-def a_job(bench: Served, printed: str, code: int) -> None:
-    """A comparison of the runs a and b that has ended, as a bc-web of before has left it."""
+def a_job(bench: Served, printed: str, code: int) -> Path:
+    """A comparison of the runs a and b that has ended, as a bc-web of before has left it; its folder."""
     job = Jobs(bench.folder / "cache").folder / "20990101-000000-000000-0000"
     job.mkdir(parents=True)
     words = ["bc-eval", "--compare", "a", "b", "--json", *(f"--{name}={bench.folder / name}" for name in NAMES)]
     (job / ABOUT).write_text(json.dumps({"words": words, "began": "2099-01-01T00:00:00+00:00", "made": ""}))
     (job / OUTPUT).write_text(printed)
     (job / EXIT).write_text(str(code))
+    return job
 
 
 NAMES = ("runs", "sessions")
-
-
-def plain(text: str) -> str:
-    return " ".join(re.sub(r"<[^>]*>", " ", text).split())
 
 
 def test_the_intervals_stand_beside_one_another(tmp_path: Path) -> None:
@@ -78,21 +72,16 @@ def test_the_intervals_stand_beside_one_another(tmp_path: Path) -> None:
         assert bench.get("/runs.compare?a=a&b=none").status == 404
 
 
-def test_a_comparison_that_failed_says_why(tmp_path: Path) -> None:
+def test_a_comparison_that_failed_says_why_and_other_json_is_none(tmp_path: Path) -> None:
     for name in "ab":
         untrained_run(tmp_path / "runs" / name)
     with served(tmp_path) as bench:
-        a_job(bench, "bc-eval: no <index>\n", 2)
+        job = a_job(bench, "bc-eval: no <index>\n", 2)
         text = bench.get("/runs.compare?a=a&b=b").text
         assert "refused: bc-eval: no &lt;index&gt;" in text
         assert ">Compare</button>" in text
-
-
-def test_other_json_is_no_comparison(tmp_path: Path) -> None:
-    for name in "ab":
-        untrained_run(tmp_path / "runs" / name)
-    with served(tmp_path) as bench:
-        a_job(bench, json.dumps(measured(measures={"rmse_deg": 3})), 0)
+        (job / OUTPUT).write_text(json.dumps(measured(measures={"rmse_deg": 3})))
+        (job / EXIT).write_text("0")
         assert bench.get("/runs.compare?a=a&b=b").status == 200
 
 
@@ -102,9 +91,9 @@ def test_the_button_is_the_command(tmp_path: Path) -> None:
     for name in "ab":
         untrained_run(tmp_path / "runs" / name)
     with served(tmp_path) as bench:
-        asked = urlencode({"a": "a", "b": "b", "session": "s"})
-        compared = f"/runs.compare?{asked}"
-        answer = bench.ask("POST", "/runs.compare", asked.encode(), **FORM)
+        asked = {"a": "a", "b": "b", "session": "s"}
+        compared = f"/runs.compare?{urlencode(asked)}"
+        answer = bench.post("/runs.compare", **asked)
         assert (answer.status, answer.headers["location"]) == (303, compared)
         wait_until(lambda: "running" not in bench.get(compared).text)
         shown = plain(bench.get(compared).text)
@@ -113,5 +102,5 @@ def test_the_button_is_the_command(tmp_path: Path) -> None:
         assert f"bc-eval --compare a b --json --session s --runs={tmp_path / 'runs'}" in shown
         assert bench.get("/runs.compare?a=a&b=b&session=none").status == 404
         jobs = bench.get("/jobs.rows").text.count("<li id=")
-        bench.ask("POST", "/runs.compare", asked.encode(), **FORM)  # it is known
+        bench.post("/runs.compare", **asked)  # it is known
         assert bench.get("/jobs.rows").text.count("<li id=") == jobs == 1

@@ -30,8 +30,8 @@ TAKEOVERS = {200: PilotCommand.EXPERT, 230: PilotCommand.HUMAN}
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Served]:
     write_drive(tmp_path / "drives" / "d.mcap")
-    with served(tmp_path) as found:
-        yield found
+    with served(tmp_path) as server:
+        yield server
 
 
 def write_drive(path: Path) -> None:
@@ -108,7 +108,7 @@ def test_the_map_has_road_start_direction_and_scale_and_leads_to_moments(browser
         svg = page.locator("#course-map svg")
         assert svg.locator(".road, .start, .scale").count() == 3
         assert svg.locator(".direction").count() == 8
-        assert [each.split("-")[-1] for each in classes(page)] == ["pilot", "expert", "pilot", "human", "pilot"]
+        assert [name.split("-")[-1] for name in classes(page)] == ["pilot", "expert", "pilot", "human", "pilot"]
         assert svg.locator(".scale-name").text_content() == "100 m"
         assert (svg.locator(".scale").get_attribute("d") or "").endswith("h100")
         svg.locator("a").nth(1).click()
@@ -130,10 +130,10 @@ def test_the_map_has_road_start_direction_and_scale_and_leads_to_moments(browser
 
 
 def classes(page: Page) -> list[str]:
-    found: list[str] = page.eval_on_selector_all(
+    names: list[str] = page.eval_on_selector_all(
         "#course-map .path", "all => all.map(each => each.getAttribute('class'))"
     )
-    return found
+    return names
 
 
 def test_a_recording_has_none_of_it(browser: Browser, bench: Served) -> None:

@@ -15,7 +15,7 @@ from recorder import Log
 from web.logs.film_strip import film_strip
 
 
-@pytest.mark.parametrize("shape", [(1, 60_000), (60_000, 1), (1, 1), (240, 320), (640, 480), (161, 401)])
+@pytest.mark.parametrize("shape", [(1, 60_000), (60_000, 1), (1, 1), (161, 401)])
 def test_pictures_of_any_shape_are_cut_to_their_middle_in_little_memory(
     tmp_path: Path, shape: tuple[int, int]
 ) -> None:

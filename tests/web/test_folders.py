@@ -10,7 +10,7 @@ from udacity import call
 from web.cli import main
 
 
-@pytest.mark.parametrize("flag", ["sessions", "index", "runs", "drives"])
+@pytest.mark.parametrize("flag", ["sessions", "drives"])
 def test_a_file_is_no_folder(
     flag: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

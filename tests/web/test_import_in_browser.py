@@ -34,8 +34,11 @@ def test_a_chosen_folder_becomes_a_session_by_the_keyboard(browser: Browser, tmp
         open_session(page)  # which opens by itself
     sessions = tmp_path / "mine" / "sessions"
     assert call(recorder.cli.main, "lake", "--from", tmp_path / "mine" / "lake", "--sessions", sessions) == 0
-    with Log(tmp_path / "project" / "sessions" / "lake.mcap") as here, Log(sessions / "lake.mcap") as there:
-        assert here.vehicle() == there.vehicle()
+    with (
+        Log(tmp_path / "project" / "sessions" / "lake.mcap") as by_page,
+        Log(sessions / "lake.mcap") as by_command,
+    ):
+        assert by_page.vehicle() == by_command.vehicle()
 
 
 def test_a_folder_and_a_zip_are_dropped(browser: Browser, tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.parse import urlencode
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -23,9 +22,8 @@ from model.config import TrainConfig
 from udacity import call
 from waiting import wait_until
 from web.index.index_view import session_bins_sketch
-from workbench import Served, served
+from workbench import Served, plain, served
 
-FORM = {"Content_Type": "application/x-www-form-urlencoded"}
 AWKWARD = "<b>a 'b' é"
 
 
@@ -38,8 +36,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     write_log(sessions / f"{AWKWARD}.mcap", turning, lambda camera, row: road_jpeg(10_000 + row))
     arguments = ("--sessions", sessions, "--index", folder / "index", "--labels", "as-recorded")
     assert call(dataset.cli.main, *arguments) == 0
-    with served(folder) as found:
-        yield found
+    with served(folder) as server:
+        yield server
 
 
 @pytest.fixture
@@ -51,10 +49,6 @@ def changed_bench(bench: Served, tmp_path: Path) -> Iterator[Served]:
     shutil.rmtree(index)
     shutil.copytree(tmp_path / "index", index)
     tags.unlink()
-
-
-def plain(page: str) -> str:
-    return html.unescape(" ".join(re.sub(r"<[^>]*>", " ", page).split()))
 
 
 def test_the_page_shows_what_the_index_holds(bench: Served) -> None:
@@ -85,12 +79,12 @@ def test_a_session_is_sketched_in_the_bins_of_its_index(bins: int, tmp_path: Pat
 def test_samples_are_shown_as_training_sees_them(bench: Served) -> None:
     """Beside the crops that they were made of; as in the first epoch of a training with default options."""
     page = bench.get("/index.altered").text
-    found = re.findall(r'<img src="(/index.altered/(\d+)/([01]).jpg[^"]*)"', page)
+    pictures_shown = re.findall(r'<img src="(/index.altered/(\d+)/([01]).jpg[^"]*)"', page)
     told = re.findall(
         r"<span>([^<]*)</span>\s*<span class=\"dim\">[^;]*, (-?[0-9.]+)° learnt; (.*) row (\d+), (\w+)</span>",
         page,
     )
-    assert len(found) == 2 * len(told) > 4
+    assert len(pictures_shown) == 2 * len(told) > 4
     assert bench.get("/index.altered?others=1").text != page
     index, alterations = bench.folder / "index", TrainConfig().epoch_alterations
     with load(index, batch=1, alter_each_epoch=alterations) as loader, Samples(index) as samples:
@@ -98,7 +92,7 @@ def test_samples_are_shown_as_training_sees_them(bench: Served) -> None:
         table = samples.of_split("train")
         for number, (done, label_deg, session, row, camera) in enumerate(told):
             as_driven, as_learnt = (
-                decode(bench.get(html.unescape(found[2 * number + at][0])).body) for at in (0, 1)
+                decode(bench.get(html.unescape(pictures_shown[2 * number + at][0])).body) for at in (0, 1)
             )
             assert as_driven.shape == as_learnt.shape == (128, 128, 3)
             names = html.unescape(done).split(", ")
@@ -137,7 +131,7 @@ def test_other_settings_are_tried_before_they_are_written(changed_bench: Served)
         call(recorder.log_cli.main, "tag", bench.folder / "sessions" / "left.mcap", "exclude", "--rows", 3, 9) == 0
     )
     asked = {"bins": "5", "labels": "as-recorded", "sessions": "left"}
-    answer = bench.ask("POST", "/index.try", urlencode(asked).encode(), **FORM)
+    answer = bench.post("/index.try", **asked)
     assert answer.status == 303
     job = answer.headers["location"]
     wait_until(lambda: "running" not in bench.get(f"{job}/body").text)
@@ -149,7 +143,7 @@ def test_other_settings_are_tried_before_they_are_written(changed_bench: Served)
     assert samples.read_bytes() == before
     hidden = dict(re.findall(r'type="hidden" name="([^"]*)" value="([^"]*)"', page))
     assert hidden == {"form": "index", **asked}
-    done = bench.ask("POST", "/jobs", urlencode(hidden).encode(), **FORM).headers["location"]
+    done = bench.post("/jobs", **hidden).headers["location"]
     wait_until(lambda: "running" not in bench.get(f"{done}/body").text)
     assert samples.read_bytes() != before
     assert "5 bins" in plain(bench.get("/index").text)

@@ -20,26 +20,22 @@ from ports import free_ports
 from recorder import Log
 from waiting import wait_until
 from web.jobs.jobs import Jobs
-from workbench import Answer, Served, served
+from workbench import Served, served
 
 FORM = {"Content_Type": "application/x-www-form-urlencoded"}
 
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Served]:
-    with served(tmp_path) as found:
-        yield found
+    with served(tmp_path) as server:
+        yield server
 
 
 def start(bench: Served, **values: str) -> str:
     """The address of the job's page."""
-    answer = post(bench, "/jobs", **values)
+    answer = bench.post("/jobs", **values)
     assert answer.status == 303, answer.text
     return answer.headers["location"]
-
-
-def post(bench: Served, path: str, **values: str) -> Answer:
-    return bench.ask("POST", path, urlencode(values).encode(), **FORM)
 
 
 def is_a_process(number: int) -> bool:
@@ -112,11 +108,11 @@ def test_a_job_outlives_the_server_and_is_stopped_by_another(tmp_path: Path) -> 
         before = bench.get("/changes").json["jobs"]
     with served(tmp_path) as again:
         assert "running" in text(again, job)
-        assert post(again, f"{job}/stop").status == 303
+        assert again.post(f"{job}/stop").status == 303
         wait_until(lambda: "running" not in text(again, f"{job}/body"))
         assert "stopped" in text(again, job)
         assert again.get("/changes").json["jobs"] != before
-        assert post(again, f"{job}/stop").status == 303  # nothing more to stop
+        assert again.post(f"{job}/stop").status == 303  # nothing more to stop
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a lock is of one process there")
@@ -130,7 +126,7 @@ def test_a_job_whose_runner_was_killed_still_runs_and_is_stopped(bench: Served) 
         os.kill(runner, signal.SIGKILL)
         wait_until(lambda: not is_a_process(runner))
         assert "running" in text(bench, f"{job}/body")
-        assert post(bench, f"{job}/stop").status == 303
+        assert bench.post(f"{job}/stop").status == 303
         wait_until(lambda: "running" not in text(bench, f"{job}/body"))
         assert not list(sessions.glob("long.mcap.*.part"))  # Ctrl-C lets a recording end as it does in a terminal
     finally:
@@ -145,7 +141,7 @@ def test_without_any_folder_the_demo_fills_them(bench: Served) -> None:
     assert line in html.unescape(page)
     job = start(bench, form="demo")
     wait_until(lambda: re.search(r'class="state">recording', bench.get("/sessions.rows").text))
-    assert post(bench, f"{job}/stop").status == 303
+    assert bench.post(f"{job}/stop").status == 303
     wait_until(lambda: "running" not in text(bench, f"{job}/body"))
     assert line in text(bench, job)
     assert "1 of 6" in text(bench, job)
@@ -184,7 +180,7 @@ def test_the_command_says_which_jobs_go_on(tmp_path: Path, monkeypatch: pytest.M
     ],
 )
 def test_what_cannot_be_a_command_is_not_started(bench: Served, values: dict[str, str]) -> None:
-    answer = post(bench, "/jobs", **values)
+    answer = bench.post("/jobs", **values)
     assert answer.status in (404, 422)
     assert answer.json["error"]
     assert "No jobs yet" in bench.get("/jobs").text
@@ -204,12 +200,12 @@ def test_a_job_that_was_killed_or_damaged_is_told(bench: Served) -> None:
     folder = next(iter((bench.folder / "cache").rglob("jobs")), bench.folder / "cache" / "jobs")
     job = start(bench, form="record", name="x", laps="many")
     wait_until(lambda: "running" not in text(bench, f"{job}/body"))
-    (there,) = folder.glob("*/*")
-    (there / "exit").unlink()
+    (stored,) = folder.glob("*/*")
+    (stored / "exit").unlink()
     assert "killed, or the computer was switched off" in text(bench, job)
-    about = json.loads((there / "job.json").read_text())
-    (there / "job.json").write_text(json.dumps({**about, "words": ["<b>bc-x</b>"]}))
+    about = json.loads((stored / "job.json").read_text())
+    (stored / "job.json").write_text(json.dumps({**about, "words": ["<b>bc-x</b>"]}))
     assert "<b>bc-x" not in bench.get("/jobs").text
-    (there / "job.json").write_text("{")
+    (stored / "job.json").write_text("{")
     assert bench.get(job).status == 404
     assert bench.get("/jobs").status == 200

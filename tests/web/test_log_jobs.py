@@ -18,7 +18,7 @@ from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from udacity import call
 from waiting import wait_until
-from workbench import Answer, Served, served
+from workbench import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -35,17 +35,12 @@ def bench(tmp_path: Path) -> Iterator[Served]:
             time_ns = START_NS + row * 100_000_000 + (row >= 12) * 60_000_000_000
             writer.vehicle(time_ns, row, VehicleState(steering=row / 100, speed_mph=9.0))
     write_log(sessions / "other one.mcap", [0.3] * 7)
-    with served(tmp_path) as found:
-        yield found
+    with served(tmp_path) as server:
+        yield server
 
 
 def command(bench: Served, job: str, *values: tuple[str, str], log: str = "two") -> str:
     return bench.get(f"/sessions/{log}/make/{job}/command?{urlencode(values)}").text
-
-
-def post(bench: Served, job: str, **values: str) -> Answer:
-    form = {"Content_Type": "application/x-www-form-urlencoded"}
-    return bench.ask("POST", f"/sessions/two/make/{job}", urlencode(values).encode(), **form)
 
 
 def rows(path: Path) -> list[int]:
@@ -54,9 +49,9 @@ def rows(path: Path) -> list[int]:
 
 
 def key_of_other(bench: Served) -> str:
-    found = re.search(r'<option value="([^"]*)">other one', bench.get("/sessions/two").text)
-    assert found is not None
-    return found[1]
+    option = re.search(r'<option value="([^"]*)">other one', bench.get("/sessions/two").text)
+    assert option is not None
+    return option[1]
 
 
 def test_a_selected_stretch_becomes_a_log_that_the_job_links_to(browser: Browser, bench: Served) -> None:
@@ -113,7 +108,7 @@ def test_what_cannot_be_done_is_told_and_not_started(bench: Served) -> None:
         ("merge", {"other": "none"}, "no log 'none'"),
         ("rm", {}, "no job on a log has this name"),
     ):
-        answer = post(bench, job, **values)
+        answer = bench.post(f"/sessions/two/make/{job}", **values)
         assert answer.status in (404, 409, 422)
         assert why in answer.json["error"]
     assert "No jobs yet" in bench.get("/jobs").text
@@ -129,4 +124,4 @@ def test_a_log_that_is_recorded_or_deleted_meanwhile_is_left_alone(bench: Served
     finally:
         writer.close()
     (sessions / "two.mcap").unlink()
-    assert post(bench, "split").status == 404
+    assert bench.post("/sessions/two/make/split").status == 404

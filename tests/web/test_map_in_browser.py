@@ -62,9 +62,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     changed_config(run, training={"epochs": 1, "recipe": "people"}, data={})
     write_lines(run / "metrics.jsonl", [epoch_line(1)])
     write_log(folder / "sessions" / "new.mcap", [0.1] * 5, cameras=[])
-    with served(folder) as found:
-        wait_until(lambda: "reading" not in found.get("/runs.rows").text)
-        yield found
+    with served(folder) as server:
+        wait_until(lambda: "reading" not in server.get("/runs.rows").text)
+        yield server
 
 
 def changed_config(run: Path, **changed: Any) -> None:
@@ -83,11 +83,11 @@ def columns(bench: Served, query: str) -> dict[str, Any]:
     return dict(zip(COLUMNS, values, strict=True))
 
 
-def places(page: Page, found: dict[str, Any]) -> Any:
+def places(page: Page, points: dict[str, Any]) -> Any:
     """Where on the page the dots are (N, 2): all of the map, in its shape, 14 pixels from the nearer edges."""
     box = page.locator("#cloud canvas").first.bounding_box()
     assert box is not None
-    place = np.stack([found["x"], found["y"]], 1)
+    place = np.stack([points["x"], points["y"]], 1)
     size = np.array([box["width"], box["height"]])
     scale = ((size - 28) / np.ptp(place, 0)).min()
     return np.array([box["x"], box["y"]]) + size / 2 + (place - (place.min(0) + place.max(0)) / 2) * scale
@@ -110,16 +110,16 @@ def drag(page: Page, corners: Any) -> None:
 def test_a_lasso_chooses_what_is_tagged_and_undone_as_one(browser: Browser, bench: Served) -> None:
     with opened_page(browser, f"{bench.address}/map?of=sessions/scenes&run=pixels") as page:
         shown(page)
-        found = columns(bench, "of=sessions/scenes&run=pixels")
-        assert sorted(found["row"]) == list(range(ROWS))
-        assert np.allclose(found["steering"][np.argsort(found["row"])], STEERING, atol=1e-6)
-        at = places(page, found)
-        page.mouse.move(*at[found["row"] == 5][0])
+        points = columns(bench, "of=sessions/scenes&run=pixels")
+        assert sorted(points["row"]) == list(range(ROWS))
+        assert np.allclose(points["steering"][np.argsort(points["row"])], STEERING, atol=1e-6)
+        at = places(page, points)
+        page.mouse.move(*at[points["row"] == 5][0])
         page.wait_for_selector("#under-words:has-text('scenes, row')")
-        night = np.isin(found["row"], list(NIGHT))
+        night = np.isin(points["row"], list(NIGHT))
         middle, reach = at[night].mean(0), np.linalg.norm(at[night] - at[night].mean(0), axis=1).max() + 6
         is_within = np.linalg.norm(at - middle, axis=1) <= reach
-        assert set(found["row"][is_within]) == set(NIGHT)  # they lie together, and nothing else there
+        assert set(points["row"][is_within]) == set(NIGHT)  # they lie together, and nothing else there
         turns = np.linspace(0, 2 * np.pi, 60)
         drag(page, middle + reach * np.stack([np.cos(turns), np.sin(turns)], 1))
         page.wait_for_selector(f"#map[data-chosen='{len(NIGHT)}']")
@@ -199,9 +199,9 @@ def test_all_sessions_of_the_index_lie_on_one_map(browser: Browser, bench: Serve
     with opened_page(browser, f"{bench.address}/index") as page:
         page.click("text=Map of its pictures")
         shown(page, "r")  # by the newest network
-        found = columns(bench, "run=r")
-        assert len(found["row"]) == ROWS + 30
-        assert np.isfinite(found["predicted"]).all()
+        points = columns(bench, "run=r")
+        assert len(points["row"]) == ROWS + 30
+        assert np.isfinite(points["predicted"]).all()
         page.select_option("#by", "error")
         page.select_option("#by", "session")
         page.click("#legend button:has-text('day')")
@@ -231,11 +231,11 @@ def test_of_more_pictures_than_are_shown_each_stands_for_some(
     with opened_page(browser, f"{bench.address}/map?of=sessions/scenes&run=pixels") as page:
         shown(page)
         assert "One of 3 pictures is shown" in page.inner_text("#status")
-        found = columns(bench, "of=sessions/scenes&run=pixels")
-        assert sorted(found["row"]) == list(range(0, ROWS, 3))
+        points = columns(bench, "of=sessions/scenes&run=pixels")
+        assert sorted(points["row"]) == list(range(0, ROWS, 3))
         page.click("#lonely")
         page.wait_for_selector("#map[data-chosen='1']")
-        first = int(found["row"][found["alone"].argmax()])
+        first = int(points["row"][points["alone"].argmax()])
         page.keyboard.press("x")
         wait_until(lambda: tags_of(bench, "scenes") == [(first, first + 2, "exclude")])
         page.keyboard.press("u")
@@ -291,7 +291,7 @@ def test_what_cannot_be_shown_says_why(bench: Served) -> None:
 def test_a_damaged_map_is_made_again(bench: Served) -> None:
     query = "of=sessions/day&run=pixels"
     bench.ask("POST", f"/map.state?{query}")
-    key = wait_until(lambda: (found := bench.get(f"/map.state?{query}").json)["about"] and found["key"])
+    key = wait_until(lambda: (state := bench.get(f"/map.state?{query}").json)["about"] and state["key"])
     kept = next((bench.folder / "cache").rglob(f"{key}.npz"))
     kept.write_bytes(kept.read_bytes()[:100])
     assert bench.get(f"/map.state?{query}").json["about"] is None
@@ -304,8 +304,8 @@ def test_a_session_that_has_changed_since_is_left_out(bench: Served) -> None:
     write_log(path, STEERING[:9], lambda camera, row: road_jpeg(row), cameras=["center"], overwrite=True)
     try:
         bench.ask("POST", "/map.state?run=pixels")
-        found = wait_until(lambda: bench.get("/map.state?run=pixels").json["about"])
+        about = wait_until(lambda: bench.get("/map.state?run=pixels").json["about"])
     finally:
         path.write_bytes(before)
-    assert len(found["notes"]) == 1
-    assert "day.mcap: the log has changed" in found["notes"][0]
+    assert len(about["notes"]) == 1
+    assert "day.mcap: the log has changed" in about["notes"][0]

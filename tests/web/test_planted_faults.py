@@ -53,24 +53,24 @@ def plant(rows: Sequence[Row]) -> Planted:
     """Each in a part of its own: four seconds of the very same steering, two that nobody recorded, three of the
     very same pictures, and ten, in the bends, whose steering has the other sign."""
     a_second = round(1e9 / float(np.median(np.diff([row.time_ns for row in rows]))))
-    found = list(rows)
+    faulty = list(rows)
     eighth = len(rows) // 8
     stuck = eighth, eighth + 4 * a_second
     for at in range(stuck[0], stuck[1] + 1):
-        found[at] = steered(found[at], 0.123)
+        faulty[at] = steered(faulty[at], 0.123)
     frozen = 3 * eighth, 3 * eighth + 3 * a_second
     for at in range(frozen[0] + 1, frozen[1] + 1):
-        found[at] = dataclasses.replace(found[at], pictures=found[frozen[0]].pictures)
+        faulty[at] = dataclasses.replace(faulty[at], pictures=faulty[frozen[0]].pictures)
     length = round(MIRRORED_S * a_second)
     square = np.cumsum([row.state.steering**2 for row in rows])
     first = 4 * eighth + int(np.argmax((square[length:] - square[:-length])[4 * eighth : 7 * eighth]))
     for at in range(first, first + length):
-        found[at] = steered(found[at], -found[at].state.steering)
+        faulty[at] = steered(faulty[at], -faulty[at].state.steering)
     gap = 2 * eighth
     lost = 2 * a_second
-    del found[gap : gap + lost]
+    del faulty[gap : gap + lost]
     return Planted(
-        found,
+        faulty,
         stuck,
         (gap - 1, gap),
         (frozen[0] - lost, frozen[1] - lost),

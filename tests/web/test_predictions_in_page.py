@@ -51,9 +51,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory, bucket_of_tests: dict[str, s
         patched.setattr(tempfile, "tempdir", str(folder / "temporary"))
         for name, value in {**bucket_of_tests, "BC_CACHE": str(folder / "chunks")}.items():
             patched.setenv(name, value)
-        with served(folder, drives=drives) as found:
-            wait_until(lambda: found.get("/drives/toy").status == 200)  # the store has answered
-            yield found
+        with served(folder, drives=drives) as server:
+            wait_until(lambda: server.get("/drives/toy").status == 200)  # the store has answered
+            yield server
 
 
 def constant_run(folder: Path, first_layers: float = 0) -> None:
@@ -126,11 +126,11 @@ def test_the_page_shows_the_prediction_and_its_worst_moments_first(
 
 def predicting() -> list[str]:
     """The runs whose predictions processes of this one are making."""
-    found = []
+    runs = []
     for process in psutil.Process().children():
         with contextlib.suppress(psutil.Error):  # it ends at this moment
-            found += [Path(word).name for word in process.cmdline() if Path(word).parent.name == "runs"]
-    return found
+            runs += [Path(word).name for word in process.cmdline() if Path(word).parent.name == "runs"]
+    return runs
 
 
 def test_a_prediction_is_stopped_also_one_that_waits(bench: Served, hold: Callable[[], None]) -> None:

@@ -25,8 +25,8 @@ A_FRAME = {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "navigate", "Sec_Fe
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     folder = tmp_path_factory.mktemp("bench")
     write_log(folder / "sessions" / "a.mcap", [0.1, 0.2, 0.3])
-    with served(folder) as found:
-        yield found
+    with served(folder) as server:
+        yield server
 
 
 @pytest.mark.parametrize(

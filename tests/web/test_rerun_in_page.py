@@ -168,8 +168,8 @@ def axe_finds(frame: Frame) -> list[str]:
     axe = pytest.importorskip("axe_playwright_python.base", reason="axe-core is not installed")
     frame.evaluate(axe.AXE_SCRIPT)
     script = "async () => (await axe.run()).violations.map(each => `${each.impact} ${each.id}`)"
-    found: list[str] = frame.evaluate(script)
-    return [each for each in found if each.startswith(("serious", "critical"))]
+    violations: list[str] = frame.evaluate(script)
+    return [violation for violation in violations if violation.startswith(("serious", "critical"))]
 
 
 def test_rerun_shows_the_moment_of_the_curves_inside_the_page(browser: Browser, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from model.runs.kept_results import keep_result
 from runs import a_run
 from waiting import wait_until
 from web.server.templates import with_code
-from workbench import Served, served
+from workbench import Served, plain, served
 
 AWKWARD = "a & <b>'é 100%"
 CROP = {"session": "sunday", "row": 7, "log_time_ns": 7, "log_time_utc": "then", "recorded_deg": 1.0}
@@ -38,20 +38,16 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     for name, config in (("newer", '{"format": 99}'), ("broken", "{")):
         (runs / name).mkdir()
         (runs / name / "config.json").write_text(config)
-    with served(folder) as found:
-        wait_until(lambda: "reading" not in found.get("/runs.rows").text)
-        yield found
+    with served(folder) as server:
+        wait_until(lambda: "reading" not in server.get("/runs.rows").text)
+        yield server
 
 
 def rows(bench: Served, query: str = "") -> dict[str, str]:
     """The text of each run in the list, by name and in the order of the list."""
-    found = re.findall(r"<tr id=.*?</tr>", bench.get(f"/runs.rows{query}").text, re.DOTALL)
-    names = [re.findall(r'class="name"[^>]*>(.*?)</a>', row, re.DOTALL)[0] for row in found]
-    return {html.unescape(name): plain(row) for name, row in zip(names, found, strict=True)}
-
-
-def plain(page: str) -> str:
-    return html.unescape(" ".join(re.sub(r"<[^>]*>", " ", page).split()))
+    items = re.findall(r"<tr id=.*?</tr>", bench.get(f"/runs.rows{query}").text, re.DOTALL)
+    names = [re.findall(r'class="name"[^>]*>(.*?)</a>', row, re.DOTALL)[0] for row in items]
+    return {html.unescape(name): plain(row) for name, row in zip(names, items, strict=True)}
 
 
 def key_of(bench: Served, name: str) -> str:
@@ -64,13 +60,13 @@ def page(bench: Served, key: str) -> str:
 
 
 def test_each_run_is_told_as_bc_runs_tells_it(bench: Served) -> None:
-    found = rows(bench, "?sort=rmse")
-    assert list(found)[:2] == ["good", AWKWARD]  # the best first
-    assert set(found) == {"good", AWKWARD, "newer", "broken"}
-    assert "people 2 1/2 0.50" in found["good"]
-    assert "10 mph: lake 2" in found["good"]
-    assert "of format 99" in found["newer"]
-    assert "damaged" in found["broken"]
+    listed = rows(bench, "?sort=rmse")
+    assert list(listed)[:2] == ["good", AWKWARD]  # the best first
+    assert set(listed) == {"good", AWKWARD, "newer", "broken"}
+    assert "people 2 1/2 0.50" in listed["good"]
+    assert "10 mph: lake 2" in listed["good"]
+    assert "of format 99" in listed["newer"]
+    assert "damaged" in listed["broken"]
     assert list(rows(bench, "?text=good+people")) == ["good"]
     assert "<b>'" not in bench.get("/runs").text
 

@@ -32,8 +32,8 @@ def test_each_point_leads_to_its_picture(browser: Browser, tmp_path: Path) -> No
     assert 0 < len(held_out) < len(STEERING)
     with served(tmp_path) as bench:
         wait_until(lambda: "reading" not in bench.get("/runs.rows").text)
-        found = bench.get("/index/toy/held-out").json
-        assert {row for first, last in found for row in range(first, last + 1)} == held_out
+        stretches = bench.get("/index/toy/held-out").json
+        assert {row for first, last in stretches for row in range(first, last + 1)} == held_out
         with opened_page(browser, f"{bench.address}/runs/first") as page:
             page.click("#scatter-show")
             page.wait_for_selector(f"#scatter[data-shown='{len(STEERING)}']")

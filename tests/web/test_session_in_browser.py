@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,8 +12,7 @@ import numpy as np
 import pytest
 
 import recorder.log_cli
-from driving import command, environment
-from faulty_session import CRASH, FROZEN, GAP_AT, ROWS, STUCK, write_faulty
+from faulty_session import CRASH, ROWS, STUCK, write_faulty
 from logs import START_NS
 from mcap_patch import without_lag
 from pages import drag, open_session, opened_page, press
@@ -34,8 +32,8 @@ if TYPE_CHECKING:
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Served]:
     write_faulty(tmp_path / "sessions" / "faulty.mcap")
-    with served(tmp_path) as found:
-        yield found
+    with served(tmp_path) as server:
+        yield server
 
 
 @contextlib.contextmanager
@@ -49,8 +47,8 @@ def opened(browser: Browser, bench: Served, name: str = "faulty") -> Iterator[Pa
 def tags(bench: Served) -> list[tuple[str, int, int]]:
     """As the commands read them."""
     log = bench.folder / "sessions" / "faulty.mcap"
-    with Log(log) as found:
-        return [(tag.name, tag.first_row, tag.last_row) for tag in read_tags(log, found.fingerprint)]
+    with Log(log) as opened:
+        return [(tag.name, tag.first_row, tag.last_row) for tag in read_tags(log, opened.fingerprint)]
 
 
 def test_a_stretch_is_excluded_by_dragging_and_undone_and_done_again(browser: Browser, bench: Served) -> None:
@@ -153,6 +151,11 @@ def test_all_that_is_sure_and_what_a_condition_says_are_excluded_at_once(browser
 def test_j_passes_over_what_was_seen_and_is_fine(browser: Browser, bench: Served) -> None:
     with opened(browser, bench) as page:
         page.keyboard.press("j")
+        wait_until(lambda: " of 3" in page.inner_text("#status"))
+        message, below = (page.locator(part).bounding_box() for part in ("#status", "main"))
+        assert message is not None
+        assert below is not None
+        assert message["y"] + message["height"] <= below["y"]  # what is said covers nothing
         press(page, "f", 1)
         assert tags(bench) == [("fine", *STUCK)]
         page.click("#exclude-odd")
@@ -162,40 +165,6 @@ def test_j_passes_over_what_was_seen_and_is_fine(browser: Browser, bench: Served
         press(page, "u", 1)
         page.keyboard.press("k")
         wait_until(lambda: "1 of 3" not in page.inner_text("#status"))
-
-
-def test_j_and_k_go_through_the_odd_stretches_and_x_excludes_each(browser: Browser, bench: Served) -> None:
-    """Planted faults are found and removed with nine actions."""
-    with opened(browser, bench) as page:
-        selected = []
-        for number in range(3):
-            before = page.inner_text("#selected")
-            page.keyboard.press("j")
-            wait_until(lambda: page.inner_text("#selected") not in ("", before))  # noqa: B023
-            words = page.inner_text("#selected").split()
-            selected.append((int(words[1]), int(words[3])))
-            press(page, "x", number + 1)
-        assert selected == [STUCK, CRASH, (GAP_AT - 1, GAP_AT)]
-        assert tags(bench) == [("exclude", *rows) for rows in selected]
-        page.keyboard.press("j")
-        wait_until(lambda: "all odd stretches are excluded" in page.inner_text("#status"))
-        press(page, "u", 2)
-        page.keyboard.press("k")  # the only one that is left
-        wait_until(lambda: "gap; 1 of 3" in page.inner_text("#status"))
-        said, below = (page.locator(each).bounding_box() for each in ("#status", "main"))
-        assert said is not None
-        assert below is not None
-        assert said["y"] + said["height"] <= below["y"]  # what is said covers nothing
-        press(page, "x", 3)
-        page.click("#look")  # decodes all pictures
-        page.wait_for_selector("#look", state="hidden")
-        page.keyboard.press("j")
-        wait_until(lambda: "frozen picture; 1 of 4" in page.inner_text("#status"))
-        press(page, "x", 4)
-    line = command("bc-log", "tag", bench.folder / "sessions" / "faulty.mcap")
-    done = subprocess.run(line, env=environment(), capture_output=True, text=True, check=True)
-    excluded = (STUCK, CRASH, (GAP_AT - 1, GAP_AT), FROZEN)
-    assert done.stdout == "".join(f"exclude: rows {first} to {last}\n" for first, last in excluded)
 
 
 def test_the_pictures_follow_the_mouse_and_the_keys(browser: Browser, bench: Served) -> None:
@@ -236,7 +205,7 @@ def pictures(page: Page) -> dict[str, int]:
     shown = page.eval_on_selector_all(
         "figure:not([hidden])", "figures => figures.map(figure => figure.dataset.shown ?? '')"
     )
-    return {name: int(row) for each in shown for name, row in re.findall(r"pictures/(\w+)/(\d+)", each)}
+    return {name: int(row) for address in shown for name, row in re.findall(r"pictures/(\w+)/(\d+)", address)}
 
 
 def assert_shown(page: Page, row: int, within: int = 0) -> None:

@@ -37,8 +37,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     folder = tmp_path_factory.mktemp("bench")
     write_log(folder / "sessions" / "a.mcap", STEERING, road, cameras=["center"])
     write_log(folder / "drives" / "a.mcap", [0.5])
-    with served(folder) as found:
-        yield found
+    with served(folder) as server:
+        yield server
 
 
 @pytest.fixture
@@ -172,8 +172,8 @@ def test_odd_rows_and_pictures_are_told(tmp_path: Path) -> None:
 
 
 def test_rows_for_which_a_condition_holds_are_found(bench: Served) -> None:
-    found = bench.get("/sessions/a/where?condition=row%20%3C%202%20or%20row%20%3D%204")
-    assert found.json == [[0, 1], [4, 4]]
+    answer = bench.get("/sessions/a/where?condition=row%20%3C%202%20or%20row%20%3D%204")
+    assert answer.json == [[0, 1], [4, 4]]
     refused = bench.get("/sessions/a/where?condition=import%20os")
     assert (refused.status, "columns are row, time_s" in refused.json["error"]) == (422, True)
 
@@ -199,8 +199,8 @@ def test_a_session_of_any_name_can_be_opened_and_tagged(bench: Served) -> None:
     assert "<b>a" not in bench.get(at).text
     assert bench.get(f"{at}/pictures/left/2").body == road_jpeg(2)
     assert change(bench, at, rows=[[1, 2]], name="<img src=x onerror=alert(1)>").json["changed"]
-    with Log(log) as found:
-        assert read_tags(log, found.fingerprint) == [Tag(1, 2, "<img src=x onerror=alert(1)>")]
+    with Log(log) as opened:
+        assert read_tags(log, opened.fingerprint) == [Tag(1, 2, "<img src=x onerror=alert(1)>")]
     log.unlink()
     answer = bench.get(at, Accept="text/html")
     assert (answer.status, "deleted" in answer.text) == (404, True)
@@ -208,8 +208,8 @@ def test_a_session_of_any_name_can_be_opened_and_tagged(bench: Served) -> None:
 
 
 def test_ten_thousand_tags_are_read_and_one_more_is_added(bench: Served, log: Path) -> None:
-    with Log(log) as found:
-        fingerprint = found.fingerprint
+    with Log(log) as opened:
+        fingerprint = opened.fingerprint
     many = [Tag(at % 100, at % 100 + at // 500, f"n{at % 97}") for at in range(10_000)]
     add_tags(log, fingerprint, many)
     found_tags = bench.get("/sessions/a/tags").json

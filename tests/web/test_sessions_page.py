@@ -24,7 +24,7 @@ from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from udacity import call
 from waiting import wait_until
-from workbench import Served, served
+from workbench import Served, plain, served
 
 AWKWARD = "<b>a & \"b\" 'c' 100%?#é\n;"
 
@@ -49,33 +49,32 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     assert call(recorder.log_cli.main, "tag", plain, "exclude", "--rows", 3, 12) == 0
     assert call(recorder.log_cli.main, "tag", plain, "exclude", "--rows", 10, 19) == 0
     assert call(dataset.cli.main, "plain", "--sessions", sessions, "--index", folder / "index") == 0
-    with served(folder) as found:
-        wait_until(lambda: "being read" not in found.get("/sessions.rows").text)
-        yield found
+    with served(folder) as server:
+        wait_until(lambda: "being read" not in server.get("/sessions.rows").text)
+        yield server
 
 
 def rows(bench: Served, **query: str) -> dict[str, str]:
     """The text of each session in the list, by name and in the order of the list."""
     page = bench.get(f"/sessions.rows?{urlencode(query)}").text
     items = re.findall(r"<li .*?</li>", page, re.DOTALL)
-    plain = [html.unescape(" ".join(re.sub(r"<[^>]*>", " ", item).split())) for item in items]
     names = [html.unescape(re.findall(r'class="name"[^>]*>(.*?)</a>', item, re.DOTALL)[0]) for item in items]
-    return dict(zip(names, plain, strict=True))
+    return dict(zip(names, map(plain, items), strict=True))
 
 
 def test_each_session_is_told_as_the_commands_tell_it(bench: Served, capsys: pytest.CaptureFixture[str]) -> None:
-    found = rows(bench)
+    listed = rows(bench)
     shown = AWKWARD.replace("\n", "\\n")
-    assert set(found) == {"plain", "stuck", shown, "killed.mcap.0a1b2c.part", "nothing"}
-    assert "0:40 min 400 rows" in found["plain"]
-    assert "exclude 17" in found["plain"]  # rows 3 to 19, some of them twice
-    assert "in the index" in found["plain"]
-    assert "left out by choice" in found[shown]
-    assert "stuck steering 50" in found["stuck"]
-    assert "unfinished" in found["killed.mcap.0a1b2c.part"]
-    assert "bc-log recover" in found["killed.mcap.0a1b2c.part"]
-    assert "damaged" in found["nothing"]
-    assert "MCAP" in found["nothing"]
+    assert set(listed) == {"plain", "stuck", shown, "killed.mcap.0a1b2c.part", "nothing"}
+    assert "0:40 min 400 rows" in listed["plain"]
+    assert "exclude 17" in listed["plain"]  # rows 3 to 19, some of them twice
+    assert "in the index" in listed["plain"]
+    assert "left out by choice" in listed[shown]
+    assert "stuck steering 50" in listed["stuck"]
+    assert "unfinished" in listed["killed.mcap.0a1b2c.part"]
+    assert "bc-log recover" in listed["killed.mcap.0a1b2c.part"]
+    assert "damaged" in listed["nothing"]
+    assert "MCAP" in listed["nothing"]
 
 
 def test_what_was_tagged_and_taken_back_has_not_changed(bench: Served) -> None:
@@ -110,9 +109,9 @@ def test_the_condition_of_bc_index_finds_rows(bench: Served) -> None:
     assert duckdb
     where = "steering > 0.25 and row < 20"
     wait_until(lambda: "4 logs searched" in bench.get(f"/sessions.rows?{urlencode({'where': where})}").text)
-    found = rows(bench, where=where)
-    assert list(found) == ["stuck"]
-    assert "20 rows where" in found["stuck"]
+    listed = rows(bench, where=where)
+    assert list(listed) == ["stuck"]
+    assert "20 rows where" in listed["stuck"]
     for wrong in ("no_such_column > 1", "1; drop table x", "steering > (select 1 from read_csv('/etc/passwd'))"):
         page = bench.get(f"/sessions.rows?{urlencode({'where': wrong})}").text
         assert 'role="alert"' in page
@@ -179,7 +178,7 @@ def test_what_commands_change_appears(tmp_path: Path) -> None:
         assert "Import a recording" in bench.get("/sessions").text  # how to begin
         before = bench.get("/changes").json
         log = write_log(tmp_path / "sessions" / "a.mcap", [0.1, 0.2])
-        after = wait_until(lambda: (found := bench.get("/changes").json) != before and found)
+        after = wait_until(lambda: (changes := bench.get("/changes").json) != before and changes)
         assert list(wait_until(lambda: rows(bench))) == ["a"]
         call(recorder.log_cli.main, "tag", log, "good", "--rows", 0, 1)
         wait_until(lambda: bench.get("/changes").json != after)

@@ -34,6 +34,6 @@ def test_the_page_shows_the_command(browser: Browser, tmp_path: Path) -> None:
 def test_every_flag_of_a_form_is_one_of_its_command(form: JobForm) -> None:
     page = (Path(__file__).parents[2] / "docs" / "commands.md").read_text()  # a test holds it to `--help-all`
     block = page.partition(f"<!-- generated: {form.command[0]} -->")[2].partition("<!-- end")[0]
-    known = set(re.findall(r"--[a-z-]+", block))
+    documented = set(re.findall(r"--[a-z-]+", block))
     flags = {field.as_flag for field in form.fields} | {f"--{name}" for name in form.folders}
-    assert flags - {""} <= known
+    assert flags - {""} <= documented

@@ -7,7 +7,6 @@ import re
 import socket
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.parse import urlencode
 
 import pytest
 
@@ -21,13 +20,12 @@ from waiting import wait_until
 from workbench import Served, served
 
 CSV = "".join(f"{paths(number)},0.1,0.5,0,9.5\n" for number in range(4))
-FORM = {"Content_Type": "application/x-www-form-urlencoded"}
 
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Served]:
-    with served(tmp_path) as found:
-        yield found
+    with served(tmp_path) as server:
+        yield server
 
 
 def lake(folder: Path) -> dict[str, bytes]:
@@ -46,8 +44,8 @@ def left_by(bench: Served) -> list[Path]:
 
 def values_of(page: str) -> dict[str, str]:
     """The values of the first form of a page."""
-    found = re.findall(r'<input[^>]*name="(\w+)" value="([^"]*)"', page)
-    return {name: html.unescape(value) for name, value in found}
+    fields = re.findall(r'<input[^>]*name="(\w+)" value="([^"]*)"', page)
+    return {name: html.unescape(value) for name, value in fields}
 
 
 @pytest.mark.parametrize("as_zip", [False, True])
@@ -59,12 +57,12 @@ def test_an_upload_is_imported_as_by_the_command(bench: Served, tmp_path: Path, 
     assert "4 rows" in shown
     assert "pictures that a row names but no folder has" in shown  # of the fourth row
     assert page == "/import/lake"
-    job = bench.ask("POST", "/jobs", urlencode(values_of(shown)).encode(), **FORM).headers["location"]
+    job = bench.post("/jobs", **values_of(shown)).headers["location"]
     wait_until(lambda: "running" not in bench.get(f"{job}/body").text)
     command = tmp_path / "mine" / "sessions"
     assert call(recorder.cli.main, "lake", "--from", tmp_path / "mine" / "lake", "--sessions", command) == 3
-    with Log(bench.folder / "sessions" / "lake.mcap") as here, Log(command / "lake.mcap") as there:
-        assert here.vehicle() == there.vehicle()
+    with Log(bench.folder / "sessions" / "lake.mcap") as by_page, Log(command / "lake.mcap") as by_command:
+        assert by_page.vehicle() == by_command.vehicle()
     assert bench.ask("POST", f"{page}/remove").status == 303
     assert left_by(bench) == []
     assert bench.get(page).status == 404
@@ -85,7 +83,7 @@ def test_a_recording_on_the_machine_is_found_by_its_folders(
     addresses = re.findall(r'href="(/import.at[^"]*)"', first)
     assert len(addresses) == 2  # the folder above, and the one that can be shown
     second = bench.get(addresses[1]).text
-    (lake_page,) = (each for each in re.findall(r'href="(/import.at[^"]*)"', second) if each.endswith("lake"))
+    (lake_page,) = re.findall(r'href="(/import.at[^"]*lake)"', second)
     shown = bench.get(lake_page).text
     assert "4 rows" in shown
     assert values_of(shown)["source"] == str(home / "my drives" / "lake")
@@ -99,13 +97,13 @@ def test_a_recording_on_the_machine_is_found_by_its_folders(
 def test_a_session_of_this_toolkit_is_taken_as_it_is(bench: Served, tmp_path: Path) -> None:
     data = write_log(tmp_path / "own.mcap", [0.1, 0.2]).read_bytes()
     page = upload(bench, {"own.mcap": data}).json["page"]
-    body = urlencode(values_of(bench.get(page).text)).encode()
-    assert bench.ask("POST", f"{page}/take", body, **FORM).headers["location"] == "/sessions/own"
+    values = values_of(bench.get(page).text)
+    assert bench.post(f"{page}/take", **values).headers["location"] == "/sessions/own"
     assert (bench.folder / "sessions" / "own.mcap").read_bytes() == data
     assert left_by(bench) == []
     upload(bench, {"own.mcap": data})
     assert "own-2" in bench.get(page).text  # no session is replaced
-    assert bench.ask("POST", f"{page}/take", body, **FORM).status == 422
+    assert bench.post(f"{page}/take", **values).status == 422
 
 
 def test_a_broken_off_upload_leaves_nothing(bench: Served, tmp_path: Path) -> None:

@@ -81,8 +81,8 @@ def test_from_a_damaged_session_to_its_drive(
         page.click("#make-recover button")
         made(page)
         open_session(page)
-        with Log(log) as found:
-            saved = len(found.vehicle())
+        with Log(log) as opened:
+            saved = len(opened.vehicle())
         assert saved == ROWS  # the end that is missing has none
         next(log.parent.glob("*.part")).unlink()  # as bc-log says, once it is saved
 
@@ -135,9 +135,9 @@ def test_from_a_damaged_session_to_its_drive(
 
         start(page, "Drive", run="walked", track="lake", laps="0.005")
         (drive,) = (tmp_path / "drives").glob("*.mcap")
-        with Log(drive) as found:
-            assert found.metadata["run"] == "walked"
-            driven = len(found.vehicle())
+        with Log(drive) as opened:
+            assert opened.metadata["run"] == "walked"
+            driven = len(opened.vehicle())
         page.click(f"a:text('{drive.stem}')")
         open_session(page)
         assert f"{driven} rows" in page.inner_text(".title")

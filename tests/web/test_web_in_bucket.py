@@ -38,23 +38,23 @@ SETTINGS = "--labels", "as-recorded", "--block-s", "1", "--gap-s", "0"
 def bucket(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bucket]:
     """A project in a bucket: sessions, one of them tagged, one damaged; an index of two; a drive; runs."""
     folder = tmp_path_factory.mktemp("project")
-    with pytest.MonkeyPatch.context() as patched, serving_bucket(folder / "server", patched) as found:
+    with pytest.MonkeyPatch.context() as patched, serving_bucket(folder / "server", patched) as project:
         patched.setenv("BC_CACHE", str(folder / "cache"))
-        sessions = found.folder / "sessions"
+        sessions = project.folder / "sessions"
         for number, name in enumerate(("first", "second", "third")):
             start_ns = START_NS + (number << 45)
             write_log(sessions / f"{name}.mcap", TURNING, lambda _, row: road_jpeg(row), start_ns=start_ns)
         (sessions / "broken.mcap").write_bytes(b"no log")
         (sessions / "notes.txt").write_text("no log")
-        a_drive(found.folder / "drives" / "one.mcap", "good")
-        run = a_run(found.folder / "runs", "good", 2.0, seed=0)
+        a_drive(project.folder / "drives" / "one.mcap", "good")
+        run = a_run(project.folder / "runs", "good", 2.0, seed=0)
         keep_result(run, "simulator", {"track": "lake", "set_speed_mph": 10.0, "interventions": 2})
-        a_run(found.folder / "runs", "other", 3.0, seed=1)
+        a_run(project.folder / "runs", "other", 3.0, seed=1)
         tag = "tag", sessions / "second.mcap", "exclude", "--rows", 3, 12
         assert call(recorder.log_cli.main, *tag) == 0
-        there = "--sessions", found.url("sessions"), "--index", found.url("index")
-        assert call(dataset.cli.main, "first", "second", *there, *SETTINGS) == 0
-        yield found
+        folders = "--sessions", project.url("sessions"), "--index", project.url("index")
+        assert call(dataset.cli.main, "first", "second", *folders, *SETTINGS) == 0
+        yield project
 
 
 @pytest.fixture
@@ -69,9 +69,9 @@ def serve(bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> It
     def begin() -> Served:
         end()
         manager = served(tmp_path, at=bucket.url())
-        found = manager.__enter__()
+        server = manager.__enter__()
         running.append(manager)
-        return found
+        return server
 
     def end() -> None:
         while running:
@@ -90,7 +90,7 @@ def read(bench: Served, path: str) -> str:
 
     def whole() -> str:
         text = bench.get(path).text
-        return "" if any(each in text for each in ("reading", "being read", "has not answered yet")) else text
+        return "" if any(words in text for words in ("reading", "being read", "has not answered yet")) else text
 
     return wait_until(whole)
 
@@ -100,8 +100,8 @@ def asked_for(bucket: Bucket, *folders: str) -> list[str]:
     their keys, listings by their prefixes. The index and runs may still be on their way when a page is there."""
     asked = [path for _, path, _ in bucket.requests]
     bucket.requests.clear()
-    found = [re.sub(r"^/logs/([^?]*).*|^/logs\?.*prefix=(\w+)%2F.*", r"\1\2", path) for path in asked]
-    return sorted(key for key in found if key.startswith(folders or ("sessions", "drives")))
+    keys = [re.sub(r"^/logs/([^?]*).*|^/logs\?.*prefix=(\w+)%2F.*", r"\1\2", path) for path in asked]
+    return sorted(key for key in keys if key.startswith(folders or ("sessions", "drives")))
 
 
 def test_what_is_shown_is_what_is_shown_of_a_disk(
@@ -110,9 +110,9 @@ def test_what_is_shown_is_what_is_shown_of_a_disk(
     disk = tmp_path / "disk"
     for name in ("sessions", "drives", "runs"):
         shutil.copytree(bucket.folder / name, disk / name)
-    here = "--sessions", disk / "sessions", "--index", disk / "index"
-    assert call(dataset.cli.main, "first", "second", *here, *SETTINGS) == 0
-    there = serve()
+    folders = "--sessions", disk / "sessions", "--index", disk / "index"
+    assert call(dataset.cli.main, "first", "second", *folders, *SETTINGS) == 0
+    remote = serve()
 
     def plain(text: str) -> str:
         text = text.replace("s3://logs/", f"{disk}/")
@@ -121,37 +121,37 @@ def test_what_is_shown_is_what_is_shown_of_a_disk(
     with served(disk) as local:
         for path in ("/sessions", "/sessions?only=with+tags", "/drives", "/index"):
             # what the index has of each session may come later
-            wait_until(lambda path=path: plain(read(there, path)) == plain(read(local, path)))  # type: ignore[misc]
+            wait_until(lambda path=path: plain(read(remote, path)) == plain(read(local, path)))  # type: ignore[misc]
         at = "/sessions/second"
         for path in ("rows", "tags", "strip.jpg", "steering.svg", "pictures/left/7", "links", "names"):
-            found, expected = there.get(f"{at}/{path}"), local.get(f"{at}/{path}")
-            assert found.status == expected.status == 200
+            shown_remotely, expected = remote.get(f"{at}/{path}"), local.get(f"{at}/{path}")
+            assert shown_remotely.status == expected.status == 200
             if path == "tags":
-                assert found.json | {"version": ""} == expected.json | {"version": ""}
+                assert shown_remotely.json | {"version": ""} == expected.json | {"version": ""}
             else:
-                assert found.body == expected.body
+                assert shown_remotely.body == expected.body
         own = {"version": "", "lag": ""}
-        assert there.get(f"{at}/state").json | own == local.get(f"{at}/state").json | own
-        assert there.get("/index/second/split").body == local.get("/index/second/split").body
-        assert there.get("/index.leaks").body == local.get("/index.leaks").body
+        assert remote.get(f"{at}/state").json | own == local.get(f"{at}/state").json | own
+        assert remote.get("/index/second/split").body == local.get("/index/second/split").body
+        assert remote.get("/index.leaks").body == local.get("/index.leaks").body
         altered = "/index.altered/0/1.jpg"
-        assert there.get(altered).body == local.get(altered).body
+        assert remote.get(altered).body == local.get(altered).body
         runs = "/runs?run=good&run=other", "/runs/good"
         for path in runs:
-            assert plain(read(there, path)) == plain(read(local, path))
-        assert there.get("/runs.curves?run=good").json == local.get("/runs.curves?run=good").json
+            assert plain(read(remote, path)) == plain(read(local, path))
+        assert remote.get("/runs.curves?run=good").json == local.get("/runs.curves?run=good").json
         shown = "/drives.rows?log=one"
-        assert plain(there.get(shown).text) == plain(local.get(shown).text)
+        assert plain(remote.get(shown).text) == plain(local.get(shown).text)
 
 
 def test_the_store_is_asked_once_for_what_was_not_seen_yet(bucket: Bucket, serve: Callable[[], Served]) -> None:
     bench = serve()
     read(bench, "/sessions.rows")
-    found = Counter(asked_for(bucket))
+    asked = Counter(asked_for(bucket))
     logs = [f"sessions/{name}.mcap" for name in ("broken", "first", "second", "third")]
-    assert sorted(found) == ["drives", "sessions", *logs[:3], "sessions/second.tags.jsonl", logs[3]]
-    assert found["sessions"] == found["sessions/second.tags.jsonl"] == 1
-    assert max(found[log] for log in logs) <= 3
+    assert sorted(asked) == ["drives", "sessions", *logs[:3], "sessions/second.tags.jsonl", logs[3]]
+    assert asked["sessions"] == asked["sessions/second.tags.jsonl"] == 1
+    assert max(asked[log] for log in logs) <= 3
     for _ in range(20):  # windows
         for path in (
             "/changes",

@@ -33,9 +33,9 @@ def recording() -> Process:
 
 def get(process: Process, address: str = "") -> str:
     """The page whose address the command has printed, or another one there; "" if there is none."""
-    found = process.wait_for(ADDRESS)
-    with contextlib.closing(http.client.HTTPConnection("127.0.0.1", int(found[1]))) as connection:
-        connection.request("GET", address or found[2])
+    printed = process.wait_for(ADDRESS)
+    with contextlib.closing(http.client.HTTPConnection("127.0.0.1", int(printed[1]))) as connection:
+        connection.request("GET", address or printed[2])
         answer = connection.getresponse()
         return answer.read().decode() if answer.status == 200 else ""
 

@@ -33,14 +33,14 @@ PADS = """pads => {
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
     monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
-    with served(tmp_path) as found:
-        yield found
+    with served(tmp_path) as server:
+        yield server
 
 
 @pytest.fixture
 def host(bench: Served) -> Iterator[Host]:
-    with driving_host(bench.folder / "sessions" / "lake-1.mcap") as found:
-        yield found
+    with driving_host(bench.folder / "sessions" / "lake-1.mcap") as started:
+        yield started
 
 
 @contextlib.contextmanager
@@ -73,8 +73,8 @@ def test_keys_steer_by_unitys_rule(browser: Browser, bench: Served) -> None:
               ];
             }""".replace("STATIC", STATIC)
         )
-    there, both, right, snapped = [-0.3, -0.6, -1], [-0.7, 0], [0.3, 0], [0.6, -0.3, 0]
-    assert steering == pytest.approx([*there, *both, *right, *snapped])
+    left, both, right, snapped = [-0.3, -0.6, -1], [-0.7, 0], [0.3, 0], [0.6, -0.3, 0]
+    assert steering == pytest.approx([*left, *both, *right, *snapped])
 
 
 def test_keys_drive_the_car_and_are_let_go_when_the_window_loses_focus(
@@ -339,9 +339,9 @@ def test_a_newcomer_drives_and_finds_the_session_and_what_to_do_next(browser: Br
         page.wait_for_selector("#after button")
         assert "Train on it" in page.inner_text("#after")
     log = bench.folder / "sessions" / "mine.mcap"
-    with Log(log) as found:
-        states = found.vehicle()
-        assert found.metadata["driver"] == "human"
+    with Log(log) as opened:
+        states = opened.vehicle()
+        assert opened.metadata["driver"] == "human"
         assert min(states["steering"].to_pylist()) == -1
     checked = subprocess.run(command("bc-log", "check", log), env=environment(), capture_output=True, text=True)
     assert checked.returncode == 0, checked.stdout + checked.stderr

@@ -6,7 +6,6 @@ import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.parse import urlencode
 
 import pytest
 
@@ -22,20 +21,14 @@ from waiting import wait_until
 from web.errors import WebError
 from web.folders.project_folders import ProjectFolders
 from web.jobs.wheels import new_drive, quick_epochs, training
-from workbench import Answer, Served, served
-
-FORM = {"Content_Type": "application/x-www-form-urlencoded"}
+from workbench import Served, served
 
 
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
     monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
-    with served(tmp_path) as found:
-        yield found
-
-
-def post(bench: Served, path: str, **values: str) -> Answer:
-    return bench.ask("POST", path, urlencode(values).encode(), **FORM)
+    with served(tmp_path) as server:
+        yield server
 
 
 @pytest.mark.parametrize(
@@ -102,7 +95,7 @@ def test_training_on_a_session_makes_a_run_of_its_name(tmp_path: Path, monkeypat
     assert training("sessions", log, ProjectFolders())[1] == "mine-2"
 
 
-@pytest.mark.parametrize(("rows", "epochs"), [(0, 10), (600, 10), (1100, 6), (2200, 6), (4300, 3), (100_000, 2)])
+@pytest.mark.parametrize(("rows", "epochs"), [(0, 10), (1100, 6), (4300, 3), (100_000, 2)])
 def test_the_button_passes_less_often_over_a_longer_drive(rows: int, epochs: int) -> None:
     assert quick_epochs(rows) == epochs
 
@@ -120,7 +113,7 @@ def test_a_drive_is_listed_while_it_runs(bench: Served) -> None:
 
 def test_a_drive_that_cannot_begin_says_why(bench: Served) -> None:
     write_log(bench.folder / "sessions" / "taken.mcap", [0.1])
-    begun = post(bench, "/wheel", name="taken")
+    begun = bench.post("/wheel", name="taken")
     assert begun.status == 303
     page = begun.headers["location"]
     wait_until(lambda: "has not begun" in bench.get(page).text)

@@ -28,8 +28,8 @@ def wheel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Wheel]:
 
 @pytest.fixture
 def bench(tmp_path: Path, wheel: Wheel) -> Iterator[Served]:
-    with served(tmp_path) as found:
-        yield found
+    with served(tmp_path) as server:
+        yield server
 
 
 def socket(
