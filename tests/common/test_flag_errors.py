@@ -41,7 +41,7 @@ def test_what_a_flag_takes_is_said_in_words(
     ("command", "flags", "expected"),
     [
         (bc_log, ["inof"], "bc-log: inof: no such command; did you mean info?; `bc-log --help-all` has all flags"),
-        (bc_log, ["drive"], "bc-log: drive: no such command; there are ls, info, check"),
+        (bc_log, ["drive"], "bc-log: drive: no such command; the commands are ls, info, check"),
         (bc_log, [], "bc-log: which command? One of ls, info, check"),
         (bc_record, ["a", "-from", "b"], "bc-record: -from: no such flag; did you mean --from?"),
         (bc_record, ["a", "--form=b"], "bc-record: --form: no such flag; did you mean --from?"),

@@ -164,7 +164,7 @@ def test_an_upload_that_fails_leaves_an_index_and_the_next_one_mends_it(
 
 def test_logs_of_this_machine_are_not_indexed_there(bucket: Bucket, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, "--sessions", bucket.folder / "sessions", "--index", INDEX) == 2
-    assert "`bc-log copy` it to the store" in " ".join(capsys.readouterr().err.split())
+    assert "copy it to the store with `bc-log copy`" in " ".join(capsys.readouterr().err.split())
     assert files(bucket) == {}
 
 
@@ -201,7 +201,7 @@ def test_a_record_in_a_copy_names_no_file_elsewhere(bucket: Bucket, tmp_path: Pa
         (tmp_path / "copy").mkdir(exist_ok=True)
         write_record(tmp_path / "copy", StoreRecord(INDEX, {name: copied}))
         with StoredFolder(bucket.url("index"), tmp_path / "copy") as folder:
-            folder.bring()
+            folder.download()
         assert mine.read_text() == "mine"
 
 

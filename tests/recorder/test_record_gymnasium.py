@@ -165,7 +165,7 @@ def test_car_racing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
         ([{}], 2, "by --expert MODULE:FUNCTION"),
         ([{}, "--expert", "toy_environment"], 2, "module:function was expected"),
         ([{}, "--expert", "no_such:drive"], 1, "no_such cannot be imported (ModuleNotFoundError"),
-        ([{}, "--expert", "missing.py:drive"], 1, "there is no file missing.py"),
+        ([{}, "--expert", "missing.py:drive"], 1, "no file missing.py"),
         ([{}, "--expert", "toy_environment:center"], 1, "did you mean centre?"),
         ([{}, "--expert", "toy_environment:too_many"], 1, "shape (3,); an action of 2 numbers was expected"),
         ([{}, "--expert", "toy_environment:nothing"], 1, "2 numbers was expected"),

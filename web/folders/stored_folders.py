@@ -151,7 +151,7 @@ class StoredCopy(Refreshed[Listing]):
             from common.stored_folder import StoredFolder  # an extra
 
             with StoredFolder(self._url, self.here, waits=True) as folder:
-                folder.bring()
+                folder.download()
         return listed
 
 
