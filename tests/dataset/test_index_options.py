@@ -128,8 +128,8 @@ def test_an_index_of_nothing_says_what_became_of_the_frames(tmp_path: Path) -> N
     with pytest.raises(DatasetError) as raised:
         build_index([path], tmp_path / "index", IndexConfig(where="steering > 1", cameras=("left",)))
     assert str(raised.value) == (
-        "no frame can be used: 11 not of a camera left or not what --where chooses, 3 with a picture that is not"
-        " whole, or steering beyond -1..1"
+        "no frame can be used: 11 not of a camera left or not chosen by --where, 3 with a broken picture, or"
+        " steering outside -1..1"
     )
     empty = write_log(tmp_path / "empty.mcap", [0.0] * 4, cameras=[])
     with pytest.raises(DatasetError, match="no frame can be used: no session has a picture"):

@@ -271,7 +271,7 @@ def test_a_split_without_samples_is_said(
 
 
 def test_a_condition_that_depends_on_chance_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="gives other rows each time"):
+    with pytest.raises(DatasetError, match="chooses different rows each time"):
         build_index([log_of(tmp_path / "a.mcap")], tmp_path / "index", IndexConfig(where="random() < 0.5"))
 
 

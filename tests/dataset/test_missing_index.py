@@ -24,9 +24,9 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ("index", "told"),
     [
         ("indx", "bc-train: indx: no index; did you mean index? build it with `bc-index --index indx`"),
-        ("of people", "of people: no index; these are: index; build it with `bc-index --index 'of people'`"),
-        ("plain", "plain: a file; a folder was expected, of an index: `bc-index --index FOLDER` builds one"),
-        ("plain/index", "plain: a file; a folder was expected"),
+        ("of people", "of people: no index; the indexes are index; build it with `bc-index --index 'of people'`"),
+        ("plain", "plain: a file, not the folder of an index; `bc-index --index FOLDER` builds an index"),
+        ("plain/index", "plain: a file, not the folder of an index"),
         ("none/index", "none/index: no index; did you mean index? build it with `bc-index --index none/index`"),
     ],
 )
@@ -42,7 +42,7 @@ def test_training_builds_no_index_of_a_misspelt_name(
 
 def test_a_file_is_no_place_for_an_index(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(bc_index, "--sessions", here, "--index", "plain") == 1
-    assert "plain: a file; a folder was expected" in capsys.readouterr().err
+    assert "plain: a file, not the folder of an index" in capsys.readouterr().err
     assert Path("plain").read_text() == "no index"
 
 
@@ -57,9 +57,10 @@ def test_a_run_or_a_folder_of_logs_is_no_place_for_an_index(
     for folder, what in (("run", "a run"), ("logs", "a folder of logs")):
         before = sorted((here / folder).iterdir())
         assert call(bc_index, "--sessions", logs, "--index", folder) == 1
-        assert f"{folder}: {what}; an index needs a folder of its own" in capsys.readouterr().err
+        assert f"{folder}: {what}; an index needs its own folder" in capsys.readouterr().err
         assert call(bc_train, "--index", folder, "--network", "small", "--epochs", 1, "--threads", 1) == 1
-        assert f"{folder}: {what}, no index; `bc-index --index FOLDER` builds one" in capsys.readouterr().err
+        told = f"{folder}: {what}, not an index; `bc-index --index FOLDER` builds an index"
+        assert told in capsys.readouterr().err
         assert sorted((here / folder).iterdir()) == before
 
 

@@ -382,9 +382,7 @@ def test_a_session_without_speed_is_learnt_for_its_steering_and_named(folder: Pa
 
 
 def test_an_index_of_the_version_before_has_no_labels_of_others(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(
-        DatasetError, match=r"format 4, which has no labels of speed, throttle; run `bc-index` again"
-    ):
+    with pytest.raises(DatasetError, match=r"format 4, without labels of speed, throttle; run `bc-index` again"):
         train(before(folder / "index", tmp_path), tmp_path / "run", QUICK)
 
 
