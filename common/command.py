@@ -146,18 +146,18 @@ def _run(
 ) -> int:
     kind: type[UserError] = UserError
     try:
-        given: dict[str, Any] = {} if default is None else {"default": default()}
+        defaults: dict[str, Any] = {} if default is None else {"default": default()}
         if sys.argv[1:] == ["--version"]:
             print_result(f"{prog} {version_of()}")
             return DONE
         flags = (tyro.conf.FlagCreatePairsOff,)
         if asks_for_help(sys.argv[1:]):
             with quick_types():
-                print_help(prog, config, about, sys.argv[1:], given.get("default"))
+                print_help(prog, config, about, sys.argv[1:], defaults.get("default"))
         with flag_errors_in_one_line(config), quick_types():
-            given_flags = tyro.cli(config, prog=prog, description=about, config=flags, **given)
-        _refuse_urls(given_flags)
-        return action(given_flags)
+            parsed = tyro.cli(config, prog=prog, description=about, config=flags, **defaults)
+        _refuse_urls(parsed)
+        return action(parsed)
     except UserError as error:
         why: str | None = str(error)
         if isinstance(error, UsageError):

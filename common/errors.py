@@ -63,7 +63,7 @@ def did_you_mean(name: str, names: Iterable[str]) -> str:
 
 
 class UserError(Exception):
-    """An error that the user can mend. Its text is one line: which file, what is wrong, and the next command."""
+    """An error that the user can fix. Its text is one line: which file, what is wrong, and the next command."""
 
 
 class UsageError(UserError):

@@ -22,11 +22,11 @@ def asks_for_help(words: Sequence[str]) -> bool:
 def print_help(prog: str, config: Any, about: str, words: Sequence[str], default: Any | None) -> NoReturn:
     """Print the help that the command line `words` requests. `default` holds the shown default values."""
     shown = shown_by_help(config, with_rare=_HELP_ALL in words)
-    given = {} if default is None else {"default": _converted(default, shown)}
+    defaults = {} if default is None else {"default": _converted(default, shown)}
     about += f" {_HELP_ALL} shows all flags." if _has_rare_flags(config) else ""
     subcommand = [] if dataclasses.is_dataclass(config) or words[0].startswith("-") else [words[0]]
     pairs_off = (tyro.conf.FlagCreatePairsOff,)
-    tyro.cli(shown, prog=prog, description=about, config=pairs_off, args=[*subcommand, "--help"], **given)
+    tyro.cli(shown, prog=prog, description=about, config=pairs_off, args=[*subcommand, "--help"], **defaults)
     raise SystemExit(0)  # never reached: tyro raises SystemExit after the help
 
 
@@ -55,11 +55,11 @@ def shown_by_help(config: Any, with_rare: bool) -> Any:
         ):
             hint = Annotated[hint, tyro.conf.arg(help_behavior_hint="")]
         if hint is not hints[flag.name]:
-            default_of = {"default": default, "default_factory": factory}
-            given: dict[str, Any] = {
-                name: value for name, value in default_of.items() if value is not dataclasses.MISSING
+            values = {"default": default, "default_factory": factory}
+            arguments: dict[str, Any] = {
+                name: value for name, value in values.items() if value is not dataclasses.MISSING
             }
-            changed.append((flag.name, hint, dataclasses.field(**given)))
+            changed.append((flag.name, hint, dataclasses.field(**arguments)))
     shown = dataclasses.make_dataclass(config.__name__, changed, bases=(config,), frozen=True)
     shown.__doc__ = config.__doc__
     return shown

@@ -126,14 +126,14 @@ def put_file(url: Url, file: Path, replaces: ObjectVersion | None) -> ObjectVers
                 mode = {"e_tag": replaces.e_tag}
                 if replaces.version is not None:
                     mode["version"] = replaces.version
-            made = obstore.put(store_of(url, True), url.key, file, mode=mode, use_multipart=False)
+            result = obstore.put(store_of(url, True), url.key, file, mode=mode, use_multipart=False)
         except (failures.PreconditionError, failures.AlreadyExistsError):
             if (version := _version_if_same(url, file)) is not None:  # this call wrote it, but the answer was lost
                 return version
             raise ObjectChangedError(
                 f"{url}: another machine has changed it at the same time; its version stays"
             ) from None
-    return ObjectVersion(made["e_tag"] or "", made["version"])
+    return ObjectVersion(result["e_tag"] or "", result["version"])
 
 
 def _version_if_same(url: Url, file: Path) -> ObjectVersion | None:
@@ -168,20 +168,20 @@ def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
         again_if_cut_off(url, put, lambda: not has_begun)
 
 
-def name_new(made: Url, url: Url) -> None:
-    """Rename the object `made` to `url` in the same bucket, without downloading it.
+def name_new(source: Url, url: Url) -> None:
+    """Rename the object `source` to `url` in the same bucket, without downloading it.
 
     Raises ObjectExistsError if `url` exists, also if this call has made it but the store's answer was lost. After
-    any error, `made` still exists.
+    any error, `source` still exists.
     """
 
     def copy() -> bool:
-        obstore.copy(store_of(url, True), made.key, url.key, overwrite=False)
+        obstore.copy(store_of(url, True), source.key, url.key, overwrite=False)
         return True
 
     with as_store_error(url):
         again_if_cut_off(url, copy)
-    remove(made)
+    remove(source)
 
 
 def remove(url: Url) -> None:

@@ -230,10 +230,10 @@ def _get(ray: Any, reference: Any) -> list[Any]:
 
 def _without_toolkit(error: str) -> str:
     missing = re.findall(r"No module named '([\w.]+)'", error)
-    where = re.findall(r"ip=([\d.a-fA-F:]+)", error)
-    what = missing[-1] if missing else "the toolkit"
+    addresses = re.findall(r"ip=([\d.a-fA-F:]+)", error)
+    module = missing[-1] if missing else "the toolkit"
     needed = f"every node needs {TOOLKIT}[scale] {version_of()}"
-    return f"the cluster's node {where[-1] if where else ''} cannot import {what}: {needed}"
+    return f"the cluster's node {addresses[-1] if addresses else ''} cannot import {module}: {needed}"
 
 
 def package_versions() -> dict[str, str]:

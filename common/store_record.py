@@ -1,4 +1,4 @@
-"""`.store.json`, in a store's folder and in its local copies: the object of which each file is a copy.
+"""`.store.json`, in a store's folder and in its local copies: the object from which each file was copied.
 
 This module does not import obstore, which a command that only reads the local copy does not need.
 """
@@ -32,7 +32,7 @@ class StoreRecord(msgspec.Struct, frozen=True):
     url: str = ""
     files: dict[str, Copy] = {}
     left: dict[str, Copy] = {}
-    """The files that this copy lacks, or of which it has another version than the store."""
+    """The files that this copy lacks, or has in another version than the store."""
     record_version: str = msgspec.field(default="", name="told_by")
     """The version of the store's own record when this copy last read it."""
 

@@ -67,7 +67,7 @@ from recorder.log.session_car import CAR_KEY
 from recorder.mcap.mcap_file import WITHOUT_CRCS
 from recorder.rows.label_plan import NOT_MEASURED
 
-_Made = tuple[Balance, dict[str, SessionCounts], dict[str, SessionLabels]]
+_Contents = tuple[Balance, dict[str, SessionCounts], dict[str, SessionLabels]]
 """The balance, and the counts and labels of each session."""
 
 
@@ -200,14 +200,14 @@ class _Build:
                 raise LogError("; ".join(notices))
             _refuse_different_steering(held)
             logs = {name: _about_log(by_name[name], index, entry) for name, entry in held.items()}
-            made = _up_to_date(index, held, logs, config, state)
-            samples = (index if made else stage) / SAMPLES_NAME
-            if made is None:
+            contents = _up_to_date(index, held, logs, config, state)
+            samples = (index if contents else stage) / SAMPLES_NAME
+            if contents is None:
                 frames = {
                     name: (stage if name in read else index) / FRAMES_FOLDER / f"{name}.parquet" for name in held
                 }
                 try:
-                    made = self._write(frames, samples, held, logs)
+                    contents = self._write(frames, samples, held, logs)
                 except (LogError, FramesError):
                     if state.logs:
                         raise _StaleStateError from None
@@ -216,7 +216,7 @@ class _Build:
                 built = BuildState(stat_of(samples), entries, self.passed_over)
                 with index_write_errors(index / STATE_NAME):
                     write_state(samples.with_name(STATE_NAME), built)
-        balance, counts, labels = made
+        balance, counts, labels = contents
         sizes_px = {name: sorted(set(entry.sizes_px)) for name, entry in held.items()}
         remarks = [f"{by_name[name]}: {WITHOUT_CRCS}" for name, entry in held.items() if not entry.has_crcs]
         remarks += [_mixed(by_name[name], held[name]) for name in held if name in read and held[name].is_mixed]
@@ -242,7 +242,7 @@ class _Build:
         samples: Path,
         held: Mapping[str, BuiltLog],
         logs: Mapping[str, Mapping[str, Any]],
-    ) -> _Made:
+    ) -> _Contents:
         """Write the samples of these sessions. Raises LogError or FramesError if a file is damaged."""
         extents = {name: extent_of(file) for name, file in frames.items()}
         standing = shared_standing_rows(frames, self.by_name, extents, self.tasks)
@@ -290,7 +290,7 @@ def _up_to_date(
     places: Mapping[str, object],
     config: IndexConfig,
     state: BuildState,
-) -> _Made | None:
+) -> _Contents | None:
     """Balance, counts and labels from samples.parquet, if building it again would give the same file; else
     None."""
     before = {name: (entry.frames, entry.lag) for name, entry in state.logs.items() if entry.fingerprint}

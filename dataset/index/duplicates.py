@@ -48,7 +48,7 @@ def shared_standing_rows(
     extents: Mapping[str, Extent],
     tasks: Tasks = one_by_one,
 ) -> dict[str, tuple[int, ...]]:
-    """The rows of each session at which the car stands, and of which another session has the same picture.
+    """The rows of each session with a standing car whose picture another session has, too.
 
     `frames`, `logs` and `extents` are the frames file, the log and the times of each session. Only sessions whose
     times overlap are compared: others cannot share pictures. Frames tagged `exclude` do not count.
