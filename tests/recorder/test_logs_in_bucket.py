@@ -328,7 +328,7 @@ def test_an_endpoint_in_the_usual_file_is_checked_too(
     (tmp_path / "config").write_text("[default]\nendpoint_url = 127.0.0.1:9000\n")
     monkeypatch.setenv("AWS_CONFIG_FILE", str(tmp_path / "config"))
     assert call(main, "ls", "s3://logs") == 1
-    assert "endpoint=127.0.0.1:9000: no endpoint" in one_line_in(capsys)
+    assert "endpoint=127.0.0.1:9000: not an endpoint" in one_line_in(capsys)
 
 
 def test_credentials_are_those_of_the_usual_files(
