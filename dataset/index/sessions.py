@@ -26,8 +26,8 @@ def find_logs(sessions: Sequence[Location | str], folder: Location | str) -> lis
     """
     folder = location(folder)
     if not sessions:
-        if logs := finished_logs(folder):
-            return logs
+        if finished := finished_logs(folder):
+            return finished
         if isinstance(folder, Path) and folder.is_file():
             raise DatasetError(f"{folder} is a file: give the folder of the logs, such as sessions")
         raise DatasetError(f"{folder}: contains no logs; record one with `bc-record NAME`")

@@ -184,7 +184,7 @@ def test_a_bucket_may_be_an_index_but_none_that_logs_are_in(
     bucket: Bucket, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert index(place="s3://logs") == 2
-    assert "--index s3://logs/: s3://logs/sessions/0.mcap is in it" in capsys.readouterr().err
+    assert "--index s3://logs/: contains the log s3://logs/sessions/0.mcap" in capsys.readouterr().err
     bucket.folder.with_name("indexes").mkdir()
     for _ in range(2):
         assert index(place="s3://indexes") == 0
