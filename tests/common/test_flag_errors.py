@@ -22,7 +22,7 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
         (bc_train, ["--epochs", "two"], "bc-train: --epochs two: expected a whole number"),
         (bc_train, ["--epochs=two"], "bc-train: --epochs two: expected a whole number"),
         (bc_record, ["a", "--laps", "two"], "bc-record: --laps two: expected a number"),
-        (bc_record, ["a", "--laps"], "bc-record: --laps: expected a number behind it"),
+        (bc_record, ["a", "--laps"], "bc-record: --laps: expected a number after it"),
         (bc_record, ["a", "--speed", "fast"], "bc-record: --speed fast: expected MPH [MPH ...]"),
         (bc_log, [*TRIM, "--rows", "3"], "bc-log: --rows 3: expected two whole numbers"),
         (bc_log, [*TRIM, "--rows", "a", "b", "--force"], "bc-log: --rows a b: expected two whole numbers"),

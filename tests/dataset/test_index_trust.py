@@ -109,7 +109,7 @@ def test_an_index_with_views_of_an_earlier_version_is_refused(tmp_path: Path) ->
     with Samples(index) as samples:
         assert samples.settings == IndexConfig()
     rewrite(index / "samples.parquet", settings={**settings, "viewpoints": 2})
-    with pytest.raises(DatasetError, match=r"samples\.parquet: has views.*run `bc-index` again"):
+    with pytest.raises(DatasetError, match=r"samples\.parquet: has viewpoints.*run `bc-index` again"):
         Samples(index)
     build_index([log], index)
     Samples(index).close()
