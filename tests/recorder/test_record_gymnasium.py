@@ -163,7 +163,7 @@ def test_car_racing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
         (CENTRE, 2, "--expert: only with --gym ID"),
         (["--wander", "0.1"], 2, "--wander: only with --gym ID"),
         ([{}], 2, "by --expert MODULE:FUNCTION"),
-        ([{}, "--expert", "toy_environment"], 2, "module:function was expected"),
+        ([{}, "--expert", "toy_environment"], 2, "expected module:function"),
         ([{}, "--expert", "no_such:drive"], 1, "no_such cannot be imported (ModuleNotFoundError"),
         ([{}, "--expert", "missing.py:drive"], 1, "no file missing.py"),
         ([{}, "--expert", "toy_environment:center"], 1, "did you mean centre?"),
