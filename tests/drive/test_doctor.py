@@ -172,6 +172,6 @@ def test_an_earlier_versions_index_is_said() -> None:
     pq.write_table(table.replace_schema_metadata({b"bc.index": json.dumps(stored).encode()}), file)
     found = examine()
     assert (
-        "index: built by an earlier version, which held out crashes and did not detect all odd frames" in found.odd
+        "index: an earlier version made it, which held out crashes and did not know all that is odd" in found.odd
     )
     assert found.advice[0].command == "bc-index"
