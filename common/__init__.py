@@ -1,6 +1,6 @@
-"""The floor under the rooms of behavioural_cloning_toolkit: errors, commands, progress, whole files.
+"""The base of the other packages of behavioural_cloning_toolkit: errors, commands, progress, atomic files.
 
-It imports no other room, and every room may import it.
+It imports none of the other packages, and all of them may import it.
 """
 
 from common.errors import Skipped, UserError

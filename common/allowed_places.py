@@ -1,10 +1,10 @@
-"""The places that an index, or a run, may name: a file elsewhere is not opened because they name it.
+"""The files that an index or a run may refer to. Files in other places are not opened.
 
-Allowed is what lies
+Allowed are files
 
-- in the project: the folder in which the index lies; of one in a store, its bucket
-- in a folder that the user has named (`--sessions FOLDER`, else sessions/ and drives/), which `allow_places` adds
-- where this user has built the index from, or what he trained the run on, as `remember_places` keeps it
+- in the project: the folder that contains the index; for an index in a store, its bucket
+- in a folder that the user has named (`--sessions FOLDER`, else sessions/ and drives/): see `allow_places`
+- in the folders from which this user has built the index or trained the run: see `remember_places`
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ _MAX_RECORD_BYTES: Final = 1 << 22
 _BY_DEFAULT: Final = (Path("sessions"), Path("drives"))
 
 _named: list[Location] = []
-"""The folders that were named in this process."""
+"""The folders that the user has named in this process."""
 _remembered: dict[str, list[str]] = {}
-"""The same as in the cache, of what was built in this process: the cache may be one that cannot be written to."""
+"""A copy of the cache's records that this process has made: the cache may be read-only."""
 
 
 class _Record(msgspec.Struct, frozen=True):
-    """What an index, or a run, was made of."""
+    """The source folders of an index or a run."""
 
     holder: str  # the index or the run
     folders: list[str]
 
 
 class AllowedPlaces:
-    """The places that the files of `holder`, an index or a run of these projects, may lead to."""
+    """The places that `holder`, an index or a run of these projects, may refer to."""
 
     def __init__(self, holder: Location, *projects: Location) -> None:
         self._projects = [*map(absolute, projects)]
@@ -54,8 +54,8 @@ class AllowedPlaces:
         return self.outside(place) is None
 
     def outside(self, place: Location) -> Location | None:
-        """None for a place that may be opened; else itself, or that to which a link there leads. The disk is not
-        asked about a path whose text alone leads out."""
+        """None if the place may be opened; else the forbidden place: `place`, or the target of a link. The disk is
+        not read if the text of the path alone leads out of the allowed places."""
         if isinstance(place, Url):
             return None if self._is_below(place) else place
         if "\0" in str(place):
@@ -82,13 +82,13 @@ class AllowedPlaces:
 
 
 def allow_places(*folders: Location) -> None:
-    """Allow what lies in these folders from now on in this process: its user has named them."""
+    """Allow the files in these folders, which the user has named, for the rest of this process."""
     _named.extend(folder for folder in map(absolute, folders) if folder not in _named)
 
 
 def remember_places(holder: Location, project: Location, folders: Iterable[Location]) -> None:
-    """Allow what lies in these folders to an index, or a run, that this user has just made of it on this machine;
-    what its project holds need not be kept. A cache that cannot be written to keeps nothing."""
+    """Record the source folders of an index or a run that this user has just made, to allow them later. Folders in
+    the project are always allowed, and not recorded. Nothing is recorded if the cache is read-only."""
     project = absolute(project)
     outside = sorted({str(folder) for folder in map(absolute, folders) if not _is_in_project(folder, project)})
     if not outside:
@@ -103,12 +103,13 @@ def remember_places(holder: Location, project: Location, folders: Iterable[Locat
 
 
 def folders_of(files: Iterable[Location]) -> set[Location]:
-    """The folders in which these files lie, whatever links lead to them."""
+    """The folders of these files, after following links."""
     return {absolute(file).parent for file in files}
 
 
 def _is_in_project(place: Location, project: Location) -> bool:
-    """A project is never the root of the disk, nor a home: these hold all that somebody has."""
+    """True if the project contains the place. The root of the disk and the home folder are no projects: they
+    contain all files of a user."""
     if isinstance(project, Url):
         return _is_within(place, Url(project.scheme, project.bucket))
     return project not in (Path(project.anchor), _home()) and _is_within(place, project)
@@ -121,7 +122,7 @@ def _is_within(place: Location, folder: Location) -> bool:
 
 
 def _home() -> Path:
-    return real_path(Path(os.path.expanduser("~")))  # noqa: PTH111 - Path.home raises where there is none
+    return real_path(Path(os.path.expanduser("~")))  # noqa: PTH111 - Path.home raises without a home
 
 
 def _recorded(holder: Location) -> list[str]:

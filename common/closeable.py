@@ -7,7 +7,7 @@ from typing import Self
 
 
 class Closeable(ABC):
-    """A context manager that calls `close` when it is left."""
+    """A context manager that calls `close` at the end of the block."""
 
     @abstractmethod
     def close(self) -> None: ...

@@ -1,4 +1,4 @@
-"""The frame in which every `bc-` command runs: flags from a dataclass, one line for an error, the same exit codes.
+"""Run a `bc-` command: flags from a dataclass, errors in one line, the same exit codes for all commands.
 
 Exit codes: 0 done, 1 failed, 2 bad usage (`UsageError`), 3 done but something was skipped or lost, 130 stopped by
 Ctrl-C.
@@ -37,7 +37,7 @@ Config = TypeVar("Config")
 
 _VERSION_FLAG: Final = "--version prints the version."
 
-_NO_MEMORY: Final = re.compile(  # PyTorch, OpenCV, C++, Python's threads
+_NO_MEMORY: Final = re.compile(  # texts of PyTorch, OpenCV, C++ and Python's threads
     r"can't allocate memory|out of memory|Insufficient memory|bad_alloc|can't start new thread"
 )
 
@@ -55,21 +55,21 @@ def print_error(prog: str, error: UserError) -> int:
 
 
 def warn_skipped(skipped: Skipped, heading: str = "skipped") -> int:
-    """Print what was left out, if anything; return the exit code, 0 or 3."""
+    """Print the skipped items, if there are any; return the exit code, 0 or 3."""
     for line in skipped.lines():
         print_message(line, heading=heading, style="yellow")
     return DONE_BUT_SKIPPED if len(skipped) else DONE
 
 
 def flags_given(config: object, *names: str) -> str:
-    """The flags among these that have another value than by default, as they are typed: "--laps, --force"."""
+    """The flags among `names` whose value is not the default, as the user types them: "--laps, --force"."""
     changed = [name for name in names if getattr(config, name) != getattr(type(config), name)]
     return ", ".join(f"--{name.replace('_', '-')}" for name in changed)
 
 
 @contextlib.contextmanager
 def usage_errors(*kinds: type[Exception]) -> Iterator[None]:
-    """Raise UsageError where the block, which checks values of flags only, raises an error of these kinds."""
+    """Raise UsageError if the block raises an error of these kinds. The block must only check values of flags."""
     try:
         yield
     except kinds as error:
@@ -77,7 +77,7 @@ def usage_errors(*kinds: type[Exception]) -> Iterator[None]:
 
 
 def check_port(flag: str, port: int) -> None:
-    """Raise UsageError for a number that no server can listen on."""
+    """Raise UsageError if the number is not a valid port."""
     if not 0 < port < 65536:
         raise UsageError(f"{flag} {port}: a port is a number from 1 to 65535")
 
@@ -89,13 +89,13 @@ def run_command(
     description: str | None = None,
     default: Callable[[], Config] | None = None,
 ) -> None:
-    """Parse the command line into `config`, call `action`, and exit with what it returns.
+    """Parse the command line into `config`, call `action`, and exit with its return value.
 
-    `description` is what `--help` begins with, by default the docstring of `config`. `default` makes the
-    configuration that the flags change, if that is not known before.
+    `description` is the beginning of `--help`, by default the docstring of `config`. `default` makes the default
+    configuration, if it is not known before.
 
-    Output that nobody reads any more is dropped, and the action goes on. Ctrl-C ends the action; a second one ends
-    the process, as `kill -9` would: no file is ever half-written under its own name.
+    If the reader of the output has gone, the output is dropped and the action continues. Ctrl-C ends the action; a
+    second Ctrl-C ends the process, as `kill -9` does: files have a temporary name until they are complete.
     """
     announce = partial(print_message, "stopping; Ctrl-C again ends at once", heading=f"{prog}:")
     with nonblocking_streams(), GracefulStop(partial(_force_quit, prog), announce) as stop:
@@ -114,7 +114,8 @@ def run_command(
 
 @contextlib.contextmanager
 def _logging_as_messages() -> Iterator[None]:
-    """Print what is logged as messages; where no command runs, the program that imports us decides."""
+    """Print records of `logging` as messages while a command runs. A program that imports the toolkit sets its own
+    handlers."""
     handler = MessageHandler(logging.WARNING)
     logging.getLogger().addHandler(handler)
     try:
@@ -124,14 +125,14 @@ def _logging_as_messages() -> Iterator[None]:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    """A handler for all signals: `kill` cleans up as Ctrl-C does."""
+    """The handler of all signals: `kill` cleans up as Ctrl-C does."""
     raise KeyboardInterrupt
 
 
 def _force_quit(prog: str) -> NoReturn:
     try:
         clear_live_displays()
-        print_message("ended at once; files that were not finished end in .part", heading=f"{prog}:")
+        print_message("ended at once; unfinished files have names that end in .part", heading=f"{prog}:")
     finally:
         end_process(INTERRUPTED)
 
@@ -145,23 +146,23 @@ def _run(
 ) -> int:
     kind: type[UserError] = UserError
     try:
-        given: dict[str, Any] = {} if default is None else {"default": default()}
+        defaults: dict[str, Any] = {} if default is None else {"default": default()}
         if sys.argv[1:] == ["--version"]:
             print_result(f"{prog} {version_of()}")
             return DONE
         flags = (tyro.conf.FlagCreatePairsOff,)
         if asks_for_help(sys.argv[1:]):
             with quick_types():
-                print_help(prog, config, about, sys.argv[1:], given.get("default"))
+                print_help(prog, config, about, sys.argv[1:], defaults.get("default"))
         with flag_errors_in_one_line(config), quick_types():
-            given_flags = tyro.cli(config, prog=prog, description=about, config=flags, **given)
-        _refuse_urls(given_flags)
-        return action(given_flags)
+            parsed = tyro.cli(config, prog=prog, description=about, config=flags, **defaults)
+        _refuse_urls(parsed)
+        return action(parsed)
     except UserError as error:
         why: str | None = str(error)
         if isinstance(error, UsageError):
             kind = UsageError
-    except SystemExit as ended:  # of tyro: help, or bad usage
+    except SystemExit as ended:  # raised by tyro: help, or bad usage
         return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
     except KeyboardInterrupt:
         why = None
@@ -173,28 +174,29 @@ def _run(
             return FAILED
         where = f"{error.filename}: " if error.filename is not None else ""
         why = where + error.strerror
-    except Exception as error:  # a bug, which keeps its traceback; or a library that ran out of memory
+    except Exception as error:  # a bug, which keeps its traceback, or a library that ran out of memory
         if not _NO_MEMORY.search(str(error)):
             traceback.print_exc()
             return FAILED
         why = _no_memory(error)
-    # Only here has the last reference to what was interrupted gone, and a progress bar its end.
+    # Not in an `except` block: only after it are the interrupted objects released, and is a progress bar erased.
     if why is not None:
         return print_error(prog, kind(why))
     print_message("stopped", heading=f"{prog}:")
     return INTERRUPTED
 
 
-def _refuse_urls(given: object) -> None:
-    """Raise UsageError for a path, among all flags, that was made of a URL."""
-    if isinstance(given, Path):
-        refuse_collapsed(given)
-    elif isinstance(given, tuple):
-        for value in given:
-            _refuse_urls(value)
-    elif dataclasses.is_dataclass(given):
-        for flag in dataclasses.fields(given):
-            _refuse_urls(getattr(given, flag.name))
+def _refuse_urls(value: object) -> None:
+    """Raise UsageError if a flag that accepts only paths was given a URL. `value` is a flag or a group of
+    flags."""
+    if isinstance(value, Path):
+        refuse_collapsed(value)
+    elif isinstance(value, tuple):
+        for item in value:
+            _refuse_urls(item)
+    elif dataclasses.is_dataclass(value):
+        for flag in dataclasses.fields(value):
+            _refuse_urls(getattr(value, flag.name))
 
 
 def _no_memory(error: Exception) -> str:

@@ -1,16 +1,15 @@
-"""Errors that a user's input causes, and the count of what was left out because of it.
+"""Errors that a user's input causes, and the count of skipped items.
 
 Every error that a user's files, flags or network can cause derives from `UserError`; a command prints it in
-one line and ends with exit code 1, or 2 for a `UsageError`. Anything else that escapes is a bug and keeps its
-traceback.
+one line and ends with exit code 1, or 2 for a `UsageError`. Any other exception is a bug and keeps its traceback.
 
     UserError
-    ├── UsageError       (common)     flags of a command that do not go together, or a value that makes no sense
-    ├── StoreError       (common)     a store of objects that does not answer, or refuses
-    ├── ClusterError     (common)     a Ray cluster that cannot be reached, or on which nothing of ours can run
+    ├── UsageError       (common)     flags that contradict each other, or an invalid value of a flag
+    ├── StoreError       (common)     an object store that does not answer, or refuses
+    ├── ClusterError     (common)     a Ray cluster that cannot be reached, or cannot run the toolkit
     ├── LogError         (recorder)   a log that is missing, damaged, unfinished or of another program
     ├── RecordingError   (recorder)   a recording that cannot be imported
-    ├── ListenError      (recorder)   a port that is taken, or may not be listened on
+    ├── ListenError      (recorder)   a port that is taken or forbidden
     ├── DatasetError     (dataset)    an index that is missing, empty or older than its logs
     ├── RunError         (model)      a run folder that is missing, incomplete or of another version
     └── DriveError       (drive)      a drive that cannot start
@@ -28,29 +27,29 @@ from typing import Final
 MAX_KEPT_NAMES: Final = 1000
 _MAX_NAMES: Final = 8
 _MAX_WRITTEN_OUT: Final = 1e6
-_MAX_ERROR_CHARACTERS: Final = 200  # characters
+_MAX_ERROR_CHARACTERS: Final = 200
 
 
 def printable(text: str) -> str:
-    """Escape the characters of untrusted text that would move a cursor or break a line."""
+    """Escape the characters of untrusted text that would move the cursor or break the line."""
     safe = text.encode("utf-8", "backslashreplace").decode("utf-8")
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in safe)
 
 
 def counted(number: int, noun: str, plural: str = "") -> str:
-    """Format a number and its noun: "1 frame", "2,000 frames". `plural` is needed if it is not made by an s."""
+    """Format a number and its noun: "1 frame", "2,000 frames". `plural` is by default the noun with an s."""
     return f"{number:,} {noun if number == 1 else plural or f'{noun}s'}"
 
 
 def first_of(names: Sequence[str]) -> str:
-    """The first eight names, and how many more there are: "a, b", "a, b, c, d, e, f, g, h and 2 more"."""
+    """The first eight names, and the number of the others: "a, b", "a, b, c, d, e, f, g, h and 2 more"."""
     more = f" and {len(names) - _MAX_NAMES:,} more" if len(names) > _MAX_NAMES else ""
     return f"{', '.join(names[:_MAX_NAMES])}{more}"
 
 
 def decimal(value: float, places: int, *, signed: bool = False) -> str:
-    """Format a number with so many places, "-" where there is none: "6.41", or "2.7e+17" of a training that ran
-    away, whose digits would fill the line."""
+    """Format a number with `places` decimals: "6.41"; NaN as "-". From a million on with an exponent ("2.7e+17"):
+    the errors of a diverged training would fill the line."""
     if math.isnan(value):
         return "-"
     sign = "+" if signed else ""
@@ -58,61 +57,61 @@ def decimal(value: float, places: int, *, signed: bool = False) -> str:
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """A hint if one of `names` is nearly `name`, such as "did you mean lake?"; else ""."""
+    """A hint such as "did you mean lake?" if one of `names` resembles `name`; else ""."""
     near = difflib.get_close_matches(name, list(names), n=1)
     return f"did you mean {near[0]}?" if near else ""
 
 
 class UserError(Exception):
-    """One clear line for a person: which file, what was expected, and the next command to try."""
+    """An error that the user can fix. Its text is one line: which file, what is wrong, and the next command."""
 
 
 class UsageError(UserError):
-    """Flags of a command that do not go together, or the value of one that makes no sense in itself. The name of a
-    log, track or run that does not exist is a UserError."""
+    """Flags contradict each other, or a flag has an invalid value. If a log, track or run does not exist, the
+    error is a UserError."""
 
 
 class StoreError(UserError):
-    """A store that does not answer, or refuses the request."""
+    """The object store does not answer, or refuses the request."""
 
 
 class NoSuchObjectError(StoreError):
-    """There is no object of this name, or it may not be read."""
+    """The object does not exist, or may not be read."""
 
 
 class ObjectExistsError(StoreError):
-    """Something of this name is there already."""
+    """The object already exists."""
 
 
 class ObjectChangedError(StoreError):
-    """An object was replaced while it was read."""
+    """The object was replaced while it was read, or by another machine."""
 
 
 def as_user_error(place: object, error: Exception) -> UserError:
-    """The error of one of many places that are looked at. Whatever is wrong with one is one line, and the others
-    are not lost with it. Raises it where the machine has no memory left, for whatever place."""
+    """Convert any error about one of several places to a one-line UserError, so that the others can still be
+    shown. Raises a MemoryError again: it concerns all places."""
     if isinstance(error, MemoryError):
         raise error
     if isinstance(error, UserError):
         return error
     why = f"{type(error).__name__} {' '.join(str(error).split())[:_MAX_ERROR_CHARACTERS]}".rstrip()
-    return UserError(f"{place}: cannot be looked at ({why})")
+    return UserError(f"{place}: cannot be read ({why})")
 
 
 class Skipped:
-    """A count of what was left out, by reason; the first names of each reason are kept.
+    """The number of skipped items by reason, and the first names for each reason.
 
-    A command that finishes with something skipped ends with exit code 3 and prints `lines()` to stderr.
+    A command that has skipped something prints `lines()` to stderr and ends with exit code 3.
     """
 
     def __init__(self, on_added: Callable[[str, str], object] = lambda reason, name: None) -> None:
-        """`on_added` is called with every reason and name as it comes, also those that are not kept."""
+        """`on_added` is called with the reason and name of every item, also if the name is not kept."""
         self._on_added = on_added
         self._counts: Counter[str] = Counter()
         self._kept: list[tuple[str, str]] = []
 
     def add(self, reason: str, name: str) -> None:
-        """A name may come from any file system: what is not UTF-8 in it is escaped, as are line ends."""
+        """Count an item. Line ends, and bytes that are not UTF-8, are escaped in its name."""
         self._counts[reason] += 1
         name = printable(name)
         if self._counts[reason] <= MAX_KEPT_NAMES:
@@ -123,7 +122,7 @@ class Skipped:
         return self._counts.total()
 
     def __iter__(self) -> Iterator[tuple[str, str]]:
-        """(reason, name) of the first `MAX_KEPT_NAMES` of each reason, in the order in which they were met."""
+        """Yield (reason, name) for the first `MAX_KEPT_NAMES` items of each reason, in the order of `add`."""
         return iter(self._kept)
 
     @property
@@ -131,10 +130,8 @@ class Skipped:
         return Counter(self._counts)
 
     def lines(self, max_names: int = _MAX_NAMES) -> list[str]:
-        """One line a reason, its count and the first `max_names` names: "pictures without a row: 1 (7.jpg)".
-
-        The count comes behind the reason, which is a plural and would not fit "1 row".
-        """
+        """One line for each reason, with the count and the first `max_names` names: "pictures without a row: 1
+        (7.jpg)". The reason is a plural, so the count follows it."""
         result = []
         for reason, count in self._counts.items():
             names = itertools.islice((name for other, name in self._kept if other == reason), max_names)
@@ -143,5 +140,5 @@ class Skipped:
         return result
 
     def error_suffix(self) -> str:
-        """Explains at the end of an error why nothing was left: "; " and the line of each reason."""
+        """The end of an error about an empty result: "; " and the line, for each reason."""
         return "".join(f"; {line}" for line in self.lines(max_names=3))

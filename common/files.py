@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and are never overwritten unasked."""
+"""Write files atomically: complete or not at all, and without replacing an existing file by mistake."""
 
 from __future__ import annotations
 
@@ -26,27 +26,27 @@ _REMEDIES: Final = {
 
 
 def write_remedy(error: OSError) -> str:
-    """The next step of somebody whose file could not be written."""
-    return _REMEDIES.get(error.errno or 0, "look at what is there")
+    """The next step for a user whose file could not be written."""
+    return _REMEDIES.get(error.errno or 0, "check the folder")
 
 
 def part_path(path: Path) -> Path:
-    """A fresh temporary name beside `path`: visible, so that after a crash its owner finds it."""
+    """A new temporary name in the folder of `path`. It is not hidden, so that the user finds it after a crash."""
     return path.with_name(f"{path.name}.{os.urandom(3).hex()}{PART_SUFFIX}")
 
 
 def final_path(path: Path) -> Path:
-    """The name that a file of a temporary name will get when it is whole; any other path as it is."""
+    """The final path of a file with a temporary name (`part_path`); any other path unchanged."""
     return path.with_name(final_name(path.name))
 
 
 def final_name(name: str) -> str:
-    """The same, of a name without its folder."""
+    """The final name of a file with a temporary name, without a folder; any other name unchanged."""
     return re.sub(rf"(?<=.)\.[0-9a-f]{{6}}{re.escape(PART_SUFFIX)}$", "", name)
 
 
 def make_folder(folder: Path) -> list[Path]:
-    """Create a folder, and those above it. Those that were missing, the innermost first, for `remove_empty`."""
+    """Create a folder and its parents. Returns the created folders, innermost first, for `remove_empty`."""
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     return missing
@@ -59,8 +59,8 @@ def remove_empty(folders: Sequence[Path]) -> None:
 
 
 def refuse_existing(path: Path, overwrite: bool, instead: str = "choose another name") -> None:
-    """Raise UserError if `path` exists (a dangling link counts) and may not be overwritten. `instead` is what else
-    somebody can do."""
+    """Raise UserError if `path` is a folder, or if it exists (also as a dangling link) and `overwrite` is false.
+    `instead` is the advice in the error."""
     if path.is_dir():
         raise UserError(f"{path} is a folder: give a file name")
     if not overwrite and (path.exists() or path.is_symlink()):
@@ -68,10 +68,10 @@ def refuse_existing(path: Path, overwrite: bool, instead: str = "choose another 
 
 
 def publish(part: Path, path: Path, overwrite: bool) -> None:
-    """Give the finished file `part` its name `path`, in one step (call it `uninterrupted`).
+    """Rename the finished file `part` to `path`, atomically. Call this in an `uninterrupted` block.
 
-    Without `overwrite`, a file that has appeared under that name meanwhile wins. Then, and where the system
-    refuses, UserError is raised, and `part` is still there.
+    Without `overwrite`, an existing file is never replaced. If `path` exists by now, or the system refuses the
+    rename, raises UserError and keeps `part`.
     """
     try:
         if overwrite:
@@ -79,13 +79,13 @@ def publish(part: Path, path: Path, overwrite: bool) -> None:
         else:
             _name_unless_taken(part, path)
     except OSError as error:
-        raise UserError(f"{path} cannot get its name ({error.strerror}): the new file is {part}") from None
+        raise UserError(f"{part} cannot be renamed to {path} ({error.strerror})") from None
     _sync_folder(path.parent)
 
 
 def _name_unless_taken(part: Path, path: Path) -> None:
     try:
-        os.link(part, path)  # unlike rename, link fails if the name is taken: no window for a second writer
+        os.link(part, path)  # unlike rename, link fails if the name exists, also if another process just wrote it
     except FileExistsError:
         raise UserError(
             f"{path} was written by another process at the same time: the new file is {part}"
@@ -101,7 +101,7 @@ def _name_unless_taken(part: Path, path: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Bring a new name to the disk: without this, a pulled plug may take it back."""
+    """Write a new name to the disk: without this, a power cut may undo the rename."""
     if os.name != "posix":
         return
     with contextlib.suppress(OSError):  # some network file systems cannot
@@ -113,7 +113,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 class BackgroundSync:
-    """Brings what was written of a file to the disk, on a thread of its own, because that may take a second."""
+    """Flushes a file to the disk on a separate thread, because this may take a second."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = os.dup(descriptor)
@@ -124,7 +124,7 @@ class BackgroundSync:
         self._thread.start()
 
     def request(self) -> None:
-        """Have everything written until now brought to the disk, soon. Raises OSError if that failed before."""
+        """Request a flush of everything written so far. Raises OSError if an earlier flush failed."""
         if self._error is not None:
             raise self._error
         self._wanted.set()
@@ -150,7 +150,10 @@ class BackgroundSync:
 
 @contextlib.contextmanager
 def atomic_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
-    """Yield a temporary path to write to; it becomes `path` at the end, or vanishes if anything is raised."""
+    """Yield a temporary path to write to. At the end it is renamed to `path`; if the block raises, it is removed.
+
+    Raises UserError if `path` exists and `overwrite` is false.
+    """
     refuse_existing(path, overwrite)
     part = part_path(path)
     folders = make_folder(path.parent)
@@ -160,7 +163,7 @@ def atomic_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
         with uninterrupted():
             with part.open("rb+") as stream:
                 os.fsync(stream.fileno())
-            is_made = True  # from here on an error names it
+            is_made = True  # keep `part` if the rename fails: the error names it
             publish(part, path, overwrite)
     except BaseException:
         with uninterrupted():
@@ -172,9 +175,9 @@ def atomic_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def new_folder(folder: Path) -> Iterator[Path]:
-    """Yield a temporary folder to fill; it becomes `folder` at the end, or vanishes if anything is raised.
+    """Yield a temporary folder to fill. At the end it is renamed to `folder`; if the block raises, it is removed.
 
-    Raises UserError if `folder` exists: what is in it is never replaced.
+    Raises UserError if `folder` exists: its content is never replaced.
     """
     if folder.exists() or folder.is_symlink():
         raise UserError(f"{folder} exists already: choose another name, or remove it")
@@ -205,9 +208,9 @@ def _sync(path: Path) -> None:
 
 def _name_folder(part: Path, folder: Path) -> None:
     try:
-        part.rename(folder)  # fails where somebody has made a folder of that name, unless it is empty
+        part.rename(folder)  # fails if another process has made and filled a folder of this name
     except OSError as error:
-        raise UserError(f"{folder} cannot get its name ({error.strerror}); nothing was kept of it") from None
+        raise UserError(f"{folder} cannot be created ({error.strerror}); nothing was kept") from None
 
 
 @overload
@@ -219,7 +222,8 @@ def short_path(path: Location) -> Location: ...
 
 
 def short_path(path: Location) -> Location:
-    """A place as a person would type it: from the current folder, if it is in it."""
+    """The path relative to the working folder, if the folder contains it; else the absolute path. URLs
+    unchanged."""
     if isinstance(path, Url):
         return path
     resolved = real_path(path)

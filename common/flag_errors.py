@@ -1,6 +1,6 @@
-"""What is wrong with a command line, in one line: tyro's own texts are long, and name Python's types.
+"""Errors in the command line, in one line: tyro's own texts are long, and name Python's types.
 
-Its hook is private to tyro and new. Where it is missing, or no longer as here, tyro prints its own text.
+This uses a private hook of tyro. If a version of tyro has another hook or none, tyro prints its own text.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _COUNTS: Final = {1: "a", 2: "two", 3: "three"}
 
 @contextlib.contextmanager
 def flag_errors_in_one_line(config: Any) -> Iterator[None]:
-    """Raise UsageError where tyro would print what is wrong with flags of `config`."""
+    """Raise UsageError where tyro would print an error about the flags of `config`."""
     try:
         from tyro import _errors
     except ImportError:
@@ -32,7 +32,7 @@ def flag_errors_in_one_line(config: Any) -> Iterator[None]:
     def hook(event: _errors.ParseErrorEvent) -> None:
         try:
             line = _line_of(event, config)
-        except (AttributeError, NameError):  # of another version's events
+        except (AttributeError, NameError):  # another version of tyro has other events
             return
         raise UsageError(line)
 
@@ -55,36 +55,37 @@ def _line_of(event: Any, config: Any) -> str:
             return f"which command? One of {', '.join(event.subcommand_spec.parser_from_name)}; {help_line}"
         case "InvalidChoice":
             choices = sorted(event.choices)
-            meant = _behind("; ", did_you_mean(event.value, choices))
+            meant = _after("; ", did_you_mean(event.value, choices))
             return f"{_name_of(event.argument)} {event.value}: expected one of {', '.join(choices)}{meant}"
         case "BadValue" if event.reason == "too_few_values":
             if event.argument.is_positional():
                 return f"{_name_of(event.argument)} is missing; {help_line}"
-            return f"{_name_of(event.argument)}: expected {_expected(event.argument)} behind it; {help_line}"
+            return f"{_name_of(event.argument)}: expected {_expected(event.argument)} after it; {help_line}"
         case "InstantiationFailure" if event.argument is not None:
-            given = [_name_of(event.argument), *_given(event.argument)]
-            return f"{' '.join(given)}: expected {_expected(event.argument)}; {help_line}"
+            words = [_name_of(event.argument), *_words_after(event.argument)]
+            return f"{' '.join(words)}: expected {_expected(event.argument)}; {help_line}"
     raise AttributeError(type(event).__name__)
 
 
 def _unknown(tokens: Sequence[str], config: Any) -> str:
-    """A line about the first flag that there is not, or else about the first word too much."""
+    """The error about the first unknown flag, or else about the first unexpected word."""
     names = list(_names_of(config))
     subcommands = [name for name in names if not name.startswith("-")]
     if subcommands and tokens[0] == next(iter(sys.argv[1:]), None) and not tokens[0].startswith("-"):
         meant = did_you_mean(tokens[0], subcommands)
-        return f"{tokens[0]}: no such command; {meant or 'there are ' + ', '.join(subcommands)}"
+        return f"{tokens[0]}: no such command; {meant or 'the commands are ' + ', '.join(subcommands)}"
     flag = next((token for token in tokens if token.startswith("-")), None)
     if flag is None:
-        return f"{tokens[0]}: one word too many; a name with spaces needs quotes"
+        return f"{tokens[0]}: one word too many; put a name with spaces in quotes"
     flag = flag.partition("=")[0]
     if instead := getattr(config, "REMOVED", {}).get(flag):
         return f"{flag}: was removed; {instead}"
-    return f"{flag}: no such flag{_behind('; ', did_you_mean('--' + flag.lstrip('-'), names))}"
+    return f"{flag}: no such flag{_after('; ', did_you_mean('--' + flag.lstrip('-'), names))}"
 
 
 def _names_of(kind: Any) -> Iterator[str]:
-    """All flags and subcommands of a command, by its dataclass or the union of those of its subcommands."""
+    """Yield all flags and subcommands of a command. `kind` is its dataclass, or the union of its subcommands'
+    dataclasses."""
     if get_origin(kind) in (Union, UnionType):
         for variant in get_args(kind):
             yield from (note.name for note in variant.__metadata__)
@@ -97,30 +98,31 @@ def _names_of(kind: Any) -> Iterator[str]:
         if dataclasses.is_dataclass(inner):
             yield from _names_of(inner)
         elif tyro.conf.Positional not in notes and tyro.conf.Suppress not in notes:
-            given = next((note.name for note in notes if getattr(note, "name", None)), name)
-            yield f"--{given.replace('_', '-')}"
+            flag_name = next((note.name for note in notes if getattr(note, "name", None)), name)
+            yield f"--{flag_name.replace('_', '-')}"
 
 
 def _name_of(argument: Any) -> str:
     return str(argument.lowered.metavar if argument.is_positional() else argument.lowered.name_or_flags[-1])
 
 
-def _given(argument: Any) -> list[str]:
-    """What stands behind a flag on the command line."""
+def _words_after(argument: Any) -> list[str]:
+    """The words after a flag on the command line, up to the next flag."""
     names = {name.replace("_", "-") for name in argument.lowered.name_or_flags}
     for at, token in enumerate(sys.argv[1:], start=2):
         flag, equals, value = token.partition("=")
         if flag.replace("_", "-") in names:
             if equals:
                 return [value]
-            behind = sys.argv[at:]
-            end = next((i for i, word in enumerate(behind) if word.startswith("--")), len(behind))
-            return behind[:end]
+            words = sys.argv[at:]
+            end = next((i for i, word in enumerate(words) if word.startswith("--")), len(words))
+            return words[:end]
     return []
 
 
 def _expected(argument: Any) -> str:
-    """What a flag takes: "two whole numbers", of tyro's "{None}|{INT INT}"; of another kind, as in `--help`."""
+    """The values that a flag expects: "two whole numbers" for tyro's "{None}|{INT INT}"; other types as in
+    `--help`."""
     metavar = str(argument.lowered.metavar).replace("{None}|", "")
     kinds = metavar.strip("{}").split()
     if kinds and kinds[0] in _NUMBERS and set(kinds) == {kinds[0]} and len(kinds) in _COUNTS:
@@ -128,5 +130,5 @@ def _expected(argument: Any) -> str:
     return metavar
 
 
-def _behind(mark: str, text: str) -> str:
+def _after(mark: str, text: str) -> str:
     return f"{mark}{text}" if text else ""

@@ -1,4 +1,4 @@
-"""What `--help` shows: the flags that most people need, on one screen. `--help-all` shows the others too.
+"""The text of `--help`: the flags that most users need, on one screen. `--help-all` shows all flags.
 
 A configuration lists its rare flags in `RARE: ClassVar[str]`. Parsing treats them as any other flag.
 """
@@ -20,20 +20,20 @@ def asks_for_help(words: Sequence[str]) -> bool:
 
 
 def print_help(prog: str, config: Any, about: str, words: Sequence[str], default: Any | None) -> NoReturn:
-    """Print the help that `words`, a command line, ask for. `default` has the values that it shows."""
+    """Print the help that the command line `words` requests. `default` holds the shown default values."""
     shown = shown_by_help(config, with_rare=_HELP_ALL in words)
-    given = {} if default is None else {"default": _converted(default, shown)}
+    defaults = {} if default is None else {"default": _converted(default, shown)}
     about += f" {_HELP_ALL} shows all flags." if _has_rare_flags(config) else ""
     subcommand = [] if dataclasses.is_dataclass(config) or words[0].startswith("-") else [words[0]]
     pairs_off = (tyro.conf.FlagCreatePairsOff,)
-    tyro.cli(shown, prog=prog, description=about, config=pairs_off, args=[*subcommand, "--help"], **given)
-    raise SystemExit(0)  # tyro has printed and ended before
+    tyro.cli(shown, prog=prog, description=about, config=pairs_off, args=[*subcommand, "--help"], **defaults)
+    raise SystemExit(0)  # never reached: tyro raises SystemExit after the help
 
 
 def shown_by_help(config: Any, with_rare: bool) -> Any:
-    """A variant of a configuration for the text of `--help`: no rare flags, and no "(default: None)".
+    """A variant of a configuration for the text of `--help`, without rare flags and "(default: None)".
 
-    `config` is a dataclass, or the union of those of a command's subcommands.
+    `config` is a dataclass, or the union of the subcommands' dataclasses.
     """
     if get_origin(config) in (Union, UnionType):
         kinds = [(variant.__origin__, variant.__metadata__) for variant in get_args(config)]
@@ -55,9 +55,11 @@ def shown_by_help(config: Any, with_rare: bool) -> Any:
         ):
             hint = Annotated[hint, tyro.conf.arg(help_behavior_hint="")]
         if hint is not hints[flag.name]:
-            default_of = {"default": default, "default_factory": factory}
-            given: dict[str, Any] = {name: it for name, it in default_of.items() if it is not dataclasses.MISSING}
-            changed.append((flag.name, hint, dataclasses.field(**given)))
+            values = {"default": default, "default_factory": factory}
+            arguments: dict[str, Any] = {
+                name: value for name, value in values.items() if value is not dataclasses.MISSING
+            }
+            changed.append((flag.name, hint, dataclasses.field(**arguments)))
     shown = dataclasses.make_dataclass(config.__name__, changed, bases=(config,), frozen=True)
     shown.__doc__ = config.__doc__
     return shown
@@ -75,7 +77,7 @@ def _has_rare_flags(config: Any) -> bool:
 
 
 def _converted(values: Any, kind: Any) -> Any:
-    """The same values as an instance of `kind`, a variant of their class."""
+    """`values` as an instance of `kind`, a variant of its class."""
     hints = get_type_hints(kind)
     fields = {flag.name: getattr(values, flag.name) for flag in dataclasses.fields(kind)}
     converted = {

@@ -1,6 +1,7 @@
-"""Types of flags without typeguard, which takes 50 ms to load: tyro asks it even about flags without a default.
+"""Check the types of flags without typeguard, which takes 50 ms to load: tyro uses it even for flags without a
+default.
 
-The functions are private to tyro. Where they are missing, typeguard is loaded.
+This replaces private functions of tyro. If they are missing, tyro loads typeguard.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from typing import Any, get_args, get_origin
 
 @contextlib.contextmanager
 def quick_types() -> Iterator[None]:
-    """Answer tyro here where no default is given, and for unions and tuples of simple types."""
+    """Replace tyro's type check in the block, for flags without a default, and for unions and tuples of simple
+    types."""
     try:
         from tyro import _resolver
         from tyro._resolver import is_instance
@@ -22,18 +24,18 @@ def quick_types() -> Iterator[None]:
         yield
         return
 
-    def answer(typ: Any, value: Any) -> bool:
+    def has_type(typ: Any, value: Any) -> bool:
         if is_sentinel(value):
             return False
         if isinstance(typ, UnionType):
-            return any(answer(member, value) for member in get_args(typ))
+            return any(has_type(member, value) for member in get_args(typ))
         if get_origin(typ) is tuple and not isinstance(value, tuple):
             return False
         if get_origin(typ) is tuple and get_args(typ)[1:] == (Ellipsis,):
-            return all(answer(get_args(typ)[0], item) for item in value)
+            return all(has_type(get_args(typ)[0], item) for item in value)
         return is_instance(typ, value)
 
-    _resolver.is_instance = answer
+    _resolver.is_instance = has_type
     try:
         yield
     finally:

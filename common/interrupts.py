@@ -1,9 +1,9 @@
 """Ctrl-C and `kill`: graceful shutdown on the first signal, and blocks that no signal interrupts.
 
-A second Ctrl-C asks for no more clean-up. The process then ends as by `kill -9`, also in the middle of what is
-otherwise `uninterrupted`: whatever is written is made for that (a temporary name, one rename in the end), because
-a power cut does the same. Other signals come several times by themselves (a closed terminal sends SIGHUP, its
-shell another one), so that only a Ctrl-C counts as a second request.
+A second Ctrl-C ends the process at once, as `kill -9` does, also in an `uninterrupted` block. No file is damaged:
+files are written under a temporary name and then renamed, because a power cut may come at any time. Only a Ctrl-C
+counts as a second request: other signals are often sent twice (a closed terminal sends SIGHUP, and so does its
+shell).
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ STOP_SIGNALS: Final[tuple[signal.Signals, ...]] = (
 """The signals that ask a command to end."""
 
 FORCE_QUIT_HINT_AFTER_S: Final = 2.0
-"""A command that takes longer to end announces that a second Ctrl-C ends it at once."""
+"""If a command takes longer to end, it announces that a second Ctrl-C ends it at once."""
 
 _TICK_S: Final = 0.02
 
 
 def leave_signals_to_main_thread() -> None:
-    """To be called in a thread that waits a lot: a signal that the system gives to it would not wake the main one,
-    which alone runs handlers."""
+    """Block `STOP_SIGNALS` in the calling thread. Call this in threads that mostly wait: only the main thread runs
+    handlers, and a signal delivered to another thread does not wake it."""
     if sys.platform != "win32":
         signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
 
@@ -50,18 +50,18 @@ class _Event(Enum):
 
 
 class GracefulStop:
-    """A context manager around a whole command. The first signal that `handle_signals` receives in it asks for the
-    end; a Ctrl-C that no handler takes any more calls `force_quit`, which must not return."""
+    """A context manager around a whole command. The first signal that `handle_signals` receives requests the end.
+    When the handlers have taken all the signals that they accept, the next Ctrl-C calls `force_quit`, which must
+    not return."""
 
     current: ClassVar[GracefulStop | None] = None
 
     def __init__(self, force_quit: Callable[[], object], on_slow: Callable[[], object]) -> None:
-        """`on_slow` is called, in a thread, if the block has not ended `FORCE_QUIT_HINT_AFTER_S` after the first
-        signal."""
+        """A thread calls `on_slow` if the block still runs `FORCE_QUIT_HINT_AFTER_S` after the first signal."""
         self._received = 0
         self._force_quit = force_quit
         self._on_slow = on_slow
-        # a handler may take no lock: the code that it interrupts may hold it
+        # a handler must not take a lock: the interrupted code may hold it
         self._events: SimpleQueue[_Event] = SimpleQueue()
         self._is_repeated = False
         self._unraisable = sys.unraisablehook
@@ -71,7 +71,7 @@ class GracefulStop:
         return self._received > 0
 
     def receive(self, number: int, max_signals: int) -> bool:
-        """True if this signal is to be passed to a handler, which takes at most `max_signals`."""
+        """True if the handler is to be called for this signal. It accepts at most `max_signals` signals."""
         if self._is_repeated:
             self._is_repeated = False
             return True
@@ -85,12 +85,12 @@ class GracefulStop:
         return True
 
     def announced(self) -> None:
-        """To be called when the command itself has announced how it is ended at once: `on_slow` is not."""
+        """Call this when the command has announced the second Ctrl-C: `on_slow` is then not called."""
         if self.is_requested:
             self._events.put(_Event.ANNOUNCED)
 
     def repeat(self) -> None:
-        """To be called before a signal is raised again that was received before, and put off."""
+        """Call this before raising a postponed signal again."""
         self._is_repeated = True
 
     def __enter__(self) -> Self:
@@ -105,8 +105,8 @@ class GracefulStop:
         self._events.put(_Event.ENDED)
 
     def _on_unraisable(self, unraisable: sys.UnraisableHookArgs) -> None:
-        """Python drops an exception that is raised in `__del__` or in a callback of a weak reference, and a
-        handler may be called there as anywhere else."""
+        """Notice a lost KeyboardInterrupt: a handler may run in `__del__` or in a weak reference's callback, where
+        Python drops exceptions."""
         if self.is_requested and issubclass(unraisable.exc_type, KeyboardInterrupt):
             self._events.put(_Event.LOST)
         else:
@@ -134,24 +134,25 @@ def _interrupt_main_thread() -> None:
     if sys.platform == "win32":
         _thread.interrupt_main()
     elif (main := threading.main_thread().ident) is not None:
-        signal.pthread_kill(main, signal.SIGINT)  # wakes it, whatever it waits for
+        signal.pthread_kill(main, signal.SIGINT)  # wakes the main thread from any wait
 
 
 def force_quit_announced() -> None:
-    """To be called where a command has announced that a second Ctrl-C ends it at once."""
+    """Call this when a command has announced that a second Ctrl-C ends it at once."""
     if GracefulStop.current is not None:
         GracefulStop.current.announced()
 
 
 @contextlib.contextmanager
 def handle_signals(handler: Callable[[int, FrameType | None], object], max_signals: int = 1) -> Iterator[None]:
-    """Have SIGINT, SIGTERM and SIGHUP call `handler` in the block, and restore their handlers afterwards.
+    """Call `handler` on SIGINT, SIGTERM and SIGHUP in the block; restore the previous handlers afterwards.
 
-    In a command (`GracefulStop`), it is called `max_signals` times; a Ctrl-C after that ends the process.
+    In a command (`GracefulStop`), `handler` is called at most `max_signals` times; the next Ctrl-C ends the
+    process.
 
-    SIGHUP (the terminal is closed) stays ignored where it was, as under `nohup`.
+    SIGHUP (the terminal is closed) stays ignored if it was ignored before, as under `nohup`.
 
-    Outside the main thread, which alone receives signals, nothing is changed.
+    Outside the main thread, which alone receives signals, this does nothing.
     """
 
     def handle(number: int, frame: FrameType | None) -> None:
@@ -166,7 +167,7 @@ def handle_signals(handler: Callable[[int, FrameType | None], object], max_signa
         number: previous
         for number, previous in handlers.items()
         if previous is not None and not (number == SIGHUP and previous == signal.SIG_IGN)
-    }  # None: not Python's
+    }  # None: the handler was not set by Python
     try:
         for number in before:
             signal.signal(number, handle)
@@ -177,16 +178,16 @@ def handle_signals(handler: Callable[[int, FrameType | None], object], max_signa
 
 
 class StopEvent(threading.Event):
-    """An event that is set by the first signal; `again` is set by the second."""
+    """An event that the first signal sets; the second signal sets `again`."""
 
     def __init__(self) -> None:
         super().__init__()
         self.again = threading.Event()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until it is set, or `timeout` seconds have passed; return whether it is set.
+        """Wait until the event is set, or `timeout` seconds have passed; return whether it is set.
 
-        It polls: a handler that interrupted `Event.wait` would wait for the lock that this holds.
+        This polls: `Event.wait` holds a lock, and a handler that interrupts it would wait for this lock.
         """
         end_s = math.inf if timeout is None else time.monotonic() + timeout
         while not self.is_set() and (left_s := end_s - time.monotonic()) > 0:
@@ -199,7 +200,7 @@ class StopEvent(threading.Event):
 
 @contextlib.contextmanager
 def stop_signals(max_signals: int = 1) -> Iterator[StopEvent]:
-    """Yield an event that Ctrl-C and `kill` set, instead of interrupting whatever is going on at that moment.
+    """Yield an event that Ctrl-C and `kill` set, instead of interrupting the running code.
 
     With `max_signals` 2, a second Ctrl-C sets `again`; the next one ends the process.
 
@@ -212,10 +213,10 @@ def stop_signals(max_signals: int = 1) -> Iterator[StopEvent]:
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Put off the signals of `STOP_SIGNALS` that come in the block until it is left, so that it runs to its end.
+    """Postpone the signals of `STOP_SIGNALS` until the block has run to its end.
 
-    If anything is raised in the block, its caller gets that, and the signal is dropped: the error may name a file
-    that stays. Outside the main thread, which alone receives signals, nothing need be put off.
+    If the block raises an error, the error is raised and the signal is dropped: the error may name a file that
+    stays. Outside the main thread, which alone receives signals, this does nothing.
     """
     received: list[int] = []
     with handle_signals(lambda number, frame: received.append(number)):

@@ -1,7 +1,6 @@
-"""Public names that are imported when they are first used.
+"""Public names of a package that are imported at their first use.
 
-A package hands out names from modules that need torch or rerun, which take seconds to load; its command's
-`--help` needs none of them.
+Some names come from modules that need torch or rerun, which take seconds to load; `--help` needs none of them.
 """
 
 from __future__ import annotations

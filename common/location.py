@@ -1,7 +1,7 @@
-"""The place of a file: a path of this machine, or the URL of an object in a store (s3://, gs://, az://).
+"""The place of a file: a path on this machine, or the URL of an object in a store (s3://, gs://, az://).
 
-`pathlib` would make "s3:/bucket" of "s3://bucket": what a person gives is read once, by `location`, and is from
-then on either a `Path` or a `Url`, which has those of a path's methods that need no file.
+`pathlib` would turn "s3://bucket" into "s3:/bucket". So `location` converts the user's text once, to a `Path` or a
+`Url`. A `Url` has the methods of `Path` that do not access files.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from common.errors import UsageError, UserError
 from common.untrusted import real_path
 
 SCHEMES: Final = ("s3", "gs", "az")
-"""Of Amazon's S3 and all that speak its protocol, Google Cloud Storage, Azure Blob Storage."""
+"""Amazon S3 and compatible stores, Google Cloud Storage, Azure Blob Storage."""
 
 _URL: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)", re.DOTALL)
 _COLLAPSED: Final = re.compile(rf"(?:{'|'.join(SCHEMES)}|file):/(?!/)")
@@ -59,17 +59,16 @@ class Url:
         return self.parent / name
 
     def is_in(self, folder: Url) -> bool:
-        """True for what is in a folder, or in one within that."""
-        is_there = (self.scheme, self.bucket) == (folder.scheme, folder.bucket)
-        return is_there and self.key.startswith(f"{folder.key}/" if folder.key else "")
+        """True if `folder`, or a folder within it, contains this place."""
+        is_same_bucket = (self.scheme, self.bucket) == (folder.scheme, folder.bucket)
+        return is_same_bucket and self.key.startswith(f"{folder.key}/" if folder.key else "")
 
     def name_in(self, folder: Url) -> str:
-        """The name, with slashes, of what `is_in` a folder."""
+        """The path relative to `folder`, which contains this place."""
         return self.key.removeprefix(f"{folder.key}/")
 
     def joined(self, relative: str) -> Url:
-        """The place that a path relative to this folder leads to. Raises ValueError for one that leads out of the
-        bucket."""
+        """This folder joined with a relative path. Raises ValueError if the path leads out of the bucket."""
         parts = self.key.split("/") if self.key else []
         for part in relative.split("/"):
             if part == "..":
@@ -85,46 +84,46 @@ Location: TypeAlias = Path | Url
 
 
 def location(text: str | Location) -> Location:
-    """The place that a person names. Raises UsageError for a URL of another kind, or of no bucket."""
+    """Parse a path or URL. Raises UsageError for a URL with another scheme, or without a bucket."""
     if not isinstance(text, str):
         return text
     match = _URL.fullmatch(text)
     if match is None:
         if _COLLAPSED.match(text):
-            raise UsageError(f"{text}: no path; a URL is spelt {_with_all_slashes(text)}")
+            raise UsageError(f"{text}: not a path; the URL is spelt {_with_all_slashes(text)}")
         return Path(text)
     scheme, rest = match[1].lower(), match[2]
     if scheme == "file":
         return Path(unquote(urlsplit(text).path))
     if scheme not in SCHEMES:
-        kinds = ", ".join(f"{known}://" for known in SCHEMES)
+        kinds = ", ".join(f"{name}://" for name in SCHEMES)
         raise UsageError(f"{text}: not a path, nor a URL that begins with {kinds} or file://")
     bucket, _, key = rest.partition("/")
     if not bucket:
-        raise UsageError(f"{text}: no bucket in it; {scheme}://BUCKET/NAME is expected")
+        raise UsageError(f"{text}: the bucket is missing; expected {scheme}://BUCKET/NAME")
     return Url(scheme, bucket, "/".join(filter(None, key.split("/"))))
 
 
 def is_in_store(text: str) -> bool:
-    """True if what a person gives is the URL of an object, or folder, in a store."""
+    """True if the text is the URL of an object or folder in a store."""
     match = _URL.fullmatch(text)
     return match is not None and match[1].lower() in SCHEMES
 
 
 def absolute(place: Location) -> Location:
-    """The same place, independent of the current folder."""
+    """The same place, independent of the working folder."""
     return place if isinstance(place, Url) else real_path(place)
 
 
 def local_path(place: Location) -> Path:
-    """The place if it is on this machine. Raises UserError for one in a store."""
+    """The place as a path of this machine. Raises UserError for a place in a store."""
     if isinstance(place, Url):
         raise UserError(f"{place} must be on this machine: run `bc-log copy {place} FOLDER`")
     return place
 
 
 def refuse_collapsed(path: Path) -> None:
-    """Raise UsageError for a path that was made of a URL: only a file of this machine can be used here."""
+    """Raise UsageError for a path that `pathlib` has made from a URL: the flag accepts only local files."""
     if _COLLAPSED.match(text := os.fspath(path)):
         refuse_urls([_with_all_slashes(text)])
 
@@ -134,19 +133,19 @@ def _with_all_slashes(text: str) -> str:
 
 
 def refuse_urls(words: Sequence[str]) -> None:
-    """Raise UsageError for a URL among the words of a command that takes none."""
+    """Raise UsageError for a URL among the words of a command that accepts only local files."""
     for word in words:
         if (match := _URL.fullmatch(word)) and match[1].lower() in (*SCHEMES, "file"):
             raise UsageError(
-                f"{word}: a place of this machine is expected here, no URL; `bc-log copy {word} FOLDER` brings a"
-                " log here, `bc-log copy LOG URL` takes one there; `bc-train --copy-to URL` does so with a run,"
-                " which URL/NAME then names"
+                f"{word}: expected a path of this machine, not a URL; `bc-log copy {word} FOLDER` downloads a"
+                " log, `bc-log copy LOG URL` uploads one; `bc-train --copy-to URL` uploads a run; its name is then"
+                " URL/NAME"
             )
 
 
 def relative_to(place: Location, folder: Location) -> str:
-    """The name of a file in another one that lies in `folder`: both can be moved together. Where only one of them
-    is in a store, or they are in different buckets, it is named by its URL."""
+    """The relative path by which a file in `folder` refers to `place`, so that both can be moved together. If only
+    one of them is in a store, or they are in different buckets: the URL of `place`."""
     if isinstance(place, Url):
         if not isinstance(folder, Url) or (place.scheme, place.bucket) != (folder.scheme, folder.bucket):
             return str(place)

@@ -1,4 +1,4 @@
-"""Flags and arguments of commands that take a path of this machine or the URL of an object in a store."""
+"""Flags and arguments that accept a path of this machine or the URL of an object in a store."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def location_spec(metavar: str, place_of: Callable[[str], Location]) -> Primitiv
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar=metavar,
-        instance_from_str=lambda given: place_of(given[0]),
+        instance_from_str=lambda words: place_of(words[0]),
         is_instance=lambda value: isinstance(value, Path | Url),
         str_from_instance=lambda value: [str(value)],
     )

@@ -1,4 +1,5 @@
-"""Advisory locks on open files, which their writers hold. The system releases them when the process dies."""
+"""Advisory locks on open files. A writer holds the lock of its file; the system releases it when the process
+dies."""
 
 from __future__ import annotations
 
@@ -13,11 +14,12 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-_BEHIND: Final = 1 << 60  # on Windows nobody can read what is locked: a byte that no file has
+_BEHIND: Final = 1 << 60  # Windows: locked bytes cannot be read, so a byte beyond the end of every file is locked
 
 
 def lock(stream: IO[bytes]) -> None:
-    """Lock an open file until it is closed, once nobody else holds it. Raises OSError where there are no locks."""
+    """Wait for the lock of an open file, and keep it until the file is closed. Raises OSError if the file system
+    has no locks."""
     if sys.platform == "win32":
         _lock_behind(stream, msvcrt.LK_LOCK)
     else:
@@ -25,14 +27,14 @@ def lock(stream: IO[bytes]) -> None:
 
 
 def try_lock(stream: IO[bytes]) -> bool:
-    """Lock an open file until it is closed; False, at once, if somebody else holds it. Raises OSError where there
-    are no locks."""
+    """Lock an open file until it is closed; return False, without waiting, if the lock is taken. Raises OSError if
+    the file system has no locks."""
     try:
         if sys.platform == "win32":
             _lock_behind(stream, msvcrt.LK_NBLCK)
         else:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (BlockingIOError, PermissionError):  # on Windows the latter
+    except (BlockingIOError, PermissionError):  # PermissionError: on Windows
         return False
     return True
 
@@ -40,7 +42,7 @@ def try_lock(stream: IO[bytes]) -> bool:
 def is_being_written(path: Location) -> bool:
     """True if a process of this machine is still writing the file at `path`.
 
-    False where the file system knows no locks, for objects in a store, and for what is missing or no file.
+    False for objects in a store, for missing files and folders, and if the file system has no locks.
     """
     try:
         if not isinstance(path, Path) or not path.is_file():  # opening a pipe would wait for its writer
@@ -56,7 +58,7 @@ def _is_locked(stream: IO[bytes]) -> bool:
         if sys.platform == "win32":
             _lock_behind(stream, msvcrt.LK_NBLCK)
             _lock_behind(stream, msvcrt.LK_UNLCK)
-        else:  # shared: two processes that ask at once do not take each other for the writer
+        else:  # shared: two processes that check at the same time do not take each other for the writer
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except (BlockingIOError, PermissionError):
         return True

@@ -1,4 +1,4 @@
-"""Text of others in the Markdown that is written here."""
+"""Untrusted text in Markdown that the toolkit writes."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ _MARKUP: Final = "\\|<>[]`*_!&#~"
 
 
 def as_markdown(text: str) -> str:
-    """Escape somebody else's text: it neither ends a table's cell nor becomes a link, a heading or a tag."""
+    """Escape untrusted text, so that it neither ends a table's cell nor becomes a link, a heading or a tag."""
     return "".join(f"\\{character}" if character in _MARKUP else character for character in printable(text))
 
 
 def rendered(package: str, template: str, **values: Any) -> str:
-    """A Markdown template of one of our packages. Its filter `text` is `as_markdown`, `json` quotes for YAML."""
+    """Render a Markdown template of one of the toolkit's packages. Filters: `text` is `as_markdown`, `json` quotes
+    for YAML."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -32,6 +33,6 @@ def rendered(package: str, template: str, **values: Any) -> str:
 
 
 def shown_number(value: object, digits: int = 2) -> str:
-    """A number of a file that is not trusted; "-" where it is none."""
+    """Format a value of an untrusted file: a number with `digits` decimals, "-" if it is not a number."""
     is_number = isinstance(value, int | float) and math.isfinite(value) and abs(value) < 1e9
     return f"{value:.{digits}f}" if is_number else "-"

@@ -1,4 +1,4 @@
-"""A function of a user's own code, by the name that the user gives: only what is named is run."""
+"""Load a function of the user's own code by name. Only the named file or module is run."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from common.versions import package_line
 
 
 def load_function(flag: str, name: str) -> Callable[..., Any]:
-    """The function `module:function` or `FILE.py:function`; modules are looked for in this folder, too.
+    """The function `module:function` or `FILE.py:function`; modules may also be in the working folder.
 
-    Raises UsageError for another form, UserError where it is not there or its code cannot be imported.
+    Raises UsageError for another form, UserError if the function does not exist or its code cannot be imported.
     """
     place, _, function = name.rpartition(":")
     if not place or not function.isidentifier():
-        raise UsageError(f"{flag} {name}: module:function was expected, or FILE.py:function")
+        raise UsageError(f"{flag} {name}: expected module:function or FILE.py:function")
     names = (
         _names_of_file(flag, name, Path(place)) if place.endswith(".py") else _names_of_module(flag, name, place)
     )
@@ -33,7 +33,7 @@ def load_function(flag: str, name: str) -> Callable[..., Any]:
 
 
 def in_one_line(error: BaseException) -> str:
-    """An error of somebody else's code, for a message: its kind and its first line."""
+    """The type and the first line of an error of the user's code, for a message."""
     first, *_ = [*str(error).strip().splitlines(), ""]
     return printable(f"{type(error).__name__}: {first}" if first else type(error).__name__)[:300]
 
@@ -41,7 +41,7 @@ def in_one_line(error: BaseException) -> str:
 def _names_of_file(flag: str, name: str, path: Path) -> dict[str, Any]:
     if not path.is_file():
         meant = did_you_mean(str(path), [str(path.with_name(other.name)) for other in path.parent.glob("*.py")])
-        raise UserError(f"{flag} {name}: there is no file {path}; {meant or f'give its path from {Path.cwd()}'}")
+        raise UserError(f"{flag} {name}: no file {path}; {meant or f'give its path from {Path.cwd()}'}")
     try:
         return runpy.run_path(str(path))
     except ModuleNotFoundError as error:
@@ -52,7 +52,7 @@ def _names_of_file(flag: str, name: str, path: Path) -> dict[str, Any]:
 
 def _names_of_module(flag: str, name: str, place: str) -> dict[str, Any]:
     if (folder := str(Path.cwd())) not in sys.path:
-        sys.path.append(folder)  # behind all others: it hides nothing
+        sys.path.append(folder)  # last, so that it hides no other module
     try:
         return vars(importlib.import_module(place))
     except ModuleNotFoundError as error:
@@ -64,6 +64,7 @@ def _names_of_module(flag: str, name: str, place: str) -> dict[str, Any]:
 
 
 def _missing(where: str, error: ModuleNotFoundError) -> UserError:
-    """The error of code that imports what is not installed; most packages are named as their module."""
+    """The error of code that imports a module that is not installed. Most packages have the name of their
+    module."""
     module = printable((error.name or "").partition(".")[0])
     return UserError(f"{where} needs the module {module}, which is not installed: `{package_line(module)}`")

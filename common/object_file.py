@@ -1,4 +1,4 @@
-"""An object in a store as a file: read at any place, from any thread, and one content as long as it is open."""
+"""Read an object in a store like a file: at any offset, from any thread, and always the same version."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ if TYPE_CHECKING:
     from obstore import GetOptions, ObjectMeta, SuffixRange
 
 AT_ONCE: Final = 16
-"""Requests that wait for their answers at a time: at 50 ms each, and 256 KB, some 80 MB/s."""
+"""Requests in flight: with 50 ms and 256 KB for each, about 80 MB/s."""
 
-LARGEST_READ: Final = 1 << 23
-"""The most bytes that are read ahead of a reader that goes through a file in order."""
+MAX_READ_AHEAD: Final = 1 << 23
+"""Bytes in one request of a reader that reads a file in order."""
 
 T = TypeVar("T")
 Range = tuple[int, int]
-"""First byte, and number of bytes."""
+"""First byte, number of bytes."""
 
-_CUT_OFF: Final = 4  # requests whose answer is cut off
-_SMALL: Final = 1 << 15  # a read of less brings its neighbours along: records lie side by side
-_KEPT_BYTES: Final = 1 << 26
-_KEPT: Final = 16  # stretches of a file that were read
-_END: Final = 1 << 17  # of a file, read at once: a log of ours has its summary there
+_MAX_ATTEMPTS: Final = 4  # for a request whose answer is cut off
+_MIN_READ: Final = 1 << 15  # bytes; a smaller read is extended, because the next records are usually read next
+_MAX_KEPT_BYTES: Final = 1 << 26
+_MAX_KEPT_STRETCHES: Final = 16
+_END_BYTES: Final = 1 << 17  # the end of a file, read at opening: the summary of a log is at its end
 
 
 @dataclass(frozen=True)
 class ObjectVersion:
-    """Identifies one content of an object: what is written under its name later has another version."""
+    """Identifies the content of an object: every later write gives it another version."""
 
-    e_tag: str  # as the store writes it
-    version: str | None = None  # of stores that keep versions
+    e_tag: str  # in the store's spelling
+    version: str | None = None  # only in stores that keep versions
 
     @property
     def name(self) -> str:
@@ -50,32 +50,32 @@ class ObjectVersion:
 
 
 class ObjectFile(Closeable):
-    """An object, open for reading at any place, from any thread. It is one content that is read: if the object is
-    replaced meanwhile, ObjectChangedError is raised."""
+    """An object, open for reading at any offset, from any thread. If the object is replaced while it is open,
+    reading raises ObjectChangedError."""
 
     is_remote = True
 
     def __init__(self, url: Url) -> None:
-        """Raises NoSuchObjectError, or another StoreError. Reads the end of the object: one request, of Azure two,
-        which is not asked for so many bytes from the end."""
+        """Open the object and read its end: one request, or two from Azure, which cannot count bytes from the end.
+        Raises NoSuchObjectError or another StoreError."""
         self.url = url
         self._lock = threading.Lock()
-        self._kept: OrderedDict[int, bytes] = OrderedDict()  # by where they begin
-        self._read_from = self._read_to = -1  # the last stretch that was read
-        self._ahead = _SMALL
+        self._kept: OrderedDict[int, bytes] = OrderedDict()  # by the offset of the first byte
+        self._read_from = self._read_to = -1  # first and last offset of the latest read
+        self._ahead = _MIN_READ
         self._pool: ThreadPoolExecutor | None = None
         with as_store_error(url):
             try:
-                meta, data = read_part(url, {"suffix": _END})
+                meta, data = read_part(url, {"suffix": _END_BYTES})
                 is_end = True
             except failures.NotSupportedError:
-                meta, data = read_part(url, (0, _SMALL))
+                meta, data = read_part(url, (0, _MIN_READ))
                 is_end = len(data) == meta["size"]
         self.size: int = meta["size"]
         self.version = ObjectVersion(meta["e_tag"] or "", meta["version"])
         self._keep(self.size - len(data) if is_end else 0, data)
         if not is_end:
-            last = min(_END, self.size)
+            last = min(_END_BYTES, self.size)
             self._keep(self.size - last, self._fetched(self.size - last, last))
 
     def close(self) -> None:
@@ -88,13 +88,13 @@ class ObjectFile(Closeable):
         return True
 
     def read(self, offset: int, length: int) -> bytes:
-        if (data := self._known(offset, length)) is not None:
+        if (data := self._kept_bytes(offset, length)) is not None:
             return data
         with self._lock:
-            # a record may begin in what its head was read with
+            # the latest read may already have the first bytes of the next record
             is_next = self._read_from <= offset <= self._read_to
-            self._ahead = min(2 * self._ahead, LARGEST_READ) if is_next else _SMALL
-            wanted = max(length, self._ahead if is_next or length < _SMALL else 0)
+            self._ahead = min(2 * self._ahead, MAX_READ_AHEAD) if is_next else _MIN_READ
+            wanted = max(length, self._ahead if is_next or length < _MIN_READ else 0)
         data = self._fetched(offset, wanted)
         self._keep(offset, data)
         return data[:length]
@@ -104,15 +104,15 @@ class ObjectFile(Closeable):
             pool = self._pool = self._pool or ThreadPoolExecutor(AT_ONCE, "store")
         waiting: deque[Future[bytes]] = deque()
         for offset, length in ranges:
-            data = self._known(offset, length)
+            data = self._kept_bytes(offset, length)
             waiting.append(pool.submit(self._fetched, offset, length) if data is None else _done(data))
             if len(waiting) == 2 * AT_ONCE:
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
 
-    def read_from(self, start: int = 0, part_bytes: int = LARGEST_READ) -> Iterator[bytes]:
-        """All that follows `start`, in parts of so many bytes. Raises what `read_many` does."""
+    def read_from(self, start: int = 0, part_bytes: int = MAX_READ_AHEAD) -> Iterator[bytes]:
+        """Yield the bytes from `start` to the end, in parts of `part_bytes`. Raises the errors of `read_many`."""
         starts = range(start, self.size, part_bytes)
         return self.read_many((at, min(part_bytes, self.size - at)) for at in starts)
 
@@ -133,7 +133,7 @@ class ObjectFile(Closeable):
             except FileNotFoundError:
                 raise ObjectChangedError(f"{self.url}: was removed while it was read") from None
             except failures.GenericError as error:
-                if is_out_of_range(str(error)):  # but it was within the object's size
+                if is_out_of_range(str(error)):  # the range was within the size, so the object has changed
                     self._changed()
                 raise
             return data if len(data) == length else None
@@ -147,7 +147,7 @@ class ObjectFile(Closeable):
             f" {self.version.e_tag or self.size}); give the command again"
         )
 
-    def _known(self, offset: int, length: int) -> bytes | None:
+    def _kept_bytes(self, offset: int, length: int) -> bytes | None:
         with self._lock:
             for start, data in self._kept.items():
                 if start <= offset and offset + length <= start + len(data):
@@ -159,12 +159,12 @@ class ObjectFile(Closeable):
         with self._lock:
             self._kept[offset] = data
             self._read_from, self._read_to = offset, offset + len(data)
-            while len(self._kept) > _KEPT or sum(map(len, self._kept.values())) > _KEPT_BYTES:
+            while len(self._kept) > _MAX_KEPT_STRETCHES or sum(map(len, self._kept.values())) > _MAX_KEPT_BYTES:
                 self._kept.popitem(last=False)
 
 
 def read_part(url: Url, part: tuple[int, int] | SuffixRange) -> tuple[ObjectMeta, bytes]:
-    """An object's metadata, and the bytes of a part of it, which may reach over its end."""
+    """The metadata of an object, and the bytes of a part, which may extend beyond the end of the object."""
 
     def answer() -> tuple[ObjectMeta, bytes] | None:
         result = obstore.get(store_of(url, False), url.key, options={"range": part})
@@ -174,7 +174,7 @@ def read_part(url: Url, part: tuple[int, int] | SuffixRange) -> tuple[ObjectMeta
     try:
         return again_if_cut_off(url, answer)
     except failures.GenericError as error:
-        if is_out_of_range(str(error)):  # nothing is in it
+        if is_out_of_range(str(error)):  # the part begins beyond the end, or the object is empty
             return obstore.head(store_of(url, False), url.key), b""
         raise
 
@@ -182,16 +182,16 @@ def read_part(url: Url, part: tuple[int, int] | SuffixRange) -> tuple[ObjectMeta
 def again_if_cut_off(
     url: Url, request: Callable[[], T | None], may_repeat: Callable[[], bool] = lambda: True
 ) -> T:
-    """The answer to a request, which is repeated where it is cut off: then obstore raises, or it is None. obstore
-    itself repeats requests that get no answer. Raises what it does, and StoreError."""
-    for attempt in range(1, _CUT_OFF + 1):
+    """The answer to a request, which is repeated if the answer is cut off: `request` then raises GenericError or
+    returns None. obstore itself repeats requests without an answer. Raises obstore's errors, and StoreError."""
+    for attempt in range(1, _MAX_ATTEMPTS + 1):
         try:
             if (answer := request()) is not None:
                 return answer
         except failures.GenericError as error:
-            if attempt == _CUT_OFF or not (is_cut_off(str(error)) and may_repeat()):
+            if attempt == _MAX_ATTEMPTS or not (is_cut_off(str(error)) and may_repeat()):
                 raise
-    raise StoreError(f"{url}: the download was cut off {_CUT_OFF} times")
+    raise StoreError(f"{url}: the download was cut off {_MAX_ATTEMPTS} times")
 
 
 def _range_of(offset: int, length: int, version: str) -> GetOptions:

@@ -1,6 +1,6 @@
-"""Objects in a store, by obstore: listed, read, written whole and never over another one unasked.
+"""List, read and write objects in a store, with obstore. Writes are atomic, and replace an object only on request.
 
-What a store cannot do, or obstore cannot mend by asking again, is a StoreError.
+Raises StoreError if the store does not support a request, or if the request still fails after obstore's retries.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from common.errors import ObjectChangedError, StoreError
 from common.location import Url
-from common.object_file import LARGEST_READ, ObjectFile, ObjectVersion, again_if_cut_off, read_part
+from common.object_file import MAX_READ_AHEAD, ObjectFile, ObjectVersion, again_if_cut_off, read_part
 from common.store_connection import store_of
 from common.store_errors import as_store_error, is_no_bucket, is_refused, obstore
 from common.store_errors import exceptions as failures
@@ -26,14 +26,14 @@ OnBytes: TypeAlias = Callable[[int], object]
 """Called with the number of bytes transferred since the last call."""
 
 MAX_IN_ONE_REQUEST: Final = 5 << 30
-"""The largest object that S3 writes or copies in one request, and so on a condition."""
+"""The largest object that S3 writes or copies in one request. Only single requests can have a condition."""
 _AT_ONCE: Final = 4  # parts
-_MAX_PARTS: Final = 9000  # of an object; a store takes 10,000, and more
+_MAX_PARTS: Final = 9000  # of an object; stores allow 10,000 or more
 
 
 @dataclass(frozen=True, order=True)
 class StoredObject:
-    """An object as a listing has it."""
+    """An object's entry in a listing."""
 
     url: Url
     size: int  # bytes
@@ -42,14 +42,14 @@ class StoredObject:
 
 
 def list_objects(folder: Url) -> list[StoredObject]:
-    """The objects right in a folder, by name. One request for a thousand names. Raises StoreError."""
+    """The objects directly in a folder, sorted by name. One request for a thousand names. Raises StoreError."""
     return _listed(
         folder, lambda: obstore.list_with_delimiter(store_of(folder, False), folder.key or None)["objects"]
     )
 
 
 def list_below(folder: Url) -> list[StoredObject]:
-    """The objects in a folder and in those within it, by name. Raises StoreError."""
+    """The objects in a folder and its subfolders, sorted by name. Raises StoreError."""
     return _listed(folder, lambda: [*itertools.chain(*obstore.list(store_of(folder, False), folder.key or None))])
 
 
@@ -59,7 +59,7 @@ def _listed(folder: Url, request: Callable[[], Sequence[ObjectMeta]]) -> list[St
 
 
 def find_object(url: Url) -> StoredObject | None:
-    """An object's entry, as in a listing; None if there is none. Raises StoreError."""
+    """An object's entry, as in a listing; None if the object does not exist. Raises StoreError."""
     with as_store_error(url):
         try:
             meta = obstore.head(store_of(url, False), url.key)
@@ -69,20 +69,21 @@ def find_object(url: Url) -> StoredObject | None:
             return None
         except failures.BaseError as error:
             if is_refused(str(error)):
-                read_part(url, (0, 1))  # raises the same, and why: HEAD is answered without a word of it
+                read_part(url, (0, 1))  # raises an error with the reason: the answer to HEAD has no text
             raise
     return _stored_object(url, meta)
 
 
 def _stored_object(place: Url, meta: ObjectMeta) -> StoredObject:
-    """An object in the bucket of `place`."""
+    """Convert obstore's metadata of an object in the bucket of `place`."""
     written_ns = int(meta["last_modified"].timestamp()) * 1_000_000_000
     version = (meta["e_tag"] or "").strip('"')  # Azure leaves the quotation marks out in listings
     return StoredObject(Url(place.scheme, place.bucket, meta["path"]), meta["size"], version, written_ns)
 
 
 def read_object(url: Url, max_bytes: int) -> bytes | None:
-    """All of a small object; None if there is none. Raises StoreError, also for one that is larger."""
+    """All of a small object; None if it does not exist. Raises StoreError, also if it is larger than
+    `max_bytes`."""
     with as_store_error(url):
         try:
             meta, data = read_part(url, (0, max_bytes))
@@ -96,26 +97,26 @@ def read_object(url: Url, max_bytes: int) -> bytes | None:
 
 
 def put_new(url: Url, data: bytes) -> None:
-    """Write a small object, whole or not at all. Raises ObjectExistsError where there is one of this name."""
+    """Write a small object atomically. Raises ObjectExistsError if it already exists."""
     with as_store_error(url):
         obstore.put(store_of(url, True), url.key, data, mode="create")
 
 
 def put_over(url: Url, data: bytes) -> None:
-    """Write a small object, whole or not at all, over whatever had its name."""
+    """Write a small object atomically, replacing an existing one."""
     with as_store_error(url):
         obstore.put(store_of(url, True), url.key, data)
 
 
 def put_file(url: Url, file: Path, replaces: ObjectVersion | None) -> ObjectVersion:
-    """Write a file, whole or not at all, over the version that it `replaces`; None: only where there is no object.
+    """Upload a file atomically. It replaces only the version `replaces`; with None, no object may exist.
 
-    Raises ObjectChangedError where there is another one, which stays; StoreError, also for a file of more than
-    5 GB.
+    Raises ObjectChangedError if the store has another version, which stays; StoreError, also if the file is larger
+    than 5 GB.
     """
     if (size := file.stat().st_size) > MAX_IN_ONE_REQUEST:
-        raise StoreError(f"{url}: {size:,} bytes are more than a store takes at once")
-    current = find_object(url) if replaces is not None else None  # not every store knows the condition
+        raise StoreError(f"{url}: {size:,} bytes are more than a store accepts in one request")
+    current = find_object(url) if replaces is not None else None  # not every store supports the condition
     with as_store_error(url):
         try:
             mode: PutMode = "create"
@@ -125,30 +126,30 @@ def put_file(url: Url, file: Path, replaces: ObjectVersion | None) -> ObjectVers
                 mode = {"e_tag": replaces.e_tag}
                 if replaces.version is not None:
                     mode["version"] = replaces.version
-            made = obstore.put(store_of(url, True), url.key, file, mode=mode, use_multipart=False)
+            result = obstore.put(store_of(url, True), url.key, file, mode=mode, use_multipart=False)
         except (failures.PreconditionError, failures.AlreadyExistsError):
-            if (version := _version_if_same(url, file)) is not None:  # by this very call, and the answer was lost
+            if (version := _version_if_same(url, file)) is not None:  # this call wrote it, but the answer was lost
                 return version
             raise ObjectChangedError(
                 f"{url}: another machine has changed it at the same time; its version stays"
             ) from None
-    return ObjectVersion(made["e_tag"] or "", made["version"])
+    return ObjectVersion(result["e_tag"] or "", result["version"])
 
 
 def _version_if_same(url: Url, file: Path) -> ObjectVersion | None:
-    """The object's version, if it has the bytes of the file. Raises StoreError."""
+    """The object's version if its bytes equal those of the file, else None. Raises StoreError."""
     with ObjectFile(url) as stored, file.open("rb") as stream:
         is_same = all(data == stream.read(len(data)) for data in stored.read_from()) and not stream.read(1)
         return stored.version if is_same else None
 
 
 def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
-    """Write an object of `size` bytes in parts, several at once; it appears whole or not at all, over whatever had
-    its name. Raises StoreError, also where it has appeared and the answer to that was lost."""
-    part_bytes = max(LARGEST_READ, -(-size // _MAX_PARTS))
+    """Write an object of `size` bytes in parts, several at the same time. The write is atomic and replaces an
+    existing object. Raises StoreError, also if the object was written but the store's answer was lost."""
+    part_bytes = max(MAX_READ_AHEAD, -(-size // _MAX_PARTS))
     has_begun = False
 
-    def given() -> Iterator[bytes]:
+    def read_parts() -> Iterator[bytes]:
         nonlocal has_begun
         has_begun = True
         yield from parts
@@ -157,7 +158,7 @@ def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
         return obstore.put(
             store_of(url, True),
             url.key,
-            given(),
+            read_parts(),
             use_multipart=True,
             chunk_size=part_bytes,
             max_concurrency=_AT_ONCE,
@@ -167,21 +168,23 @@ def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
         again_if_cut_off(url, put, lambda: not has_begun)
 
 
-def name_new(made: Url, url: Url) -> None:
-    """Give an object another name in its bucket, in the store itself. Raises ObjectExistsError where that is
-    taken, also by this very call if the answer was lost: then, and where anything else is raised, it keeps the one
-    it has."""
+def name_new(source: Url, url: Url) -> None:
+    """Rename the object `source` to `url` in the same bucket, without downloading it.
+
+    Raises ObjectExistsError if `url` exists, also if this call has made it but the store's answer was lost. After
+    any error, `source` still exists.
+    """
 
     def copy() -> bool:
-        obstore.copy(store_of(url, True), made.key, url.key, overwrite=False)
+        obstore.copy(store_of(url, True), source.key, url.key, overwrite=False)
         return True
 
     with as_store_error(url):
         again_if_cut_off(url, copy)
-    remove(made)
+    remove(source)
 
 
 def remove(url: Url) -> None:
-    """See to it that there is no such object. Raises StoreError."""
+    """Remove an object, if it exists. Raises StoreError."""
     with as_store_error(url), contextlib.suppress(FileNotFoundError):
         obstore.delete(store_of(url, True), url.key)

@@ -1,4 +1,4 @@
-"""The end of a process with its parent, which holds the other end of its stdin open and writes nothing."""
+"""End a process together with its parent. The parent keeps the process's stdin open and writes nothing to it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import threading
 
 
 def end_with_parent() -> None:
-    """From now on, a thread ends this process as `kill` does, once its parent has ended."""
+    """Start a thread that ends this process, as `kill` does, when its parent has ended."""
     threading.Thread(target=_end, name="parent", daemon=True).start()
 
 
@@ -19,4 +19,4 @@ def _end() -> None:
     if sys.platform == "win32":
         os.kill(os.getpid(), signal.SIGTERM)
     else:
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)  # whatever that waits for
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)  # wakes it from any wait

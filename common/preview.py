@@ -1,4 +1,4 @@
-"""A live viewer, in a process of its own, beside the command that writes the log or the run."""
+"""A live viewer in a separate process, next to the command that writes the log or the run."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from common.errors import UsageError
 from common.files import final_path, refuse_existing
 
 VIEWER: Final = ("-P", "-c", "from behavioural_cloning_toolkit import viewer; viewer()")
-"""Arguments of Python that start the viewer; -P: modules in the working folder are not taken for ours."""
+"""Arguments of Python that start the viewer; with -P, Python imports no modules from the working folder."""
 
-EXIT_GRACE_S: Final = 2.0  # for it to end by itself
-FILE_GRACE_S: Final = 300.0  # for a file to be written to its end, also on a slow and busy machine
-CONNECTED_GRACE_S: Final = 5.0  # for a viewer that runs already to receive the end
+EXIT_GRACE_S: Final = 2.0  # until the viewer is killed
+FILE_GRACE_S: Final = 300.0  # for writing a file completely, also on a slow and busy machine
+CONNECTED_GRACE_S: Final = 5.0  # for sending the rest to a running viewer
 NOTICE_AFTER_S: Final = 2.0  # a longer wait is announced
 _ADDRESS: Final = re.compile(r"[^-]:\d|^\d+$")
 _NICENESS: Final = 10
 
 
 def has_display() -> bool:
-    """True if a window can open here."""
+    """True if this machine can open a window."""
     if sys.platform in ("win32", "darwin"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
@@ -43,19 +43,21 @@ def preview(
     idle_priority: bool = False,
     notify: Callable[[str], object] = warn,
 ) -> Iterator[None]:
-    """Show a log that is being written, while this lasts.
+    """Show a log while the block writes it.
 
-    `where` is "window" (without a display: "web"), "web", a file that ends in .rrd, or the address of a viewer
-    that runs ("127.0.0.1:9876", or "connect" for one on Rerun's own port). The file, and the viewer that runs,
-    have what was in the log when this is left: finish the log before.
+    `where` is "window" (without a display: "web"), "web", a file that ends in .rrd, or the address of a running
+    viewer ("127.0.0.1:9876", or "connect" for Rerun's default port). A file or a running viewer receives all that
+    the log has when the block ends: finish the log in the block.
 
-    The viewer's process may freeze, or be closed, and this one goes on. It has a lower priority; with
-    `idle_priority`, the lowest that there is: on a busy machine it hardly runs. It is in a process group of its
-    own, so that nothing of it stays when it ignores its signal to end. Its stdin ends with this process: then it
-    ends. `notify` prints a line if the viewer cannot be started, or if waiting for its end takes long; a viewer
-    that fails later prints why on stderr. If it is killed before its file is whole, that is a warning.
+    The viewer runs in a separate process: if it freezes or is closed, this process continues. The viewer has a
+    lower priority; with `idle_priority` the lowest, so that it hardly runs on a busy machine. It has its own
+    process group, and all of the group is killed if the viewer ignores the signal to end. It also ends when this
+    process ends, which closes its stdin.
 
-    Raises UserError if the file is there already and may not be overwritten, UsageError for another `where`.
+    `notify` prints a line if the viewer cannot be started, or if its end takes long; a viewer that fails later
+    prints the reason on stderr. A viewer that is killed before its file is complete causes a warning.
+
+    Raises UserError if the file exists and `overwrite` is false, UsageError for an invalid `where`.
     """
     flags = _flags(where)
     file = Path(where) if where.endswith(".rrd") else None
@@ -88,9 +90,8 @@ def preview(
         if file is not None and viewer.returncode < 0:
             for part in _parts_of(file) - others:
                 part.unlink(missing_ok=True)
-            why = f"its writing hung for {FILE_GRACE_S:g} s, or was killed"
-            again = f"`bc-play {final_path(path)} --save {file}` makes it of the finished log"
-            warn(f"{file}: not written: {why}; {again}")
+            why = f"the viewer hung for {FILE_GRACE_S:g} s, or was killed"
+            warn(f"{file}: not written: {why}; run `bc-play {final_path(path)} --save {file}`")
 
 
 def _start(command: list[str], notify: Callable[[str], object]) -> subprocess.Popen[bytes] | None:
@@ -110,8 +111,8 @@ def _start(command: list[str], notify: Callable[[str], object]) -> subprocess.Po
 def _wait_for_end(
     viewer: subprocess.Popen[bytes], task: str, grace_s: float, notify: Callable[[str], object]
 ) -> None:
-    """Wait for the viewer of a finished log, which ends by itself, even if it has just begun."""
-    _restore_priority(viewer.pid)  # it is waited for
+    """Wait for the viewer, which ends by itself when it has shown all of the finished log."""
+    _restore_priority(viewer.pid)  # a user waits for it now
     with contextlib.suppress(subprocess.TimeoutExpired):
         viewer.wait(NOTICE_AFTER_S)
         return
@@ -121,8 +122,8 @@ def _wait_for_end(
 
 
 def _parts_of(file: Path | None) -> set[Path]:
-    """Files that are being written under a temporary name, to become `file`."""
-    with contextlib.suppress(OSError):  # no such folder yet
+    """The temporary files of unfinished writes of `file`."""
+    with contextlib.suppress(OSError):  # the folder does not exist yet
         if file is not None:
             return {part for part in file.parent.iterdir() if part != file and final_path(part) == file}
     return set()
@@ -140,29 +141,29 @@ def _flags(where: str) -> list[str]:
         return ["--save", where]
     if not _ADDRESS.search(where):
         raise UsageError(
-            f"--viewer {where}: neither window nor web, nor a FILE.rrd, nor the address of a viewer, such as"
+            f"--viewer {where}: expected window, web, a FILE.rrd, or the address of a viewer, such as"
             " 127.0.0.1:9876"
         )
     return ["--connect", where]
 
 
 def _lower_priority(process: int, idle_priority: bool) -> None:
-    """To be called before the process starts children, which inherit it."""
+    """Lower the priority. Call this before the process starts children, which inherit the priority."""
     if sys.platform == "win32":
         return
     with contextlib.suppress(OSError):
         own = os.getpriority(os.PRIO_PROCESS, 0)
         os.setpriority(os.PRIO_PROCESS, process, max(own, _NICENESS))
     if sys.platform == "linux" and idle_priority:
-        # However nice, it would keep a processor for some milliseconds once it has one. On two cores the slowest
-        # hundredth of a drive's answers took half as long again beside a viewer that was only nice.
+        # A process with the highest niceness still keeps a core for some milliseconds. On two cores, a viewer that
+        # was only nice made the slowest hundredth of a drive's answers 1.5 times as long.
         with contextlib.suppress(OSError):
             os.sched_setscheduler(process, os.SCHED_IDLE, os.sched_param(0))
         _set_group_niceness(process, 19)
 
 
 def _restore_priority(process: int) -> None:
-    """Restore normal priority, as far as the system permits: beside busy programs the viewer would hardly run."""
+    """Restore normal priority, as far as the system permits: next to busy programs the viewer would hardly run."""
     _set_group_niceness(process, 0)
     if sys.platform == "linux":
         with contextlib.suppress(OSError):
@@ -174,7 +175,7 @@ def _restore_priority(process: int) -> None:
 
 
 def _set_group_niceness(process: int, niceness: int) -> None:
-    """Set the niceness of `process`'s whole session. Where Linux shares the processors out among sessions
-    (autogroup), a process's own priority counts only within its session, and the viewer has one to itself."""
-    with contextlib.suppress(OSError):  # there are no such groups here
+    """Set the niceness of the whole session of `process`. If Linux divides the cores among sessions (autogroup),
+    the priority of a process counts only within its session, and the viewer has its own session."""
+    with contextlib.suppress(OSError):  # this system has no autogroups
         Path(f"/proc/{process}/autogroup").write_text(f"{niceness}\n", encoding="ascii")

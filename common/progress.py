@@ -1,6 +1,6 @@
-"""Progress bars with the rate and the time left, on stderr, gone when the work is done.
+"""Progress bars on stderr, with the count and the time left; they disappear when the work is done.
 
-Where stderr is no terminal, a line now and then says the same.
+If stderr is not a terminal, a line is printed every `LINE_EVERY_S` instead.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ LINE_EVERY_S: Final = 30.0
 
 
 class Advance(Protocol):
-    """Count so many more steps of a task as done, and show a note beside them."""
+    """Advance a task by `count` steps, and show a note next to the bar."""
 
     def __call__(self, count: int, note: str = "") -> object: ...
 
 
 class _Bar(Progress):
-    """A progress bar; where stderr is no terminal, a line now and then."""
+    """A progress bar; if stderr is not a terminal, a line every `LINE_EVERY_S`."""
 
     def __init__(self, *columns: ProgressColumn, console: Console) -> None:
-        is_shown = console.is_interactive  # else it would leave an empty line in a file of messages
+        is_shown = console.is_interactive  # a bar would leave an empty line in a file of messages
         super().__init__(*columns, console=console, transient=True, disable=not is_shown)
         self._has_ended = threading.Event()
         self._printer = threading.Thread(target=self._print_lines, name="progress", daemon=True)
@@ -57,7 +57,7 @@ class _Bar(Progress):
                     left = f", about {duration_text(task.time_remaining)} left" if task.time_remaining else ""
                     try:
                         print_message(f"{task.description}: {task.percentage:.0f} %{left}")
-                    except ValueError:  # who called us has closed stderr
+                    except ValueError:  # the caller has closed stderr
                         return
 
 
@@ -82,7 +82,7 @@ def progress_bar() -> Progress:
 
 @contextlib.contextmanager
 def progress_task(bar: Progress, name: str, total: int, completed: int = 0) -> Iterator[Advance]:
-    """A line of `bar`, there while the block runs; of `total` steps, `completed` are done already."""
+    """Show a line of `bar` while the block runs. `completed` of the `total` steps are already done."""
     task = bar.add_task(name, total=total, completed=completed, note="")
 
     def advance(count: int, note: str = "") -> None:
@@ -95,17 +95,17 @@ def progress_task(bar: Progress, name: str, total: int, completed: int = 0) -> I
 
 
 def track(items: Iterable[Item], description: str, total: int) -> Iterator[Item]:
-    """Yield `items` while a bar with this description counts them up to `total`."""
+    """Yield `items`, and count them on a progress bar."""
     with progress_bar() as bar, progress_task(bar, description, total) as advance:
-        for item in items:  # rich's own `track` counts nothing where no bar is shown
+        for item in items:  # rich's own `track` does not count if no bar is shown
             yield item
             advance(1)
 
 
 class StatusLine:
-    """One line on stderr that is rewritten while something without an end goes on; use it as a context manager.
+    """A line on stderr that is rewritten during work of unknown length; use it as a context manager.
 
-    Where stderr is not a terminal, nothing is shown: a file of messages needs no line twice a second.
+    If stderr is not a terminal, nothing is shown: a file of messages needs no line twice a second.
     """
 
     def __init__(self) -> None:
@@ -117,7 +117,7 @@ class StatusLine:
             self._status.update(escape(printable(text)))
 
     def show_or_print(self, text: str) -> None:
-        """Show a text; where there is no status line, print it."""
+        """Show a text; without a terminal, print it."""
         self.show(text)
         if not self._is_shown:
             print_message(text)

@@ -1,4 +1,4 @@
-"""Files that are read at any place, from any thread: one interface for this machine's and for those in stores."""
+"""Files that can be read at any offset, from any thread: one interface for local files and objects in a store."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ class RandomAccess(Protocol):
     """A file, open for reading."""
 
     size: int
-    """Bytes, when it was opened or has last grown."""
+    """Size in bytes when the file was opened, or at the last `grow`."""
     is_remote: bool
-    """True where a request takes long, however few bytes it is for."""
+    """True if every request takes long, even for a few bytes."""
 
     def grow(self) -> bool:
-        """Take in what was written behind the end since; False if the file has been deleted."""
+        """Update `size` after another process has appended data; False if the file has been deleted."""
 
     def read(self, offset: int, length: int) -> bytes:
-        """`length` bytes from `offset`; fewer where the file ends before. Raises OSError or StoreError."""
+        """`length` bytes from `offset`, or fewer at the end of the file. Raises OSError or StoreError."""
 
     def read_many(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
-        """The bytes of each range (first byte, number of bytes), in their order; later ones are requested
-        meanwhile. Raises what `read` does."""
+        """Yield the bytes of each range (first byte, number of bytes), in order; the next ranges are requested in
+        advance. Raises the errors of `read`."""
 
     def close(self) -> None: ...
 
@@ -38,7 +38,7 @@ class LocalFile(Closeable):
     is_remote = False
 
     def __init__(self, path: os.PathLike[str]) -> None:
-        """Raises OSError, also for what is no plain file."""
+        """Raises OSError, also if `path` is not a regular file."""
         self._stream = open_regular(os.fspath(path))
         self._lock = threading.Lock()
         self.size = 0
@@ -53,7 +53,7 @@ class LocalFile(Closeable):
         return status.st_nlink > 0
 
     def read(self, offset: int, length: int) -> bytes:
-        if sys.platform == "win32":  # no pread there
+        if sys.platform == "win32":  # Windows has no pread
             with self._lock:
                 self._stream.seek(offset)
                 return self._stream.read(length)
@@ -63,8 +63,8 @@ class LocalFile(Closeable):
         return (self.read(offset, length) for offset, length in ranges)
 
 
-def is_there(place: Location) -> bool:
-    """True if there is a file, or an object, of this name. Raises StoreError."""
+def file_exists(place: Location) -> bool:
+    """True if the file or the object exists. Raises StoreError."""
     if isinstance(place, Url):
         from common.object_store import find_object
 
@@ -72,24 +72,24 @@ def is_there(place: Location) -> bool:
     return place.is_file()
 
 
-def read_bytes(place: Location, most: int) -> bytes | None:
-    """All of a small file, or its first `most` bytes; None if there is none. Raises OSError or, also
-    for a larger one, StoreError."""
+def read_bytes(place: Location, max_bytes: int) -> bytes | None:
+    """All of a small file; None if it does not exist. Of a larger local file, the first `max_bytes`. Raises
+    OSError; StoreError, also for a larger object."""
     if isinstance(place, Url):
         from common.object_store import read_object
 
-        return read_object(place, most)
+        return read_object(place, max_bytes)
     try:
         with place.open("rb") as stream:
-            return stream.read(most)
+            return stream.read(max_bytes)
     except FileNotFoundError:
         return None
 
 
 def open_for_reading(place: Location) -> RandomAccess:
-    """Raises OSError; StoreError for an object that cannot be read."""
+    """Open a file or an object. Raises OSError; StoreError if the object cannot be read."""
     if isinstance(place, Url):
-        from common.object_file import ObjectFile  # an extra, which nobody with one machine needs
+        from common.object_file import ObjectFile  # needs obstore, which is an optional package
 
         return ObjectFile(place)
     return LocalFile(place)

@@ -1,9 +1,9 @@
-"""Calls made by a Ray cluster: each is a task there, and is made again where its node died.
+"""Run calls on a Ray cluster: each call is a task, which Ray repeats if its node dies.
 
-Work on one machine does not import it; `pip install ".[scale]"` brings Ray. Files are not sent: a task works in
-the folder that the command was started in, so that every path means the same.
+Work on one machine does not import this module; `pip install ".[scale]"` installs Ray. Files are not sent: a task
+works in the folder in which the command was started, so that every path means the same.
 
-Ray unpickles what it is sent, and runs code for anybody who reaches its ports: see docs/scale.md.
+Ray unpickles its input, and runs code for anybody who reaches its ports: see docs/scale.md.
 """
 
 from __future__ import annotations
@@ -30,20 +30,21 @@ from common.versions import TOOLKIT, install_line, version_of
 Result = TypeVar("Result")
 
 SAME_VERSIONS: Final = (TOOLKIT, "numpy", "pyarrow", "opencv-python-headless", "torch")
-"""Packages that write the results: with other versions of them, a node's would have other bytes."""
+"""Packages that write the results: a node with other versions would write other bytes."""
 
 UNREACHABLE_S: Final = 8.0
-"""Ray itself tries for more than a minute, and then ends the process."""
+"""A cluster that does not answer within this time is unreachable. Ray itself tries for more than a minute, and
+then ends the process."""
 
 _NOTICE_AFTER_S: Final = 10.0
-"""A start that takes longer says what it waits for."""
+"""If the start takes longer, a message explains the wait."""
 
 MAX_RETRIES: Final = 5
-"""A call whose process died for the sixth time is given up: it may be the call that kills it."""
+"""A call is given up when its process dies for the sixth time: the call itself may kill the process."""
 
 _MAX_MESSAGE_CHARACTERS: Final = 300  # of a node's message
 _MAX_TASKS: Final = 4_000
-"""Each costs the driver a millisecond or two: of more calls, several are one task."""
+"""A task costs the driver 1 to 2 ms. If there are more calls than this, several calls share a task."""
 
 _IN_FLIGHT: Final = 1_000
 _READY_AT_ONCE: Final = 64
@@ -54,7 +55,7 @@ _LOCAL_ADDRESSES: Final = ("", "auto", "local")
 
 
 class ClusterError(UserError):
-    """A cluster that cannot be reached, or on whose nodes nothing of ours can run."""
+    """The cluster cannot be reached, or its nodes cannot run the toolkit."""
 
 
 @dataclass(frozen=True)
@@ -63,25 +64,30 @@ class _Failed:
 
 
 def address_of(flag: Sequence[str]) -> str:
-    """The address that `--ray [ADDRESS]` gives, or "" if Ray finds one by itself. Raises UsageError for anything
-    else."""
+    """The address in `--ray [ADDRESS]`; "" if Ray is to find the cluster. Raises UsageError if it is no
+    address."""
     if len(flag) > 1:
         raise UsageError(f"--ray {' '.join(flag)}: at most one address; names go before --ray")
     address = flag[0] if flag else ""
     if address not in _LOCAL_ADDRESSES and not _ADDRESS.fullmatch(address):
         raise UsageError(
-            f"--ray {address}: HOST:PORT, ray://HOST:PORT, auto or local was expected; names go before --ray"
+            f"--ray {address}: expected HOST:PORT, ray://HOST:PORT, auto or local; names go before --ray"
         )
     return address
 
 
 @contextlib.contextmanager
 def cluster_tasks(address: str = "") -> Iterator[Tasks]:
-    """Connect to a cluster, and yield what makes calls there.
+    """Connect to a cluster, and yield the function that makes calls on the cluster.
 
-    `address` is HOST:PORT of its head, from one of its nodes; ray://HOST:PORT from elsewhere; "auto" a cluster
-    that this machine is a node of; "local" starts one on this machine alone; "" is RAY_ADDRESS, else
-    "auto", else "local". Raises ClusterError if there is none, or its versions are others.
+    `address` is one of
+
+    - HOST:PORT of the head, if this machine is a node of the cluster; ray://HOST:PORT from other machines
+    - "auto": the cluster of which this machine is a node
+    - "local": start a cluster on this machine alone
+    - "": RAY_ADDRESS, else "auto", else "local"
+
+    Raises ClusterError if no cluster answers, or if the nodes have other versions of `SAME_VERSIONS`.
     """
     with _connection(address) as ray:
         yield partial(_results, ray)
@@ -89,21 +95,21 @@ def cluster_tasks(address: str = "") -> Iterator[Tasks]:
 
 @contextlib.contextmanager
 def _connection(address: str) -> Iterator[Any]:
-    """The module `ray`, connected to a cluster in the block. See `cluster_tasks`."""
+    """Yield the module `ray`, connected to a cluster. See `cluster_tasks`."""
     os.environ.setdefault("RAY_CLIENT_MAX_CONNECTION_TIMEOUT_S", str(round(UNREACHABLE_S)))
     try:
         import ray
     except ImportError:
-        raise ClusterError(f"--ray: Ray is not installed here; `{install_line('scale')}` brings it") from None
+        raise ClusterError(f"--ray: Ray is not installed; run `{install_line('scale')}`") from None
     address = address or os.environ.get("RAY_ADDRESS", "")
     if address not in _LOCAL_ADDRESSES:
         _check_answers(address)
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a cluster that is started here reports to nobody
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # its way from 2.55 on; otherwise it warns
-    if address == "local":  # nobody else's cluster: its tasks are what the command is there for, and as important
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a local cluster sends no statistics
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # Ray's behaviour since 2.55; unset, it warns
+    if address == "local":  # only this command uses the cluster: its tasks get the command's priority
         os.environ.setdefault("RAY_worker_niceness", "0")
-    before = signal.getsignal(signal.SIGTERM)  # Ray puts its own in its place
-    where = "of this machine" if address == "local" else address or "that is found by itself"
+    sigterm_handler = signal.getsignal(signal.SIGTERM)  # Ray replaces it
+    where = "of this machine" if address == "local" else address or "that Ray finds"
     waiting = threading.Timer(
         _NOTICE_AFTER_S, print_message, [f"--ray: waiting for the cluster {where} to start and to answer"]
     )
@@ -112,17 +118,17 @@ def _connection(address: str) -> Iterator[Any]:
     try:
         with warnings.catch_warnings(action="ignore"):
             ray.init(address or None, log_to_driver=False, logging_level="ERROR")
-    except ray.exceptions.AuthenticationError:  # before anybody is asked
+    except ray.exceptions.AuthenticationError:  # Ray connects to nothing without a token
         raise ClusterError(
-            f"--ray {address or 'auto'}: RAY_AUTH_MODE is set, but this machine has no token: put the one that"
-            " `ray get-auth-token` prints on its head into ~/.ray/auth_token"
+            f"--ray {address or 'auto'}: RAY_AUTH_MODE is set, but this machine has no token: run"
+            " `ray get-auth-token` on the cluster's head, and write the token to ~/.ray/auth_token"
         ) from None
     except (ConnectionError, TimeoutError, RuntimeError, ValueError) as error:
         raise ClusterError(_why_not(address, str(error))) from None
     finally:
         waiting.cancel()
         if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGTERM, before)
+            signal.signal(signal.SIGTERM, sigterm_handler)
     try:
         with _messages_in_one_line(ray):
             yield ray
@@ -132,7 +138,7 @@ def _connection(address: str) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _messages_in_one_line(ray: Any) -> Iterator[None]:
-    """Print the messages of Ray's nodes in a line each: that of a node which died has 36, on standard output."""
+    """Print each message of a node in one line. Ray prints 36 lines on stdout when a node dies."""
     worker = ray._private.worker
     before = getattr(worker, "print_to_stdstream", None)
     worker.print_to_stdstream = print_node_message
@@ -143,7 +149,7 @@ def _messages_in_one_line(ray: Any) -> Iterator[None]:
 
 
 def print_node_message(data: Mapping[str, Any], ignore_prefix: bool = False) -> None:
-    """Print the first line of a message of a node; `data` is as Ray has it."""
+    """Print the first line of a node's message; `data` has Ray's format."""
     lines = (line.strip() for text in data.get("lines", ()) for line in str(text).splitlines())
     first = next((line for line in lines if line and not line.startswith("[state-dump]")), "")
     if first:
@@ -151,33 +157,33 @@ def print_node_message(data: Mapping[str, Any], ignore_prefix: bool = False) -> 
 
 
 def _check_answers(address: str) -> None:
-    """Raise ClusterError unless a gRPC server answers there."""
+    """Raise ClusterError unless a gRPC server answers at the address."""
     matched = _ADDRESS.fullmatch(address)
     if matched is None:
-        raise ClusterError(f"RAY_ADDRESS={address}: HOST:PORT or ray://HOST:PORT was expected")
+        raise ClusterError(f"RAY_ADDRESS={address}: expected HOST:PORT or ray://HOST:PORT")
     host, port = matched[2].strip("[]"), int(matched[3])
     try:
         with socket.create_connection((host, port), UNREACHABLE_S / 2) as stream:
             if os.environ.get("RAY_USE_TLS", "0") in ("0", ""):
                 stream.settimeout(UNREACHABLE_S / 2)
                 if not speaks_grpc(stream):
-                    raise ClusterError(f"--ray {address}: a program other than Ray listens there")
+                    raise ClusterError(f"--ray {address}: another program than Ray listens on this port")
     except (OSError, OverflowError) as error:
         why = "no answer" if isinstance(error, TimeoutError) else getattr(error, "strerror", None) or str(error)
         raise ClusterError(
-            f"--ray {address}: no cluster can be reached there ({why}); `ray status` on its head shows its state"
+            f"--ray {address}: the cluster cannot be reached ({why}); run `ray status` on its head"
         ) from None
 
 
 def _why_not(address: str, error: str) -> str:
-    """Ray's error about a cluster that cannot be used, in one line."""
+    """Ray's error about the connection, in one line."""
     versions = re.findall(r"(Ray|Python): (\S+)", error)
     if "ersion mismatch" in error and len(versions) == 4:
         theirs, ours = (" and ".join(map(" ".join, pair)) for pair in (versions[:2], versions[2:]))
         return f"--ray {address}: the cluster has {theirs}, this machine {ours}: they must be the same"
     line = printable(" ".join(error.split())[:300])
     is_open = address not in _LOCAL_ADDRESSES and "RAY_AUTH_MODE" not in os.environ
-    hint = "; a cluster that asks for a token needs RAY_AUTH_MODE=token here (`ray get-auth-token` on its head)"
+    hint = "; if the cluster needs a token, set RAY_AUTH_MODE=token (`ray get-auth-token` on its head)"
     return f"--ray {address or 'auto'}: {line}{hint if is_open else ''}"
 
 
@@ -188,7 +194,7 @@ def _results(
     call = ray.remote(_call).options(num_cpus=1, max_retries=MAX_RETRIES, name=name)
     versions, folder = package_versions(), Path.cwd()
     size = -(-len(calls) // _MAX_TASKS)
-    firsts: dict[Any, int] = {}  # of each task that goes on, the number of its first call
+    firsts: dict[Any, int] = {}  # for each running task: the number of its first call
     to_do = iter(range(0, len(calls), max(1, size)))
     try:
         while True:
@@ -205,8 +211,8 @@ def _results(
                         raise result.error
                     yield number, result
     finally:
-        if firsts:  # Ctrl-C, or an error: the cluster ends what a driver has left there. Ray 2.60 may abort the
-            ray.shutdown()  # process where a task is cancelled that has just failed
+        if firsts:  # Ctrl-C, or an error: the cluster ends the tasks of a driver that has left. `ray.cancel` is
+            ray.shutdown()  # not used: for a task that has just failed, Ray 2.60 may abort the process
 
 
 def _get(ray: Any, reference: Any) -> list[Any]:
@@ -224,20 +230,20 @@ def _get(ray: Any, reference: Any) -> list[Any]:
 
 def _without_toolkit(error: str) -> str:
     missing = re.findall(r"No module named '([\w.]+)'", error)
-    where = re.findall(r"ip=([\d.a-fA-F:]+)", error)
-    what = missing[-1] if missing else "the toolkit"
+    addresses = re.findall(r"ip=([\d.a-fA-F:]+)", error)
+    module = missing[-1] if missing else "the toolkit"
     needed = f"every node needs {TOOLKIT}[scale] {version_of()}"
-    return f"the cluster's node {where[-1] if where else ''} cannot import {what}: {needed}"
+    return f"the cluster's node {addresses[-1] if addresses else ''} cannot import {module}: {needed}"
 
 
 def package_versions() -> dict[str, str]:
-    """The versions that `refuse_other_node` compares."""
+    """The version of each package of `SAME_VERSIONS`."""
     return {package: version_of(package) for package in SAME_VERSIONS}
 
 
 def refuse_other_node(versions: Mapping[str, str], folder: Path) -> None:
-    """To be called on a node: work in the driver's `folder`. Raises ClusterError if it has other versions than the
-    driver's, or no such folder."""
+    """On a node: change to the driver's `folder`. Raises ClusterError if the node has other versions than the
+    driver, or lacks the folder."""
     node = socket.gethostname()
     installed = package_versions()
     if different := [name for name, version in installed.items() if version != versions[name]]:
@@ -246,7 +252,7 @@ def refuse_other_node(versions: Mapping[str, str], folder: Path) -> None:
     try:
         os.chdir(folder)
     except OSError as error:
-        why = f"({error.strerror}); logs, index and runs must lie on a disk that all nodes share, by the same path"
+        why = f"({error.strerror}); all nodes must share the disk of logs, index and runs, under the same path"
         raise ClusterError(f"the cluster's node {node} has no {folder} {why}") from None
 
 
@@ -256,8 +262,8 @@ def _call(
     versions: Mapping[str, str],
     folder: Path,
 ) -> list[Result | _Failed]:
-    """Runs on a node: the results of these calls, up to the first that fails. What its caller's files are to blame
-    for is returned: Ray would wrap what is raised."""
+    """On a node: the results of the calls, up to the first that fails. Errors in the user's files are returned,
+    because Ray would wrap a raised error."""
     results: list[Result | _Failed] = []
     try:
         refuse_other_node(versions, folder)

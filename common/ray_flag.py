@@ -1,4 +1,4 @@
-"""The flag `--ray [ADDRESS]`: calls are made one by one without it, by a cluster with it."""
+"""The flag `--ray [ADDRESS]`: with it, a cluster makes the calls; without it, this process makes them in order."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from common.tasks import Tasks, one_by_one
 RayAddress = Annotated[
     tuple[str, ...] | None, tyro.conf.arg(metavar="[ADDRESS]", help_behavior_hint="(default: none)")
 ]
-"""The flag `--ray [ADDRESS]`: None where it is not given, empty where no address is."""
+"""The flag `--ray [ADDRESS]`: None without the flag, empty without an address."""
 
 
 def tasks_of(ray: RayAddress) -> contextlib.AbstractContextManager[Tasks]:
-    """The way to make calls that `--ray` chooses: one by one without it. Raises UsageError for an address that is
-    none, ClusterError where no cluster can be reached."""
+    """A context manager that yields the `Tasks` that `--ray` chooses. Raises UsageError for an invalid address,
+    ClusterError if no cluster can be reached."""
     if ray is None:
         return contextlib.nullcontext(one_by_one)
     from common.ray_cluster import address_of, cluster_tasks

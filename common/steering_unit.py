@@ -1,4 +1,4 @@
-"""The unit in which people read steering: degrees, or shares of full lock where the car's angle is unknown."""
+"""The unit in which steering is shown: degrees, or percent of full lock if the car's steering angle is unknown."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from common.car import MAX_STEERING_DEG
 
 @dataclass(frozen=True)
 class SteeringUnit:
-    """Angles are kept in degrees; of a car whose angle is unknown they are those of `MAX_STEERING_DEG` at
-    steering 1."""
+    """A unit to show steering in. Angles are stored in degrees; if the car's angle is unknown, steering 1 is
+    stored as `MAX_STEERING_DEG`."""
 
     name: str  # after a number and a space, or alone
     sign: str  # right after a number
@@ -28,10 +28,10 @@ FULL_LOCK: Final = SteeringUnit("% of full lock", " %", "%", 100 / MAX_STEERING_
 
 
 def steering_unit(max_deg: float | None) -> SteeringUnit:
-    """The unit for a car whose wheels turn by `max_deg` at steering 1; None: unknown."""
+    """The unit for a car whose wheels turn by `max_deg` at steering 1; None if unknown."""
     return FULL_LOCK if max_deg is None else DEGREES
 
 
 def assumed_deg(max_deg: float | None) -> float:
-    """The angle that degrees are counted with: `MAX_STEERING_DEG` where it is unknown."""
+    """The angle at steering 1, in degrees: `max_deg`, or `MAX_STEERING_DEG` if it is unknown."""
     return MAX_STEERING_DEG if max_deg is None else max_deg

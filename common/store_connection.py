@@ -1,8 +1,8 @@
-"""Connections to stores, by obstore: whose credentials, which endpoint, how patient.
+"""Connections to stores with obstore: credentials, endpoint, timeouts and retries.
 
-Credentials and endpoint are those of the usual environment: AWS_ACCESS_KEY_ID and its neighbours or ~/.aws,
-AWS_ENDPOINT_URL_S3, GOOGLE_APPLICATION_CREDENTIALS, AZURE_STORAGE_ACCOUNT_NAME and so on. obstore asks again,
-later and later, where a store does not answer, answers 5xx, or is cut off.
+Credentials and endpoint come from the usual environment variables and files: AWS_ACCESS_KEY_ID or ~/.aws,
+AWS_ENDPOINT_URL_S3, GOOGLE_APPLICATION_CREDENTIALS, AZURE_STORAGE_ACCOUNT_NAME and so on. obstore repeats a
+request, with growing pauses, if the store does not answer, answers 5xx, or the connection is cut.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from common.store_settings import store_settings
 if TYPE_CHECKING:
     from obstore.store import ClientConfig, ObjectStore, RetryConfig
 
-_used_by = 0  # the process that first used a store
+_used_by = 0  # ID of the process that first used a store
 _is_hurried = False
 
-# The first request of a process to a bucket shall fail within seconds; those of a training that has run for hours
+# The first request of a process to a bucket fails within seconds. Later requests, for example of a long training,
 # wait a minute for the network.
 _IMPATIENT: Final[RetryConfig] = {
     "max_retries": 3,
@@ -37,21 +37,23 @@ _PATIENT: Final[RetryConfig] = {
     "retry_timeout": timedelta(seconds=90),
     "backoff": {"init_backoff": timedelta(seconds=0.1), "max_backoff": timedelta(seconds=15), "base": 2},
 }
-_TIMEOUT: Final = timedelta(minutes=5)  # of a request, with all of its bytes
+_TIMEOUT: Final = timedelta(minutes=5)  # for a request and all bytes of its answer
 _HURRIED: Final = timedelta(seconds=15)
 
 
 def forget_stores() -> None:
-    """Read the environment and the configuration again when a store is next used."""
+    """Read the environment and the configuration again at the next request."""
     _bucket.cache_clear()
 
 
 def store_of(url: Url, is_patient: bool) -> ObjectStore:
+    """The store of a URL. `is_patient`: repeat requests for 90 s, else for 10 s. Raises StoreError in a forked
+    process whose parent has used a store."""
     global _used_by
-    if _used_by not in (0, os.getpid()):  # obstore's threads are not in it: it would wait forever
+    if _used_by not in (0, os.getpid()):  # a forked process lacks obstore's threads, and would wait forever
         raise StoreError(
-            f"{url}: cannot be read in this process, because its parent had read from a store; start it"
-            ' anew (a DataLoader: multiprocessing_context="spawn")'
+            f"{url}: cannot be read in a forked process whose parent has read from a store; spawn the process"
+            ' (a DataLoader: multiprocessing_context="spawn")'
         )
     _used_by = os.getpid()
     return _bucket(url.scheme, url.bucket, is_patient and not _is_hurried, _HURRIED if _is_hurried else _TIMEOUT)
@@ -62,11 +64,11 @@ def _bucket(scheme: str, bucket: str, is_patient: bool, timeout: timedelta) -> O
     client: ClientConfig = {
         "timeout": timeout,
         "connect_timeout": timedelta(seconds=5),
-        "allow_http": True,  # as the endpoint that a person names has it; those of the three are https://
+        "allow_http": True,  # for an endpoint that the user names; the default endpoints are https://
     }
     store: ObjectStore = from_url(
         f"{scheme}://{bucket}",
-        config=store_settings(scheme),  # type: ignore[call-overload]  # of the store that the scheme names
+        config=store_settings(scheme),  # type: ignore[call-overload]  # the scheme decides the type
         client_options=client,
         retry_config=_PATIENT if is_patient else _IMPATIENT,
     )
@@ -75,7 +77,7 @@ def _bucket(scheme: str, bucket: str, is_patient: bool, timeout: timedelta) -> O
 
 @contextlib.contextmanager
 def hurried() -> Iterator[None]:
-    """Let every request of this process fail within seconds: people wait for what a server of pages reads."""
+    """Let every request of this process fail within seconds. For a web server: a user waits for the answer."""
     global _is_hurried
     before, _is_hurried = _is_hurried, True
     try:

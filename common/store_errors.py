@@ -1,6 +1,6 @@
-"""Errors of a store, which obstore reports in several lines, as one line with the next step.
+"""Convert obstore's errors, which have several lines, to one line with the next step.
 
-obstore is an extra: it is imported here alone, so that the error without it names what installs it.
+obstore is an optional package. Only this module imports it; without it, the error names the command to install it.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ try:
     from obstore import exceptions as exceptions
     from obstore.store import from_url as from_url
 except ImportError:
-    raise UserError(f"reading from a store needs obstore: `{install_line('scale')}` brings it") from None
+    raise UserError(f"reading from a store needs obstore: run `{install_line('scale')}`") from None
 
-# In errors of requests for which no credentials were found: none were given, and the machine has no role.
+# Texts of errors that mean: the user gave no credentials, and the machine has no role.
 _NO_CREDENTIALS: Final = re.compile(
     r"169\.254\.169\.254|/latest/(api/token|meta-data)|metadata\.google\.internal|credential"
     r"|account must be specified|invalid access key",
@@ -50,10 +50,10 @@ _RIGHTS: Final = {
 
 @contextlib.contextmanager
 def as_store_error(url: Url) -> Iterator[None]:
-    """Raise obstore's errors, which have a line for each of its layers, as a StoreError of one line."""
+    """Raise obstore's errors, which have several lines, as a StoreError of one line."""
     try:
         yield
-    except (exceptions.BaseError, FileNotFoundError) as error:  # of what is not there, it raises Python's own
+    except (exceptions.BaseError, FileNotFoundError) as error:  # FileNotFoundError: the object does not exist
         raise store_error(url, error, " ".join(str(error).split())) from None
 
 
@@ -74,7 +74,7 @@ def is_refused(text: str) -> bool:
 
 
 def store_error(url: Url, error: Exception, text: str) -> StoreError:
-    """The one-line error for what a store's client has raised; `text` is its message."""
+    """The one-line error for an error of obstore; `text` is its message."""
     bucket = f"{url.scheme}://{url.bucket}"
     if isinstance(error, exceptions.AlreadyExistsError):
         return ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
@@ -83,19 +83,19 @@ def store_error(url: Url, error: Exception, text: str) -> StoreError:
     if "NoSuchUpload" in text:
         return StoreError(f"{url}: the store has given the upload up{_endpoint(url)}; give the command again")
     if isinstance(error, FileNotFoundError):
-        return NoSuchObjectError(f"{url}: no such object; `bc-log ls {url.parent}` lists what is there")
+        return NoSuchObjectError(f"{url}: no such object; `bc-log ls {url.parent}` lists those that exist")
     if _NO_CREDENTIALS.search(text):
-        return StoreError(f"{bucket}: no credentials that can be used: set {_CREDENTIALS[url.scheme]}")
+        return StoreError(f"{bucket}: no usable credentials: set {_CREDENTIALS[url.scheme]}")
     if "redirect" in text.lower() or "AuthorizationHeaderMalformed" in text or "IncorrectEndpoint" in text:
-        return StoreError(f"{bucket}: lies in another region: set AWS_REGION (or AWS_ENDPOINT_URL_S3)")
+        return StoreError(f"{bucket}: is in another region: set AWS_REGION (or AWS_ENDPOINT_URL_S3)")
     if "RequestTimeTooSkewed" in text:
-        return StoreError(f"{bucket}: refused, because this machine's clock is wrong; set it")
+        return StoreError(f"{bucket}: refused, because this machine's clock is wrong; set the clock")
     if (code := _code(text).strip(" ()")) in _NOT_VALID:
-        return StoreError(f"{bucket}: credentials that are not valid ({code}): set {_CREDENTIALS[url.scheme]}")
+        return StoreError(f"{bucket}: the credentials are not valid ({code}): set {_CREDENTIALS[url.scheme]}")
     is_forbidden = isinstance(error, exceptions.PermissionDeniedError | exceptions.UnauthenticatedError)
-    if is_forbidden or "403 Forbidden" in text:  # a listing that is refused is a GenericError
+    if is_forbidden or "403 Forbidden" in text:  # for a refused listing, obstore raises GenericError
         rights = f"; they need {_RIGHTS[url.scheme]}" if _code(text) in _NO_RIGHT else ""
-        return StoreError(f"{url}: the store refuses that to these credentials{_code(text)}{rights}")
+        return StoreError(f"{url}: the store refuses this request with these credentials{_code(text)}{rights}")
     if isinstance(error, exceptions.NotSupportedError) or "NotImplemented" in text:
         return StoreError(f"{url}: the store does not support this request{_code(text)}")
     return StoreError(f"{url}: {_reason(text)}{_endpoint(url)}")

@@ -1,6 +1,6 @@
-"""`.store.json`, in a folder kept in a store and in its copies: the object that each file was copied from.
+"""`.store.json`, in a store's folder and in its local copies: the object from which each file was copied.
 
-It is read without obstore: a command that only reads the local copy needs no store.
+This module does not import obstore, which a command that only reads the local copy does not need.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ RECORD_NAME: Final = ".store.json"
 
 
 class Copy(msgspec.Struct, frozen=True):
-    """A file, and the object that has the same content."""
+    """A file, and the version of the object with the same content."""
 
     size: int  # bytes
-    mtime_ns: int  # of the file, which is the same wherever it is copied to
+    mtime_ns: int  # of the file; all copies have the same
     e_tag: str
     version: str | None = None
-    sha256: str = ""  # of its content; earlier versions did not write it
+    sha256: str = ""  # of the content; earlier versions of the toolkit did not write it
 
 
 class StoreRecord(msgspec.Struct, frozen=True):
@@ -34,30 +34,30 @@ class StoreRecord(msgspec.Struct, frozen=True):
     left: dict[str, Copy] = {}
     """The files that this copy lacks, or has in another version than the store."""
     record_version: str = msgspec.field(default="", name="told_by")
-    """The version of the store's own record that this copy has read last."""
+    """The version of the store's own record when this copy last read it."""
 
 
 def read_record(folder: Path) -> StoreRecord:
-    """The record of a local folder; an empty one if it is no copy."""
+    """The record of a local folder; an empty record if the folder is not a copy."""
     path = folder / RECORD_NAME
     return record_of(path.read_bytes() if path.is_file() else b"")
 
 
 def cached_from(folder: Path) -> str:
-    """The URL that a folder in the user's cache was copied from; empty for any other folder."""
+    """The URL from which a folder in the user's cache was copied; "" for any other folder."""
     is_cached = folder.absolute().is_relative_to(users_cache().absolute())
     return read_record(folder).url if is_cached else ""
 
 
 def record_of(stored: bytes) -> StoreRecord:
-    """The record in these bytes; an empty one if they are none, or name a file elsewhere: then all is copied
-    again."""
+    """Parse a record. Returns an empty record if it is invalid or refers to files outside the folder: then all
+    files are copied again."""
     record = json_as(stored, StoreRecord)
     return record if record and all(map(is_within, (*record.files, *record.left))) else StoreRecord()
 
 
 def is_within(name: str) -> bool:
-    """True for a name, with slashes, of a file in a folder or in one within it, on any system."""
+    """True if a relative path with slashes stays within its folder on every operating system."""
     return not any(part in ("", ".", "..") or "\\" in part or ":" in part for part in name.split("/"))
 
 

@@ -1,7 +1,7 @@
-"""The settings of stores in the environment and in ~/.aws, for obstore, which reads the environment alone.
+"""The settings of stores from the environment and ~/.aws. obstore itself reads only the environment.
 
-They are checked first: with an endpoint that is no URL, or odd characters in a region or a key, obstore panics and
-prints a hundred lines.
+The settings are checked first: if an endpoint is not a URL, or a region or key has odd characters, obstore panics
+and prints a hundred lines.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ _REGION: Final = re.compile(r"[A-Za-z0-9-]+")
 
 
 def store_settings(scheme: str) -> dict[str, Any]:
-    """The settings that obstore does not find by itself. Raises StoreError for one that reaches no store."""
+    """The settings that obstore does not read by itself. Raises StoreError for an invalid setting."""
     config = _s3_settings() if scheme == "s3" else {}
-    for name, value in _given(_ENDPOINTS[scheme], config, "endpoint"):
+    for name, value in _values_of(_ENDPOINTS[scheme], config, "endpoint"):
         _check_endpoint(name, value)
     if scheme == "s3":
-        for name, value in _given(_S3_REGIONS, config, "region"):
+        for name, value in _values_of(_S3_REGIONS, config, "region"):
             if not _REGION.fullmatch(value):
-                raise StoreError(f"{name}={printable(value[:100])}: a region was expected, such as us-east-1")
+                raise StoreError(f"{name}={printable(value[:100])}: expected a region, such as us-east-1")
         for name in _S3_KEYS:
             if not os.environ.get(name, "").isprintable():
                 raise StoreError(f"{name}: contains a line end or another invisible character; remove it")
@@ -43,7 +43,7 @@ def store_settings(scheme: str) -> dict[str, Any]:
 
 def _s3_settings() -> dict[str, Any]:
     environment = os.environ
-    # one object at a time is deleted here, and not every store knows how to delete many
+    # the toolkit deletes one object at a time, and not every store supports bulk deletion
     config: dict[str, Any] = {"disable_bulk_delete": True}
     if "AWS_COPY_IF_NOT_EXISTS" not in environment:
         config["copy_if_not_exists"] = "multipart"
@@ -59,7 +59,7 @@ def _s3_settings() -> dict[str, Any]:
 
 
 def _aws_profile() -> dict[str, str]:
-    """The chosen profile of ~/.aws/config and ~/.aws/credentials."""
+    """The settings of the profile AWS_PROFILE in ~/.aws/config and ~/.aws/credentials."""
     name = os.environ.get("AWS_PROFILE", "default")
     home = Path.home() / ".aws"
     files = (
@@ -76,8 +76,8 @@ def _aws_profile() -> dict[str, str]:
     return profile
 
 
-def _given(names: tuple[str, ...], config: dict[str, Any], setting: str) -> list[tuple[str, str]]:
-    """The names and values of a setting, in the environment and in ~/.aws."""
+def _values_of(names: tuple[str, ...], config: dict[str, Any], setting: str) -> list[tuple[str, str]]:
+    """The values of a setting in the environment and in ~/.aws, as pairs (name, value)."""
     settings = [(name, value) for name in names if (value := os.environ.get(name))]
     stored = config.get(setting)
     if stored and stored not in dict(settings).values():
@@ -89,10 +89,10 @@ def _check_endpoint(name: str, value: str) -> None:
     try:
         url = urlsplit(value)
         host, port = url.hostname, url.port
-    except ValueError:  # a port that is none, or an address in brackets
+    except ValueError:  # an invalid port, or an invalid address in brackets
         host, port = None, None
     is_plain = value.isascii() and value.isprintable() and " " not in value
     if not (is_plain and host and port != 0 and value.startswith(("http://", "https://"))):
         raise StoreError(
-            f"{name}={printable(value[:100])}: no endpoint; http://HOST:PORT or https://HOST:PORT was expected"
+            f"{name}={printable(value[:100])}: not an endpoint; expected http://HOST:PORT or https://HOST:PORT"
         )

@@ -1,8 +1,8 @@
-"""A folder that is kept in a store, and the local copy that commands work in: what differs is fetched or sent.
+"""A folder in a store, and its local copy in which commands work. Only files that differ are transferred.
 
-Every file is sent on the condition that nobody has written it since it was fetched: of two machines that work on
-the same folder, one gets an error; but of files to which machines only add lines, those of both are kept.
-`.store.json`, in both places, records which object each file is a copy of (`common.store_record`).
+A file is uploaded only if the store still has the version that was downloaded: if two machines change the same
+file, one gets an error. For line files (machines only append lines), the lines of both machines are kept.
+`.store.json`, in both places, records the object of each file (`common.store_record`).
 """
 
 from __future__ import annotations
@@ -50,61 +50,62 @@ if TYPE_CHECKING:
 _LOCK: Final = ".store.lock"
 _MAX_BYTES: Final = 1 << 28
 _AT_ONCE: Final = 8  # files
-_MAX_WRITERS: Final = 20  # that add lines to one file at the same time
+_MAX_WRITERS: Final = 20  # machines that append lines to one file at the same time
 
 
 class StoredFolder(Closeable):
-    """Use it as a context manager, or call `close()`. Raises UserError while another process here works in it, or
-    with `waits`, waits for that."""
+    """Use it as a context manager, or call `close()`. If another process of this machine uses the local copy,
+    raises UserError, or waits if `waits` is true."""
 
     def __init__(
-        self, url: Url, here: Path | None = None, *, waits: bool = False, lines: Collection[str] = ()
+        self, url: Url, local: Path | None = None, *, waits: bool = False, line_files: Collection[str] = ()
     ) -> None:
-        """`here` is by default a folder of its own in the user's cache. `lines` are the names of files to which
-        machines only add lines."""
+        """`local` is by default a folder in the user's cache. `line_files` are the names of files to which
+        machines only append lines."""
         self.url = url
-        self.here = here or cached_copy(url)
-        self._lines = lines
-        self.here.mkdir(parents=True, exist_ok=True)
-        self._stream = (self.here / _LOCK).open("ab")
+        self.local = local or cached_copy(url)
+        self._line_files = line_files
+        self.local.mkdir(parents=True, exist_ok=True)
+        self._stream = (self.local / _LOCK).open("ab")
         if waits:
             lock(self._stream)
         elif not try_lock(self._stream):
             self._stream.close()
             raise UserError(f"{url}: another process on this machine is using it; wait until it has ended")
-        record = read_record(self.here)
+        record = read_record(self.local)
         self._record = record if record.url == str(url) else StoreRecord(str(url))
         self._copies = dict(self._record.files)
 
     def close(self) -> None:
         self._stream.close()
 
-    def bring(
+    def download(
         self,
         *,
-        keeps_ours: bool = False,
+        keeps_local: bool = False,
         objects: Iterable[StoredObject] | None = None,
         wanted: Collection[str] | None = None,
         progress: Progress | None = None,
     ) -> None:
-        """Make the local folder hold what the store's does. Local changes that were never sent are lost; with
-        `keeps_ours` they stay, unless the file was changed in the store, too. Lines that were added here stay.
+        """Make the local folder equal to the store's folder. Local changes that were not uploaded are lost; with
+        `keeps_local` they are kept. Lines that were appended to a local line file are always kept.
 
-        `objects` is a listing of the folder, if the caller has one. Files that are not `wanted` are recorded
-        (`StoreRecord.left`), and not fetched. `progress` gets a line while others are.
+        `objects` is a listing of the folder, if the caller has one. If `wanted` is given, only these files are
+        downloaded; the others are recorded in `StoreRecord.left`. `progress` shows a bar during the download.
 
-        Raises UserError for a file that was, or whose name cannot be here; StoreError.
+        Raises UserError if a file was changed both locally (with `keeps_local`) and in the store, or if a name is
+        not allowed on this machine; StoreError if the store fails.
         """
         listed = list_below(self.url) if objects is None else objects
         objects_by_name = {entry.url.name_in(self.url): entry for entry in listed}
         record = objects_by_name.get(RECORD_NAME)
-        # without locks and the like, which other programs may have copied there
+        # without hidden files, such as locks, which other programs may have uploaded
         stored = {name: entry for name, entry in objects_by_name.items() if not f"/{name}".count("/.")}
-        differ = [name for name, entry in stored.items() if self._differs(name, entry, keeps_ours=keeps_ours)]
+        differ = [name for name, entry in stored.items() if self._differs(name, entry, keeps_local=keeps_local)]
         for name in self._copies.keys() - stored.keys():
-            is_ours = keeps_ours or name in self._lines
-            if not (is_ours and self._is_changed(name)):
-                (self.here / name).unlink(missing_ok=True)
+            is_kept = keeps_local or name in self._line_files
+            if not (is_kept and self._is_changed(name)):
+                (self.local / name).unlink(missing_ok=True)
             del self._copies[name]
         recorded: Mapping[str, Copy] = {**self._copies, **self._record.left}
         record_version = "" if record is None else record.version
@@ -112,55 +113,58 @@ class StoredFolder(Closeable):
             recorded = record_of(read_object(record.url, _MAX_BYTES) or b"").files
         elif not differ:
             record_version = self._record.record_version
-        fetched = [name for name in differ if wanted is None or name in wanted]
-        size = sum(stored[name].size for name in fetched)
-        bar = _line_of(progress, f"fetching {self.url.name}, bytes", size)
+        downloads = [name for name in differ if wanted is None or name in wanted]
+        size = sum(stored[name].size for name in downloads)
+        bar = _bar(progress, f"downloading {self.url.name}, bytes", size)
         with bar as on_bytes, ThreadPoolExecutor(_AT_ONCE) as pool:
-            fetching = [
-                (name, pool.submit(self._fetch, name, stored[name], recorded.get(name), on_bytes))
-                for name in fetched
+            running = [
+                (name, pool.submit(self._download_file, name, stored[name], recorded.get(name), on_bytes))
+                for name in downloads
             ]
-            for name, fetch in fetching:
-                self._copies[name] = fetch.result()
-        left = {name: _unfetched(stored[name], recorded.get(name)) for name in set(differ).difference(fetched)}
+            for name, download in running:
+                self._copies[name] = download.result()
+        left = {
+            name: _record_entry(stored[name], recorded.get(name)) for name in set(differ).difference(downloads)
+        }
         self._write_record(left, record_version)
 
-    def forget(self, *names: str) -> None:
-        """Remove local files that never were in the store: by their names, or a folder's, with a slash."""
+    def remove_local(self, *names: str) -> None:
+        """Remove local files that were never in the store. A name that ends in a slash is a folder."""
         for path in self._files():
-            name = path.relative_to(self.here).as_posix()
-            if name not in self._copies and any(_is_it_or_in_it(name, forgotten) for forgotten in names):
+            name = path.relative_to(self.local).as_posix()
+            if name not in self._copies and any(_is_or_contains(place, name) for place in names):
                 path.unlink()
 
-    def send(self, first: Sequence[str] = (), only: Collection[str] | None = None) -> bool:
-        """Make the store's folder hold what the local one does; True if anything had to be done.
+    def upload(self, first: Sequence[str] = (), only: Collection[str] | None = None) -> bool:
+        """Make the store's folder equal to the local folder. Returns True if they differed.
 
-        The files of `first` go up before all others, one after the other; of a folder among them, with a slash,
-        several at once. The others go in the order in which they were written. Last, those that are gone here go.
-        With `only`, no others go up, and none is removed.
+        The files of `first` are uploaded first, in this order; a name that ends in a slash is a folder, and its
+        files are uploaded at the same time. The other files follow in the order in which they were written. At
+        last, files that were removed locally are removed from the store. With `only`, only these files are
+        uploaded, and none is removed.
 
-        Raises ObjectChangedError where another machine has written one of them: that and all behind it stay as
-        they are there. StoreError.
+        Raises ObjectChangedError if another machine has changed one of the files: neither this file nor the
+        following ones are then uploaded. Raises StoreError if the store fails.
         """
-        files = {path.relative_to(self.here).as_posix(): path.stat().st_mtime_ns for path in self._files()}
+        files = {path.relative_to(self.local).as_posix(): path.stat().st_mtime_ns for path in self._files()}
         changed = [name for name in files if self._is_changed(name) and (only is None or name in only)]
         changed.sort(key=lambda name: (files[name], name))
-        groups = [[name for name in changed if _is_it_or_in_it(name, place)] for place in first]
-        groups += [[name] for name in changed if not any(_is_it_or_in_it(name, place) for place in first)]
-        gone = sorted(self._copies.keys() - files.keys()) if only is None else []
+        groups = [[name for name in changed if _is_or_contains(place, name)] for place in first]
+        groups += [[name] for name in changed if not any(_is_or_contains(place, name) for place in first)]
+        removed = sorted(self._copies.keys() - files.keys()) if only is None else []
         try:
             for group in groups:
-                _do_at_once(self._put, group)
-            _do_at_once(self._remove, gone)
+                _do_at_once(self._upload_file, group)
+            _do_at_once(self._remove, removed)
         finally:
             left = {name: copy for name, copy in self._record.left.items() if name not in changed}
             self._write_record(left, self._record.record_version)
-        if changed or gone:
-            self._put_record(changed, gone)
-        return bool(changed or gone)
+        if changed or removed:
+            self._put_record(changed, removed)
+        return bool(changed or removed)
 
-    def _put(self, name: str) -> None:
-        self._copies[name] = self._sent(name)
+    def _upload_file(self, name: str) -> None:
+        self._copies[name] = self._uploaded(name)
 
     def _remove(self, name: str) -> None:
         stored = find_object(self.url.joined(name))
@@ -168,70 +172,70 @@ class StoredFolder(Closeable):
             remove(stored.url)
         del self._copies[name]
 
-    def _sent(self, name: str) -> Copy:
-        path = self.here / name
+    def _uploaded(self, name: str) -> Copy:
+        path = self.local / name
         for is_last in (*(False,) * _MAX_WRITERS, True):
             status, sha256 = path.stat(), _sha256_of(path)
             copy = self._copies.get(name)
             try:
                 version = put_file(self.url.joined(name), path, None if copy is None else _version_of(copy))
             except ObjectChangedError:
-                if is_last or name not in self._lines:
+                if is_last or name not in self._line_files:
                     raise
-                self._copies[name] = self._fetch(name, StoredObject(self.url.joined(name), 0, ""), None)
-                if not self._is_changed(name):  # the lines that were added here are there already
+                self._copies[name] = self._download_file(name, StoredObject(self.url.joined(name), 0, ""), None)
+                if not self._is_changed(name):  # the store already has all local lines
                     return self._copies[name]
                 continue
             return Copy(status.st_size, status.st_mtime_ns, version.e_tag, version.version, sha256)
         raise AssertionError
 
-    def _put_record(self, changed: Sequence[str], gone: Sequence[str]) -> None:
-        """Enter the files that were sent into the store's record; the entries of other machines stay."""
-        entered = record_of(read_object(self.url / RECORD_NAME, _MAX_BYTES) or b"").files
-        sent = {name: self._copies[name] for name in changed}
-        copies = {**self._copies, **self._record.left, **entered, **sent}
-        files = {name: copy for name, copy in copies.items() if name not in gone}
+    def _put_record(self, changed: Sequence[str], removed: Sequence[str]) -> None:
+        """Write the uploaded files into the store's record; the entries of other machines stay."""
+        recorded = record_of(read_object(self.url / RECORD_NAME, _MAX_BYTES) or b"").files
+        uploaded = {name: self._copies[name] for name in changed}
+        copies = {**self._copies, **self._record.left, **recorded, **uploaded}
+        files = {name: copy for name, copy in copies.items() if name not in removed}
         put_over(self.url / RECORD_NAME, bytes_of(StoreRecord(str(self.url), files)))
 
     def _files(self) -> list[Path]:
         paths = []
-        for folder, folders, names in os.walk(self.here):
+        for folder, folders, names in os.walk(self.local):
             folders[:] = [name for name in folders if not name.startswith(".") and not name.endswith(PART_SUFFIX)]
             paths += [Path(folder, name) for name in names if not name.startswith(".")]
         return [path for path in paths if not path.name.endswith(PART_SUFFIX) and not path.is_symlink()]
 
     def _is_changed(self, name: str) -> bool:
-        """True for a file here that is not the copy it was."""
+        """True if the local file was changed or removed since it was downloaded or uploaded."""
         copy = self._copies.get(name)
         try:
-            status = (self.here / name).stat()
+            status = (self.local / name).stat()
         except OSError:
             return copy is not None
         return copy is None or (status.st_size, status.st_mtime_ns) != (copy.size, copy.mtime_ns)
 
-    def _differs(self, name: str, stored: StoredObject, *, keeps_ours: bool) -> bool:
-        """True if a file has to be fetched for the local folder to hold it. Raises UserError as `bring` does."""
+    def _differs(self, name: str, stored: StoredObject, *, keeps_local: bool) -> bool:
+        """True if the file has to be downloaded. Raises the UserErrors of `download`."""
         if not is_within(name):
-            raise UserError(f"{stored.url}: no file on this machine can have this name; remove it there")
-        ours = self._copies.get(name)
-        is_ours = ours is not None and _version_of(ours).name == stored.version
+            raise UserError(f"{stored.url}: no file on this machine can have this name; remove the object")
+        copy = self._copies.get(name)
+        is_same_version = copy is not None and _version_of(copy).name == stored.version
         is_changed = self._is_changed(name)
-        if name in self._lines:
-            return not is_ours or not (self.here / name).exists()
-        if keeps_ours and is_changed and ours is not None and not is_ours:
+        if name in self._line_files:
+            return not is_same_version or not (self.local / name).exists()
+        if keeps_local and is_changed and copy is not None and not is_same_version:
             raise UserError(
-                f"{stored.url}: was changed, and so was its copy {self.here / name}; remove one of the two"
+                f"{stored.url}: was changed, and so was its copy {self.local / name}; remove one of the two"
             )
-        return not is_ours or (is_changed and not keeps_ours)
+        return not is_same_version or (is_changed and not keeps_local)
 
-    def _fetch(
+    def _download_file(
         self, name: str, stored: StoredObject, recorded: Copy | None, on_bytes: OnBytes = lambda more: None
     ) -> Copy:
-        """Fetch a file over what is here; of one of lines, those that were added here stay behind those there."""
-        path = self.here / name
+        """Download a file over the local one. For a line file, keep the local lines after the downloaded lines."""
+        path = self.local / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        is_added_to = name in self._lines and path.exists() and self._is_changed(name)
-        ours = path.read_bytes() if is_added_to else b""
+        has_local_lines = name in self._line_files and path.exists() and self._is_changed(name)
+        local_content = path.read_bytes() if has_local_lines else b""
         content = hashlib.sha256()
         try:
             with ObjectFile(stored.url) as source, atomic_file(path, overwrite=True) as part:
@@ -245,7 +249,7 @@ class StoredFolder(Closeable):
                 elif stored.written_ns:
                     os.utime(part, ns=(stored.written_ns, stored.written_ns))
                 status = part.stat()
-                _add_lines(part, ours)  # before it has its name: a kill between the two would lose them
+                _append_lines(part, local_content)  # before the rename: a kill in between would lose the lines
         except NoSuchObjectError:
             raise ObjectChangedError(
                 f"{stored.url}: was removed while it was read; give the command again"
@@ -260,11 +264,12 @@ class StoredFolder(Closeable):
 
     def _write_record(self, left: dict[str, Copy], record_version: str) -> None:
         self._record = StoreRecord(str(self.url), dict(self._copies), left, record_version)
-        write_record(self.here, self._record)
+        write_record(self.local, self._record)
 
 
 def _do_at_once(do: Callable[[str], None], names: Sequence[str]) -> None:
-    """Raises what one of the calls does; those that have not begun are not made then."""
+    """Call `do` with every name, several at a time. If a call fails, raises its error and skips the calls that
+    have not begun."""
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         try:
             list(pool.map(do, names))
@@ -273,14 +278,12 @@ def _do_at_once(do: Callable[[str], None], names: Sequence[str]) -> None:
             raise
 
 
-def _is_it_or_in_it(name: str, file_or_folder: str) -> bool:
+def _is_or_contains(file_or_folder: str, name: str) -> bool:
     return name == file_or_folder or (file_or_folder.endswith("/") and name.startswith(file_or_folder))
 
 
-def _line_of(
-    progress: Progress | None, description: str, total: int
-) -> contextlib.AbstractContextManager[OnBytes]:
-    """Show a line of a progress bar while the block runs; yields the callback that advances it."""
+def _bar(progress: Progress | None, description: str, total: int) -> contextlib.AbstractContextManager[OnBytes]:
+    """Show a progress bar while the block runs; yields the callback that advances it."""
     if progress is None or not total:
         return contextlib.nullcontext(lambda more: None)
     return progress_task(progress, description, total)
@@ -290,8 +293,8 @@ def _version_of(copy: Copy) -> ObjectVersion:
     return ObjectVersion(copy.e_tag, copy.version)
 
 
-def _unfetched(stored: StoredObject, recorded: Copy | None) -> Copy:
-    """The record's entry of a file that was not fetched."""
+def _record_entry(stored: StoredObject, recorded: Copy | None) -> Copy:
+    """The entry in the record for a file that was not downloaded."""
     if recorded is not None and _version_of(recorded).name == stored.version:
         return recorded
     return Copy(stored.size, stored.written_ns, stored.version)
@@ -302,12 +305,12 @@ def _sha256_of(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _add_lines(path: Path, ours: bytes) -> None:
-    """Put the lines of `ours` that a file has not at its end."""
-    theirs = path.read_bytes()
-    lines = set(theirs.splitlines())
-    added = [line for line in ours.splitlines() if line not in lines]
-    if added:
-        end = b"" if not theirs or theirs.endswith(b"\n") else b"\n"
+def _append_lines(path: Path, more: bytes) -> None:
+    """Append the lines of `more` that the file lacks."""
+    content = path.read_bytes()
+    lines = set(content.splitlines())
+    missing = [line for line in more.splitlines() if line not in lines]
+    if missing:
+        end = b"" if not content or content.endswith(b"\n") else b"\n"
         with path.open("ab") as stream:
-            stream.write(end + b"".join(line + b"\n" for line in added))
+            stream.write(end + b"".join(line + b"\n" for line in missing))

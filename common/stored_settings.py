@@ -1,5 +1,4 @@
-"""Settings read from JSON or TOML, perhaps somebody else's: names, types and ranges are checked before they are
-used."""
+"""Settings read from untrusted JSON or TOML: names, types and ranges are checked."""
 
 from __future__ import annotations
 
@@ -23,14 +22,14 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 
 
 def settings_from(kind: type[Settings], stored: Any) -> Settings:
-    """The settings of a dataclass that `stored`, parsed JSON, holds; those it leaves out have their defaults.
+    """Convert `stored`, parsed JSON, to the dataclass `kind`. Missing settings get their defaults.
 
-    For settings that earlier versions did not have, the dataclass may have a class variable `EARLIER`: by name,
-    the value that they worked by, where that is not today's default. For those that only earlier versions had, it
-    may have `EARLIER_ONLY`: by name, the only value that is ignored, or `...` for any.
+    Two class variables of `kind` handle settings of earlier versions. `EARLIER` maps a setting that they lacked to
+    the value that they used, if this is not today's default. `EARLIER_ONLY` maps a removed setting to the value
+    that is ignored, or to `...` if any value is ignored.
 
-    A whole number stays one where a float is wanted: it is printed and written again as it was stored. Raises
-    ValueError for names or values that `kind` does not have.
+    An integer stays an integer in a float field, so that it is printed and written as it was stored. Raises
+    ValueError for unknown names and invalid values.
     """
     names = {field.name for field in fields(kind)}
     if isinstance(stored, dict):
@@ -55,8 +54,8 @@ def settings_from(kind: type[Settings], stored: Any) -> Settings:
 
 
 def read_toml(path: Path | str) -> dict[str, Any]:
-    """The content of a TOML file. Raises OSError where it cannot be read or is larger than 1 MB, ValueError for
-    anything else than TOML, however deep it is nested."""
+    """The content of a TOML file. Raises OSError if the file cannot be read or is larger than 1 MB, ValueError if
+    it is not valid TOML or is nested too deeply."""
     try:
         return tomllib.loads(read_bounded(path, _MAX_TOML_BYTES).decode())
     except RecursionError:

@@ -1,8 +1,8 @@
-"""Standard output and error that never hold up a command: lines are written by a thread of their own.
+"""Standard output and error that never delay a command: a separate thread writes the lines.
 
-A pipe that nobody reads takes 64 KiB, a terminal that is stopped by Ctrl-S less; a write then waits, and with it
-would a simulator for its answer. A reader that has gone (`| head -1`, a terminal that was closed) costs the lines
-that it would have read, and nothing else: the command does what it was asked to, and ends with its own exit code.
+A pipe that nobody reads accepts 64 KiB, and a terminal stopped by Ctrl-S less. After that a write waits, and a
+simulator would wait for its answer. If the reader has gone (`| head -1`, a closed terminal), only the unread lines
+are lost: the command finishes its work, and ends with its own exit code.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from common.errors import counted
 from common.interrupts import leave_signals_to_main_thread
 
 MAX_QUEUED: Final = 10_000
-"""Texts that wait for their reader. Messages beyond it are dropped, and counted; a result waits for room."""
+"""Texts that wait for their reader. If the queue is full, messages are dropped and counted; results wait."""
 _POLL_S: Final = 0.01
-_PATIENCE_S: Final = 2.0  # in the end, for a reader that takes nothing
+_PATIENCE_S: Final = 2.0  # at the end, for a reader that reads nothing
 _GONE: Final = {errno.EPIPE, errno.EIO, errno.ECONNRESET, errno.EBADF, errno.ENXIO}
 _COLOUR_OR_OTHER: Final = re.compile(r"\x1b\[[0-9;]*m|[^\n\t]")
 
 
 class BackgroundWriter:
-    """Writes to a terminal, a pipe or a file on a thread of its own."""
+    """Writes to a terminal, a pipe or a file on a separate thread."""
 
     def __init__(self, raw: Any) -> None:
         """`raw`: an unbuffered binary file."""
@@ -44,7 +44,7 @@ class BackgroundWriter:
         threading.Thread(target=self._run, name="output", daemon=True).start()
 
     def put(self, data: bytes, *, is_result: bool) -> None:
-        """Queue `data`. Returns at once; with a result, not before there is room for it."""
+        """Queue `data`. Returns at once for a message; for a result, waits while the queue is full."""
         self._carries_results |= is_result
         while self._waiting.qsize() >= MAX_QUEUED and self.error is None:
             if not is_result:
@@ -54,8 +54,11 @@ class BackgroundWriter:
         self._waiting.put(data)
 
     def drain(self, *, is_patient: bool) -> None:
-        """Wait until all is written, or the reader has gone. A reader that has stopped reading, like `less` that
-        nobody has scrolled, is waited for if `is_patient` and results may be queued; otherwise not for long."""
+        """Wait until everything is written, or the reader has gone.
+
+        If the reader has stopped reading, as `less` does until somebody scrolls: wait without limit if
+        `is_patient` and results were written, else `_PATIENCE_S`.
+        """
         done = threading.Event()
         self._waiting.put(done)
         taken_bytes, since_s = self._taken_bytes, time.monotonic()
@@ -85,7 +88,7 @@ class BackgroundWriter:
             except OSError as error:
                 self.error = error
                 return
-            if taken_bytes is None:  # the parent process has made it non-blocking, and it is full
+            if taken_bytes is None:  # full, and non-blocking because the parent process has set it so
                 time.sleep(_POLL_S)
                 continue
             self._taken_bytes += taken_bytes
@@ -93,11 +96,11 @@ class BackgroundWriter:
 
 
 class BackgroundStream(io.TextIOBase):
-    """A text stream to a `BackgroundWriter`. It escapes control characters other than colours in what is printed;
-    `unescaped` is the same stream without that, for callers that escape themselves."""
+    """A text stream to a `BackgroundWriter`. It escapes control characters except colours; `unescaped` is the same
+    stream without escaping, for callers that escape by themselves."""
 
     def __init__(self, writer: BackgroundWriter, stream: TextIO, *, is_result: bool, escapes: bool = True) -> None:
-        """A replacement of `stream`."""
+        """`stream` is the stream that this one replaces."""
         self.writer = writer
         self._stream = stream
         self._is_result = is_result
@@ -112,7 +115,7 @@ class BackgroundStream(io.TextIOBase):
 
     @property
     def errors(self) -> str:  # type: ignore[override]
-        return "backslashreplace"  # a name of any file system can be printed, if escaped
+        return "backslashreplace"  # file names may have characters that the encoding lacks
 
     def write(self, text: str) -> int:
         safe = text if not self._escapes or text.isprintable() else _COLOUR_OR_OTHER.sub(_escaped, text)
@@ -122,7 +125,7 @@ class BackgroundStream(io.TextIOBase):
         return len(text)
 
     def flush(self) -> None:
-        """Do nothing: no text is kept back, and no reader is waited for."""
+        """Do nothing: the stream keeps no text back, and never waits for its reader."""
 
     def writable(self) -> bool:
         return True
@@ -136,9 +139,9 @@ class BackgroundStream(io.TextIOBase):
 
 @contextlib.contextmanager
 def nonblocking_streams() -> Iterator[None]:
-    """Replace `sys.stdout` and `sys.stderr` by streams that never wait in this block; `drain` them before its end.
+    """Replace `sys.stdout` and `sys.stderr` in the block by streams that never wait. Call `drain` before the end.
 
-    Where they are no files of the system (a test has replaced them), they stay as they are.
+    Streams without a file descriptor (a test has replaced them) stay unchanged.
     """
     before = sys.stdout, sys.stderr
     if any(stream is not None and not _is_of_system(stream) for stream in before):
@@ -146,7 +149,7 @@ def nonblocking_streams() -> Iterator[None]:
         return
     out, err = (stream or open(os.devnull, "w", encoding="utf-8") for stream in before)  # noqa: SIM115, PTH123
     writer = BackgroundWriter(_raw(out))
-    # in one place, lines keep their order
+    # both on one terminal: one writer keeps the order of the lines
     other = writer if os.path.sameopenfile(out.fileno(), err.fileno()) else BackgroundWriter(_raw(err))
     sys.stdout = BackgroundStream(writer, out, is_result=True)
     sys.stderr = BackgroundStream(other, err, is_result=False)
@@ -157,7 +160,7 @@ def nonblocking_streams() -> Iterator[None]:
 
 
 def drain(*, is_patient: bool = True) -> None:
-    """Wait until all lines are written, see `BackgroundWriter.drain`."""
+    """Wait until all lines of stdout and stderr are written. See `BackgroundWriter.drain`."""
     for stream in (sys.stdout, sys.stderr):
         beneath = unescaped(stream)
         if isinstance(beneath, BackgroundStream):
@@ -167,14 +170,15 @@ def drain(*, is_patient: bool = True) -> None:
 
 
 def stdout_error() -> str | None:
-    """The reason why results could not be written, such as a full disk. A reader that has gone is no reason."""
+    """The reason why results could not be written, such as a full disk. None if all were written, or if the reader
+    has gone."""
     beneath = unescaped(sys.stdout)
     error = beneath.writer.error if isinstance(beneath, BackgroundStream) else None
     return None if error is None or error.errno in _GONE else error.strerror
 
 
 def end_process(code: int) -> NoReturn:
-    """End at once, as `os._exit` does, but with all lines written that somebody takes."""
+    """Write the lines that the reader still accepts, then end at once, as `os._exit` does."""
     try:
         drain(is_patient=False)
     finally:
@@ -182,7 +186,7 @@ def end_process(code: int) -> NoReturn:
 
 
 def unescaped(stream: TextIO) -> TextIO:
-    """The stream beneath `stream` that does not escape, also from under a progress bar."""
+    """The stream beneath `stream` that does not escape, also if a progress bar has replaced it."""
     beneath = getattr(stream, "rich_proxied_file", stream)
     return getattr(beneath, "unescaped", beneath)
 
@@ -196,7 +200,7 @@ def _is_of_system(stream: TextIO) -> bool:
 
 
 def _raw(stream: Any) -> Any:
-    """The unbuffered file of a stream; under `python -u`, its buffer is one."""
+    """The unbuffered file of a stream; under `python -u`, the buffer itself is unbuffered."""
     stream.flush()
     return getattr(stream.buffer, "raw", stream.buffer)
 

@@ -1,4 +1,4 @@
-"""Stretches of neighbours, as pairs of a first and a last one."""
+"""Stretches of neighbouring positions or numbers, as pairs (first, last)."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from numpy.typing import NDArray
 
 
 def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last position of every run of True in a mask (N,)."""
+    """The first and last position of every run of True in a mask (N,)."""
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False)).tolist()
     return [(first, end - 1) for first, end in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def consecutive(numbers: Sequence[int]) -> list[tuple[int, int]]:
-    """First and last of every run of consecutive whole numbers, which ascend."""
+    """The first and last number of every run of consecutive integers. `numbers` must ascend."""
     values = np.array(numbers, np.int64)
     cuts = np.flatnonzero(np.diff(values) != 1) + 1
     return [(int(run[0]), int(run[-1])) for run in np.split(values, cuts) if len(run)]
 
 
 def stretches_within(mask: NDArray[np.bool_], part: NDArray[np.int64]) -> list[tuple[int, int]]:
-    """The same of a mask (N,) whose positions have a number of their part (N,): where that changes, a run ends."""
+    """The first and last position of every run of True in a mask (N,) within one part. `part` (N,) has the number
+    of the part of each position."""
     edges = np.flatnonzero((mask[1:] != mask[:-1]) | (part[1:] != part[:-1]))
     first = np.concatenate([[0], edges + 1])[: len(mask)]
     last = np.append(edges, len(mask) - 1)[: len(mask)]

@@ -1,4 +1,4 @@
-"""Calls that do not depend on each other: made one after the other, or by a cluster (`common.ray_cluster`)."""
+"""Make independent calls: in order, in threads, or on a cluster (`common.ray_cluster`)."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ _THREADS: Final = 8
 
 
 class Tasks(Protocol):
-    """A way to make calls that do not depend on each other."""
+    """A function that makes independent calls."""
 
     def __call__(
         self, function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]
     ) -> Iterator[tuple[int, Result]]:
-        """Call `function` with each of the tuples of arguments; yield number and result of each, as they come.
+        """Call `function` with each tuple of arguments; yield (number of the call, result) when a call is done.
 
-        What one raises is raised, and the rest is not done. A call may be made again where its process died: it
-        must give the same result.
+        If a call raises an error, the error is raised and the other calls are not made. If a process dies, its
+        call is made again: `function` must return the same result for the same arguments.
         """
 
 
 def one_by_one(function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Result]]:
-    """Make the calls in this process, in their order."""
+    """Make the calls in this process, in order."""
     for number, arguments in enumerate(calls):
         yield number, function(*arguments)
 
 
 def in_threads(function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Result]]:
-    """Make several calls at a time in this process, which wait for a store more than they compute."""
+    """Make several calls at the same time in this process. For calls that mostly wait for a store."""
     with ThreadPoolExecutor(_THREADS) as pool:
         numbers = {pool.submit(function, *arguments): number for number, arguments in enumerate(calls)}
         try:

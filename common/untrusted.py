@@ -1,4 +1,4 @@
-"""Opening untrusted files and following links: none may block the process, take all of its memory, or end it."""
+"""Open untrusted files and follow untrusted links without blocking, filling the memory or ending the process."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import stat
 from pathlib import Path
 from typing import BinaryIO, Final
 
-# A pipe that nobody writes to would be waited for; a terminal would become ours.
+# Without these flags, opening a pipe would wait for its writer, and a terminal would become this process's own.
 _FLAGS: Final = (
     os.O_RDONLY
     | getattr(os, "O_NONBLOCK", 0)
@@ -19,15 +19,15 @@ _FLAGS: Final = (
 
 
 def open_regular(path: Path | str) -> BinaryIO:
-    """Open a file for reading. Raises OSError also for a pipe, a device or a folder, and never waits for one."""
+    """Open a regular file for reading, without waiting. Raises OSError, also for a pipe, a device or a folder."""
     descriptor, _ = _opened(path)
     return os.fdopen(descriptor, "rb")
 
 
 def read_bounded(path: Path | str, max_bytes: int) -> bytes:
-    """Read all of a file. Raises OSError where `open_regular` does, and for one that is larger than `max_bytes`.
+    """Read all of a file. Raises OSError as `open_regular` does, and if the file is larger than `max_bytes`.
 
-    The size is asked for first: a file that is all hole takes no space on a disk, but would in memory.
+    The size is checked before reading: a sparse file is small on the disk, but large in memory.
     """
     descriptor, size = _opened(path)
     try:
@@ -42,15 +42,15 @@ def read_bounded(path: Path | str, max_bytes: int) -> bytes:
 
 
 def real_path(path: Path) -> Path:
-    """The path without links, absolute. A link that leads to itself stays as it is, where Path.resolve raises."""
+    """The absolute path without links. A link to itself stays in the path; `Path.resolve` would raise an error."""
     return Path(os.path.realpath(path))
 
 
 def _opened(path: Path | str) -> tuple[int, int]:
-    """Open a regular file: its descriptor and its size."""
+    """Open a regular file. Returns its descriptor and its size in bytes."""
     try:
         descriptor = os.open(path, _FLAGS)
-    except ValueError:  # a zero byte in it
+    except ValueError:  # the path contains a zero byte
         raise OSError(errno.ENOENT, "no such name", str(path)) from None
     try:
         status = os.fstat(descriptor)

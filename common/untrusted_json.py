@@ -1,4 +1,4 @@
-"""JSON that somebody else may have written, as the type that is expected."""
+"""Parse untrusted JSON into an expected type."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Expected = TypeVar("Expected")
 
 
 def json_as(text: str | bytes, kind: type[Expected]) -> Expected | None:
-    """The content of JSON as a `kind`; None for anything else, however deep it is nested."""
+    """The parsed JSON as a `kind`; None if it is no valid JSON of this type, or nested too deeply."""
     try:
         return msgspec.json.decode(text, type=kind)
     except (msgspec.MsgspecError, UnicodeError, RecursionError):

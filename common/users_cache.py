@@ -1,4 +1,4 @@
-"""The folder for what can be made, or fetched, again: it may be removed at any time."""
+"""The user's cache: its files can be made or downloaded again, so the user may remove it at any time."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ from common.location import Url
 
 
 def users_cache() -> Path:
-    """`BC_CACHE`, else `behavioural-cloning-toolkit` where a system keeps caches (`XDG_CACHE_HOME`, ~/.cache)."""
-    if given := os.environ.get("BC_CACHE"):
-        return Path(given)
-    if given := os.environ.get("XDG_CACHE_HOME"):
-        above = Path(given)
+    """`BC_CACHE`, else `behavioural-cloning-toolkit` in the system's folder of caches (`XDG_CACHE_HOME`,
+    ~/.cache)."""
+    if cache := os.environ.get("BC_CACHE"):
+        return Path(cache)
+    if xdg_cache := os.environ.get("XDG_CACHE_HOME"):
+        caches = Path(xdg_cache)
     elif sys.platform == "win32":
-        above = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
+        caches = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
     else:
-        above = Path.home() / ".cache"
-    return above / "behavioural-cloning-toolkit"
+        caches = Path.home() / ".cache"
+    return caches / "behavioural-cloning-toolkit"
 
 
 def cached_copy(url: Url, kind: str = "folders") -> Path:
-    """The place of a copy of a store's folder, whether or not there is one. `kind`: who works in it."""
+    """The path for a copy of a store's folder, which need not exist. Each `kind` of user has its own copy."""
     digest = hashlib.sha256(str(url).encode()).hexdigest()[:12]
     return users_cache() / kind / digest / (url.name or url.bucket)

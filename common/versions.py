@@ -1,4 +1,4 @@
-"""The version of this toolkit, those of installed packages, and the commands that install more."""
+"""The versions of the toolkit and of installed packages, and the commands that install more packages."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from urllib.parse import urlsplit
 
 TOOLKIT: Final = "behavioural-cloning-toolkit"
 VERSION: Final = "0.3.0"
-"""Of the toolkit: the only place where it stands. pyproject.toml and all commands take it from here."""
+"""The version of the toolkit. pyproject.toml and all commands read this constant."""
 
 
 def install_line(extra: str) -> str:
-    """The command that adds an extra to this environment. The toolkit is on no package index: it comes again from
-    the folder or URL that it was installed from."""
+    """The command that adds an extra to this environment. It installs the toolkit again from its folder or URL,
+    because the toolkit is on no package index."""
     checkout = Path(__file__).parent.parent
     if (checkout / "pyproject.toml").is_file():
         return _install(["-e", f"{_short(checkout)}[{extra}]"], checkout)
-    from urllib.request import url2pathname  # email and sockets
+    from urllib.request import url2pathname  # slow to import: it imports email and sockets
 
     url = _origin()
     folder = Path(url2pathname(urlsplit(url).path)) if url.startswith("file:") else None
@@ -30,15 +30,16 @@ def install_line(extra: str) -> str:
 
 
 def package_line(package: str) -> str:
-    """The command that adds another's package to this environment."""
+    """The command that adds another package to this environment."""
     checkout = Path(__file__).parent.parent
     return _install([package], checkout if (checkout / "pyproject.toml").is_file() else None)
 
 
-def _install(what: list[str], checkout: Path | None) -> str:
-    """By what has made this environment: uv, pipx or pip; with the versions that a checkout was tested with."""
+def _install(packages: list[str], checkout: Path | None) -> str:
+    """The install command of the tool that made this environment: uv, pipx or pip. With a checkout, it installs
+    the tested versions."""
     prefix = Path(sys.prefix)
-    if _is_of_uv(prefix):
+    if _is_made_by_uv(prefix):
         installer = ["uv", "pip", "install", "--python", str(prefix)]
     elif (prefix / "pipx_metadata.json").is_file():
         installer = ["pipx", "runpip", TOOLKIT, "install"]
@@ -46,10 +47,10 @@ def _install(what: list[str], checkout: Path | None) -> str:
         installer = ["pip", "install"]
     tested = checkout / "constraints.txt" if checkout is not None else None
     constraints = ["-c", _short(tested)] if tested is not None and tested.is_file() else []
-    return shlex.join([*installer, *constraints, *what])
+    return shlex.join([*installer, *constraints, *packages])
 
 
-def _is_of_uv(prefix: Path) -> bool:
+def _is_made_by_uv(prefix: Path) -> bool:
     try:
         return any(line.startswith("uv =") for line in (prefix / "pyvenv.cfg").read_text().splitlines())
     except (OSError, ValueError):
@@ -57,24 +58,24 @@ def _is_of_uv(prefix: Path) -> bool:
 
 
 def _short(path: Path) -> str:
-    """A path from here, where that is below here."""
+    """The path relative to the working folder, if the folder contains it; else the path."""
     return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
 
 
 def _origin() -> str:
-    """The URL that pip has noted of the toolkit's folder or repository; "" without one."""
+    """The URL of the folder or repository from which pip installed the toolkit (PEP 610); "" if pip has none."""
     from importlib.metadata import PackageNotFoundError, distribution  # email, too
 
     try:
-        noted = json.loads(distribution(TOOLKIT).read_text("direct_url.json") or "{}")
-        vcs = noted.get("vcs_info", {}).get("vcs")
-        return f"{vcs}+{noted['url']}" if vcs else str(noted.get("url", ""))
+        direct_url = json.loads(distribution(TOOLKIT).read_text("direct_url.json") or "{}")
+        vcs = direct_url.get("vcs_info", {}).get("vcs")
+        return f"{vcs}+{direct_url['url']}" if vcs else str(direct_url.get("url", ""))
     except (PackageNotFoundError, ValueError, AttributeError):
         return ""
 
 
 def version_of(package: str = TOOLKIT) -> str:
-    """The version of this toolkit, or of an installed package; "unknown" where that is not installed."""
+    """The version of the toolkit, or of an installed package; "unknown" if the package is not installed."""
     if package == TOOLKIT:
         return VERSION
     from importlib.metadata import PackageNotFoundError, version

@@ -1,4 +1,4 @@
-"""A signal ends whatever the main thread waits for, whichever thread the system gave it to."""
+"""Wake the main thread from any wait when a signal comes, also if the system delivered it to another thread."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ _END: Final = 0  # no signal has this number
 
 @contextlib.contextmanager
 def signals_wake_main_thread() -> Iterator[None]:
-    """Have the main thread run the handlers of `STOP_SIGNALS` soon, also where it waits for a process.
+    """Make the main thread run the handlers of `STOP_SIGNALS` soon, also while it waits for a process.
 
-    Handlers run in the main thread only, between two of its steps. The system may give a signal to any thread that
-    does not block it, and libraries start such threads; or it comes just before the main thread begins to wait. In
-    both cases a Ctrl-C would else be noticed only when the waiting ends by itself.
+    Handlers run only in the main thread, between two bytecodes. Without this, a Ctrl-C would have no effect until
+    the wait ends by itself, in two cases: the system delivers the signal to another thread (libraries start
+    threads that do not block signals), or the signal comes just before the main thread begins to wait.
 
-    Python's C handler writes the number of a signal to a pipe at once, in whichever thread
-    (https://docs.python.org/3/library/signal.html#signal.set_wakeup_fd); a thread that reads it sends the main one
-    SIGURG, until that runs Python again. Nothing else here uses SIGURG, which is otherwise ignored.
+    In every thread, Python's C handler immediately writes the signal's number to a pipe
+    (https://docs.python.org/3/library/signal.html#signal.set_wakeup_fd). A thread reads the pipe and sends SIGURG
+    to the main thread until the main thread runs Python again. The toolkit uses SIGURG for nothing else, and the
+    system ignores it by default.
 
-    Outside the main thread, and on Windows, nothing is done.
+    Outside the main thread, and on Windows, this does nothing.
     """
     if sys.platform == "win32" or threading.current_thread() is not threading.main_thread():
         yield
@@ -46,7 +47,7 @@ def signals_wake_main_thread() -> Iterator[None]:
         yield
     finally:
         signal.set_wakeup_fd(wakeup_fd)
-        os.write(sender, bytes([_END]))  # closing it would not do: a forked process may have it, too
+        os.write(sender, bytes([_END]))  # closing `sender` is not enough: a forked process may hold it open
         thread.join()
         signal.signal(signal.SIGURG, urgent)
         os.close(receiver)
@@ -56,17 +57,17 @@ def signals_wake_main_thread() -> Iterator[None]:
 class _MainThread:
     def __init__(self) -> None:
         self._ident = threading.main_thread().ident or 0
-        self._is_awake = True  # no Event: a handler may take no lock
+        self._is_awake = True  # not an Event: a handler must not take a lock
 
     def on_wake(self, number: int, frame: FrameType | None) -> None:
-        """The handler of SIGURG. Those of signals with smaller numbers have been called before it."""
+        """The handler of SIGURG. Python has called the handlers of signals with smaller numbers before."""
         self._is_awake = True
 
     def wake_at_signals(self, receiver: int) -> None:
         leave_signals_to_main_thread()
         while _END not in (numbers := os.read(receiver, 64)):
             self._is_awake = not any(number in numbers for number in STOP_SIGNALS)
-            while not self._is_awake:  # it may just have begun to wait
-                if sys.platform != "win32":  # where no thread of this class is begun
+            while not self._is_awake:  # again and again: the main thread may have begun to wait in between
+                if sys.platform != "win32":  # for mypy: this thread does not run on Windows
                     signal.pthread_kill(self._ident, signal.SIGURG)
                 time.sleep(_TICK_S)

@@ -1,4 +1,4 @@
-"""The page of a wheel: bc-web beside the command that drives, in a process of its own."""
+"""The page of a wheel: bc-web in a separate process, next to the command that drives."""
 
 from __future__ import annotations
 
@@ -19,36 +19,35 @@ from common.output import print_message
 from common.versions import install_line
 
 _PAGE: Final = ("-P", "-c", "from behavioural_cloning_toolkit import wheel_page; wheel_page()")
-_END_S: Final = 2.0  # for it to end by itself
+_END_S: Final = 2.0  # until bc-web is killed
 
 
 def check_wheel_page() -> None:
-    """Raise UserError if bc-web is not installed, without which nobody can steer."""
+    """Raise UserError if packages of bc-web are missing: a person steers on its page."""
     if missing := [name for name in ("starlette", "uvicorn", "jinja2") if find_spec(name) is None]:
         raise UserError(
-            f"{missing[0]} is not installed, but --driver me needs a page: `{install_line('web')}` brings it"
+            f"--driver me needs a page, but {missing[0]} is not installed: run `{install_line('web')}`"
         )
 
 
 @contextlib.contextmanager
 def wheel_page(key: str, folders: Mapping[str, Location], *, opens: bool) -> Iterator[None]:
-    """Serve the page of that wheel while this lasts. It prints its address, and `opens` opens it in a browser.
-    `folders` are the project's, by their flags of bc-web; the others have their usual names.
+    """Serve the page of the wheel `key` while the block runs. bc-web prints the address; `opens` opens it in a
+    browser. `folders` maps flags of bc-web to folders of the project; the other folders have their default names.
 
-    If bc-web fails, that is a warning: the drive goes on, and another bc-web in this folder shows its page.
+    If bc-web cannot be started, this prints a warning and the drive continues: another bc-web in this folder also
+    shows the page.
     """
     flags = [*(f"--{name}={folder}" for name, folder in folders.items()), *(["--open"] if opens else [])]
     try:
         page = subprocess.Popen(
             [sys.executable, *_PAGE, key, *flags],
-            stdin=subprocess.PIPE,  # it ends when this ends
+            stdin=subprocess.PIPE,  # bc-web ends when this process ends, which closes the pipe
             stdout=sys.stderr,
             start_new_session=True,
         )
     except OSError as error:  # no memory, too many processes
-        warn(
-            f"bc-web cannot be started ({error.strerror}); start `bc-web` in this folder, and open its page Drive"
-        )
+        warn(f"bc-web cannot be started ({error.strerror}); run `bc-web` in this folder, and open its page Drive")
         yield
         return
     try:
@@ -62,7 +61,7 @@ def wheel_page(key: str, folders: Mapping[str, Location], *, opens: bool) -> Ite
 
 
 def wait_until_left(log: Path) -> None:
-    """Wait for Ctrl-C when a drive was ended on its page, which has buttons for what comes next."""
+    """After a drive was ended on its page, wait for Ctrl-C: the page has buttons for the next steps."""
     if GracefulStop.current is None or not GracefulStop.current.is_requested:
         print_message(f"{log} is finished; the page stays until Ctrl-C")
         with stop_signals() as stopped:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def whole_number(text: str, max_digits: int = 15) -> int | None:
-    """Return the number that a text of ASCII digits stands for; None for any other text, and for more digits.
+    """Parse a text of at most `max_digits` ASCII digits; None for any other text.
 
     `int` itself accepts signs, spaces and underscores, and raises ValueError for more than 4,300 digits.
     """

@@ -1,4 +1,4 @@
-"""The way from logs to training: preprocessing, the index, steering bins and balance, and the loader.
+"""From logs to training: preprocessing, the index, steering bins and balance, and the loader.
 
     from dataset import IndexConfig, build_index, find_logs, load
 
@@ -7,12 +7,12 @@
         for batch in loader.epoch(0):
             print(batch.pictures.shape, batch.steering)
 
-find_logs               the logs of a folder, or of sessions by name
-build_index             brings an index of logs up to date
-sessions_not_indexed    which logs an index does not hold yet
-load                    a split of an index in batches; SamplesDataset is the same for PyTorch's DataLoader
+find_logs               find the logs of a folder, or of sessions by name
+build_index             update an index of logs
+sessions_not_indexed    list the logs that an index does not contain yet
+load                    load a split of an index in batches; SamplesDataset is the same for PyTorch's DataLoader
 Samples                 the samples of an index as a table, and their pictures
-decode, preprocess      a JPEG's picture, and what the network sees of it
+decode, preprocess      decode a JPEG, and convert the picture to the network's input
 """
 
 from behavioural_cloning_toolkit import refuse_hidden
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from dataset.preprocessing import preprocess as preprocess
     from dataset.samples.samples_reader import Samples as Samples
 
-# training reads an index where what builds one is not installed; flags and errors need no NumPy
+# imported on first use: training needs fewer packages than building an index; flags and errors need no NumPy
 _HOMES = {
     "Batch": "dataset.loader.loader",
     "Indexed": "dataset.index.build",

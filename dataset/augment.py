@@ -1,7 +1,6 @@
-"""Alterations of the copies that fill up a steering bin, so that the network never sees the same picture twice.
+"""Alterations of the copies that fill a steering bin, so that the network does not see the same picture twice.
 
-Each function takes a picture, (height, width, 3) BGR uint8, and returns a new one. A random generator gives the
-strength.
+Each function takes a picture, (height, width, 3) BGR uint8, and returns a new one. The strength is random.
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ def blur(picture: Image, random: np.random.Generator) -> Image:
 
 
 def brightness(picture: Image, random: np.random.Generator) -> Image:
-    """The value channel of HSV times 0.4 to 1.6, so that pictures become darker as often as brighter."""
+    """Multiply the value channel of HSV by 0.4 to 1.6: pictures become darker as often as brighter."""
     hsv = cv2.cvtColor(picture, cv2.COLOR_BGR2HSV)
     hsv[:, :, 2] = cv2.convertScaleAbs(hsv[:, :, 2], alpha=random.uniform(0.4, 1.6))
     return cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR).astype(np.uint8, copy=False)
 
 
 def shadow(picture: Image, random: np.random.Generator) -> Image:
-    """One to five polygons of three to six corners, in which the picture keeps 0.45 to 0.74 of its light."""
+    """Darken one to five polygons of three to six corners to 0.45 to 0.74 of their brightness."""
     height, width = picture.shape[:2]
     mask = np.zeros((height, width), np.uint8)
     for _ in range(int(random.integers(1, 6))):
@@ -48,9 +47,9 @@ ALTERATIONS: Final[dict[str, Callable[[Image, np.random.Generator], Image]]] = {
 
 
 def alter(picture: Image, names: str, seed: int) -> Image:
-    """Apply the alterations called `names` ("blur+shadow"; "" for none) one after another, drawn from `seed`.
+    """Apply the alterations `names` ("blur+shadow"; "" for none) in this order, with the random generator `seed`.
 
-    Raises DatasetError for an unknown name, a name that comes twice, or a negative seed.
+    Raises DatasetError for an unknown or repeated name, or a negative seed.
     """
     wanted = names.split("+") if names else []
     if seed < 0 or not ALTERATIONS.keys() >= set(wanted) or len(set(wanted)) < len(wanted):

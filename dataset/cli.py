@@ -1,4 +1,4 @@
-"""`bc-index`: logs become frames and balanced samples."""
+"""`bc-index`: turns logs into frames and balanced samples."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Index:
     sessions: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SESSION ...]")] = ()
     """Names of sessions, or paths; by default all."""
     folder: Annotated[LocationFlag, tyro.conf.arg(name="sessions")] = Path("sessions")
-    """The logs."""
+    """Folder of the logs."""
     index: LocationFlag = Path("index")
     """Folder of the index, or a URL if the logs are in a bucket."""
     look: bool = False
@@ -49,7 +49,7 @@ class Index:
 
 
 def _index(config: Index) -> int:
-    from dataset.index_command import index  # NumPy, Arrow, OpenCV
+    from dataset.index_command import index  # imports NumPy, Arrow and OpenCV, which are slow to load
 
     return index(config)
 

@@ -14,12 +14,12 @@ from dataset.prediction_targets import MAX_AHEAD_S
 from dataset.steering_bins import BINS
 
 CORRECTION_SIGNS: Final[Mapping[Camera, float]] = {"center": 0.0, "left": 1.0, "right": -1.0}
-"""The side correction's sign in the label of each camera that is trained on by default."""
+"""The cameras that are used by default, and the sign of the side correction in the labels of each."""
 
 Alteration = Literal["blur", "brightness", "shadow"]
 EpochAlteration = Literal["move", "zoom", "turn", "contrast", "brightness", "colours", "shadow", "box", "noise"]
 EPOCH_ALTERATIONS: Final[tuple[EpochAlteration, ...]] = get_args(EpochAlteration)
-"""What every picture may have in every epoch of a training."""
+"""The alterations that training may apply to every picture in every epoch."""
 Drives = Literal["all", "takeovers"]
 Labels = Literal["auto", "as-recorded"]
 
@@ -29,10 +29,10 @@ class IndexConfig:
     """How frames become balanced samples. Defaults that --recipe does not set are the original project's."""
 
     EARLIER: ClassVar[Mapping[str, Any]] = {"recipe": "original", "labels": "as-recorded"}
-    """The values by which the original project worked, and earlier versions of this one without these settings."""
+    """The values of the original project, and of earlier versions of the toolkit, which lacked these settings."""
 
     EARLIER_ONLY: ClassVar[Mapping[str, Any]] = {"viewpoints": 0}
-    """Settings of earlier versions, and their only values by which this one works."""
+    """Removed settings, and the only value of each that this version still reads."""
 
     RARE: ClassVar[str] = (
         "per_bin max_uses alter label_smooth_s label_shift_s speed_ahead_s block_s gap_s validation_share drives"
@@ -80,13 +80,13 @@ class IndexConfig:
 
     @classmethod
     def of(cls, recipe: Recipe) -> IndexConfig:
-        """The defaults of the index that a recipe learns from."""
+        """The default settings of the index for a recipe."""
         return cls(**cls.EARLIER) if recipe == "original" else cls()
 
     def __post_init__(self) -> None:
-        """Raises ValueError, which names the flag, for a value that makes no sense."""
+        """Raises ValueError, which names the flag, for a value out of range."""
         is_none_alone = "none" not in self.alter or len(self.alter) == 1
-        expected = (
+        checks = (
             ("--bins", self.bins, 1 <= self.bins <= 10_000, "1 to 10,000"),
             ("--max-uses", self.max_uses, self.max_uses >= 1, "at least 1"),
             ("--cameras", "", len(self.cameras) > 0, "at least one"),
@@ -117,9 +117,9 @@ class IndexConfig:
                 "each alteration once, or only none",
             ),
         )
-        for flag, value, holds, what in expected:
-            if not holds:
-                raise ValueError(f"{flag} {value}: expected {what}")
+        for flag, value, is_valid, expected in checks:
+            if not is_valid:
+                raise ValueError(f"{flag} {value}: expected {expected}")
 
     @property
     def alterations(self) -> tuple[Alteration, ...]:

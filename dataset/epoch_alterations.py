@@ -1,7 +1,7 @@
-"""Alterations of every picture, drawn anew in every epoch, so that a network learns no pixels by heart.
+"""Random alterations of every picture, different in every epoch, so that a network does not memorize pixels.
 
-What is drawn is a pure function of (seed, epoch, sample): a resumed training sees what it would have seen, and
-threads and batches do not matter. Each alteration is drawn the same, whichever others there are.
+The random values are a pure function of (seed, epoch, sample): a resumed training gets the same pictures, with any
+number of threads and any batch size. The values of an alteration do not depend on the other alterations.
 """
 
 from __future__ import annotations
@@ -19,22 +19,23 @@ from dataset.config import EpochAlteration
 from dataset.preprocessing import Image
 
 STEERING_A_WIDTH: Final = 4.8
-"""Steering for a picture that is moved by its width, in side corrections: 0.0075 a column of 128, by default."""
+"""Change of the steering, in side corrections, for a picture that is moved by its width. By default, 0.0075 for
+one of 128 columns."""
 
 NOISE_LEVEL: Final = 32.0
-"""Standard deviation of the noise of `noise_of`; a share of it is added."""
+"""Standard deviation of the noise of `noise_of`. A share of this noise is added to a picture."""
 
-_MOVE: Final = 8 / 128, 5 / 128  # of width and height, to either side
+_MOVE: Final = 8 / 128, 5 / 128  # maximum shares of width and height, in both directions
 _ZOOM: Final = 0.1
 _TURN_RAD: Final = np.deg2rad(3.0)
 _CONTRAST: Final = 0.3
 _BRIGHTNESS: Final = 30.0  # levels
 _MIDDLE: Final = 127.5
-_COLOUR: Final = 0.15  # of each channel
-_SHADE: Final = 0.45, 0.75  # of the light that a shadow leaves
-_BOX: Final = 0.1, 0.4  # of width and height
-_NOISE: Final = 8.0  # levels, standard deviation at most
-_PIECES: Final = 1 << 16  # of noise
+_COLOUR: Final = 0.15  # share of each channel
+_SHADE: Final = 0.45, 0.75  # share of the brightness in a shadow
+_BOX: Final = 0.1, 0.4  # share of width and height
+_NOISE: Final = 8.0  # maximum standard deviation, levels
+_PIECES: Final = 1 << 16  # number of pieces of the noise
 
 _DRAWS: Final[dict[EpochAlteration, slice]] = {
     "move": slice(0, 2),
@@ -47,7 +48,7 @@ _DRAWS: Final[dict[EpochAlteration, slice]] = {
     "box": slice(15, 21),
     "noise": slice(21, 23),
 }
-_MAX_DRAWS: Final = 24  # of a sample
+_MAX_DRAWS: Final = 24  # random values for a sample
 
 Numbers = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -55,15 +56,15 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Drawn:
-    """What is done to N pictures. None: to none of them."""
+    """The random alterations of N pictures. None: this alteration is not used."""
 
-    matrix: Floats | None  # (N, 2, 3): where in the picture each pixel comes from, px
-    colours: Floats | None  # (N, 3, 4): the new colours of (blue, green, red, 1)
-    shade: Floats | None  # (N,): the light that a shadow leaves; 1: no shadow
+    matrix: Floats | None  # (N, 2, 3): from a pixel of the new picture to its place in the old picture, px
+    colours: Floats | None  # (N, 3, 4): from (blue, green, red, 1) to the new colours
+    shade: Floats | None  # (N,): share of the brightness in the shadow; 1: no shadow
     strip: NDArray[np.int32]  # (N, 4, 2): the corners of the shadow, px
-    box: list[list[int]] | None  # N of left, top, right and bottom in px, and the level; left = right: no box
+    box: list[list[int]] | None  # N times left, top, right, bottom in px, and the level; left = right: no box
     noise: Floats | None  # (N,): standard deviation, levels
-    piece: Numbers  # (N,): which piece of the noise
+    piece: Numbers  # (N,): the piece of the noise
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,8 @@ class EpochAlterations:
     side_correction: float
 
     def labels(self, labels: NDArray[np.float32], epoch: int, samples: Numbers) -> NDArray[np.float32]:
-        """The labels (N,) or (N, K) of moved pictures: steering back to where they were seen from."""
+        """The labels (N,) or (N, K) of the altered pictures: for a moved picture, the steering leads back to the
+        place where it was recorded."""
         if "move" not in self.names:
             return labels
         moved = labels.copy()
@@ -86,13 +88,13 @@ class EpochAlterations:
         return moved
 
     def alter(self, epoch: int, pictures: Image, samples: Numbers) -> None:
-        """Alter the pictures (N, height, width, 3) BGR of samples in place."""
+        """Alter the pictures (N, height, width, 3) BGR of `samples` (N,) in place."""
         drawn = self.draw(epoch, samples, pictures.shape[1], pictures.shape[2])
         for number, picture in enumerate(pictures):
             _alter(picture, drawn, number)
 
     def draw(self, epoch: int, samples: Numbers, height: int, width: int) -> Drawn:
-        """What is done to the pictures of samples, of this size."""
+        """Draw the alterations for the pictures of `samples` (N,), which have this size in px."""
         draws = self._draws(epoch, samples, slice(0, _MAX_DRAWS))
         by_name = {name: draws[:, part] for name, part in _DRAWS.items() if name in self.names}
         shade, strip = None, np.zeros((len(samples), 4, 2), np.int32)
@@ -116,7 +118,8 @@ class EpochAlterations:
         return Drawn(_matrix(by_name, height, width), _colours(by_name), shade, strip, box, noise, piece)
 
     def _draws(self, epoch: int, samples: Numbers, part: slice) -> Floats:
-        """(N, K), -1..1, by SplitMix64 (Steele et al. 2014), which draws any of them without those before."""
+        """Random values (N, K) in -1..1. SplitMix64 (Steele et al. 2014) computes any of them directly, without
+        the previous ones."""
         counter = samples[:, None].astype(np.uint64) * np.uint64(_MAX_DRAWS)
         counter = counter + np.arange(part.start + 1, part.stop + 1, dtype=np.uint64)
         mixed = _key(self.seed, epoch) + counter * np.uint64(0x9E3779B97F4A7C15)
@@ -132,7 +135,8 @@ def _key(seed: int, epoch: int) -> np.uint64:
 
 
 def _matrix(draws: Mapping[EpochAlteration, Floats], height: int, width: int) -> Floats | None:
-    """Zoomed and turned around the middle, then moved: from the new picture's px to the old one's."""
+    """The matrices (N, 2, 3) that zoom and turn around the middle, then move: from px of the new picture to px of
+    the old one."""
     count = max((len(draws[name]) for name in ("move", "zoom", "turn") if name in draws), default=0)
     if not count:
         return None
@@ -150,7 +154,7 @@ def _matrix(draws: Mapping[EpochAlteration, Floats], height: int, width: int) ->
 
 
 def _colours(draws: Mapping[EpochAlteration, Floats]) -> Floats | None:
-    """Contrast around the middle grey, brightness, and the share of each colour, in one."""
+    """The matrices (N, 3, 4) that change the contrast around middle grey, the brightness, and each colour."""
     count = max((len(draws[name]) for name in ("contrast", "brightness", "colours") if name in draws), default=0)
     if not count:
         return None
@@ -165,9 +169,9 @@ def _colours(draws: Mapping[EpochAlteration, Floats]) -> Floats | None:
 def _alter(picture: Image, drawn: Drawn, number: int) -> None:
     height, width = picture.shape[:2]
     if drawn.matrix is not None:
-        four = cv2.cvtColor(picture, cv2.COLOR_BGR2BGRA)  # OpenCV warps four channels in half the time of three
+        bgra = cv2.cvtColor(picture, cv2.COLOR_BGR2BGRA)  # OpenCV warps four channels in half the time of three
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        moved = cv2.warpAffine(four, drawn.matrix[number], (width, height), None, flags, cv2.BORDER_REPLICATE)
+        moved = cv2.warpAffine(bgra, drawn.matrix[number], (width, height), None, flags, cv2.BORDER_REPLICATE)
         cv2.cvtColor(moved, cv2.COLOR_BGRA2BGR, picture)
     if drawn.colours is not None:
         cv2.transform(picture, drawn.colours[number], picture)
@@ -187,11 +191,11 @@ def _alter(picture: Image, drawn: Drawn, number: int) -> None:
 
 @cache
 def noise_of(size: int) -> Image:
-    """Noise around 128; a picture of `size` values takes a piece of it."""
+    """Noise around 128, (size + _PIECES,) uint8; a picture of `size` values uses a piece of it."""
     random = np.random.default_rng(0)
     return np.clip(random.normal(128, NOISE_LEVEL, size + _PIECES).round(), 0, 255).astype(np.uint8)
 
 
 def _between(bounds: tuple[float, float], drawn: Floats) -> Floats:
-    """Draws of -1..1, scaled to these bounds."""
+    """Scale random values in -1..1 to these bounds."""
     return bounds[0] + (bounds[1] - bounds[0]) * (0.5 + 0.5 * drawn)

@@ -1,4 +1,4 @@
-"""The errors of this room."""
+"""The errors of the package `dataset`."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from recorder.errors import LogError
 
 
 class DatasetError(UserError):
-    """An index that is missing, empty, damaged, or older than its logs; a picture that cannot be decoded."""
+    """The index is missing, empty, damaged, or older than its logs; or a picture cannot be decoded."""
 
 
 class PlaceNotAllowedError(DatasetError):
-    """An index that names a log where its user has not put any: it is not opened."""
+    """The index refers to a log outside the allowed places, which is not opened."""
 
 
 class UnusablePictureError(DatasetError):
-    """A picture that cannot be shown: it is left out, and the others are not. `kind` is that of its reason."""
+    """A picture cannot be decoded or read. Only this picture is left out. `kind` is the reason in `Skipped`."""
 
     def __init__(self, kind: str, why: str) -> None:
         super().__init__(why)
@@ -30,7 +30,7 @@ class UnusablePictureError(DatasetError):
 
 
 class SessionError(LogError):
-    """A session that cannot be indexed, found out only when its pictures were looked at."""
+    """A session cannot be indexed, which showed only when its pictures were read."""
 
     def __init__(self, session: str, error: LogError) -> None:
         super().__init__(str(error))
@@ -38,8 +38,8 @@ class SessionError(LogError):
 
 
 def log_problem(log: Location, error: Exception) -> LogError:
-    """Whatever went wrong while a log was looked at, as an error that leaves this log out and no other. Raises
-    those that are about something else: the index, a store."""
+    """Convert any error while reading a log to a LogError, which leaves out only this log. Raises errors about the
+    index or the store again."""
     if isinstance(error, UserError) and not isinstance(error, LogError):
         raise error
     return error if isinstance(error, LogError) else LogError(str(as_user_error(log, error)))
@@ -47,7 +47,7 @@ def log_problem(log: Location, error: Exception) -> LogError:
 
 @contextlib.contextmanager
 def index_write_errors(path: Path) -> Iterator[None]:
-    """Raise DatasetError, which names `path`, for an OSError in the block: those of pyarrow name no file."""
+    """Raise an OSError of the block as a DatasetError that names `path`: pyarrow's errors name no file."""
     try:
         yield
     except OSError as error:

@@ -1,4 +1,4 @@
-"""What `bc-index` does: it builds the index, and prints what is in it."""
+"""The command `bc-index`: builds the index, and prints its tables."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ def index(config: Index) -> int:
 
 
 def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callable[[], object]) -> int:
-    """`folder`: where the index is, until `put` brings it to its place."""
-    # before anything is written, or takes long
+    """Build the index in `folder`; `put` then copies it to the store, if the index is in a store."""
+    # first, before any file is written and before the slow steps
     check_settings(logs, folder, config.config)
-    # without names, one damaged log must not stop the indexing of all others
+    # if the user named no sessions, a damaged log is skipped
     is_any = not config.sessions
     others = [] if is_any else sessions_beside(logs, config.folder)
     with tasks_of(config.ray) as tasks:
@@ -55,10 +55,10 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
     code = print_log_notices(indexed, config.folder, config.sessions)
     for notice in _one_sided(indexed, config):
         code = warn(notice)
-    if others:  # reported here, so that training need not
+    if others:  # training does not report them again
         names = ", ".join(map(printable, others))
         print_message(
-            f"{config.index}: does not hold {names}; `bc-index` without names takes in all of {config.folder}"
+            f"{config.index}: does not hold {names}; `bc-index` without names indexes all of {config.folder}"
         )
     print_table(sessions_table(indexed))
     print_table(labels_table(indexed.labels))
@@ -72,7 +72,7 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
         leaks = find_leaks(folder)
         for leak in leaks:
             print_message(leak)
-        print_result("no leak between training and validation" if not leaks else counted(len(leaks), "leak"))
+        print_result(counted(len(leaks), "leak") if leaks else "no leak between training and validation")
         code = FAILED if leaks else code
     if code != FAILED and any(count.training for count in indexed.counts.values()):
         flag = "" if config.index == type(config).index else f" --index {shlex.quote(str(config.index))}"
@@ -84,8 +84,8 @@ def _refuse_contradictions(config: Index) -> None:
     """Raise UsageError for flags that contradict each other, and for a wrong condition."""
     if config.ray not in (None, ("local",)) and isinstance(config.index, Url):
         raise UsageError(
-            f"--index {config.index}: nodes of a cluster write into a folder that all of them see; without --ray"
-            " it is built here"
+            f"--index {config.index}: nodes of a cluster write to a shared folder, not to a store; without --ray,"
+            " this machine builds the index"
         )
     if config.config.where is not None:
         condition = Condition(config.config.where)
@@ -94,7 +94,7 @@ def _refuse_contradictions(config: Index) -> None:
 
 
 def _one_sided(indexed: Indexed, config: Index) -> list[str]:
-    """A line for a split without samples, unless the settings mean that."""
+    """A warning if training or validation has no samples, unless the settings say so."""
     counts = indexed.counts.values()
     if not any(count.training for count in counts):
         return [

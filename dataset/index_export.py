@@ -1,4 +1,4 @@
-"""Export of the frames that an index uses, as a LeRobot dataset."""
+"""Export the frames that an index uses as a LeRobot dataset."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from recorder.lerobot.log_episodes import ChosenRows
 
 
 def export_index(index: Location, folder: Path, *, where: str | None = None, **options: Any) -> Exported:
-    """Write the rows that `index` uses as the new LeRobot dataset `folder`, each with its side of the `split`.
+    """Write the rows that `index` uses as the new LeRobot dataset `folder`, each with its `split`.
 
-    A row is used if the settings, tags and flags leave one of its frames in, before anything is balanced. With
-    `where`, such a frame must also meet that condition. Steering is as it was driven, not the label. `options` are
-    those of `export_lerobot`.
+    A row is used if settings, tags and flags leave at least one of its frames in the index (before balancing).
+    With `where`, one of these frames must also meet the condition. The steering is the recorded one, not the
+    label. `options` are those of `export_lerobot`.
 
-    Raises DatasetError if there is no index, if it does not fit its logs, or for a wrong condition; LogError if
-    nothing can be exported, UserError if `folder` exists or cannot be written.
+    Raises DatasetError if the index is missing, does not fit its logs, or the condition is wrong; LogError if
+    nothing can be exported; UserError if `folder` exists or cannot be written.
     """
     with Samples(index) as samples:
         chosen = _chosen_rows(index, samples, where)
@@ -48,7 +48,7 @@ def _chosen_rows(index: Location, samples: Samples, where: str | None) -> Mappin
     """The used rows that meet `where`, by session."""
     config = samples.settings
     condition = None if config.where is None else Condition(config.where)
-    further = None if where is None else Condition(where)
+    where_condition = None if where is None else Condition(where)
     frames_folder = frames_here(index)
     chosen: dict[str, ChosenRows] = {}
     for session in samples.sources:
@@ -56,11 +56,11 @@ def _chosen_rows(index: Location, samples: Samples, where: str | None) -> Mappin
             labels = msgspec.convert(samples.metadata["labels"][session], SessionLabels)
         except (KeyError, TypeError, msgspec.ValidationError):
             raise DatasetError(
-                f"{samples.path}: does not say how {session} was learnt; run `bc-index` again"
+                f"{samples.path}: lacks the label plan of session {session}; run `bc-index` again"
             ) from None
         frames = read_frames(frames_folder / f"{session}.parquet")
         choice = choose_frames(frames, config, labels, condition)
-        is_used = choice.is_chosen if further is None else choice.is_chosen & further.holds(frames)
+        is_used = choice.is_chosen if where_condition is None else choice.is_chosen & where_condition.holds(frames)
         row, first = np.unique(frames["row"].to_numpy()[is_used], return_index=True)
         chosen[session] = ChosenRows(row, np.where(choice.is_training[is_used][first], "train", "validation"))
     return chosen

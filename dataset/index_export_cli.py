@@ -1,4 +1,4 @@
-"""`bc-index export`: the frames that an index uses, in the format of another toolkit."""
+"""`bc-index export`: writes the frames that an index uses in the format of another toolkit."""
 
 from __future__ import annotations
 

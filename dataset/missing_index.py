@@ -1,4 +1,4 @@
-"""The error for a place without an index: a name that was misspelt, or a file."""
+"""The error if a path has no index, because it is misspelt or a file."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ def missing_index(index: Location) -> DatasetError:
         sessions = index.parent / "sessions"
         return DatasetError(f"{index}: no index; `bc-index --sessions {sessions} --index {index}` builds one")
     refuse_file(index)
-    if what := other_folder(index):
+    if kind := other_folder(index):
         raise DatasetError(
-            f"{index}: {what}, no index; `bc-index --index FOLDER` builds one in a folder of its own"
+            f"{index}: {kind}, not an index; `bc-index --index FOLDER` builds an index in another folder"
         )
     folder = index.parent if index.parent.is_dir() else Path()
     neighbours = [str(samples.parent) for samples in sorted(folder.glob(f"*/{SAMPLES_NAME}"))]
     hint = did_you_mean(str(index), neighbours)
     if neighbours and not hint:
         more = " and others" if len(neighbours) > _MAX_NAMED else ""
-        hint = f"these are: {', '.join(neighbours[:_MAX_NAMED])}{more};"
+        hint = f"the indexes are {', '.join(neighbours[:_MAX_NAMED])}{more};"
     flag = "" if index == DEFAULT_INDEX else f" --index {shlex.quote(str(index))}"
     return DatasetError(f"{index}: no index; {f'{hint} ' if hint else ''}build it with `bc-index{flag}`")
 
 
 def other_folder(index: Path) -> str:
-    """What a folder is that cannot become an index: "a run" or "a folder of logs"; else an empty string."""
+    """Returns "a run" or "a folder of logs" if the folder is one of these, and cannot become an index; else ""."""
     if (index / SAMPLES_NAME).exists():
         return ""
     if (index / _RUN_CONFIG).is_file():
@@ -53,5 +53,5 @@ def refuse_file(index: Path) -> None:
     for place in (index, *index.parents):
         if place.is_file():
             raise DatasetError(
-                f"{place}: a file; a folder was expected, of an index: `bc-index --index FOLDER` builds one"
+                f"{place}: a file, not the folder of an index; `bc-index --index FOLDER` builds an index"
             )

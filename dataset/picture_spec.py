@@ -1,4 +1,4 @@
-"""The specification of a network's input: the rows of a camera's picture, their size and colour order, by run."""
+"""The specification of a network's input: the crop of the camera's picture, the size and the order of colours."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Final, Literal, cast, get_args
 Channels = Literal["BGR", "RGB", "YUV"]
 
 ROWS: Final = 160
-"""The height of the simulator's pictures; crops are given in their rows, of others the same share is cut off."""
+"""The height of the simulator's pictures. Crops count these rows; of other pictures, the same share is cut off."""
 MIN_PX, MAX_PX = 8, 1024
 
 _ROWS_CUT: Final = re.compile(rf"(\d{{1,3}})/{ROWS}", re.ASCII)
@@ -20,30 +20,30 @@ _RESIZE: Final = "bilinear"
 
 @dataclass(frozen=True)
 class PictureSpec:
-    """A picture of any size, cropped, brought to one size, in one order of colours. By default the original's.
+    """How a picture of any size is cropped, resized and converted. Defaults: the original project's.
 
-    Raises ValueError for a picture that is too small or too large, or cut away.
+    Raises ValueError if the result would be too small, too large or empty.
     """
 
     width_px: int = 128
     height_px: int = 128
-    crop_top: int = 50  # of 160 rows: sky, trees
-    crop_bottom: int = 20  # of 160 rows: the bonnet
+    crop_top: int = 50  # of 160 rows: cuts off sky and trees
+    crop_bottom: int = 20  # of 160 rows: cuts off the bonnet
     channels: Channels = "BGR"
 
     def __post_init__(self) -> None:
         for size in (self.width_px, self.height_px):
             if not MIN_PX <= size <= MAX_PX:
-                raise ValueError(f"pictures of {MIN_PX} to {MAX_PX:,} px a side were expected, not {size:,}")
+                raise ValueError(f"expected pictures of {MIN_PX} to {MAX_PX:,} px a side, not {size:,}")
         cut = self.crop_top + self.crop_bottom
         if min(self.crop_top, self.crop_bottom) < 0 or cut >= ROWS:
             raise ValueError(f"fewer than {ROWS} rows can be cut off, not {self.crop_top} and {self.crop_bottom}")
         if self.channels not in get_args(Channels):
-            raise ValueError(f"colours in the order {', '.join(get_args(Channels))} were expected")
+            raise ValueError(f"expected one of the orders of colours {', '.join(get_args(Channels))}")
 
     @classmethod
     def from_description(cls, stored: object) -> PictureSpec:
-        """The input of a run, from its `description`. Raises ValueError for one that no version has written."""
+        """The input of a run, from its `description`. Raises ValueError if no version has written this."""
         if not isinstance(stored, dict):
             raise ValueError("missing")
         if stored.get("resize") != _RESIZE:
@@ -59,12 +59,12 @@ class PictureSpec:
             cast(Channels, channels),
         )
         if spec.description != stored:
-            raise ValueError("more than is known here")
+            raise ValueError("unknown entries")
         return spec
 
     @property
     def description(self) -> dict[str, str]:
-        """The input in words, as every run and every drive keeps it."""
+        """The input as text values, which runs and logs of drives store."""
         return {
             "channels": self.channels,
             "crop_top": f"{self.crop_top}/{ROWS}",
@@ -84,7 +84,7 @@ class PictureSpec:
         return self.height_px * self.width_px * 3
 
     def crop_slice(self, height: int) -> slice:
-        """The rows that the crop leaves of a picture of this height: one, at least."""
+        """The rows of a picture of this height that the crop keeps: at least one."""
         top = min(round(height * (self.crop_top / ROWS)), height - 1)
         return slice(top, max(height - round(height * (self.crop_bottom / ROWS)), top + 1))
 
@@ -94,7 +94,7 @@ class PictureSpec:
 
 
 def metadata_of(picture: PictureSpec) -> dict[str, str]:
-    """The entries of a network's input in the metadata of a log or an ONNX file."""
+    """The entries that describe a network's input in the metadata of a log or an ONNX file."""
     return {f"preprocessing.{name}": value for name, value in picture.description.items()}
 
 
@@ -107,4 +107,4 @@ def _number(stored: Mapping[str, Any], name: str, form: re.Pattern[str]) -> int:
 
 
 ORIGINAL: Final = PictureSpec()
-"""The input of the original project's network, and of every run of earlier versions."""
+"""The input of the original project's network, and of all runs of earlier versions."""

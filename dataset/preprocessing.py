@@ -1,4 +1,4 @@
-"""Preprocessing of a camera's picture to the network's input: one function for training, driving and viewing."""
+"""Preprocess a camera's picture to the network's input. Training, driving and viewing use the same function."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _TO_BGR: Final = {"RGB": cv2.COLOR_RGB2BGR, "YUV": cv2.COLOR_YUV2BGR}
 
 
 def decode(encoded: bytes) -> Image:
-    """A JPEG or PNG as (height, width, 3) BGR uint8. Raises ValueError for other data, and for a picture that
-    would take too much memory or time."""
+    """Decode a JPEG or PNG to (height, width, 3) BGR uint8. Raises ValueError for other data, and if decoding
+    would need too much memory or time."""
     picture = decode_picture(encoded, cv2.IMREAD_COLOR)
     if picture is None:
         why = decoding_problem(encoded) or f"{counted(len(encoded), 'byte')} that are not a picture"
@@ -30,17 +30,18 @@ def decode(encoded: bytes) -> Image:
 
 
 def may_be_crop(encoded: bytes) -> bool:
-    """True for the header of a JPEG or PNG of no more pixels than a network may see; nothing is unpacked."""
+    """True if the header is that of a JPEG or PNG with at most as many pixels as a network's input may have. The
+    picture is not decoded."""
     return 0 < pixels(encoded) <= MAX_PX**2
 
 
 def preprocess(picture: Image, spec: PictureSpec = ORIGINAL) -> Image:
-    """A camera picture (height, width, 3) BGR uint8 as the network's input, (`spec.shape`) uint8."""
+    """Convert a camera picture, (height, width, 3) BGR uint8, to the network's input, `spec.shape` uint8."""
     return in_channels(crop_of(picture, spec), spec)
 
 
 def crop_of(picture: Image, spec: PictureSpec = ORIGINAL) -> Image:
-    """The crop of a camera picture (height, width, 3) that a network sees, still in BGR.
+    """Crop and resize a camera picture (height, width, 3) to the network's input, still in BGR.
 
     The crop is a share of the height, so that pictures of another size show the same part of the world.
     """
@@ -50,14 +51,14 @@ def crop_of(picture: Image, spec: PictureSpec = ORIGINAL) -> Image:
 
 
 def in_channels(crop: Image, spec: PictureSpec) -> Image:
-    """A BGR crop in the network's order of colours; the same array if that is BGR."""
+    """Convert a BGR crop to the network's order of colours; returns the same array if the order is BGR."""
     if spec.channels == "BGR":
         return crop
     return cv2.cvtColor(crop, _FROM_BGR[spec.channels]).astype(np.uint8, copy=False)
 
 
 def as_bgr(crop: Image, spec: PictureSpec) -> Image:
-    """A network's input as BGR, to be shown; the same array if it is BGR."""
+    """Convert a network's input to BGR, to show it; returns the same array if it is already BGR."""
     if spec.channels == "BGR":
         return crop
     return cv2.cvtColor(crop, _TO_BGR[spec.channels]).astype(np.uint8, copy=False)

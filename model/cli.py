@@ -18,7 +18,7 @@ from common.location import Location, Url, absolute, is_in_store, local_path, lo
 from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
 from common.process_settings import use_large_pages
-from common.random_access import is_there
+from common.random_access import file_exists
 from model.config import TrainConfig
 from model.epoch_printer import EpochPrinter
 from model.network.names import is_own
@@ -250,7 +250,7 @@ def _index_of(config: Train, like: Path | None) -> tuple[Location, int]:
     from dataset.missing_index import missing_index
     from dataset.samples.samples_format import SAMPLES_NAME
 
-    is_built = is_there(config.index / SAMPLES_NAME)
+    is_built = file_exists(config.index / SAMPLES_NAME)
     if like is not None and (config.resume is None or not is_built):
         from model.runs.reproduce import index_of_run
 

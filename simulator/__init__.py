@@ -1,5 +1,5 @@
-"""The built-in simulator: tracks, a vehicle, cameras, an expert driver; and the client that speaks the real one's
-protocol. It is handed frames and gives frames; it reads no logs."""
+"""The built-in simulator: tracks, a vehicle, cameras, an expert driver, and a client for the protocol of Udacity's
+simulator. It does not read logs."""
 
 from behavioural_cloning_toolkit import refuse_hidden
 

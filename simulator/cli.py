@@ -1,4 +1,4 @@
-"""`bc-sim`: the simulator as a process of its own, which connects to `bc-drive` as the real one does."""
+"""`bc-sim`: runs the simulator in a separate process, which connects to `bc-drive` as Udacity's simulator does."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Sim:
     rate: float = 25.0
     """Telemetries a second of simulated time; it must divide 50."""
     real_time: bool = False
-    """Run no faster than the clock; otherwise only answers limit the speed."""
+    """Run no faster than the clock; otherwise only the answers limit the speed."""
     tell_world: bool = False
     """Also send the clock, place, laps and the expert's command."""
     expert_speed: float = 10.0
@@ -97,12 +97,12 @@ def _run_drive(config: Sim, client: SimulatorClient) -> int:
         simulation = Simulation(config.track)
     except ValueError as error:
         raise UserError(f"--track {config.track}: {error}") from None
-    if not config.json:  # else a program has started it, as bc-drive and bc-eval do
+    if not config.json:  # with --json, a program such as bc-drive or bc-eval has started bc-sim
         print_message(f"bc-sim: connecting to {client.url}")
     if not config.real_time and not config.tell_world:
         print_message(
             "bc-sim: this simulator runs faster than the clock that bc-drive uses: give --real-time or"
-            " --tell-world to get right distances and times in its log"
+            " --tell-world for correct distances and times in the log"
         )
     expert = Expert(simulation.track.line, config.expert_speed) if config.tell_world else None
     with progress_bar() as bar:
@@ -120,7 +120,7 @@ def _run_drive(config: Sim, client: SimulatorClient) -> int:
             lost=lambda: print_message(f"bc-sim: disconnected; waiting for a server for {config.wait:g} s"),
         )
     if driven.gave_up:
-        print_message(f"bc-sim: the car did not get on for {GIVE_UP_S:g} s of simulated time: given up")
+        print_message(f"bc-sim: given up: the car made no progress for {GIVE_UP_S:g} s of simulated time")
     if config.json:
         print_result(json.dumps(driven.as_dict()))
     else:
@@ -129,7 +129,7 @@ def _run_drive(config: Sim, client: SimulatorClient) -> int:
             f"{driven.track}: {measures.laps:.2f} laps in {measures.elapsed_s:,.0f} s of simulated time,"
             f" {counted(measures.interventions, 'intervention')}, autonomy {measures.autonomy_percent:.1f} %,"
             f" distance from the centre line {measures.mean_offset:.2f} (largest {measures.max_offset:.2f})"
-            f" of the half width, {measures.mean_speed_mph:.1f} mph"
+            f" of the road's half width, {measures.mean_speed_mph:.1f} mph"
         )
     return DONE
 
@@ -139,23 +139,23 @@ def _run_replay(config: Sim, client: SimulatorClient) -> int:
 
     assert config.replay is not None  # noqa: S101
     if config.tell_world:
-        raise UsageError("--tell-world: for the pictures of --replay the world is unknown; leave one of them out")
+        raise UsageError("--tell-world: the world of --replay's pictures is unknown; leave out one of the two")
     driven = ("track", "laps", "start", "rate", "real_time", "leave_off_road", "expert_speed")
     if flags := flags_given(config, *driven):
-        raise UsageError(f"{flags}: only for driving, but --replay only sends pictures; leave them out")
+        raise UsageError(f"{flags}: only for driving, but --replay only sends pictures; leave out {flags}")
     pictures = pictures_of(config.replay)[: config.count]
     print_message(f"bc-sim: connecting to {client.url}")
     start_s = 0.0
 
     def jpegs() -> Iterator[bytes]:
         nonlocal start_s
-        start_s = time.perf_counter()  # now that somebody listens
+        start_s = time.perf_counter()  # the first picture is read when the server is connected
         for path in track(pictures, "sending", len(pictures)):
             yield path.read_bytes()
 
     replay(client, jpegs())
     seconds = time.perf_counter() - start_s
-    answers = client.steers + client.manuals  # a server that only listens answers each by `manual`
+    answers = client.steers + client.manuals  # a server that only listens answers with `manual`
     result = {
         "telemetries": client.telemetries,
         "answers": answers,
@@ -176,5 +176,5 @@ def main() -> None:
     run_command("bc-sim", Sim, sim)
 
 
-if __name__ == "__main__":  # how bc-drive and bc-eval start it
+if __name__ == "__main__":  # bc-drive and bc-eval start bc-sim in this way
     main()

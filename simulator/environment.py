@@ -1,7 +1,7 @@
 """The built-in simulator as a Gymnasium environment: `gymnasium.make("simulator:bc/Lake-v0")`.
 
-Gymnasium is an extra: `pip install ".[gym]"`. docs/gymnasium.md describes what the
-environments give and take.
+Gymnasium is an optional package: `pip install ".[gym]"`. docs/gymnasium.md describes observations, actions and
+rewards.
 """
 
 from __future__ import annotations
@@ -29,20 +29,21 @@ Observation = dict[str, NDArray[Any]]
 RATE_HZ: Final = 10.0
 EXPERT_MPH: Final = 10.0
 MAX_SPEED_MPH: Final = 100.0
-"""The bound of the observed speed, either way; the car reaches 30, and a few more downhill."""
+"""The observed speed is clipped to -MAX_SPEED_MPH..MAX_SPEED_MPH. The car reaches 30 mph, and a little more
+downhill."""
 
 
 class DrivingEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     """A car on a track of the built-in simulator.
 
     An observation is a dict: each of `cameras` as (160, 320, 3) uint8 RGB, and `speed_mph`, (1,) float32. An
-    action is (2,) float32: steering, -1 (left) .. 1 (right), and throttle, -1 .. 1 (below 0 it brakes, and at
+    action is (2,) float32: steering, -1 (left) .. 1 (right), and throttle, -1 .. 1 (below 0 the car brakes, and at
     rest reverses), held for 1 / `rate_hz` seconds of simulated time.
 
-    The reward is the road that was covered in the step, in metres, less what was driven back. An episode is
-    terminated when `laps` are driven (a success), when the middle of the car leaves the road, and when the car has
-    made no metre in 5 s. A reset puts the car at rest on the centre line at a place along the road that is drawn
-    from the seed, or at `options["start_m"]`.
+    The reward is the progress along the road in the step, in metres; driving back is negative. An episode is
+    terminated when `laps` are driven (a success), when the middle of the car leaves the road, or when the car
+    makes less than a metre of progress in 5 s. A reset puts the car at rest on the centre line, at a random place
+    that depends on the seed, or at `options["start_m"]`.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": RATE_HZ}  # noqa: RUF012 - Gymnasium's
@@ -56,14 +57,14 @@ class DrivingEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         rate_hz: float = RATE_HZ,
         render_mode: str | None = None,
     ) -> None:
-        """Raises ValueError for a track or camera that does not exist, for a rate that does not divide 50 and for
-        laps that are none."""
+        """Raises ValueError if the track or a camera does not exist, if the rate does not divide 50, or if `laps`
+        is not above 0."""
         if not cameras or set(cameras) - set(CAMERAS):
-            raise ValueError(f"cameras={cameras!r}: some of {', '.join(CAMERAS)} were expected")
+            raise ValueError(f"cameras={cameras!r}: expected some of {', '.join(CAMERAS)}")
         if not 0.0 < laps < math.inf:
-            raise ValueError(f"laps={laps!r}: a number above 0 was expected")
+            raise ValueError(f"laps={laps!r}: expected a number above 0")
         if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"render_mode={render_mode!r}: rgb_array was expected, or None")
+            raise ValueError(f"render_mode={render_mode!r}: expected rgb_array or None")
         self._step_s = steps_each(rate_hz) * STEP_S
         self.metadata = {**type(self).metadata, "render_fps": rate_hz}
         self.render_mode = render_mode
@@ -75,7 +76,7 @@ class DrivingEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._simulation = Simulation(track)
         self.course = self._simulation.course
-        """The car's place, and its progress."""
+        """The car's place and progress."""
         self._cameras = tuple(cameras)
         self._end_m = laps * self._simulation.track.line.length_m
         self._expert = Expert(self._simulation.track.line, EXPERT_MPH)
@@ -88,20 +89,21 @@ class DrivingEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         drawn_m = self.np_random.uniform(0.0, self._simulation.track.line.length_m)
         start_m = float((options or {}).get("start_m", drawn_m))
         if not math.isfinite(start_m):
-            raise ValueError(f"start_m={start_m!r}: a number of metres along the road was expected")
+            raise ValueError(f"start_m={start_m!r}: expected a number of metres along the road")
         self.course.start(start_m)
         self._is_reset = True
         return self._observe(), self._info()
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Raises ValueError for an action that is not two finite numbers; they are clamped to -1 .. 1."""
-        wanted = np.asarray(action, np.float64)
-        if wanted.shape != (2,) or not np.isfinite(wanted).all():
-            raise ValueError(f"action={action!r}: steering and throttle were expected, two finite numbers")
+        """Hold an action for a step. It is clamped to -1 .. 1. Raises ValueError if it is not two finite
+        numbers."""
+        command = np.asarray(action, np.float64)
+        if command.shape != (2,) or not np.isfinite(command).all():
+            raise ValueError(f"action={action!r}: expected two finite numbers, steering and throttle")
         if not self._is_reset:
             raise ResetNeeded("call reset() before step()")
         before_m = self.course.progress_m
-        self.course.advance(float(wanted[0]), float(wanted[1]), self._step_s)
+        self.course.advance(float(command[0]), float(command[1]), self._step_s)
         info = self._info()
         is_over: bool = info["success"] or self.course.intervention_due
         return self._observe(), self.course.progress_m - before_m, is_over, False, info
@@ -111,7 +113,7 @@ class DrivingEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return None if self.render_mode is None else self._picture("center")
 
     def expert_action(self) -> NDArray[np.float32]:
-        """The action of the built-in expert here, who drives at 10 mph."""
+        """The action of the built-in expert in the current state, at a set speed of 10 mph."""
         return np.array(self._expert.control(self.course), np.float32)
 
     def _observe(self) -> Observation:
@@ -127,19 +129,19 @@ class DrivingEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _info(self) -> dict[str, Any]:
         success = self.course.progress_m >= self._end_m
-        # `is_success` is what Stable-Baselines3 and LeRobot look for.
+        # Stable-Baselines3 and LeRobot read `is_success`.
         return {"lap": self.course.laps, "offset": self.course.offset, "success": success, "is_success": success}
 
 
 class RandomRoadEnv(DrivingEnv):
-    """The road `random:SEED`, which nobody has seen before: the same seed, the same road."""
+    """The random road `random:SEED`. The same seed gives the same road."""
 
     def __init__(self, seed: int = 0, **settings: Any) -> None:
         super().__init__(f"random:{seed}", **settings)
 
 
 class HairpinRoadEnv(DrivingEnv):
-    """The road `hairpins:SEED`: the same, with hairpins like the mountain's."""
+    """The random road `hairpins:SEED`, with hairpins like the mountain's. The same seed gives the same road."""
 
     def __init__(self, seed: int = 0, **settings: Any) -> None:
         super().__init__(f"hairpins:{seed}", **settings)

@@ -1,4 +1,4 @@
-"""The environments' names in Gymnasium, which is an extra and takes a while to load: it is not imported here."""
+"""Register the environments' names in Gymnasium, without importing it: it is optional, and slow to load."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import Any, Final
 
 MAX_STEPS: Final = 3000
-"""Of an episode: 300 s, in which a lap of each track is driven at 10 mph."""
+"""Maximum steps of an episode: 300 s, enough for a lap of each track at 10 mph."""
 
 _ENTRY_POINTS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
     "bc/Lake-v0": ("simulator.environment:DrivingEnv", {"track": "lake"}),
@@ -21,7 +21,7 @@ _ENTRY_POINTS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
 
 
 def register_environments() -> None:
-    """Register them, now or, if Gymnasium has not been imported yet, as soon as it is."""
+    """Register the environments, now or, if Gymnasium has not been imported yet, when it is imported."""
     if sys.modules.get("gymnasium") is None:
         sys.meta_path.insert(0, _AfterGymnasium())
     else:
@@ -37,10 +37,10 @@ def _register() -> None:
 
 
 class _AfterGymnasium(MetaPathFinder):
-    """Waits for `import gymnasium`.
+    """Registers the environments at `import gymnasium`.
 
-    `gymnasium.make("simulator:bc/Lake-v0")` imports this room in order to register what is in it, but a program
-    may have imported the room before Gymnasium, and nothing is imported twice.
+    `gymnasium.make("simulator:bc/Lake-v0")` imports this package to register its environments. If a program has
+    imported the package before Gymnasium, Python does not import it again.
     """
 
     def find_spec(self, name: str, path: object = None, target: ModuleType | None = None) -> ModuleSpec | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Pose:
-    """The point of the ground under the middle of its rear axle, and three angles."""
+    """The point on the ground under the middle of the rear axle, and three angles."""
 
     x_m: float  # east
     y_m: float  # north

@@ -109,11 +109,11 @@ def keep(store: Store) -> None:
     """A folder that is kept there is written, changed, and brought to another machine."""
     with StoredFolder(store.bucket.url("run"), store.made / "one") as folder:
         for content in ("first", "second"):
-            (folder.here / "config.json").write_text(content)
-            assert folder.send()
+            (folder.local / "config.json").write_text(content)
+            assert folder.upload()
     with StoredFolder(store.bucket.url("run"), store.made / "two") as folder:
-        folder.bring()
-        assert (folder.here / "config.json").read_text() == "second"
+        folder.download()
+        assert (folder.local / "config.json").read_text() == "second"
 
 
 def add(store: Store) -> None:
@@ -121,10 +121,10 @@ def add(store: Store) -> None:
     folders = [store.made / name for name in ("one", "two")]
     for number in range(2):
         for machine in folders:
-            with StoredFolder(store.bucket.url("run"), machine, lines=["results"]) as folder:
+            with StoredFolder(store.bucket.url("run"), machine, line_files=["results"]) as folder:
                 with (machine / "results").open("a") as stream:
                     stream.write(f"{number} of {machine.name}\n")
-                assert folder.send()
+                assert folder.upload()
     added = ["0 of one", "0 of two", "1 of one", "1 of two"]
     assert (folders[1] / "results").read_text().splitlines() == added
     assert (store.bucket.folder / "run/results").read_text().splitlines() == added

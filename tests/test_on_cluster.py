@@ -230,8 +230,7 @@ def test_an_address_that_does_not_answer_is_told_soon(tmp_path: Path, scheme: st
         address = f"{scheme}127.0.0.1:{mute.getsockname()[1]}"
         done = run("bc-index", "--ray", address, cwd=tmp_path)
     assert one_line_of(done) == (
-        f"bc-index: --ray {address}: no cluster can be reached there (no answer); `ray status` on its head shows"
-        " its state"
+        f"bc-index: --ray {address}: the cluster cannot be reached (no answer); run `ray status` on its head"
     )
     assert done.returncode == 1
 
@@ -253,7 +252,7 @@ def test_a_cluster_with_a_token_that_is_not_here_is_told(tmp_path: Path, monkeyp
             other.submit(answer)
             # a process of its own: in one that Ray has been in, it does not look for a token again, and waits
             done = run("bc-index", "--ray", address, cwd=tmp_path)
-    assert "no token: put the one that" in one_line_of(done)
+    assert "no token: run `ray get-auth-token` on" in one_line_of(done)
     assert done.returncode == 1
 
 
@@ -268,9 +267,9 @@ def test_the_message_of_a_dead_node_is_one_line_on_stderr(capsys: pytest.Capture
 
 def test_an_address_where_nothing_listens_or_something_else_does_is_told() -> None:
     gone = f"127.0.0.1:{free_ports(1)[0]}"
-    with pytest.raises(ClusterError, match=f"--ray {gone}: no cluster can be reached there"), cluster_tasks(gone):
+    with pytest.raises(ClusterError, match=f"--ray {gone}: the cluster cannot be reached"), cluster_tasks(gone):
         pass
-    is_told = pytest.raises(ClusterError, match="a program other than Ray listens there")
+    is_told = pytest.raises(ClusterError, match="another program than Ray listens on this port")
     with serving_pages() as page, is_told, cluster_tasks(page):
         pass
 
@@ -279,7 +278,9 @@ def test_a_node_that_would_write_other_bytes_or_has_another_disk_is_told(tmp_pat
     versions = package_versions()
     with pytest.raises(ClusterError, match=r"has numpy .*, this machine numpy 1\.0: they must be the same"):
         refuse_other_node({**versions, "numpy": "1.0"}, Path.cwd())
-    with pytest.raises(ClusterError, match="must lie on a disk that all nodes share, by the same path"):
+    with pytest.raises(
+        ClusterError, match="all nodes must share the disk of logs, index and runs, under the same path"
+    ):
         refuse_other_node(versions, tmp_path / "elsewhere")
     refuse_other_node(versions, Path.cwd())
 
@@ -288,7 +289,7 @@ def test_a_session_is_not_taken_for_an_address(tmp_path: Path) -> None:
     drives(tmp_path / "sessions", sessions=1)
     done = run("bc-index", "--ray", "drive 0", cwd=tmp_path)
     assert done.returncode == 2
-    assert "HOST:PORT, ray://HOST:PORT, auto or local was expected; names go before --ray" in one_line_of(done)
+    assert "expected HOST:PORT, ray://HOST:PORT, auto or local; names go before --ray" in one_line_of(done)
 
 
 @pytest.mark.long

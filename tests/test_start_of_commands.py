@@ -326,7 +326,7 @@ def test_a_second_ctrl_c_ends_at_once_and_says_so(way: str, tmp_path: Path) -> N
             assert process.wait(PATIENCE_S) == 130
         finally:
             process.kill()
-        assert process.stderr.read() == "bc-test: ended at once; files that were not finished end in .part\n"
+        assert process.stderr.read() == "bc-test: ended at once; unfinished files have names that end in .part\n"
     assert all(path.suffix == ".part" for path in tmp_path.iterdir())
 
 

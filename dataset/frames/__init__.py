@@ -1,1 +1,1 @@
-"""The frames of the logs: one row a camera picture, with its flags, its driver and its side of the split."""
+"""The frames of the logs: one row for each camera picture, with its flags, driver and split."""

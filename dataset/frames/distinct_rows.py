@@ -1,4 +1,4 @@
-"""Rows that are alike, numbered or together: samples of one picture, frames of one moment or session."""
+"""Number or group equal rows: samples of one picture, frames of one moment or session."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 
 def number_distinct(*columns: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Number the different rows of some columns, sorted by the last: (each row's number, where a number is met).
+    """Number the distinct rows of some columns (N,), sorted by the last column first.
 
-    The samples of one picture mostly follow one another, so that only few of the rows have to be sorted.
+    Returns the number of each row (N,), and the first row of each number. The samples of one picture are mostly
+    neighbours, so only a few of the rows have to be sorted.
     """
     count = len(columns[0])
     if not count:
@@ -29,7 +30,7 @@ def number_distinct(*columns: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray[
 
 
 def _changes(columns: Any) -> NDArray[np.bool_]:
-    """A mask of the rows that differ from the one before them; the first does."""
+    """A mask of the rows that differ from the previous row; the first row is marked."""
     change = np.ones(len(columns[0]), np.bool_)
     change[1:] = False
     for column in columns:
@@ -38,7 +39,7 @@ def _changes(columns: Any) -> NDArray[np.bool_]:
 
 
 def by_session(rows: pa.Table) -> Iterator[tuple[str, pa.Table]]:
-    """Each session, by name, and its rows in their order."""
+    """Yield the name and the rows of each session, sorted by name; the rows keep their order."""
     session = rows["session"].combine_chunks().dictionary_encode()
     number, names = session.indices.to_numpy(), session.dictionary.to_pylist()
     ends = np.cumsum(np.bincount(number, minlength=len(names)))

@@ -1,4 +1,4 @@
-"""The driver of each frame: in a drive, the network (the pilot), an expert or a human."""
+"""The driver at each frame of a drive: the network (the pilot), an expert or a human."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from recorder import Log
 
 Driver = Literal["", "pilot", "human", "expert"]
 DRIVERS: Final[tuple[Driver, ...]] = get_args(Driver)
-"""In the order of PilotCommand.Driver; empty where it is unknown, as in a session that is no drive."""
+"""In the order of PilotCommand.Driver; "" if unknown, as in a session that is not a drive."""
 
 TAKEOVERS: Final = (DRIVERS.index("expert"), DRIVERS.index("human"))
 
 
 @dataclass(frozen=True)
 class Commands:
-    """The commands of a drive; arrays of one length, in the order of writing, empty for other sessions."""
+    """The commands of a drive; arrays of the same length, in the order of writing, empty for other sessions."""
 
     sequence: NDArray[np.int64]
     log_time_ns: NDArray[np.int64]
@@ -30,10 +30,10 @@ class Commands:
 
 
 def read_commands(log: Log) -> Commands:
-    """Raises LogError for a damaged log."""
+    """The commands in a log. Raises LogError if the log is damaged."""
     numbers, steering = array("q"), array("d")
     for message, command in log.commands():
-        # a driver that only a later version knows counts as unknown
+        # a driver of a later version is unknown
         driver = command.driver if 0 <= command.driver < len(DRIVERS) else 0
         numbers.extend((message.sequence, message.log_time_ns, driver))
         steering.append(command.steering)
@@ -42,7 +42,7 @@ def read_commands(log: Log) -> Commands:
 
 
 def is_taken(driver: NDArray[np.int8], drives: Drives) -> NDArray[np.bool_]:
-    """A mask (N,) of the rows to use, by their drivers (positions in `DRIVERS`); all, if no driver is known."""
+    """A mask (N,) of the rows to use, from their drivers (positions in `DRIVERS`). If no driver is known: all."""
     if drives == "all" or not driver.any():
         return np.ones(len(driver), np.bool_)
     return np.isin(driver, TAKEOVERS)

@@ -1,4 +1,4 @@
-"""Flags of unusual frames: names in the column `flags` of a session's frames table."""
+"""Flags of unusual frames, in the column `flags` of a session's frames table."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ FRAME_FLAGS: Final[tuple[FrameFlag, ...]] = (*ROW_FLAGS, *get_args(PictureFlag))
 
 Position = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
 Stretches = tuple[tuple[Position, Position], ...]
-"""First and last position of each stretch, in their order and without overlap."""
+"""First and last position of each stretch, in ascending order and without overlap."""
 
 
 @dataclass(frozen=True)
 class ImageFindings:
-    """The findings of decoding all pictures of a log."""
+    """The results of decoding all pictures of a log."""
 
-    pictures: Position  # that were checked
+    pictures: Position  # number of checked pictures
     broken: Mapping[Camera, Stretches]  # positions among a camera's pictures (`Log.pictures`)
     frozen: Mapping[Camera, Stretches]
-    against: Stretches | None = None  # positions of vehicle states; None in what earlier versions have found
-    lag: LagFinding | None = None  # of the steering; None where labels do not depend on it, and likewise
+    against: Stretches | None = None  # positions of vehicle states; None: checked by an earlier version
+    lag: LagFinding | None = None  # of the steering; None: labels do not depend on it, or an earlier version
 
 
 @dataclass(frozen=True)
 class Paired:
-    """The frames of one camera (N,): positions of their vehicle states, and of their pictures (`Log.pictures`)."""
+    """The frames of one camera: positions (N,) of their vehicle states and of their pictures (`Log.pictures`)."""
 
     state: NDArray[np.int64]
     picture: NDArray[np.int64]
@@ -48,9 +48,10 @@ class Paired:
 def frame_flags(states: States, frames: Mapping[Camera, Paired], findings: ImageFindings | None) -> pa.ListArray:
     """The flags of each frame, as lists of strings, for the frames of all cameras one after the other.
 
-    Those of `recorder.rows.row_quality.row_flags`, and `missing_picture`: its row lacks the picture of another
-    camera that the session has. Only with `findings`: `broken_picture`, which does not decode, `frozen_picture`,
-    one of three or more equal ones in a row from a moving car, and `steering_against_pictures`.
+    - all flags of `recorder.rows.row_quality.row_flags`
+    - `missing_picture`: its row lacks the picture of another camera of the session
+    - only with `findings`: `broken_picture` (does not decode), `frozen_picture` (one of at least three equal
+      pictures in a row, while the car moves), and `steering_against_pictures`
     """
     flags: dict[FrameFlag, NDArray[np.bool_]] = {
         flag: _joined(mask[paired.state] for paired in frames.values()) for flag, mask in row_flags(states).items()
@@ -74,7 +75,7 @@ def frame_flags(states: States, frames: Mapping[Camera, Paired], findings: Image
 
 
 def is_unusable(frames: pa.Table) -> NDArray[np.bool_]:
-    """A mask of the frames that cannot be used: steering outside -1..1, or a picture that does not decode."""
+    """A mask of the frames that cannot be used: steering outside -1..1, or the picture does not decode."""
     unusable: NDArray[np.bool_] = frames["bin"].to_numpy() < 0
     return unusable | lists_with(frames["flags"], "broken_picture")
 
@@ -103,7 +104,7 @@ def _joined(masks: Iterable[NDArray[np.bool_]]) -> NDArray[np.bool_]:
 
 
 def _lists(flags: Mapping[FrameFlag, NDArray[np.bool_]], frames: int) -> pa.ListArray:
-    """Masks (N,) as one list of names a frame. Only frames with a flag cost anything but their offset."""
+    """Convert masks (N,) to one list of names for each frame. Frames without a flag only take an offset."""
     at: list[NDArray[np.int64]] = [np.flatnonzero(mask) for mask in flags.values()]
     frame = np.concatenate([np.zeros(0, np.int64), *at])
     name = np.repeat(np.arange(len(at), dtype=np.int8), [len(part) for part in at])
@@ -115,7 +116,7 @@ def _lists(flags: Mapping[FrameFlag, NDArray[np.bool_]], frames: int) -> pa.List
 
 
 def is_not_driving(frames: pa.Table) -> NDArray[np.bool_]:
-    """A mask of the frames with a flag of `NOT_LEARNT`: of crashes, of driving backwards, of a parked car."""
+    """A mask of the frames with a flag of `NOT_LEARNT`: crashes, driving backwards, manoeuvres, a parked car."""
     return lists_with(frames["flags"], *NOT_LEARNT)
 
 
@@ -125,7 +126,7 @@ def is_excluded(frames: pa.Table) -> NDArray[np.bool_]:
 
 
 def lists_with(lists: pa.ChunkedArray, *names: str) -> NDArray[np.bool_]:
-    """A mask of the lists of strings that hold one of these names."""
+    """A mask of the lists of strings that contain one of these names."""
     combined = lists.combine_chunks()
     mask = np.zeros(len(combined), np.bool_)
     at = pc.list_parent_indices(combined).filter(pc.is_in(pc.list_flatten(combined), pa.array(names)))

@@ -1,4 +1,4 @@
-"""`index/frames/SESSION.parquet`: one row a camera picture, with the place of its bytes in the log."""
+"""`index/frames/SESSION.parquet`: one row for each camera picture, with the place of its bytes in the log."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ FRAMES_SCHEMA: Final = pa.schema(
         pa.field("row", pa.int64()),  # the frame's number in its log
         pa.field("camera", pa.string()),
         pa.field("log_time_ns", pa.int64()),
-        # of the JPEG, in bytes from the start of the log (or of its chunk, unpacked)
+        # of the JPEG, in bytes from the start of the log (or of its decompressed chunk)
         pa.field("offset", pa.int64()),
         pa.field("length", pa.int64()),  # of the JPEG, in bytes
-        pa.field("chunk", pa.int64()),  # where in the log the compressed chunk begins that holds it; -1: in none
-        # steering: where an expert drove, what he commanded
+        pa.field("chunk", pa.int64()),  # offset of the picture's compressed chunk in the log; -1: not compressed
+        # steering: during a takeover, the command of the expert or human
         *(pa.field(name, pa.float64()) for name in VEHICLE_COLUMNS),
-        pa.field("driver", pa.string()),  # "pilot", "expert", "human"; "" if it is unknown
+        pa.field("driver", pa.string()),  # "pilot", "expert", "human"; "" if unknown
         pa.field("device", pa.string()),  # "keyboard", "mouse", "gamepad", "touch"; "" if nobody steered by hand
         pa.field("drive", pa.int64()),
         pa.field("block", pa.int64()),
         pa.field("split", pa.string()),  # "train", "validation", or "gap": left out between the two
-        pa.field("bin", pa.int64()),  # of the recorded steering; -1 where that is not in -1..1
+        pa.field("bin", pa.int64()),  # of the recorded steering; -1 if it is not in -1..1
         pa.field("flags", pa.list_(pa.string())),
-        pa.field("tags", pa.list_(pa.string())),  # names that somebody gave to the row with `bc-log tag`
+        pa.field("tags", pa.list_(pa.string())),  # the row's tags, from `bc-log tag`
     ]
 )
 
@@ -54,22 +54,23 @@ SPLITS: Final = ("train", "validation", "gap")
 
 
 class FramesError(DatasetError):
-    """A frames file that is missing or damaged."""
+    """The frames file is missing or damaged."""
 
 
 _ALWAYS_NS: Final = (-(2**63), 2**63 - 1)
 
 REPEATING: Final = ("session", "camera", "driver", "device", "split")
-"""Columns of few values, which are read as dictionaries: a fraction of the memory."""
+"""Columns with few distinct values. They are read as dictionaries, which need less memory."""
 
 
 def session_name(log: Location) -> str:
-    """NAME of NAME.mcap, and of NAME.mcap.XXXXXX.part, whose recording was killed."""
+    """NAME of NAME.mcap, and of NAME.mcap.XXXXXX.part (an unfinished recording)."""
     return final_name(log.name).removesuffix(".mcap")
 
 
 def frames_metadata(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> dict[str, Any]:
-    """Everything that a frames file depends on: it is up to date as long as this has not changed."""
+    """The metadata of a frames file: everything that it depends on. If this has not changed, the file is up to
+    date."""
     fingerprint = log.fingerprint
     return {
         "format": FRAMES_FORMAT,
@@ -83,44 +84,45 @@ def frames_metadata(log: Log, index: Path, config: IndexConfig, tags: Sequence[T
 
 
 def file_if_rewritten(fingerprint: str, file: str) -> dict[str, str]:
-    """The file's own fingerprint, if it differs from the log's: a log that was rewritten with the same content."""
+    """The file's fingerprint, if it differs from the log's: the log was rewritten with the same content."""
     return {} if file == fingerprint else {"file": file}
 
 
-def log_place(named: str, index: Location) -> Location:
+def log_place(name: str, index: Location) -> Location:
     """The place of a log, from its name in an index. Raises DatasetError for an invalid name."""
     try:
-        if "://" in named:
-            return location(named)
-        return index.joined(named) if isinstance(index, Url) else index / named
+        if "://" in name:
+            return location(name)
+        return index.joined(name) if isinstance(index, Url) else index / name
     except (UserError, ValueError) as error:
         raise DatasetError(
-            f"{index}: a log that it names does not exist ({error}); run `bc-index` again"
+            f"{index}: the index has an invalid name of a log ({error}); run `bc-index` again"
         ) from None
 
 
 def refuse_other_places(logs: Mapping[str, str], index: Location) -> None:
-    """Raise PlaceNotAllowedError if one of an index's logs, by session, lies where the index may name none
-    (`common.allowed_places`). No file is opened to know that."""
+    """Raise PlaceNotAllowedError if a log (by session) is outside the places that the index may refer to
+    (`common.allowed_places`). No file is opened for this."""
     allowed = AllowedPlaces(index, index_project(index))
     index_place = absolute(index)
-    for session, named in logs.items():
-        place = allowed.outside(log_place(named, index_place))
+    for session, name in logs.items():
+        place = allowed.outside(log_place(name, index_place))
         if place is not None:
             raise PlaceNotAllowedError(
                 f"{printable(str(index))}: names {printable(str(place))} as the log of session"
-                f" {printable(session)}, which is not in its project, and it was not built here; it is not opened."
-                f" If it is yours: --sessions {shlex.quote(printable(str(place.parent)))}"
+                f" {printable(session)}, which is outside the index's project, and you did not build the index on"
+                " this machine; the log is not opened. If it is yours:"
+                f" --sessions {shlex.quote(printable(str(place.parent)))}"
             )
 
 
 def index_project(index: Location) -> Location:
-    """The folder in which an index lies, with its sessions."""
+    """The folder that contains an index, and usually its sessions."""
     return absolute(index).parent
 
 
 def frames_settings(config: IndexConfig, session: str) -> dict[str, Any]:
-    """The part of the settings that changes the frames of a session."""
+    """The settings on which the frames of a session depend."""
     return {
         "bins": config.bins,
         "block_s": config.block_s,
@@ -132,7 +134,7 @@ def frames_settings(config: IndexConfig, session: str) -> dict[str, Any]:
 
 
 def read_frames(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """A frames file, or some columns of it. Raises FramesError if it is missing or damaged."""
+    """Read all or some columns of a frames file. Raises FramesError if the file is missing or damaged."""
     repeating = [name for name in REPEATING if columns is None or name in columns]
     try:
         return pq.read_table(
@@ -143,12 +145,12 @@ def read_frames(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
 
 
 def _damaged(path: Path, error: Exception) -> FramesError:
-    return FramesError(f"{path}: damaged ({' '.join(str(error).split())}); remove it and give `bc-index`")
+    return FramesError(f"{path}: damaged ({' '.join(str(error).split())}); remove it and run `bc-index`")
 
 
 @dataclass(frozen=True)
 class Extent:
-    """Number of frames of a session, and the times of the first and the last."""
+    """The number of frames of a session, and the times of the first and the last frame."""
 
     frames: int
     first_ns: int
@@ -156,25 +158,26 @@ class Extent:
 
 
 def extent_of(path: Path) -> Extent:
-    """The extent of a frames file, from its end alone, without reading a frame. Raises FramesError if it is
+    """The extent of a frames file, from its metadata, without reading frames. Raises FramesError if the file is
     missing or damaged."""
     try:
-        about = pq.read_metadata(path)
+        metadata = pq.read_metadata(path)
     except (OSError, pa.ArrowException) as error:
         raise _damaged(path, error) from None
-    paths = [about.schema.column(number).path for number in range(about.num_columns)]
+    paths = [metadata.schema.column(number).path for number in range(metadata.num_columns)]
     statistics_ns: list[Any] = []
     if "log_time_ns" in paths:
         at = paths.index("log_time_ns")
-        statistics_ns = [about.row_group(group).column(at).statistics for group in range(about.num_row_groups)]
+        groups = range(metadata.num_row_groups)
+        statistics_ns = [metadata.row_group(group).column(at).statistics for group in groups]
     if not statistics_ns or any(group is None or not group.has_min_max for group in statistics_ns):
-        return Extent(about.num_rows, *_ALWAYS_NS)  # another program wrote the file
+        return Extent(metadata.num_rows, *_ALWAYS_NS)  # another program wrote the file
     first_ns, last_ns = min(group.min for group in statistics_ns), max(group.max for group in statistics_ns)
-    return Extent(about.num_rows, first_ns, last_ns)
+    return Extent(metadata.num_rows, first_ns, last_ns)
 
 
 def codes(column: pa.ChunkedArray, names: Sequence[str]) -> NDArray[np.int8]:
-    """The position of each string among `names` (N,); -1 for others."""
+    """The position of each string in `names`, (N,); -1 for other strings."""
     indices = pc.index_in(column.cast(pa.string()), pa.array(names, pa.string()))
     positions: NDArray[np.int8] = pc.fill_null(indices, -1).to_numpy().astype(np.int8)
     return positions

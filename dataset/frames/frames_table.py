@@ -1,4 +1,4 @@
-"""The frames of a log: its pictures, paired with the vehicle states and with the driver at each."""
+"""The frames of a log: its pictures, with the vehicle state and the driver at each picture."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from recorder.topics import VEHICLE_COLUMNS, camera_topic
 def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> pa.Table:
     """One row for each camera picture that has a vehicle state, in the order of the log.
 
-    `index` is the index's folder, which holds the findings of a check of its pictures.
+    `index` is the folder of the index, which may have the results of a check of the log's pictures.
     """
     states, driver = driven_states(log)
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
@@ -43,8 +43,8 @@ def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]
 def driven_states(log: Log) -> tuple[States, NDArray[np.int8]]:
     """The vehicle states of a log (N,), and the driver at each, as a position in `DRIVERS`.
 
-    Where an expert or a person took over, the steering is the command at that picture, which a network is to
-    learn: the wheels follow later. Raises LogError for a damaged log.
+    During a takeover by an expert or a person, the steering is the command at the picture, which a network is to
+    learn, because the wheels follow later. Raises LogError if the log is damaged.
     """
     states = States.of(log.vehicle())
     commands = read_commands(log)
@@ -66,14 +66,14 @@ def frames_of(
     driver: NDArray[np.int8] | None = None,
     device: NDArray[np.int8] | None = None,
 ) -> pa.Table:
-    """The frames of a session from its vehicle states, the places of its pictures, the driver at each state (as
-    `driven_states` gives it; None: unknown), and its `devices` (None: unknown)."""
+    """The frames of a session. `driver` (N,) is the driver at each vehicle state, as from `driven_states`,
+    `device` (N,) the device, as from `Log.devices`; None: unknown."""
     unknown = np.zeros(len(states.row), np.int8)
     driver = unknown if driver is None else driver
     device = unknown if device is None else device
     drive = drive_numbers(states.time_ns)
     taken = is_taken(driver, config.drives)
-    # a takeover may be short: blocks begin with it, so that no edge of a block cuts it in two
+    # a block begins at each takeover, so that no edge of a block divides a short takeover
     is_edge = (np.diff(drive) != 0) | (np.diff(taken) != 0)
     stretch = np.concatenate([[0], np.cumsum(is_edge)])[: len(drive)]
     block = block_numbers(states.time_ns, stretch, config.block_s)
@@ -120,10 +120,11 @@ def frames_of(
 def _split_of(
     states: States, block: NDArray[np.int64], taken: NDArray[np.bool_], session: str, config: IndexConfig
 ) -> NDArray[np.int8]:
-    """0 for training, 1 for validation, 2 for the gap between them.
+    """The split of each row (N,): 0 for training, 1 for validation, 2 for the gap between them.
 
-    Validation is a share of the used frames, never all of them. Blocks without used frames do not count.
-    Takeovers are few and of any length, so that chance may hold out most of them: then it is the other way round.
+    Validation is a share of the used frames, never all of them. Blocks without used frames do not count. Takeovers
+    are few and of any length, so that chance may hold out more than half of them: then training and validation are
+    exchanged.
     """
     if config.validation:
         return np.full(len(block), int(session in config.validation), np.int8)
@@ -136,7 +137,7 @@ def _split_of(
 
 
 def _tags_of(row: NDArray[np.int64], tags: Sequence[Tag]) -> pa.Array:
-    """For each row the names of the tags that cover it."""
+    """The names of the tags of each row."""
     if not tags:
         return pa.ListArray.from_arrays(np.zeros(len(row) + 1, np.int32), pa.array([], pa.string()))
     names: list[list[str]] = [[] for _ in row]
@@ -148,11 +149,11 @@ def _tags_of(row: NDArray[np.int64], tags: Sequence[Tag]) -> pa.Array:
 
 
 def is_for_training(frames: pa.Table, log: Log, session: str, config: IndexConfig) -> NDArray[np.bool_]:
-    """A mask of the `frames` of a log (N,) that are on the training side of an index which was made with `config`
-    and called the log `session`. `frames` needs the columns row and log_time_ns.
+    """A mask (N,) of the `frames` of a log that are in the training split of an index with the settings `config`,
+    in which the log is called `session`. `frames` needs the columns row and log_time_ns.
 
-    The split is computed anew from the log. It depends on neither tags nor cameras nor --where: frames that these
-    kept from training count as for it.
+    The split is computed again from the log. It does not depend on tags, cameras and --where: a frame that one of
+    these left out of training is also marked.
     """
     states, driver = driven_states(log)
     pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
@@ -161,9 +162,9 @@ def is_for_training(frames: pa.Table, log: Log, session: str, config: IndexConfi
 
 
 def in_crashes(frames: pa.Table, log: Log) -> NDArray[np.bool_]:
-    """A mask of the `frames` of a log (N,), by those flags of its rows that are `NOT_LEARNT`, which an index of an
-    earlier version does not have. `frames` needs the columns row and log_time_ns. Raises LogError for a damaged
-    log."""
+    """A mask (N,) of the `frames` of a log whose row has a flag of `NOT_LEARNT`, for an index of an earlier
+    version, which lacks these flags. `frames` needs the columns row and log_time_ns. Raises LogError if the log is
+    damaged."""
     vehicle = log.vehicle()
     flags = row_flags(States.of(vehicle))
     crashed = vehicle.filter(pa.array(np.logical_or.reduce([flags[flag] for flag in NOT_LEARNT])))

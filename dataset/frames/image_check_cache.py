@@ -1,6 +1,6 @@
-"""`index/looks/SESSION.json`: the findings of a check of all pictures of a log, kept so that it is done once.
+"""`index/looks/SESSION.json`: the results of a check of all pictures of a log, so that a log is checked only once.
 
-Decoding every picture of a session takes tens of times as long as indexing it.
+Decoding all pictures of a session takes tens of times as long as indexing the session.
 """
 
 from __future__ import annotations
@@ -43,11 +43,12 @@ _MAX_BYTES: Final = 1 << 26
 def check_images(
     log: Log, on_decoded: Callable[[int], object] = lambda count: None, threads: int | None = None
 ) -> ImageFindings:
-    """Decode every camera picture of a log, in `threads` (by default one a core) and with bounded memory. Compare
-    those of the centre camera with the steering. Measure the steering's lag if it is unknown, and keep it next to
-    the log.
+    """Decode all camera pictures of a log, in `threads` (by default one for each core) and with bounded memory.
+    Compare the pictures of the centre camera with the steering. If the steering's lag is unknown, measure it, and
+    keep it next to the log.
 
-    `on_decoded` is called with the number decoded since the last call. Raises LogError if the log is damaged.
+    `on_decoded` is called with the number of pictures decoded since the last call. Raises LogError if the log is
+    damaged.
     """
     from recorder.seen.steering_against_pictures import against_pictures  # OpenCV
 
@@ -80,11 +81,11 @@ def check_images(
 def check_all_images(
     logs: Mapping[str, Location], index: Path, *, leave_out_unreadable: bool = False, tasks: Tasks = one_by_one
 ) -> list[str]:
-    """Check the pictures of the logs (by session) whose findings `index` does not have; returns these sessions.
+    """Check the pictures of the logs (by session) that `index` has no results for; returns these sessions.
 
-    The findings of each log are kept at once, also if the work is stopped later. Raises LogError for a damaged
-    log; with `leave_out_unreadable`, the log is left out. On this machine, each log has all cores; on a cluster,
-    each log is one of the `tasks`.
+    The results of each log are written when its check is done, so that they stay if the work is stopped later.
+    Raises LogError if a log is damaged; with `leave_out_unreadable`, skips the log. On this machine, the check of
+    a log uses all cores; on a cluster, each log is one of the `tasks`.
     """
     unreadable = (LogError,) if leave_out_unreadable else ()
     pictures: dict[str, int] = {}
@@ -96,9 +97,9 @@ def check_all_images(
                 pictures[session] = sum(counts.get(camera_topic(camera), 0) for camera in CAMERAS)
     names, checked = list(pictures), []
     with progress_bar() as progress:
-        bar = progress.add_task("looking at pictures", total=sum(pictures.values()), note="")
-        how = (None, partial(progress.advance, bar)) if tasks is one_by_one else (1,)
-        for number, error in tasks(_check_log, [(name, logs[name], index, *how) for name in names]):
+        bar = progress.add_task("checking pictures", total=sum(pictures.values()), note="")
+        options = (None, partial(progress.advance, bar)) if tasks is one_by_one else (1,)
+        for number, error in tasks(_check_log, [(name, logs[name], index, *options) for name in names]):
             if error is None:
                 checked.append(names[number])
             elif not unreadable:
@@ -115,7 +116,7 @@ def _check_log(
     threads: int | None,
     on_decoded: Callable[[int], object] = lambda count: None,
 ) -> LogError | None:
-    """Check a log's pictures and keep the findings; returns the error of a log that cannot be read."""
+    """Check a log's pictures and write the results; returns the error if the log cannot be read."""
     try:
         with Log(path) as log:
             write_image_check(index, session, log.fingerprint, check_images(log, on_decoded, threads))
@@ -125,7 +126,7 @@ def _check_log(
 
 
 def write_image_check(index: Path, session: str, fingerprint: str, findings: ImageFindings) -> None:
-    """Keep the findings in the log with this fingerprint."""
+    """Write the results for the log with this fingerprint."""
     stored = {"format": _FORMAT, "fingerprint": fingerprint, **msgspec.to_builtins(findings)}
     path = image_check_path(index, session)
     with index_write_errors(path), atomic_file(path, overwrite=True) as part:
@@ -133,7 +134,7 @@ def write_image_check(index: Path, session: str, fingerprint: str, findings: Ima
 
 
 def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindings | None:
-    """The findings in the log with this fingerprint; None without a sound file of them."""
+    """The results for the log with this fingerprint; None if their file is missing, damaged or of another log."""
     path = image_check_path(index, session)
     try:
         if path.is_symlink() or path.stat().st_size > _MAX_BYTES:
@@ -144,8 +145,8 @@ def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindin
         return None
     if (stored.get("format"), stored.get("fingerprint")) != (_FORMAT, fingerprint):
         return None
-    of_all = itertools.chain(findings.broken.values(), findings.frozen.values(), [findings.against or ()])
-    return findings if all(map(_are_ascending, of_all)) else None
+    all_stretches = itertools.chain(findings.broken.values(), findings.frozen.values(), [findings.against or ()])
+    return findings if all(map(_are_ascending, all_stretches)) else None
 
 
 def image_check_path(index: Path, session: str) -> Path:
@@ -153,7 +154,8 @@ def image_check_path(index: Path, session: str) -> Path:
 
 
 def _in_order_of_the_file(log: Log) -> Iterator[tuple[Camera, int, int, int, int, int]]:
-    """Camera, row, log time, offset, length and chunk of each picture: a compressed chunk is unpacked once."""
+    """Yield camera, row, log time, offset, length and chunk of each picture, in the order of the file, so that
+    each compressed chunk is decompressed once."""
     parts: list[tuple[NDArray[np.int64], ...]] = []
     for number, camera in enumerate(CAMERAS):
         pictures = log.pictures(camera_topic(camera))

@@ -1,4 +1,4 @@
-"""Pairing of a log's messages with its vehicle states."""
+"""Pair the messages of a log with its vehicle states."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from recorder.rows.row_quality import States
 
 
 def paired_rows(messages: Pictures | Commands, states: States) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs messages with vehicle states by row number and log time: (positions of states, of messages)."""
+    """Pair messages with vehicle states by row number and log time. Returns the positions (N,) of the states, and
+    of the messages."""
     count = len(states.row)
     number, first = number_distinct(
         np.concatenate([states.time_ns, messages.log_time_ns]), np.concatenate([states.row, messages.sequence])
     )
-    state = first[number[count:]]  # the first of those alike: a state, if there is one
+    state = first[number[count:]]  # the first of the equal rows, which is a state if a state is among them
     paired = np.flatnonzero(state < count)
     return state[paired], paired
 
 
 def moments(frames: pa.Table) -> NDArray[np.void]:
-    """Row and log time of each frame (N,), which identify a moment of a log."""
+    """The row and log time of each frame (N,): together they identify a moment in a log."""
     identities = np.empty(len(frames), [("row", np.int64), ("log_time_ns", np.int64)])
     for name in ("row", "log_time_ns"):
         identities[name] = frames[name].to_numpy()

@@ -1,7 +1,7 @@
 """Blocks of time within drives, and their split into training and validation.
 
-Neighbouring frames are nearly the same picture. Split at random, validation would ask what training has
-seen; split by blocks of time, it asks about stretches of road that training has not seen.
+Neighbouring frames are nearly the same picture. With a random split, validation would test pictures that training
+has seen. With a split by blocks of time, it tests stretches of road that training has not seen.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 
 def block_numbers(time_ns: NDArray[np.int64], drive: NDArray[np.int64], block_s: float) -> NDArray[np.int64]:
-    """Numbers the blocks of a session from 0: stretches of `block_s` seconds within one drive."""
+    """The number of the block of each row (N,), from 0. A block is `block_s` seconds long, within one drive."""
     if not len(time_ns):
         return np.zeros(0, np.int64)
     first = np.flatnonzero(np.concatenate([[True], np.diff(drive) != 0]))
@@ -24,10 +24,10 @@ def block_numbers(time_ns: NDArray[np.int64], drive: NDArray[np.int64], block_s:
 
 
 def validation_blocks(block: NDArray[np.int64], share: float, seed: int, session: str) -> NDArray[np.int64]:
-    """The blocks of a session that are for validation: about `share` of its frames, chosen at random.
+    """The blocks of a session for validation: about `share` of its frames, chosen at random.
 
-    Depends on the session's name and frames alone, so that adding a session moves no other's split.
-    A session of a single block is all training.
+    The choice depends only on the seed, the session's name and its frames, so that a new session does not change
+    the split of the others. A session with a single block is all for training.
     """
     numbers, frames = np.unique(block, return_counts=True)
     if len(numbers) < 2 or share <= 0:
@@ -35,7 +35,7 @@ def validation_blocks(block: NDArray[np.int64], share: float, seed: int, session
     digest = hashlib.sha256(f"{seed}/{session}".encode()).digest()
     order = np.random.default_rng(int.from_bytes(digest[:8], "little")).permutation(len(numbers))
     taken = np.cumsum(frames[order])
-    # the number of blocks that comes closest to the share; at least one, and never all
+    # the number of blocks with a share closest to `share`; at least one, and never all
     count = int(np.argmin(np.abs(taken[:-1] - share * len(block)))) + 1
     return np.sort(numbers[order[:count]])
 
@@ -43,10 +43,11 @@ def validation_blocks(block: NDArray[np.int64], share: float, seed: int, session
 def near_validation(
     time_ns: NDArray[np.int64], is_validation: NDArray[np.bool_], gap_s: float
 ) -> NDArray[np.bool_]:
-    """Rows for training that lie within `gap_s` of one for validation, along the recording.
+    """A mask (N,) of the training rows within `gap_s` of a validation row, along the recording.
 
-    A picture just before the edge of a block is nearly the one just behind it; these are left out of both. Time
-    is added up from row to row, forward also where a clock was set back: the place was still the same.
+    The pictures on both sides of a block's edge are nearly the same, so these rows are left out of both splits.
+    The time is the sum of the absolute steps from row to row: if the clock was set back, neighbours still show the
+    same place.
     """
     if not len(time_ns):
         return np.zeros(0, np.bool_)
@@ -57,6 +58,6 @@ def near_validation(
 
 
 def _since_last(elapsed_ns: NDArray[np.int64], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """For each row the time in ns to the last marked row at or before it; infinite without one."""
+    """The time in ns from the last marked row to each row (N,); infinite if no row before is marked."""
     last = np.maximum.accumulate(np.where(mask, np.arange(len(mask)), -1))
     return np.where(last >= 0, (elapsed_ns - elapsed_ns[last]).astype(np.float64), np.inf)

@@ -1,1 +1,1 @@
-"""The index: built from logs, kept up to date, checked and reported on."""
+"""The index: build it from logs, update it, check it and report on it."""

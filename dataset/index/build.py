@@ -1,8 +1,7 @@
-"""Building the index: `index/frames/*.parquet` and `index/samples.parquet`, from logs.
+"""Build the index, `index/frames/*.parquet` and `index/samples.parquet`, from logs.
 
-Only what changed is read again: logs, tags and frames files whose sizes and times are remembered
-(`dataset.index.build_state`) are not even opened. Whatever came before, the files are those that the logs
-which can be read give.
+Only changed files are read again: logs, tags and frames files with the size and time of the last build
+(`dataset.index.build_state`) are not opened. The result depends only on the readable logs, not on earlier builds.
 """
 
 from __future__ import annotations
@@ -68,30 +67,30 @@ from recorder.log.session_car import CAR_KEY
 from recorder.mcap.mcap_file import WITHOUT_CRCS
 from recorder.rows.label_plan import NOT_MEASURED
 
-_Made = tuple[Balance, dict[str, SessionCounts], dict[str, SessionLabels]]
-"""How samples are balanced; and of each session what becomes of its frames, and how it is learnt."""
+_Contents = tuple[Balance, dict[str, SessionCounts], dict[str, SessionLabels]]
+"""The balance, and the counts and labels of each session."""
 
 
 MAX_NAMES: Final = 8
 
 
 class _StaleStateError(Exception):
-    """A file is not that of its size and time, or has changed at this very moment."""
+    """A file has changed although its size and time have not, or it has changed during the build."""
 
 
 @dataclass(frozen=True)
 class Indexed:
-    """An index that was built: its sessions, and their notices."""
+    """The result of `build_index`: the sessions of the index, and notices about them."""
 
     path: Path
     sessions: list[str]
-    read: list[str]  # those whose frames are new
+    read: list[str]  # sessions with new frames
     balance: Balance
     counts: dict[str, SessionCounts]
-    notices: list[str]  # logs that were never finished, or that cannot be read at all
-    remarks: list[str]  # logs in which damage is not noticed
-    labels: dict[str, SessionLabels]  # how each session was steered, and what was done for it
-    sizes_px: dict[str, list[tuple[int, int]]]  # of each session, width and height of its cameras' first pictures
+    notices: list[str]  # about unfinished and unreadable logs
+    remarks: list[str]  # about logs without CRCs or measured lag, and logs that are slow to read from a store
+    labels: dict[str, SessionLabels]  # steering habits and label plan of each session
+    sizes_px: dict[str, list[tuple[int, int]]]  # width and height of the first picture of each camera, by session
 
     @cached_property
     def frames(self) -> pa.Table:
@@ -113,14 +112,16 @@ def build_index(
     passed_over: Sequence[str] = (),
     tasks: Tasks = one_by_one,
 ) -> Indexed:
-    """Bring `index` up to date: it then holds the sessions of `logs`, and only those.
+    """Update `index`, so that it contains exactly the sessions of `logs`. If an error is raised, it does not
+    change.
 
-    It changes whole or, where anything is raised, not at all. Raises LogError if a log cannot be read
-    (`leave_out_unreadable`: it is left out, and the notices name it), DatasetError if nothing in them can be used,
-    if two of them have the same name or, but for a standing start, a picture in common, if `config` names a
-    session that is not among them, or if a file cannot be written; and what `check_settings` does. `passed_over`
-    are sessions that the user left out on purpose: `sessions_not_indexed` does not list them.
-    `tasks` reads the logs: here, or on a cluster (`common.ray_cluster`), which comes to the same bytes.
+    With `leave_out_unreadable`, unreadable logs are left out and listed in the notices. `passed_over` are sessions
+    that the user left out: `sessions_not_indexed` does not list them. `tasks` reads the logs on this machine or on
+    a cluster (`common.ray_cluster`), with the same result.
+
+    Raises LogError if a log cannot be read. Raises DatasetError if no frame can be used, if two logs have the same
+    name or share pictures (except of a standing start), if `config` names a session that is not in `logs`, or if a
+    file cannot be written. Also raises the errors of `check_settings`.
     """
     index, config = Path(index), config or IndexConfig()
     by_name = dict(sorted(by_session_name(map(location, logs)).items()))
@@ -143,19 +144,19 @@ def build_index(
 
 
 def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -> None:
-    """Check what `build_index` can check before it reads anything.
+    """Check the settings of `build_index` before anything is read.
 
-    Raises DatasetError if a session to hold out is not among `logs`, if the condition is wrong, or if the index is
-    not a plain folder of its own; UserError if DuckDB is missing.
+    Raises DatasetError if a session to hold out is not in `logs`, if the condition is wrong, or if the index is a
+    file, a link, a run or a folder of logs; UserError if DuckDB is missing.
     """
     names = sorted(map(session_name, logs))
     if missing := set(config.validation) - set(names):
         raise DatasetError(f"--validation {' '.join(sorted(missing))}: no such session among {', '.join(names)}")
     refuse_file(index)
-    if what := other_folder(index):
-        raise DatasetError(f"{index}: {what}; an index needs a folder of its own: give --index another name")
+    if kind := other_folder(index):
+        raise DatasetError(f"{index}: {kind}; an index needs its own folder: give --index another name")
     for folder in (index / name for name in (FRAMES_FOLDER, IMAGE_CHECKS_FOLDER)):
-        # behind a link, files of others would be overwritten and deleted
+        # through a link, the build would overwrite and delete other files
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise DatasetError(f"{folder}: not a plain folder; remove it")
     if config.where is not None:
@@ -164,12 +165,12 @@ def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -
 
 def _refuse_different_steering(held: Mapping[str, BuiltLog]) -> None:
     """Raise DatasetError if steering 1 is not the same angle of the wheels in all sessions."""
-    (first, one), *others = held.items()
+    (first_name, first), *others = held.items()
     for name, other in others:
-        one_deg, other_deg = assumed_deg(one.max_steering_deg), assumed_deg(other.max_steering_deg)
-        if other_deg != one_deg:
+        first_deg, other_deg = assumed_deg(first.max_steering_deg), assumed_deg(other.max_steering_deg)
+        if other_deg != first_deg:
             raise DatasetError(
-                f"sessions {first} and {name}: steering 1 is {one_deg:g} degrees in one and"
+                f"sessions {first_name} and {name}: steering 1 is {first_deg:g} degrees in one and"
                 f" {other_deg:g} in the other; build an index for each (`bc-index"
                 f" {name} ... --index PATH`)"
             )
@@ -177,7 +178,7 @@ def _refuse_different_steering(held: Mapping[str, BuiltLog]) -> None:
 
 @dataclass(frozen=True)
 class _Build:
-    """What an index is built of, and how."""
+    """The arguments of a build, and its steps."""
 
     by_name: Mapping[str, Location]  # logs, by session
     index: Path
@@ -187,7 +188,8 @@ class _Build:
     tasks: Tasks
 
     def run(self, state: BuildState, damaged: Mapping[str, str]) -> Indexed:
-        """`damaged`: the errors, by session, of logs whose damage showed only when their pictures were read."""
+        """Build the index. `damaged` has the errors, by session, of logs whose damage showed only when their
+        pictures were read."""
         index, config, by_name = self.index, self.config, self.by_name
         with staged(index) as stage:
             entries = self._entries(state, damaged, stage)
@@ -198,14 +200,14 @@ class _Build:
                 raise LogError("; ".join(notices))
             _refuse_different_steering(held)
             logs = {name: _about_log(by_name[name], index, entry) for name, entry in held.items()}
-            made = _up_to_date(index, held, logs, config, state)
-            samples = (index if made else stage) / SAMPLES_NAME
-            if made is None:
+            contents = _up_to_date(index, held, logs, config, state)
+            samples = (index if contents else stage) / SAMPLES_NAME
+            if contents is None:
                 frames = {
                     name: (stage if name in read else index) / FRAMES_FOLDER / f"{name}.parquet" for name in held
                 }
                 try:
-                    made = self._write(frames, samples, held, logs)
+                    contents = self._write(frames, samples, held, logs)
                 except (LogError, FramesError):
                     if state.logs:
                         raise _StaleStateError from None
@@ -214,7 +216,7 @@ class _Build:
                 built = BuildState(stat_of(samples), entries, self.passed_over)
                 with index_write_errors(index / STATE_NAME):
                     write_state(samples.with_name(STATE_NAME), built)
-        balance, counts, labels = made
+        balance, counts, labels = contents
         sizes_px = {name: sorted(set(entry.sizes_px)) for name, entry in held.items()}
         remarks = [f"{by_name[name]}: {WITHOUT_CRCS}" for name, entry in held.items() if not entry.has_crcs]
         remarks += [_mixed(by_name[name], held[name]) for name in held if name in read and held[name].is_mixed]
@@ -222,7 +224,7 @@ class _Build:
         return Indexed(index, list(held), read, balance, counts, notices, remarks, labels, sizes_px)
 
     def _entries(self, state: BuildState, damaged: Mapping[str, str], stage: Path) -> dict[str, BuiltLog]:
-        """The entry of each session; without a fingerprint where its log cannot be read, and may be left out."""
+        """The entry of each session. If a log is unreadable and may be left out, its entry has no fingerprint."""
         entries: dict[str, BuiltLog] = {}
         read = log_entries(self.by_name, self.index, self.config, state, damaged, stage, self.tasks)
         for name, entry in track(read, "indexing", len(self.by_name)):
@@ -240,8 +242,8 @@ class _Build:
         samples: Path,
         held: Mapping[str, BuiltLog],
         logs: Mapping[str, Mapping[str, Any]],
-    ) -> _Made:
-        """Write the samples of these sessions. Raises LogError or FramesError for a damaged file."""
+    ) -> _Contents:
+        """Write the samples of these sessions. Raises LogError or FramesError if a file is damaged."""
         extents = {name: extent_of(file) for name, file in frames.items()}
         standing = shared_standing_rows(frames, self.by_name, extents, self.tasks)
         labels = labels_of_sessions(frames, held, self.config, self.tasks)
@@ -253,25 +255,25 @@ class _Build:
 def _mixed(log: Location, entry: BuiltLog) -> str:
     size = entry.sources[1][0] if entry.sources[1] else 0
     return (
-        f"{log}: its rows lie among its pictures, as an earlier version or another program wrote them: all of"
-        f" its {size / 1e6:,.0f} MB came here; `bc-log rewrite` makes a log of it whose rows are read alone"
+        f"{log}: rows and pictures are mixed, because an earlier version or another program wrote the log: all"
+        f" {size / 1e6:,.0f} MB were downloaded; `bc-log rewrite` separates the rows from the pictures"
     )
 
 
 def _not_measured(logs: Sequence[Location]) -> list[str]:
-    """A line that names the logs whose labels need a lag that was never measured, if there are any."""
+    """A line about the logs whose labels need a lag that was never measured, if there are any."""
     if not logs:
         return []
     command = shlex.join(["bc-log", "check", *map(str, logs[:MAX_NAMES])])
     more = f" (and {len(logs) - MAX_NAMES:,} more)" * (len(logs) > MAX_NAMES)
     return [
-        f"the steering's lag was never measured in {counted(len(logs), 'session')} of presses: their"
-        f" labels take it to be in time. `{command}`{more} measures it, and the next `bc-index` goes by it"
+        f"the steering's lag was never measured in {counted(len(logs), 'session')} with key presses: their labels"
+        f" assume no lag. `{command}`{more} measures it, and the next `bc-index` uses it"
     ]
 
 
 def _about_log(log: Location, index: Path, entry: BuiltLog) -> dict[str, Any]:
-    """What the samples' metadata has of a log: its place, fingerprint, foreign source and car."""
+    """The log's entry in the samples' metadata: place, fingerprint, foreign source and car."""
     return {
         "log": relative_to(log, index),
         "fingerprint": entry.fingerprint,
@@ -288,8 +290,9 @@ def _up_to_date(
     places: Mapping[str, object],
     config: IndexConfig,
     state: BuildState,
-) -> _Made | None:
-    """Balance, counts and labels from samples.parquet, if building it anew would give the same file."""
+) -> _Contents | None:
+    """Balance, counts and labels from samples.parquet, if building it again would give the same file; else
+    None."""
     before = {name: (entry.frames, entry.lag) for name, entry in state.logs.items() if entry.fingerprint}
     now = {name: (entry.frames, entry.lag) for name, entry in held.items()}
     if now != before or stale_frames_files(set(held), index):
@@ -303,7 +306,7 @@ def _up_to_date(
         counts = {name: msgspec.convert(stored["counts"][name], SessionCounts) for name in held}
         labels = {name: msgspec.convert(stored["labels"][name], SessionLabels) for name in held}
         if any(count.not_measured is None for count in counts.values()):
-            return None  # earlier versions measured by crashes
+            return None  # earlier versions used crashes for validation
         if stored["format"] != SAMPLES_FORMAT:
             return None
         return Balance.from_dict(stored["balance"]), counts, labels

@@ -1,6 +1,5 @@
-"""`index/state.json`: the state of the files that an index was made from, so that unchanged ones are not opened.
-
-Sizes and times of modification; it may be deleted at any time: then every log is read again.
+"""`index/state.json`: sizes and times of the files from which an index was built, so that unchanged files are not
+opened. If it is deleted, the next build reads all logs again.
 """
 
 from __future__ import annotations
@@ -24,43 +23,43 @@ FRAMES_FOLDER: Final = "frames"
 STATE_NAME: Final = "state.json"
 
 Stat = tuple[int, int | str] | None
-"""Size and time of modification (ns) of a file, or size and ETag of an object; None where there is none."""
+"""Size and time of modification (ns) of a file, or size and ETag of an object; None if it does not exist."""
 Sources = tuple[str, Stat, Stat, Stat]
 
 
 class BuiltLog(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A log as it was when the index was built."""
+    """The state of a log when the index was built."""
 
-    sources: Sources  # what its frames are made of, before it was read: what changes from then on is noticed
-    fingerprint: str = ""  # of its content; empty if it was left out
-    file: str = ""  # the fingerprint of the file, in which pictures have their places
-    frames: Stat = None  # of its frames file
-    notice: str = ""  # for a person
+    sources: Sources  # taken before the log was read, so that the next build notices later changes
+    fingerprint: str = ""  # of the content; "" if the log was left out
+    file: str = ""  # fingerprint of the file, on which the places of the pictures depend
+    frames: Stat = None  # of the frames file
+    notice: str = ""  # a line for the user
     has_crcs: bool = True
-    driven_by: str = ""  # the machine that drove it
-    set_speeds_mph: tuple[float, ...] = ()  # of its driver
+    driven_by: str = ""  # the machine that drove
+    set_speeds_mph: tuple[float, ...] = ()  # of the driver
     sizes_px: list[tuple[int, int]] = []  # width and height of the first picture of each camera
-    max_steering_deg: float | None = MAX_STEERING_DEG  # of its wheels, at steering 1; None: unknown
-    source: str = ""  # where others' data come from (`foreign_source`)
-    car: str = ""  # as the log stores it, in JSON
-    lag: LagFinding | None = None  # of the steering, as it was known
-    lag_file: Stat = None  # beside the log
-    is_mixed: bool = False  # in a store, with its rows among its pictures: all of it was moved
+    max_steering_deg: float | None = MAX_STEERING_DEG  # of the wheels at steering 1; None: unknown
+    source: str = ""  # origin of imported data (`foreign_source`)
+    car: str = ""  # as stored in the log, JSON
+    lag: LagFinding | None = None  # of the steering, if it was measured before
+    lag_file: Stat = None  # of the file with the lag, next to the log
+    is_mixed: bool = False  # in a store, with rows and pictures mixed: all of the log was downloaded
 
 
 class BuildState(msgspec.Struct, frozen=True):
     samples: Stat
     logs: dict[str, BuiltLog]
-    passed_over: list[str]  # logs that were not to be indexed, by somebody's choice
+    passed_over: list[str]  # logs that the user left out
 
     @classmethod
     def nothing(cls) -> BuildState:
-        """The state of an index that is built anew."""
+        """The state without an earlier build."""
         return cls(None, {}, [])
 
 
 class Stats:
-    """Sizes and times of files; of objects in a store, by listing a folder once."""
+    """Returns the state of a file. For objects in a store, each folder is listed once."""
 
     def __init__(self) -> None:
         self._listed: dict[Url, dict[Url, Stat]] = {}
@@ -79,7 +78,8 @@ class Stats:
 def sources_of(
     session: str, log: Location, index: Path, stat: Callable[[Location], Stat] | None = None
 ) -> Sources:
-    """The files that a session's frames are made of: the log, its tags, and the check of its pictures."""
+    """The state of the files on which a session's frames depend: the log, its tags, and the check of its
+    pictures."""
     stat = stat or stat_of
     path = os.path.realpath(log) if isinstance(log, Path) else str(log)
     return path, stat(log), stat(tags_path(log)), stat_of(image_check_path(index, session))
@@ -99,9 +99,9 @@ def stat_of(path: Location) -> Stat:
 
 
 def read_state(index: Path) -> BuildState:
-    """The state of the last build; an empty one if it is missing, damaged, or of an older version."""
+    """The state of the last build; an empty state if the file is missing, damaged, or of an older version."""
     try:
-        stored = json.loads((index / STATE_NAME).read_bytes())  # msgspec.json reads no names that are not UTF-8
+        stored = json.loads((index / STATE_NAME).read_bytes())  # msgspec.json rejects names that are not UTF-8
         return msgspec.convert(stored, BuildState)
     except (OSError, ValueError, RecursionError):
         return BuildState.nothing()

@@ -1,10 +1,11 @@
-"""The same pictures in two sessions: in training and in validation, they would make every error look small.
+"""Find the same pictures in two sessions. Shared by training and validation, they would make the errors too small.
 
-A log may have been imported twice, or lie next to the log that it was trimmed, merged or recovered from. What a
-log says of its origin cannot be trusted. So pictures of equal time, camera and length are compared, byte by byte.
+A log may have been imported twice, or be trimmed, merged or recovered from another log of the index. The metadata
+of a log about its origin cannot be trusted, so pictures of equal time, camera and length are compared byte by
+byte.
 
-A deterministic simulator begins two drives with the same pictures of a standing car. A few of these are accepted,
-and held out in neither session.
+A deterministic simulator begins all drives with the same pictures of a standing car. A few of these are accepted,
+and are not used for validation.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ _PRIME: Final = np.uint64(0x9E3779B97F4A7C15)
 
 
 MAX_STANDING_SHARE: Final = 0.25
-"""Of a session's frames. One that shares more pictures of a standing car is there twice."""
+"""The maximum share of a session's frames that may have a standing car and a picture that another session has.
+With a larger share, the session is a duplicate."""
 
 
 def shared_standing_rows(
@@ -46,12 +48,13 @@ def shared_standing_rows(
     extents: Mapping[str, Extent],
     tasks: Tasks = one_by_one,
 ) -> dict[str, tuple[int, ...]]:
-    """The rows of each session at which the car stands, and another session has the same picture. Raises
-    DatasetError if two sessions have the same picture of a car that moves, or `MAX_STANDING_SHARE` of a standing
-    one; frames tagged `exclude` do not count. Raises SessionError for a damaged log.
+    """The rows of each session with a standing car whose picture another session has, too.
 
-    `frames`, `logs` and `extents`: the frames file, the log and the times of each session. Pictures are compared
-    of sessions whose times overlap; others share none.
+    `frames`, `logs` and `extents` are the frames file, the log and the times of each session. Only sessions whose
+    times overlap are compared: others cannot share pictures. Frames tagged `exclude` do not count.
+
+    Raises DatasetError if two sessions share a picture of a moving car, or more than `MAX_STANDING_SHARE` of a
+    session's frames of a standing car; SessionError if a log is damaged.
     """
     names = _overlapping(extents)
     calls = [(frames[name],) for name in names]
@@ -60,14 +63,14 @@ def shared_standing_rows(
     by_number = dict(track(tasks(_keys, calls), "comparing sessions", len(calls)))
     keys, positions = ([by_number[number][i] for number in range(len(names))] for i in range(2))
     key = np.sort(np.concatenate(keys))
-    if not (key[1:] == key[:-1]).any():  # as nearly always
+    if not (key[1:] == key[:-1]).any():  # the usual case
         return {}
-    owner = np.repeat(np.arange(len(names), dtype=np.int32), [len(of_session) for of_session in keys])
+    owner = np.repeat(np.arange(len(names), dtype=np.int32), [len(session_keys) for session_keys in keys])
     key, position = np.concatenate(keys), np.concatenate(positions)
-    order = np.argsort(key, kind="stable")  # and so by owner where keys are equal
-    alike = np.flatnonzero((np.diff(key[order]) == 0) & (np.diff(owner[order]) != 0))
-    # the groups of equal keys in which several sessions have a part
-    groups = np.unique(np.searchsorted(key[order], key[order][alike]))
+    order = np.argsort(key, kind="stable")  # stable: equal keys are in the order of the sessions
+    equal = np.flatnonzero((np.diff(key[order]) == 0) & (np.diff(owner[order]) != 0))
+    # the groups of equal keys of more than one session
+    groups = np.unique(np.searchsorted(key[order], key[order][equal]))
     allow_open_files(len(frames))
     standing: dict[int, dict[int, _Pair]] = defaultdict(dict)  # by session, and by the position of the frame
     with contextlib.ExitStack() as stack:
@@ -99,7 +102,7 @@ def shared_standing_rows(
 
 
 def _overlapping(extents: Mapping[str, Extent]) -> list[str]:
-    """The sessions during which there was another one, in their order."""
+    """The sessions whose times overlap with those of another session, in the order of `extents`."""
     overlapping: set[str] = set()
     latest = ""
     for name in sorted(extents, key=lambda name: extents[name].first_ns):
@@ -112,25 +115,25 @@ def _overlapping(extents: Mapping[str, Extent]) -> list[str]:
     return [name for name in extents if name in overlapping]
 
 
-def _why_alike(one: Mapping[str, str], two: Mapping[str, str]) -> str:
-    """A hint where the built-in simulator was driven twice with one seed: nothing differs but the length."""
+def _seed_hint(metadata: Mapping[str, str], other_metadata: Mapping[str, str]) -> str:
+    """A hint if both logs are drives in the built-in simulator with the same seed, which differ only in length."""
     names = ("track_fingerprint", "driver", "drive.seed")
-    is_one_drive = "drive.seed" in one and all(one.get(name) == two.get(name) for name in names)
-    if any(name.endswith("_from") for name in (*one, *two)):  # trimmed, recovered: one is made of the other
+    is_same = "drive.seed" in metadata and all(metadata.get(name) == other_metadata.get(name) for name in names)
+    if any(name.endswith("_from") for name in (*metadata, *other_metadata)):  # one was trimmed or recovered
         return ""
-    return ". Both were driven with one seed: `bc-record --seed N` drives otherwise" if is_one_drive else ""
+    return ". Both were driven with the same seed: `bc-record --seed N` gives another drive" if is_same else ""
 
 
 class _Session:
-    """An open log and where its frames are."""
+    """An open log, and the places of its frames."""
 
     def __init__(self, log: Log, frames: Path) -> None:
         table = read_frames(frames, ("row", "offset", "length", "chunk", "speed_mph"))
         self._log = log
         self.path = log.path
-        self.driven = log.metadata
+        self.metadata = log.metadata
         *self._columns, speed_mph = (column.to_numpy() for column in table.columns)
-        self._stands = np.abs(speed_mph) < STANDING_MPH  # False for an unknown speed
+        self._stands = np.abs(speed_mph) < STANDING_MPH  # False if the speed is unknown
 
     def picture(self, position: int) -> bytes:
         _, offset, length, chunk = (int(column[position]) for column in self._columns)
@@ -145,35 +148,35 @@ class _Session:
 
 @dataclass(frozen=True)
 class _Pair:
-    """The same picture in two sessions, by its position in the frames of each."""
+    """A picture that two sessions share, and its position in the frames of each."""
 
-    one: _Session
-    one_position: int
-    two: _Session
-    two_position: int
+    first: _Session
+    first_position: int
+    second: _Session
+    second_position: int
 
     @property
     def stands(self) -> bool:
-        return self.one.stands(self.one_position) and self.two.stands(self.two_position)
+        return self.first.stands(self.first_position) and self.second.stands(self.second_position)
 
     def refused(self) -> DatasetError:
-        one_row, two_row = self.one.row(self.one_position), self.two.row(self.two_position)
+        first_row, second_row = self.first.row(self.first_position), self.second.row(self.second_position)
         return DatasetError(
-            f"{self.one.path} and {self.two.path}: the same picture in both (rows {one_row} and {two_row}); index"
-            " only one of them, or tag the rows `exclude` in one: `bc-log tag`"
-            f"{_why_alike(self.one.driven, self.two.driven)}"
+            f"{self.first.path} and {self.second.path}: the same picture in both (rows {first_row} and"
+            f" {second_row}); index only one of them, or tag the rows `exclude` in one: `bc-log tag`"
+            f"{_seed_hint(self.first.metadata, self.second.metadata)}"
         )
 
 
 def _keys(file: Path) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
-    """The keys of a session's frames that are not tagged `exclude`, and their positions in its file."""
+    """The keys of a session's frames that are not tagged `exclude`, and their positions in the frames file."""
     table = read_frames(file, ("log_time_ns", "length", "camera", "tags"))
     at = np.flatnonzero(~is_excluded(table))
     return _key(table)[at], at.astype(np.int32)
 
 
 def _key(frames: pa.Table) -> NDArray[np.uint64]:
-    """One number for time, length and camera; different ones seldom share it: their bytes tell them apart."""
+    """A hash (N,) of time, length and camera. If two different pictures have the same hash, their bytes differ."""
     camera = pc.index_in(frames["camera"].cast(pa.string()), pa.array(CAMERAS)).to_numpy()
     columns = (frames["log_time_ns"].to_numpy(), frames["length"].to_numpy(), camera)
     mixed = np.zeros(len(frames), np.uint64)

@@ -17,21 +17,22 @@ from dataset.index.sessions import unfinished_recordings
 from dataset.samples.samples_format import COUNT_HEADINGS, Balance, SessionLabels
 from recorder.rows.steering_report import STEERING_HEADINGS, steering_cells
 
-BAR_CELLS = 13  # so that a line fits 80 columns
-MAX_BINS = 101  # more lines than that nobody reads
+BAR_CELLS = 13  # a line of the table then fits 80 columns
+MAX_BINS = 101  # with more bins, no line for each bin is printed
 
 
 def sessions_table(indexed: Indexed) -> Table:
-    """Frames of each session, by what becomes of them; two of them only where there are some."""
-    some_piloted = any(counts.not_taken_over for counts in indexed.counts.values())
-    some_unlabelled = any(counts.unlabelled for counts in indexed.counts.values())
-    some_odd = any(counts.not_driven for counts in indexed.counts.values())
+    """The number of frames of each session by their use. The last three columns appear only if they have
+    counts."""
+    has_piloted = any(counts.not_taken_over for counts in indexed.counts.values())
+    has_unlabelled = any(counts.unlabelled for counts in indexed.counts.values())
+    has_odd = any(counts.not_driven for counts in indexed.counts.values())
     columns = ["frames", "training", "validation", "gap", "left out"]
-    columns += [COUNT_HEADINGS["not_taken_over"]] * some_piloted + [COUNT_HEADINGS["unlabelled"]] * some_unlabelled
-    columns += ["not driven"] * some_odd
-    # narrow, so that names of sessions stand whole in 80 columns
+    columns += [COUNT_HEADINGS["not_taken_over"]] * has_piloted + [COUNT_HEADINGS["unlabelled"]] * has_unlabelled
+    columns += ["not driven"] * has_odd
+    # a narrow table, so that the names of sessions fit 80 columns
     table = Table(
-        box=None, pad_edge=False, collapse_padding=True, title="frames, one a picture", title_justify="left"
+        box=None, pad_edge=False, collapse_padding=True, title="frames, one for each picture", title_justify="left"
     )
     table.add_column("session")
     for heading in columns:
@@ -41,26 +42,27 @@ def sessions_table(indexed: Indexed) -> Table:
         counts = indexed.counts[session]
         left_out = counts.excluded + counts.unusable + counts.not_asked_for
         numbers = [counts.frames, counts.training, counts.validation, counts.gap, left_out]
-        numbers += [counts.not_taken_over] * some_piloted + [counts.unlabelled] * some_unlabelled
-        numbers += [counts.not_driven] * some_odd
+        numbers += [counts.not_taken_over] * has_piloted + [counts.unlabelled] * has_unlabelled
+        numbers += [counts.not_driven] * has_odd
         state = "read" if session in indexed.read else "unchanged"
         table.add_row(escape(session), *(f"{number:,}" for number in numbers), state)
     return table
 
 
 def labels_table(labels: Mapping[str, SessionLabels]) -> Table:
-    """The table of each session's steering habits, and of its labels."""
+    """The steering habits and the label plan of each session."""
     table = Table(box=None, pad_edge=False, title="steering", title_justify="left")
     for heading in ("session", *STEERING_HEADINGS, "labels"):
         table.add_column(heading, no_wrap=heading in STEERING_HEADINGS)
-    for session, of_session in labels.items():
-        cells = steering_cells(of_session.habits, of_session.lag)
-        table.add_row(escape(session), *cells, str(of_session.plan))
+    for session, session_labels in labels.items():
+        cells = steering_cells(session_labels.habits, session_labels.lag)
+        table.add_row(escape(session), *cells, str(session_labels.plan))
     return table
 
 
 def balance_table(balance: Balance) -> Table:
-    """The training split's steering, bin by bin; of bins that are the same to both sides, each once."""
+    """The samples of the training split in each steering bin. If left and right are equal, only one side is
+    shown."""
     bins = len(balance.before)
     target = f"; each bin brought to {balance.per_bin:,}" if balance.per_bin else "; not balanced"
     is_mirrored = all((counts == counts[::-1]).all() for counts in (balance.before, balance.after))
@@ -87,8 +89,8 @@ def balance_table(balance: Balance) -> Table:
 
 
 def print_log_notices(indexed: Indexed, folder: Location, sessions: Sequence[str] = ()) -> int:
-    """Print the notices of an index's logs, and of recordings in `folder` that are not finished (with `sessions`,
-    of these only). Returns 3 if there are any, else 0."""
+    """Print the notices about an index's logs, and about unfinished recordings in `folder` (with `sessions`, only
+    of these). Returns exit code 3 if there are any, else 0."""
     code = max([DONE, *map(warn, [*indexed.notices, *unfinished_recordings(folder, sessions)])])
     not_learnt = not_learnt_line(indexed.counts)
     for remark in [*indexed.remarks, *_shared_rows(indexed.labels), *mixed_sizes(indexed.sizes_px), *not_learnt]:
@@ -97,8 +99,8 @@ def print_log_notices(indexed: Indexed, folder: Location, sessions: Sequence[str
 
 
 def _shared_rows(labels: Mapping[str, SessionLabels]) -> list[str]:
-    """A line if sessions share pictures of a standing car: which rows have them."""
-    shared = {printable(name): of_session.shared_rows for name, of_session in labels.items()}
+    """A line with the rows if sessions share pictures of a standing car."""
+    shared = {printable(name): session_labels.shared_rows for name, session_labels in labels.items()}
     parts = [f"{name} ({counted(len(rows), 'row')} from row {rows[0]})" for name, rows in shared.items() if rows]
     if not parts:
         return []
@@ -108,7 +110,7 @@ def _shared_rows(labels: Mapping[str, SessionLabels]) -> list[str]:
 
 
 def mixed_sizes(sizes_px: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:
-    """A line if pictures are not all of one size: which sessions have which, from their widths and heights."""
+    """A line with the sessions of each size (width, height) if the pictures have different sizes."""
     sessions: dict[tuple[int, int], list[str]] = {}
     for session, sizes in sizes_px.items():
         for size in sizes:
@@ -119,12 +121,12 @@ def mixed_sizes(sizes_px: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:
     for (width, height), names in sorted(sessions.items(), reverse=True):
         parts.append(f"{width:,} x {height:,} px in {first_of(list(map(printable, names)))}")
     return [
-        f"pictures of different sizes: {'; '.join(parts)}. Of each the same share is cut off, and the rest is"
-        " brought to the size that the network sees: they should show the same part of the world"
+        f"pictures of different sizes: {'; '.join(parts)}. The toolkit cuts the same share off all of them, and"
+        " resizes the rest to the network's input: they should show the same part of the world"
     ]
 
 
 def _bar(count: int, widest: int) -> str:
-    """A bar of eighths of a cell; something is never drawn as nothing."""
+    """A bar in steps of an eighth of a cell; a count above 0 has at least one step."""
     eighths = max(round(BAR_CELLS * 8 * count / widest), int(count > 0))
     return "█" * (eighths // 8) + ("", "▏", "▎", "▍", "▌", "▋", "▊", "▉")[eighths % 8]

@@ -1,7 +1,7 @@
-"""The check for leaks: pictures held out for validation must not be among those of training, nor nearly so.
+"""Check an index for leaks: training must not use validation pictures, nor their neighbours within the gap.
 
-It reads the parquet files as anybody could, and computes the promise anew: only the rows and times of the frames
-are taken on trust. (Pictures that two sessions share are looked for when an index is built.)
+The check reads the parquet files, and relies only on the rows and times of the frames; it computes all other
+values again. (Pictures that two sessions share are found when an index is built.)
 """
 
 from __future__ import annotations
@@ -25,17 +25,19 @@ from dataset.samples.samples_format import SAMPLES_NAME
 
 
 def find_leaks(index: Path | str) -> list[str]:
-    """Everything that is wrong with the split of `index`, a line each; an empty list if nothing is.
+    """One line for each error in the split of `index`; an empty list if the split is correct.
 
-    No row of a log may be on both sides (its cameras, mirror images and copies with it); no training sample may
-    lie within the gap around a validation sample of its session; nothing that is altered, a copy, or tagged
-    `exclude` may be validated or used. Raises DatasetError if there is no index, or if it is damaged.
+    - A row of a log, with its cameras, mirror images and copies, must not be in both training and validation.
+    - A training sample must not be within the gap around a validation sample of its session.
+    - Validation must not contain altered pictures or copies, and no sample may be tagged `exclude`.
+
+    Raises DatasetError if the index is missing or damaged.
     """
     index = Path(index)
     path = index / SAMPLES_NAME
     metadata = read_metadata(path)
     if metadata is None:
-        raise DatasetError(f"{path}: no index, or a damaged one; build it with `bc-index`")
+        raise DatasetError(f"{path}: no index, or a damaged index; build it with `bc-index`")
     try:
         return _leaks_in(path, index, float(metadata["settings"]["gap_s"]))
     except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
@@ -46,9 +48,9 @@ def _leaks_in(path: Path, index: Path, gap_s: float) -> list[str]:
     columns = ["session", "row", "log_time_ns", "split", "copy", "alteration"]
     samples = read_columns(path, columns, read_dictionary=["session"]).unify_dictionaries()
     leaks: list[str] = []
-    for name, of_session in by_session(samples):
+    for name, session_samples in by_session(samples):
         frames = pq.read_table(index / FRAMES_FOLDER / f"{name}.parquet", columns=["row", "log_time_ns", "tags"])
-        leaks += [f"{name}: {what}" for what in _leaks_of(of_session, frames, gap_s)]
+        leaks += [f"{name}: {leak}" for leak in _leaks_of(session_samples, frames, gap_s)]
     return leaks
 
 
@@ -79,7 +81,7 @@ def _are(number: int) -> str:
 
 
 def _close(rows: NDArray[np.void], training: NDArray[np.void], validation: NDArray[np.void], gap_s: float) -> str:
-    """The training row that is nearest to a validation row along the recording, if it is within the gap."""
+    """A line about the training row that is nearest to a validation row, if it is within the gap; else ""."""
     if not len(training) or not len(validation):
         return ""
     elapsed_ns = np.concatenate([[0], np.cumsum(np.abs(np.diff(rows["log_time_ns"])))])

@@ -1,4 +1,4 @@
-"""What an index keeps of each log, made anew only where it has changed: a frames file and an entry."""
+"""The frames file and the entry of each log in an index. They are made again only if the log has changed."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ def log_entries(
     stage: Path,
     tasks: Tasks,
 ) -> Iterator[tuple[str, BuiltLog | LogError]]:
-    """The entry of each session, or why its log cannot be read, as they come."""
+    """Yield each session with its entry, or with the error if its log cannot be read. Unchanged sessions come
+    first."""
     to_read: list[str] = []
     stats = Stats()
     for name, path in by_name.items():
@@ -61,7 +62,7 @@ def log_entries(
                 yield name, entry
     calls = [(name, by_name[name], index, config, stage) for name in to_read]
     if tasks is one_by_one and any(isinstance(by_name[name], Url) for name in to_read):
-        tasks = in_threads  # they wait for answers
+        tasks = in_threads  # reading from a store mostly waits for answers
     for number, read in tasks(_read_or_error, calls):
         yield to_read[number], read
 
@@ -69,9 +70,9 @@ def log_entries(
 def _unchanged(
     name: str, log: Location, index: Path, config: IndexConfig, state: BuildState, stats: Stats
 ) -> BuiltLog | None:
-    """The entry of a session whose frames are up to date, if its log need not be opened to know that.
+    """The entry of a session if its frames are up to date, without opening its log; else None.
 
-    One that was left out is always tried again: its size and time do not show whether it may be read now.
+    A log that was left out is always read again: its size and time do not show whether it is readable now.
     """
     entry = state.logs.get(name)
     file = index / FRAMES_FOLDER / f"{name}.parquet"
@@ -105,13 +106,13 @@ def _read_or_error(
 
 
 def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Path) -> BuiltLog:
-    """Read a log, all of it: its fingerprint does not show damage within a chunk. Its frames file is put into
-    `stage`, unless the index has the very same.
+    """Read all of a log, because its fingerprint does not show damage within a chunk. The frames file is written
+    to `stage`, unless the index already has an equal file.
 
-    Raises LogError for a log that is damaged, or whose name no index can hold.
+    Raises LogError if the log is damaged, or has a name that no index can contain.
     """
     lag_file = stat_of(lag_path(path))
-    sources = sources_of(name, path, index)  # before anything is read: what changes from now on will be noticed
+    sources = sources_of(name, path, index)  # before reading, so that the next build notices later changes
     if problem := name_problem(path):
         raise LogError(problem)
     with Log(path) as log:
@@ -145,7 +146,7 @@ def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Pa
 
 
 def _lag(log: Log, index: Path, session: str, *, has_file: bool) -> LagFinding | None:
-    """The lag of a log's steering as it is known; no picture is looked at."""
+    """The lag of a log's steering if it was measured before. No picture is decoded."""
     lag = noted_lag(log.read_metadata(QUALITY_METADATA)) or (kept_lag(log) if has_file else None)
     if lag is None and (images := read_image_check(index, session, log.fingerprint)) is not None:
         return images.lag
@@ -153,12 +154,12 @@ def _lag(log: Log, index: Path, session: str, *, has_file: bool) -> LagFinding |
 
 
 def _sizes_px(log: Log) -> list[tuple[int, int]]:
-    """Width and height of the first picture of each camera, as its header has it.
+    """Width and height of the first picture of each camera.
 
-    A log's summary of its rows has them; those of earlier versions do not.
+    They come from the summary of the log's rows or, for logs of earlier versions, from the pictures' headers.
     """
-    if (noted := first_picture_sizes(log)) is not None:
-        return [noted[topic] for topic in map(camera_topic, CAMERAS) if topic in noted]
+    if (stored := first_picture_sizes(log)) is not None:
+        return [stored[topic] for topic in map(camera_topic, CAMERAS) if topic in stored]
     sizes = []
     for camera in CAMERAS:
         pictures = log.pictures(camera_topic(camera))

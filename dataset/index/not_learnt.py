@@ -1,5 +1,5 @@
-"""What the default labels leave out: crashes, driving backwards, manoeuvres, parked cars. A network neither learns
-from them nor is measured by them."""
+"""The frames that the default labels leave out: crashes, driving backwards, manoeuvres, parked cars. They are used
+neither for training nor for validation."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from dataset.samples.samples_format import SAMPLES_NAME, SessionCounts
 
 
 def not_learnt_line(counts: Mapping[str, SessionCounts]) -> list[str]:
-    """A line if frames are left out because they are no driving: how many of each session, and why."""
+    """A line if frames are left out because they are not normal driving: the number in each session, and why."""
     parts = []
-    for session, of_session in counts.items():
+    for session, session_counts in counts.items():
         reasons = {
-            "of crashes": of_session.crashed,
-            "of driving backwards": of_session.backwards,
-            "of manoeuvres about them": of_session.manoeuvring,
-            "of a parked car": of_session.parked,
+            "of crashes": session_counts.crashed,
+            "of driving backwards": session_counts.backwards,
+            "of manoeuvres around these": session_counts.manoeuvring,
+            "of a parked car": session_counts.parked,
         }
-        if of_session.not_driven:
-            named = ", ".join(f"{counted(count, 'frame')} {reason}" for reason, count in reasons.items() if count)
-            parts.append(f"{printable(session)} ({named})")
+        if session_counts.not_driven:
+            texts = [f"{counted(count, 'frame')} {reason}" for reason, count in reasons.items() if count]
+            parts.append(f"{printable(session)} ({', '.join(texts)})")
     if not parts:
         return []
     return [
@@ -37,12 +37,12 @@ def not_learnt_line(counts: Mapping[str, SessionCounts]) -> list[str]:
 
 
 def not_learnt_in(index: Path) -> list[str]:
-    """The same of an index, as far as it says so; of an earlier version's, that its rules were others."""
+    """The same line for an existing index. For an index of an earlier version: a line about its earlier rules."""
     stored = read_metadata(index / SAMPLES_NAME) or {}
     if has_earlier_rules(stored):
         flag = "" if index.name == "index" else f" --index {shlex.quote(str(index))}"
         return [
-            f"{index}: an earlier version made it, which held out crashes and did not know all that is odd;"
+            f"{index}: built by an earlier version, which held out crashes and did not detect all odd frames;"
             f" `bc-index{flag}` leaves these out"
         ]
     try:
@@ -52,10 +52,11 @@ def not_learnt_in(index: Path) -> list[str]:
 
 
 def has_earlier_rules(metadata: Mapping[str, Any]) -> bool:
-    """Whether an earlier version made an index of these samples' metadata, and left out less of what a person
-    drove, or nothing of it for measuring."""
+    """True if an earlier version built the index with this metadata of samples, and left out fewer frames, or used
+    them for validation."""
     try:
-        kept = {name for name, each in metadata.get("labels", {}).items() if not each["plan"]["without_crashes"]}
+        labels = metadata.get("labels", {})
+        kept = {session for session, stored in labels.items() if not stored["plan"]["without_crashes"]}
         return any("not_measured" not in count for name, count in metadata["counts"].items() if name not in kept)
     except (KeyError, TypeError, AttributeError):
         return False

@@ -1,7 +1,4 @@
-"""The steering habits of each session of an index, and the plan of its labels.
-
-No picture is looked at.
-"""
+"""The steering habits and the label plan of each session of an index, computed without pictures."""
 
 from __future__ import annotations
 
@@ -31,14 +28,15 @@ from recorder.topics import VEHICLE_COLUMNS
 def labels_of_sessions(
     frames: Mapping[str, Path], built: Mapping[str, BuiltLog], config: IndexConfig, tasks: Tasks = one_by_one
 ) -> dict[str, SessionLabels]:
-    """The habits and label plan of each session, from its frames file and its log's entry. Raises FramesError for
-    a damaged file."""
+    """The habits and label plan of each session, from its frames file and its log's entry. Raises FramesError if a
+    file is damaged."""
     names = list(frames)
-    steered = tasks(
+    results = tasks(
         habits_of_frames, [(frames[name], assumed_deg(built[name].max_steering_deg)) for name in names]
     )
     habits = {
-        names[number]: of_session for number, of_session in track(steered, "looking at the steering", len(names))
+        names[number]: session_habits
+        for number, session_habits in track(results, "reading the steering", len(names))
     }
     lagging = [name for name in frames if goes_by_lag(habits[name], built[name].driven_by)]
     lags = {name: built[name].lag for name in lagging}
@@ -61,8 +59,8 @@ def _labels(config: IndexConfig, habits: SteeringHabits, lag: LagFinding | None,
 
 
 def habits_of_frames(file: Path, max_steering_deg: float = MAX_STEERING_DEG) -> SteeringHabits:
-    """Steering habits of the rows of a session that have pictures; `max_steering_deg` is that of its car
-    (steering 1). Raises FramesError for a damaged file."""
+    """The steering habits in the rows of a session that have pictures. `max_steering_deg` is the car's angle at
+    steering 1. Raises FramesError if the file is damaged."""
     names = ("row", "log_time_ns", *VEHICLE_COLUMNS)
     frames: pa.Table = read_frames(file, (*names, "device"))
     columns = [frames[name].to_numpy() for name in names]

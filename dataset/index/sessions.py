@@ -1,4 +1,4 @@
-"""Finding sessions: logs by name, those that an index does not hold, and recordings without an end."""
+"""Find sessions: logs by name, logs that an index does not contain, and unfinished recordings."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from recorder.log.logs_in_folder import logs_in
 
 
 def find_logs(sessions: Sequence[Location | str], folder: Location | str) -> list[Location]:
-    """Logs by session name (in `folder`) or by path or URL; without any, all of `folder`, readable or not.
+    """Find logs by session name (in `folder`), path or URL; without `sessions`, all of `folder`, readable or not.
 
-    Raises DatasetError for a folder without logs, and for a log that is named here and does not exist, that has a
-    name which no index can hold, or whose name another one has.
+    Raises DatasetError if the folder has no logs, if a log of `sessions` does not exist or has a name that no
+    index can contain, or if two of them have the same name.
     """
     folder = location(folder)
     if not sessions:
-        if logs := finished_logs(folder):
-            return logs
+        if finished := finished_logs(folder):
+            return finished
         if isinstance(folder, Path) and folder.is_file():
             raise DatasetError(f"{folder} is a file: give the folder of the logs, such as sessions")
-        raise DatasetError(f"{folder}: no logs in it; record one with `bc-record NAME`")
+        raise DatasetError(f"{folder}: contains no logs; record one with `bc-record NAME`")
     chosen: list[Location] = []
     listed: dict[Url, set[Url]] = {}
-    for given in map(str, sessions):
-        log = location(given) if given.endswith((".mcap", ".part")) else folder / f"{given}.mcap"
+    for session in map(str, sessions):
+        log = location(session) if session.endswith((".mcap", ".part")) else folder / f"{session}.mcap"
         if isinstance(log, Url):
             if log.parent not in listed:
                 listed[log.parent] = set(logs_in(log.parent))
-            is_there = log in listed[log.parent]
+            exists = log in listed[log.parent]
         else:
-            is_there = log.is_file()
-        if not is_there:
-            raise DatasetError(f"{_expected(given, log)}: no such log; {_hint(given, folder)}")
+            exists = log.is_file()
+        if not exists:
+            raise DatasetError(f"{_expected(session, log)}: no such log; {_hint(session, folder)}")
         if problem := name_problem(log):
             raise DatasetError(problem)
         chosen.append(log)
@@ -50,7 +50,7 @@ def find_logs(sessions: Sequence[Location | str], folder: Location | str) -> lis
 
 
 def find_unchanged_log(session: Location | str, folder: Location | str, fingerprint: str) -> Location:
-    """The log of a session, as `find_logs` finds it. Raises DatasetError if its fingerprint is another one."""
+    """The log of a session, as from `find_logs`. Raises DatasetError if it has another fingerprint."""
     (path,) = find_logs([session], folder)
     with Log(path) as log:
         if log.fingerprint != fingerprint:
@@ -61,7 +61,7 @@ def find_unchanged_log(session: Location | str, folder: Location | str, fingerpr
 
 
 def by_session_name(logs: Iterable[Location]) -> dict[str, Location]:
-    """Each log once, by the name of its session. Raises DatasetError if two of them have the same one."""
+    """The logs by session name, without repeated logs. Raises DatasetError if two logs have the same name."""
     by_name: dict[str, Location] = {}
     for log in logs:
         other = by_name.setdefault(session_name(log), log)
@@ -70,43 +70,43 @@ def by_session_name(logs: Iterable[Location]) -> dict[str, Location]:
     return by_name
 
 
-def _expected(given: str, log: Location) -> Location | str:
-    """Where a log was looked for; for a path without an ending, which is not a session's name, the path."""
-    return given if isinstance(log, Path) and len(Path(given).parts) > 1 else log
+def _expected(session: str, log: Location) -> Location | str:
+    """The place for the error about a missing log: the log's path, or the user's text if it is a path."""
+    return session if isinstance(log, Path) and len(Path(session).parts) > 1 else log
 
 
-def _hint(given: str, folder: Location) -> str:
+def _hint(session: str, folder: Location) -> str:
     """A hint at the session that the user may have meant."""
-    path = Path(given)
+    path = Path(session)
     if (path / "driving_log.csv").is_file():
-        return f"this is a recording; `bc-record NAME --from {shlex.quote(given)}` makes a log of it"
+        return f"this is a recording; `bc-record NAME --from {shlex.quote(session)}` converts it to a log"
     meant = did_you_mean(path.name, [session_name(other) for other in finished_logs(folder)])
     return meant or f"the sessions are named by the files in {folder}"
 
 
 def finished_logs(folder: Location) -> list[Location]:
-    """The logs of a folder that are finished, by name."""
+    """The finished logs of a folder, sorted by name."""
     return [log for log in logs_in(folder) if log.suffix == ".mcap"]
 
 
 def name_problem(log: Location) -> str:
-    """Why no index can hold a session of this name; empty if it can."""
+    """The reason why no index can contain a session of this name; "" if it can."""
     if session_name(log) and printable(log.name) == log.name:
         return ""
     return f"{log}: a session needs a name of plain UTF-8 text; rename the log"
 
 
 def sessions_beside(logs: Sequence[Location], folder: Location) -> list[str]:
-    """Names of the other logs in `folder`."""
+    """The names of the logs in `folder` that are not in `logs`."""
     chosen = set(map(session_name, logs))
     return [name for log in finished_logs(folder) if (name := session_name(log)) not in chosen]
 
 
 def sessions_not_indexed(index: Path | str, folder: Location | str) -> list[str]:
-    """Names of the logs in `folder` that the index does not hold because they are newer, or have changed since.
+    """The names of the logs in `folder` that are newer than the index or have changed since it was built.
 
-    Logs that were left out on purpose, and unreadable ones, were reported when the index was built. An index whose
-    logs all lie elsewhere is not compared with `folder`.
+    Without logs that the user left out, and without unreadable logs: `bc-index` has reported these. If all logs of
+    the index are in other folders, the list is empty.
     """
     if not _is_of_logs_in(Path(index), location(folder)):
         return []
@@ -114,20 +114,20 @@ def sessions_not_indexed(index: Path | str, folder: Location | str) -> list[str]
 
 
 def _is_of_logs_in(index: Path, folder: Location) -> bool:
-    """Whether any log of an index lies in `folder`."""
-    held = (read_metadata(index / SAMPLES_NAME) or {}).get("logs")
-    sources = held.values() if isinstance(held, dict) else ()
+    """True if any log of the index is in `folder`."""
+    indexed = (read_metadata(index / SAMPLES_NAME) or {}).get("logs")
+    sources = indexed.values() if isinstance(indexed, dict) else ()
     for name in (source.get("log") for source in sources if isinstance(source, dict)):
-        with contextlib.suppress(DatasetError):  # named by somebody else, and nowhere
+        with contextlib.suppress(DatasetError):  # an invalid name, in an index of another program
             if isinstance(name, str) and absolute(log_place(name, index).parent) == absolute(folder):
                 return True
     return False
 
 
 def logs_not_indexed(index: Path, logs: Sequence[Location], stat: Callable[[Location], Stat]) -> list[str]:
-    """`sessions_not_indexed` of these logs; `stat` gives the state of their files."""
-    held = (read_metadata(index / SAMPLES_NAME) or {}).get("logs")
-    if not isinstance(held, dict):
+    """The same as `sessions_not_indexed`, for these logs; `stat` returns the state of a file."""
+    indexed = (read_metadata(index / SAMPLES_NAME) or {}).get("logs")
+    if not isinstance(indexed, dict):
         return []
     state = read_state(index)
     missing = []
@@ -135,13 +135,13 @@ def logs_not_indexed(index: Path, logs: Sequence[Location], stat: Callable[[Loca
         name = session_name(log)
         entry = state.logs.get(name)
         is_reported = name in state.passed_over or (entry and entry.sources == sources_of(name, log, index, stat))
-        if name not in held and not is_reported:
+        if name not in indexed and not is_reported:
             missing.append(name)
     return missing
 
 
 def unfinished_recordings(folder: Location, sessions: Sequence[str]) -> list[str]:
-    """A line for each unfinished recording in `folder`; with `sessions`, only for those of their names."""
+    """A line for each unfinished recording in `folder`; with `sessions`, only for recordings of these names."""
     return [
         f"{part}: not indexed: its recording is running or was killed; if killed, run `bc-log recover {part}`,"
         " and remove it"

@@ -1,13 +1,15 @@
-"""An index changes whole or not at all: new files are written to a folder in it, and then all get their names.
+"""Change an index atomically: new files are first written to a folder in the index, and then moved to their
+places.
 
-Several files cannot be renamed in one step. So the frames files that are replaced, or whose sessions the new index
-does not hold, are moved out first; then the new samples.parquet comes, then the new frames. At every moment the
-files in `frames` are of sessions that samples.parquet holds, and were made from the same logs.
+Several files cannot be renamed in one step. So the frames files to replace or remove are moved out first; then the
+new samples.parquet is moved in, then the new frames files. At every moment, the files in `frames` are of sessions
+in samples.parquet, and of the same logs.
 
-    index/new.XXXXXX.part/samples.parquet, state.json, frames/SESSION.parquet   what is new
-    index/new.XXXXXX.part/old/SESSION.parquet                                   what was moved out
+    index/new.XXXXXX.part/samples.parquet, state.json, frames/SESSION.parquet   new files
+    index/new.XXXXXX.part/old/SESSION.parquet                                   files that were moved out
 
-`old` shows that everything new was on the disk: a killed build is then carried through, and else removed.
+The folder `old` shows that all new files are complete: after a crash, the next build completes the change if `old`
+exists, and removes the new files if not.
 """
 
 from __future__ import annotations
@@ -33,9 +35,10 @@ _OLD: Final = "old"
 
 @contextlib.contextmanager
 def staged(index: Path) -> Iterator[Path]:
-    """Yield a folder for new files of `index`: these get their names in the end, or vanish if anything is raised.
+    """Yield a folder for new files of `index`. At the end they are moved to their places; if the block raises,
+    they are removed.
 
-    Without a new samples.parquet in it nothing changes. Call it with the index locked.
+    If the folder has no samples.parquet, the index does not change. Lock the index before.
     """
     stage = part_path(index / _STAGE)
     try:
@@ -52,7 +55,8 @@ def staged(index: Path) -> Iterator[Path]:
 
 
 def finish_interrupted_build(index: Path) -> None:
-    """Carry through what a killed build had decided on, and remove the rest. Call it with the index locked."""
+    """Complete the change of a killed build if its new files are complete, else remove them. Lock the index
+    before."""
     for path in sorted(index.iterdir()):
         name = final_path(path).name
         if name == _STAGE and path.name != name and path.is_dir() and not path.is_symlink():
@@ -64,8 +68,8 @@ def finish_interrupted_build(index: Path) -> None:
 
 
 def stale_frames_files(sessions: set[str], index: Path) -> list[Path]:
-    """The frames files that were made by us, and are of none of these sessions; also the parts that older versions
-    left there when they were killed."""
+    """The frames files of the toolkit that belong to none of these sessions, and the unfinished files of killed
+    builds of older versions."""
     try:
         files = sorted((index / FRAMES_FOLDER).iterdir())
     except OSError:
@@ -74,20 +78,20 @@ def stale_frames_files(sessions: set[str], index: Path) -> list[Path]:
 
 
 def _publish_all(stage: Path, index: Path) -> None:
-    """Give the new files their names; as often as it was stopped half-way, it goes on where it was."""
+    """Move the new files to their places. If this was interrupted, the next call continues."""
     frames, old = index / FRAMES_FOLDER, stage / _OLD
     samples = stage / SAMPLES_NAME
     try:
         old.mkdir(exist_ok=True)
         if samples.exists():
             sessions = set((read_metadata(samples) or {}).get("logs", {}))
-            gone = stale_frames_files(sessions, index)
+            stale = stale_frames_files(sessions, index)
             replaced = [frames / file.name for file in (stage / FRAMES_FOLDER).iterdir()]
-            for file in [*gone, *filter(Path.exists, replaced)]:
+            for file in [*stale, *filter(Path.exists, replaced)]:
                 file.replace(old / file.name)
             samples.replace(index / SAMPLES_NAME)
     except BaseException as error:
-        with contextlib.suppress(OSError):  # if that fails too, the next build carries it through
+        with contextlib.suppress(OSError):  # if this also fails, the next build completes the change
             for file in old.iterdir():
                 file.replace(frames / file.name)
             old.rmdir()
@@ -114,21 +118,22 @@ def _is_ours(file: Path) -> bool:
 
 @contextlib.contextmanager
 def build_lock(index: Path) -> Iterator[None]:
-    """Let one at a time build this index; where none comes of it, nothing stays of what this has made."""
-    made = [folder for folder in (index, *index.parents) if not folder.exists()]
+    """Lock the index during a build. If the build fails and there was no index before, the created folders are
+    removed."""
+    created = [folder for folder in (index, *index.parents) if not folder.exists()]
     with _locked(index) as stream:
         try:
             yield
         finally:
             if not (index / SAMPLES_NAME).exists():
-                with contextlib.suppress(OSError):  # somebody else's files; Windows removes no open one
+                with contextlib.suppress(OSError):  # other files are in the folder, or Windows: the lock is open
                     Path(stream.name).unlink()
-                    for folder in made:
+                    for folder in created:
                         folder.rmdir()
 
 
 def _locked(index: Path) -> IO[bytes]:
-    """The lock's file, locked until it is closed."""
+    """Open and lock the lock's file. It stays locked until it is closed."""
     path = index / ".lock"
     while True:
         index.mkdir(parents=True, exist_ok=True)

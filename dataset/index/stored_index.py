@@ -1,8 +1,8 @@
-"""An index in a store: fetched, built on this machine, and then sent, whole or not at all.
+"""An index in a store: download it, build it on this machine, and upload it.
 
-Readers use samples.parquet. It is sent first, on the condition that it is still the one that was fetched: of two
-machines that index at once one wins, and the other gets an error. The rest saves work to the next build, on any
-machine; until it is sent, that build reads some logs once more.
+Readers use samples.parquet. It is uploaded first, and only if the store still has the version that was downloaded:
+if two machines build at the same time, one succeeds and the other gets an error. The other files only save work
+for the next build, on any machine: if they are not uploaded, that build reads some logs again.
 """
 
 from __future__ import annotations
@@ -26,34 +26,35 @@ if TYPE_CHECKING:
 
 @contextlib.contextmanager
 def index_here(index: Location, logs: Sequence[Location]) -> Iterator[tuple[Path, Callable[[], object]]]:
-    """The folder to build an index in, and what puts the finished one where it belongs: nothing, if that is here.
+    """Yield the local folder in which to build an index, and a function that uploads the finished index to its
+    store (and does nothing for a local index).
 
-    Raises UsageError for logs of this machine in an index in a store, and for logs in the index's own folder;
-    DatasetError where another machine has written the index meanwhile, StoreError.
+    Raises UsageError if the index is in a store and logs are on this machine, or in the index's folder;
+    DatasetError if another machine has changed the index; StoreError if the store fails.
     """
     if isinstance(index, Path):
         yield index, lambda: None
         return
     if local := next((log for log in logs if isinstance(log, Path)), None):
         raise UsageError(
-            f"--index {index}: {local} is on this machine, where no other one would find it; `bc-log copy` it to"
-            f" the store, and give --sessions {index.parent / 'sessions'}"
+            f"--index {index}: {local} is on this machine, and other machines could not read it; copy it to the"
+            f" store with `bc-log copy`, and give --sessions {index.parent / 'sessions'}"
         )
     if within := next((log for log in logs if isinstance(log, Url) and log.is_in(index)), None):
         raise UsageError(
-            f"--index {index}: {within} is in it, and all of an index is copied here and there; give a folder of"
-            f" its own, such as --index {index / 'index'}"
+            f"--index {index}: contains the log {within}, but all files of an index are downloaded; give another"
+            f" folder, such as --index {index / 'index'}"
         )
     from common.stored_folder import StoredFolder  # an extra
 
     with StoredFolder(index) as folder:
-        folder.bring()
-        folder.forget(SAMPLES_NAME, STATE_NAME)  # of a build that could not be put there
-        yield folder.here, lambda: _put(folder, index, logs)
+        folder.download()
+        folder.remove_local(SAMPLES_NAME, STATE_NAME)  # from a build that could not be uploaded
+        yield folder.local, lambda: _put(folder, index, logs)
 
 
 def frames_here(index: Location) -> Path:
-    """The folder of an index's frames files; of an index in a store, a copy of it in the user's cache. Raises
+    """The folder of an index's frames files; for an index in a store, a copy in the user's cache. Raises
     StoreError."""
     if isinstance(index, Path):
         return index / FRAMES_FOLDER
@@ -63,13 +64,13 @@ def frames_here(index: Location) -> Path:
     objects = list_below(index)
     names = [entry.url.name_in(index) for entry in objects]
     with StoredFolder(index, waits=True) as folder:
-        folder.bring(objects=objects, wanted=[name for name in names if name.startswith(f"{FRAMES_FOLDER}/")])
-        return folder.here / FRAMES_FOLDER
+        folder.download(objects=objects, wanted=[name for name in names if name.startswith(f"{FRAMES_FOLDER}/")])
+        return folder.local / FRAMES_FOLDER
 
 
 def _put(folder: StoredFolder, index: Url, logs: Sequence[Location]) -> None:
     try:
-        folder.send(first=[SAMPLES_NAME, f"{FRAMES_FOLDER}/"])
+        folder.upload(first=[SAMPLES_NAME, f"{FRAMES_FOLDER}/"])
     except ObjectChangedError as error:
-        raise DatasetError(f"{error}; give the command again: it continues") from None
+        raise DatasetError(f"{error}; give the command again to continue") from None
     remember_places(index, index_project(index), folders_of(logs))

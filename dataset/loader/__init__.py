@@ -1,1 +1,1 @@
-"""The loader: pictures read out of the logs, decoded, cropped, augmented, in batches."""
+"""The loader: reads pictures from the logs, and decodes, crops, augments and batches them."""

@@ -1,6 +1,7 @@
-"""The crops of samples: pictures read out of the logs, decoded ahead, mirrored, altered; crops are kept in memory.
+"""The crops of samples: read pictures from the logs, decode them ahead, mirror and alter them, and cache the
+crops.
 
-Any number of threads may ask at once; OpenCV releases Python's lock while it works.
+Any number of threads may use this at the same time; OpenCV releases Python's lock while it works.
 """
 
 from __future__ import annotations
@@ -27,18 +28,19 @@ from recorder.errors import damaged_pictures
 from recorder.topics import camera_topic
 
 UNDECODED: Final = "pictures that do not decode"
-_JOBS: Final = 4  # for each thread of a part: small enough that none waits long for the others' last one
+_JOBS: Final = 4  # jobs of a part for each thread: with small jobs, all threads finish at nearly the same time
 
 Numbers = NDArray[np.int64]
 Failed = dict[int, UnusablePictureError]
 Fill = Callable[[Image, Numbers], Failed]
-"""Writes the pictures of some numbers into an array; returns the numbers without one, and the reasons."""
+"""A function that writes the pictures with some numbers into an array, and returns the error of each number
+without a picture."""
 
 
 def different_crops(rows: Rows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Samples that show every crop once, sorted by picture; and for each sample (N,) which of these has its crop.
+    """One sample for each distinct crop, sorted by picture; and for each sample (N,) the position of its crop.
 
-    An altered sample has a crop of its own; the others share their picture's, mirrored or not.
+    Every altered sample has its own crop; the other samples of a picture share a crop, mirrored or not.
     """
     # 0: the crop that all unaltered samples of a picture share
     own = np.where(_is_altered(rows), np.arange(1, len(rows) + 1), 0)
@@ -47,7 +49,7 @@ def different_crops(rows: Rows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def count_crops(rows: Rows) -> int:
-    """The number of crops that `different_crops` finds, without sorting the samples."""
+    """The number of distinct crops (see `different_crops`), without sorting the samples."""
     is_altered = _is_altered(rows)
     return int(np.count_nonzero(is_altered)) + int(np.count_nonzero(np.bincount(rows.picture[~is_altered])))
 
@@ -62,12 +64,12 @@ class Crops:
     def __init__(
         self, rows: Rows, logs: Mapping[str, Log], budget_bytes: int, spec: PictureSpec = ORIGINAL
     ) -> None:
-        """Keeps as many crops as fit into ``budget_bytes``: they are decoded once."""
+        """Cache as many crops as fit into `budget_bytes`: they are decoded once."""
         self._rows = rows
         self._spec = spec
         self._logs = [logs[session] for session in rows.sessions]
         kept = min(len(rows.session), budget_bytes // spec.size_bytes)
-        self._kept = np.empty((kept, *spec.shape), np.uint8)  # no memory is taken before it is written to
+        self._kept = np.empty((kept, *spec.shape), np.uint8)  # the system provides memory only when it is written
         self._is_kept = np.zeros(kept, np.bool_)
 
     def fill(
@@ -76,10 +78,11 @@ class Crops:
         samples: NDArray[np.int64],
         altered: Callable[[Image, NDArray[np.int64]], object] | None = None,
     ) -> dict[int, UnusablePictureError]:
-        """Write what `samples` show into `pictures` (N, height, width, 3); `altered` changes them in BGR.
+        """Write the pictures of `samples` (N,) into `pictures` (N, height, width, 3); `altered` alters them in
+        BGR.
 
-        Returns the samples whose picture does not decode, or lies in a damaged chunk of its log, and why; what is
-        written for them is arbitrary.
+        Returns the error of each sample whose picture does not decode, or is in a damaged chunk of its log. The
+        content of its picture is then arbitrary.
         """
         failed: Failed = {}
         columns = (self._rows.picture, self._rows.flip, self._rows.alteration, self._rows.seed)
@@ -87,7 +90,7 @@ class Crops:
         cropped = -1
         for picture, sample, number, flip, alteration, seed in wanted:
             try:
-                if number != cropped:  # neighbours in the index often show the same picture
+                if number != cropped:  # neighbours in the index often share a picture
                     crop, cropped = self._crop(number), number
             except UnusablePictureError as error:
                 failed[sample] = error
@@ -100,29 +103,29 @@ class Crops:
                 picture[:] = alter(picture, names, seed)
         if altered is not None:
             altered(pictures, samples)
-        if self._spec.channels != "BGR":  # last: alterations are of BGR
+        if self._spec.channels != "BGR":  # last, because alterations need BGR
             for picture in pictures:
                 picture[:] = in_channels(picture, self._spec)
         return failed
 
     def name(self, number: int) -> str:
-        """A picture's name for people: session, row and camera."""
+        """The name of a picture for messages: session, row and camera."""
         rows = self._rows
         log, offset, chunk = self._logs[rows.session[number]], int(rows.offset[number]), rows.chunk[number]
-        with contextlib.suppress(LogError):  # a damaged log of an earlier version, whose rows are not listed
+        with contextlib.suppress(LogError):  # a damaged log of an earlier version, which has no list of rows
             for camera in CAMERAS:
                 pictures = log.pictures(camera_topic(camera))
                 at = np.flatnonzero((pictures.offset == offset) & (pictures.chunk == chunk))
                 if len(at):
                     return f"{rows.sessions[rows.session[number]]} row {pictures.sequence[at[0]]} {camera}"
-        return f"{log.path} byte {offset}"  # an index that was not made here
+        return f"{log.path} byte {offset}"  # the index is of another program
 
     def _crop(self, number: int) -> Image:
         if number >= len(self._kept):
             return self._decode(number)
         if not self._is_kept[number]:
             self._kept[number] = self._decode(number)
-            self._is_kept[number] = True  # set last: another thread may look at any moment
+            self._is_kept[number] = True  # set last: another thread may read it at any moment
         kept: Image = self._kept[number]
         return kept
 
@@ -142,9 +145,10 @@ class Crops:
 def prefetched(
     parts: Iterable[Numbers], fill: Fill, spec: PictureSpec, *, threads: int, at_once: int
 ) -> Iterator[tuple[Numbers, Image, Failed]]:
-    """Each part, what `fill` writes for it (N, `spec.shape`), and its numbers that have no picture, and why.
+    """Yield each part, its pictures (N, `spec.shape`) from `fill`, and the errors of the numbers without a
+    picture.
 
-    `at_once` parts are worked on. What `fill` raises is raised in its part's turn.
+    Threads work on `at_once` parts at the same time. An error of `fill` is raised instead of its part.
     """
     waiting: deque[tuple[Numbers, Image, list[Future[Failed]]]] = deque()
     pool = ThreadPoolExecutor(threads)

@@ -1,14 +1,14 @@
-"""Batches for training, straight out of the logs.
+"""Batches for training, read directly from the logs.
 
     with load(Path("index"), batch=256) as loader:
         for batch in loader.epoch(1):
             batch.pictures, batch.steering
 
-The order is a pure function of (seed, epoch), so a resumed training sees the samples it would have seen. Threads
-decode some batches ahead.
+The order is a pure function of (seed, epoch), so that a resumed training gets the same samples. Threads decode
+some batches ahead.
 
-A picture that does not decode, or lies in a damaged chunk of its log, is left out of its batches, which are then
-smaller, and named in `Loader.skipped`.
+If a picture does not decode, or is in a damaged chunk of its log, it is left out: its batch is smaller, and
+`Loader.skipped` names the picture.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from recorder.log.kept_logs import bring_here
 
 DEFAULT_BUDGET_BYTES: Final = 1 << 30
 
-_AHEAD: Final = 256  # pictures decoded ahead, 13 MB: more fall out of the caches
+_AHEAD: Final = 256  # pictures decoded ahead, 13 MB: more would not fit into the processor's caches
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Batch:
 
     @property
     def steering(self) -> NDArray[np.float32]:
-        """(N,), -1..1."""
+        """The steering labels (N,), -1..1."""
         return self.labels if self.labels.ndim == 1 else self.labels[:, 0]
 
 
@@ -69,7 +69,7 @@ class Loader(Closeable):
         targets: Sequence[TargetName] = STEERING_ONLY,
         alter_each_epoch: Sequence[EpochAlteration] = (),
     ) -> None:
-        """``rows`` are of ``samples``, which `close()` closes. For the rest see `load`."""
+        """`rows` are rows of `samples`, which `close()` closes. For the other arguments see `load`."""
         if batch < 1 or threads < 0 or seed < 0 or budget_bytes < 0:
             raise ValueError(
                 f"batch must be at least 1, seed, threads and budget_bytes at least 0:"
@@ -80,71 +80,73 @@ class Loader(Closeable):
         self.threads = threads or os.cpu_count() or 1
         self.seen = seen
         self.rows: Rows = rows if isinstance(rows, Rows) else samples.rows(rows, targets)
-        self.skipped = Skipped()  # each picture once, however often it was wanted
+        self.skipped = Skipped()  # each picture once
         self._samples = samples
         self._undecoded: set[int] = set()  # the pictures in `skipped`
         bring_here(samples.logs[session] for session in self.rows.sessions)
         self._crops = Crops(self.rows, samples.logs, budget_bytes, seen)
         self.alterations: EpochAlterations | None = None
-        """What `epoch` does to every picture; nothing else does."""
+        """The alterations that `epoch` applies to every picture. `in_order`, `crops` and `pictures_of` apply
+        none."""
         if alter_each_epoch:
             self.alterations = EpochAlterations(alter_each_epoch, seed, samples.settings.side_correction)
-        self._at_once = 1 + max(1, _AHEAD // batch)  # batches that are worked on
+        self._at_once = 1 + max(1, _AHEAD // batch)  # batches in work
 
     def close(self) -> None:
         self._samples.close()
 
     def __len__(self) -> int:
-        """Samples in an epoch."""
+        """The number of samples in an epoch."""
         return len(self.rows)
 
     @property
     def batches(self) -> int:
-        """Batches in an epoch."""
+        """The number of batches in an epoch."""
         return -(-len(self) // self.batch)
 
     @property
     def pictures(self) -> int:
-        """Different pictures that the samples show."""
+        """The number of distinct pictures of the samples."""
         return len(self.rows.session)
 
     def order(self, epoch: int) -> NDArray[np.int64]:
-        """The order of the samples in an epoch: every one once."""
+        """The order of the samples in an epoch, a permutation (N,)."""
         return self._order(epoch).astype(np.int64)
 
     def _order(self, epoch: int) -> NDArray[np.uint32]:
-        """The same in half of the memory."""
+        """The same as `order`, with half of the memory."""
         return np.random.default_rng((self.seed, epoch)).permutation(np.arange(len(self), dtype=np.uint32))
 
     def parts(self, epoch: int, start_batch: int = 0) -> Iterator[NDArray[np.int64]]:
-        """The samples of each batch of an epoch, also those that will not decode."""
+        """Yield the samples of each batch of an epoch, including those whose picture does not decode."""
         if not 0 <= start_batch <= self.batches:
             raise ValueError(f"start_batch must be in 0 to {self.batches}, not {start_batch}")
         return self._parts(self._order(epoch), start_batch)
 
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[Batch]:
-        """The batches of an epoch in their shuffled order, from `start_batch` on; the last one may be smaller, and
-        so is one with pictures that do not decode, or lie where their log is damaged."""
+        """Yield the batches of an epoch in shuffled order, from `start_batch` on. The last batch may be smaller,
+        and so are batches with pictures that do not decode or are in a damaged chunk of their log."""
         return self._batches(self.parts(epoch, start_batch), epoch)
 
     def in_order(self) -> Iterator[Batch]:
-        """All samples once, in the order of the index (for evaluation)."""
+        """Yield all samples once, in the order of the index (for evaluation)."""
         return self._batches(self._parts(np.arange(len(self), dtype=np.uint32), 0))
 
     def crops(self, samples: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], Image]]:
-        """The crops (N, height, width, 3) of some samples in their order, a batch at a time, with the samples
-        that they are of. None is kept here; neighbours that show the same picture share its decoding."""
+        """Yield samples and their crops (N, height, width, 3) in the order of `samples`, a batch at a time. The
+        crops are not cached; if neighbours share a picture, it is decoded once."""
         size = max(1, min(self.batch, len(self)))
         parts = np.split(samples, np.arange(size, len(samples), size))
         return self._decoded(parts, Crops(self.rows, self._samples.logs, budget_bytes=0, spec=self.seen))
 
     @property
     def decoded(self) -> NDArray[np.bool_]:
-        """True for samples (N,) whose picture decodes, or was not read yet."""
+        """A mask (N,) of the samples whose picture decodes or was not read yet."""
         return ~np.isin(self.rows.picture, list(self._undecoded))
 
     def pictures_of(self, samples: NDArray[np.int64]) -> Image:
-        """The pictures (N, height, width, 3) of N samples that decode, at most a batch of them."""
+        """The pictures (N, height, width, 3) of N samples, without those that do not decode. N is at most a
+        batch."""
         ((_, pictures),) = self._decoded([samples], self._crops)
         return pictures
 
@@ -153,7 +155,7 @@ class Loader(Closeable):
             yield order[start : start + self.batch].astype(np.int64)
 
     def labels(self, samples: NDArray[np.int64], epoch: int | None = None) -> NDArray[np.float32]:
-        """The labels of samples, those of their altered pictures in an epoch."""
+        """The labels of samples; with `epoch`, the labels of their altered pictures in this epoch."""
         labels = self.rows.label[samples]
         if epoch is None or self.alterations is None:
             return labels
@@ -166,7 +168,7 @@ class Loader(Closeable):
     def _decoded(
         self, parts: Iterable[NDArray[np.int64]], crops: Crops, epoch: int | None = None
     ) -> Iterator[tuple[NDArray[np.int64], Image]]:
-        """The samples of each part that decode, and their pictures; the others are skipped."""
+        """Yield the samples of each part whose pictures decode, and their pictures. The others are skipped."""
         fill: Fill = crops.fill
         if epoch is not None and self.alterations is not None:
             fill = partial(crops.fill, altered=partial(self.alterations.alter, epoch))
@@ -200,12 +202,16 @@ def load(
     targets: Sequence[TargetName] = STEERING_ONLY,
     alter_each_epoch: Sequence[EpochAlteration] = (),
 ) -> Loader:
-    """The samples of a split of `index`, in batches of `batch`.
+    """Load the samples of a split of `index`, in batches of `batch`.
 
-    `budget_bytes` is how much memory decoded crops may take (49 KB each); `threads` decode (0: one for each core);
-    `driving_view` leaves only what the car sees itself (`Samples.driving_view`); `seen` is what a network sees,
-    `targets` what it learns. `epoch` alters every picture by `alter_each_epoch`, drawn anew in every epoch.
-    Raises DatasetError if there is no index, if it is damaged or does not fit its logs.
+    - `budget_bytes`: memory for decoded crops (49 KB each)
+    - `threads`: threads that decode; 0: one for each core
+    - `driving_view`: only the samples of `Samples.driving_view`
+    - `seen`: the network's input
+    - `targets`: the numbers that the network learns
+    - `alter_each_epoch`: random alterations that `epoch` applies to every picture, different in every epoch
+
+    Raises DatasetError if the index is missing, is damaged, or does not fit its logs.
     """
     samples = Samples(index)
     try:

@@ -1,6 +1,6 @@
-"""The centre camera's pictures of a log as the network sees them, and the steering that was recorded with each.
+"""The centre camera's pictures of a log as the network sees them, with the recorded steering.
 
-For looking at a log, all of it, whether or not it is in an index.
+For viewing a whole log, which need not be in an index.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from recorder import Log, Pictures
 from recorder.log.session_car import known_max_steering_deg, metadata_of, stored_car
 from recorder.topics import camera_topic
 
-_AT_ONCE: Final = 4  # batches that are worked on
+_AT_ONCE: Final = 4  # batches in work
 
 
 class LogCrops(Closeable):
-    """The pictures of a log, finished or not, numbered from 0 in the order of writing; arrays (N,). Use it as a
-    context manager, or call `close()`."""
+    """The pictures of a finished or unfinished log, numbered from 0 in the order of writing; arrays (N,). Use it
+    as a context manager, or call `close()`."""
 
     def __init__(self, path: Location | str) -> None:
-        """Raises LogError for a damaged log, DatasetError for one without a picture of the centre camera."""
+        """Raises LogError if the log is damaged, DatasetError if it has no picture of the centre camera."""
         path = location(path)
-        self.session = printable(session_name(path))  # a file name may be no text
+        self.session = printable(session_name(path))  # a file name may have invalid characters
         self.skipped = Skipped()  # each picture once
         self._undecoded: set[int] = set()
         self.log = Log(path)
@@ -53,24 +53,24 @@ class LogCrops(Closeable):
 
     @property
     def max_steering_deg(self) -> float | None:
-        """The wheels' angle at steering 1; None: unknown."""
+        """The angle of the wheels at steering 1, in degrees; None: unknown."""
         return known_max_steering_deg(self.log)
 
     @property
     def about_car(self) -> dict[str, str]:
-        """The car's entry in the log's metadata, and the log's source."""
+        """The entries about the car and the source in the log's metadata."""
         return {"log_source": self.log.metadata.get("source", ""), **metadata_of(stored_car(self.log))}
 
     def _read(self, pictures: Pictures) -> None:
         count = len(pictures.sequence)
         if not count:
             raise DatasetError(
-                f"{self.log.path}: no picture of the centre camera in it; `bc-log info` lists its topics"
+                f"{self.log.path}: has no picture of the centre camera; `bc-log info` lists its topics"
             )
         self.row: NDArray[np.int64] = pictures.sequence
         self.log_time_ns: NDArray[np.int64] = pictures.log_time_ns
         self.recorded = self._recorded(pictures)
-        """Steering, -1..1, as an index has it; NaN where the picture came without, or it cannot be."""
+        """The steering (N,), -1..1, as in an index; NaN if the picture has no steering, or an invalid one."""
         self._rows = Rows(
             picture=np.arange(count, dtype=np.int32),
             flip=np.zeros(count, np.bool_),
@@ -91,22 +91,22 @@ class LogCrops(Closeable):
     def batches(
         self, size: int, spec: PictureSpec = ORIGINAL, step: int = 1
     ) -> Iterator[tuple[NDArray[np.int64], Image]]:
-        """Numbers of pictures and their crops (at most `size` of `spec.shape`), in order, read ahead by threads;
-        every `step`th picture.
+        """Yield the numbers of every `step`th picture and their crops, in order, in batches of at most `size`
+        crops of `spec.shape`. Threads read ahead.
 
-        Pictures that do not decode, or lie where the log is damaged, are left out, and named in `skipped`.
+        Pictures that do not decode, or are in a damaged part of the log, are left out, and named in `skipped`.
         """
         numbers = np.arange(0, len(self), step)
         parts = np.split(numbers, numbers[size::size])
         threads = os.cpu_count() or 1
-        of_log = Crops(self._rows, {self.session: self.log}, budget_bytes=0, spec=spec)
-        for part, crops, failed in prefetched(parts, of_log.fill, spec, threads=threads, at_once=_AT_ONCE):
+        crops = Crops(self._rows, {self.session: self.log}, budget_bytes=0, spec=spec)
+        for part, pictures, failed in prefetched(parts, crops.fill, spec, threads=threads, at_once=_AT_ONCE):
             for number, error in failed.items():
                 if number not in self._undecoded:
                     self._undecoded.add(number)
-                    self.skipped.add(error.kind, of_log.name(number))
+                    self.skipped.add(error.kind, crops.name(number))
             is_decoded = ~np.isin(part, list(failed))
-            yield part[is_decoded], crops[is_decoded] if failed else crops
+            yield part[is_decoded], pictures[is_decoded] if failed else pictures
 
     def _recorded(self, pictures: Pictures) -> NDArray[np.float64]:
         states, _ = driven_states(self.log)

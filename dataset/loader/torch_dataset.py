@@ -1,10 +1,10 @@
-"""Samples one by one, for PyTorch's own DataLoader.
+"""Single samples, for PyTorch's own DataLoader.
 
     with SamplesDataset(Path("index"), "train") as samples:
         DataLoader(samples, batch_size=256, shuffle=True, num_workers=8)
 
-`load` gives the same pictures without worker processes, and faster. PyTorch is not imported here: all that its
-DataLoader asks of a data set is a length and items.
+`load` gives the same pictures faster, without worker processes. This module does not import PyTorch: a DataLoader
+only needs the length and the items of a data set.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from dataset.samples.samples_reader import Samples, Split, open_logs
 
 
 class SamplesDataset(Closeable):
-    """A split of an index: item i is (picture (`seen.shape`) uint8, steering -1..1 float32), mirrored and altered
-    as the index says. With other targets, the second is (K,): see dataset.prediction_targets.
+    """A split of an index. Item i is (picture `seen.shape` uint8, steering -1..1 float32), mirrored and altered as
+    in the index. With other targets, the second is (K,): see dataset.prediction_targets.
 
     Use it as a context manager, or call `close()`. It may be pickled and used after a fork: a worker process opens
-    the logs for itself, and raises DatasetError if they have changed. An item whose picture does not decode raises
-    DatasetError: a data set cannot be without it.
+    the logs again, and raises DatasetError if they have changed. An item whose picture does not decode raises
+    DatasetError, because a data set cannot skip an item.
     """
 
     def __init__(
@@ -41,8 +41,8 @@ class SamplesDataset(Closeable):
         seen: PictureSpec = ORIGINAL,
         targets: Sequence[TargetName] = STEERING_ONLY,
     ) -> None:
-        """Raises DatasetError if there is no index, if it is damaged or does not fit its logs."""
-        self._index = absolute(location(index))  # a worker may run elsewhere
+        """Raises DatasetError if the index is missing, is damaged, or does not fit its logs."""
+        self._index = absolute(location(index))  # a worker may have another working folder
         self._spec = seen
         samples = Samples(self._index)
         self._logs = samples.logs
@@ -77,7 +77,7 @@ class SamplesDataset(Closeable):
         return {**kept, "_logs": {}, "_process": 0}
 
     def _open(self) -> None:
-        self.close()  # those of the process that this one was forked from
+        self.close()  # the logs that the parent process had opened before the fork
         self._logs = open_logs(self._index, self._sources)
         self._crops = Crops(self._rows, self._logs, 0, self._spec)
         self._process = os.getpid()

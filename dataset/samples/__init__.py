@@ -1,1 +1,1 @@
-"""The balanced samples that training reads: chosen and labelled from the frames, written, and read."""
+"""The balanced samples that training uses: choose and label them from the frames, write them, and read them."""

@@ -1,6 +1,6 @@
-"""Balancing: how many samples each steering bin may have.
+"""Balancing: the number of samples in each steering bin.
 
-Most driving is straight on: without balancing, a network that always predicts 0 is nearly right.
+Most driving is straight ahead: without balancing, a network that always predicts 0 has small errors.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ PerBin = Literal["mean", "median"] | int
 
 @dataclass(frozen=True)
 class Balanced:
-    """The candidates to use. `chosen` are positions in what was balanced; a copy repeats an original."""
+    """The chosen candidates: their positions, and whether each is a copy of another one."""
 
     chosen: NDArray[np.int64]
     is_copy: NDArray[np.bool_]
-    per_bin: int  # what every bin was brought to; 0 where nothing was
-    short: dict[int, int]  # bins that the cap left below it, and how many samples they lack
+    per_bin: int  # target for every bin; 0: not balanced
+    short: dict[int, int]  # missing samples of each bin that `max_uses` kept below the target
 
 
 def balance(
     bin_index: NDArray[Any], bins: int, max_uses: int, random: np.random.Generator, per_bin: PerBin = "mean"
 ) -> Balanced:
-    """Bring every bin that is not empty to one count: their mean, their median, or a number.
+    """Bring every non-empty bin to the same number of samples: the mean of the bins, their median, or a number.
 
-    A bin above it is pruned at random to it. A bin below is filled up to it with copies, spread evenly over its
-    originals. None is used more than `max_uses` times (itself included).
+    A larger bin is reduced at random. A smaller bin is filled with copies, distributed evenly over its originals.
+    An original is used at most `max_uses` times, including itself.
     """
     counts = np.bincount(bin_index, minlength=bins)
     filled = np.flatnonzero(counts)
@@ -38,7 +38,7 @@ def balance(
     chosen: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
     is_copy: list[NDArray[np.bool_]] = [np.zeros(0, np.bool_)]
     short: dict[int, int] = {}
-    # so few bins fit into 16 bits, whose stable sort takes linear time
+    # 16 bits are enough for all bins, and NumPy's stable sort of 16-bit integers takes linear time
     order = np.argsort(bin_index.astype(np.int16), kind="stable")
     ends = np.cumsum(counts)
     for index in filled.tolist():
@@ -55,7 +55,7 @@ def balance(
 
 
 def unbalanced(count: int) -> Balanced:
-    """Every one of `count` candidates once."""
+    """Use each of `count` candidates once."""
     return Balanced(np.arange(count), np.zeros(count, np.bool_), 0, {})
 
 

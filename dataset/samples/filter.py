@@ -1,4 +1,4 @@
-"""Choosing frames by a condition in SQL, which DuckDB evaluates."""
+"""Choose frames by an SQL condition, which DuckDB evaluates."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from dataset.errors import DatasetError
 if TYPE_CHECKING:
     from duckdb import DuckDBPyRelation
 
-# The condition is code, even if from the user's own command line: it gets no files, no network, no settings.
+# The condition is code, also if it comes from the user's command line: it gets no access to files, the network and
+# DuckDB's settings.
 _CLOSED: dict[str, str | bool | int | float | list[str]] = {
     "enable_external_access": "false",
     "python_enable_replacements": "false",
@@ -25,7 +26,7 @@ _CLOSED: dict[str, str | bool | int | float | list[str]] = {
 }
 
 _NUMBER: Final = "position_in_session"
-_PATIENCE_S: Final = 0.1  # on Windows, Ctrl-C is heard only between two waits
+_PATIENCE_S: Final = 0.1  # on Windows, Python handles Ctrl-C only between two waits
 
 Answer = TypeVar("Answer")
 
@@ -36,55 +37,56 @@ class Condition:
     def __init__(self, where: str) -> None:
         """Raises UserError if DuckDB is not installed."""
         try:
-            import duckdb  # an extra: only --where needs it
+            import duckdb  # an optional package: only --where needs it
         except ImportError:
-            raise UserError(f"--where needs DuckDB: `{install_line('where')}` brings it") from None
+            raise UserError(f"--where needs DuckDB: run `{install_line('where')}`") from None
         self._where = where
         self._error: type[Exception] = duckdb.Error
         self._connection = duckdb.connect(config=_CLOSED)
 
     def check(self, frames: pa.Table) -> None:
-        """Raise DatasetError if it is no condition on the columns of `frames`; it is not evaluated."""
+        """Raise DatasetError if this is not a condition on the columns of `frames`; it is not evaluated."""
         self._answered(frames, lambda chosen: None)
 
     def holds(self, frames: pa.Table) -> NDArray[np.bool_]:
-        """For which rows of `frames` (N,) it is true. Raises DatasetError if it is no condition on them."""
+        """A mask (N,) of the rows of `frames` that meet the condition. Raises DatasetError if this is not a
+        condition on their columns."""
         rows, again = self._answered(
             frames, lambda chosen: [np.sort(chosen.fetchnumpy()[_NUMBER]) for _ in range(2)]
         )
         if not np.array_equal(rows, again):
             raise DatasetError(
-                f"--where {self._where!r}: gives other rows each time, so the index could not be built again"
+                f"--where {self._where!r}: chooses different rows each time, so the index could not be built again"
             )
         mask = np.zeros(len(frames), np.bool_)
         mask[rows] = True
         return mask
 
-    def _answered(self, frames: pa.Table, what: Callable[[DuckDBPyRelation], Answer]) -> Answer:
-        """`what` of the numbers of the rows for which it is true."""
+    def _answered(self, frames: pa.Table, read: Callable[[DuckDBPyRelation], Answer]) -> Answer:
+        """The result of `read` for the numbers of the rows that meet the condition."""
         numbered = frames.append_column(_NUMBER, pa.array(np.arange(len(frames))))
 
         def query() -> Answer:
-            # a filter takes one expression: no second statement, no ORDER BY or UNION behind it
-            return what(self._connection.from_arrow(numbered).filter(self._where).project(_NUMBER))
+            # `filter` accepts a single expression: no second statement, no ORDER BY or UNION after it
+            return read(self._connection.from_arrow(numbered).filter(self._where).project(_NUMBER))
 
         try:
             return self._interruptible(query)
         except (self._error, KeyError) as error:
-            what_is_wrong = str(error).splitlines()[0]
+            why = str(error).splitlines()[0]
             columns = ", ".join(frames.column_names)
-            raise DatasetError(f"--where {self._where!r}: {what_is_wrong}; the columns are {columns}") from None
+            raise DatasetError(f"--where {self._where!r}: {why}; the columns are {columns}") from None
 
     def _interruptible(self, query: Callable[[], Answer]) -> Answer:
-        """Ctrl-C ends it, as KeyboardInterrupt: in the main thread DuckDB hears signals itself, and what their
-        handler raises becomes another error, or is lost."""
+        """Run a query in a thread, so that Ctrl-C ends it with KeyboardInterrupt: in the main thread, DuckDB
+        handles signals itself, and an exception of Python's handler is replaced or lost."""
         with ThreadPoolExecutor(1) as pool:
             pending = pool.submit(query)
             try:
                 while not pending.done():
                     wait([pending], _PATIENCE_S)
             finally:
-                while not pending.done():  # it may just have been about to begin
+                while not pending.done():  # repeated, because the query may not have begun at the first interrupt
                     self._connection.interrupt()
                     wait([pending], _PATIENCE_S)
             return pending.result()

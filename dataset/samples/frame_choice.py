@@ -1,4 +1,4 @@
-"""The choice of a session's frames for an index: those with a label, that nothing leaves out."""
+"""Choose the frames of a session for an index: frames with a label that no rule leaves out."""
 
 from __future__ import annotations
 
@@ -21,20 +21,21 @@ from recorder.rows.row_quality import NOT_LEARNT
 
 @dataclass(frozen=True)
 class FrameChoice:
-    """The choice among a session's frames, before anything is balanced; arrays of one length."""
+    """The choice among the N frames of a session, before balancing; arrays (N,)."""
 
     is_chosen: NDArray[np.bool_]
     is_training: NDArray[np.bool_]
-    """Else, if it is chosen, for validation."""
+    """A chosen frame that is not for training is for validation."""
     steering: NDArray[np.float64]
-    """To be learnt for the centre camera."""
+    """The steering to learn, for the centre camera."""
     counts: SessionCounts
 
 
 def choose_frames(
     frames: pa.Table, config: IndexConfig, labels: SessionLabels, condition: Condition | None
 ) -> FrameChoice:
-    """`condition` is that of `config.where`. Raises DatasetError if it does not fit the columns of `frames`."""
+    """Choose frames by the settings. `condition` is `config.where`, compiled. Raises DatasetError if it does not
+    fit the columns of `frames`."""
     split = codes(frames["split"], SPLITS)
     split = np.where((split == 1) & np.isin(frames["row"].to_numpy(), labels.shared_rows), 2, split)
     is_bad = is_unusable(frames)

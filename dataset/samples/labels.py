@@ -1,7 +1,7 @@
-"""Labels: the steering that a network is to learn of each frame, as recorded, smoothed, or of a little later.
+"""Labels: the steering that a network learns for each frame, as recorded, smoothed, or a little later.
 
 People with keyboards steer in steps, and after the road has turned: the picture comes before the steering that it
-calls for.
+requires.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from recorder.rows.label_plan import LabelPlan
 from recorder.rows.row_quality import GAP_S
 
 _ONE: Final = 1 << 40
-"""A steering of 1 as an integer: sums of integers are exact, no rounding carries over from stretch to stretch."""
+"""A steering of 1 as an integer: sums of integers are exact, so that stretches do not influence each other."""
 
 HELD_MPH: Final = 1.0
-"""A driver this near to the set speed keeps to it."""
+"""If the speed is this close to the set speed, the driver keeps the set speed."""
 
 Steering = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 
 def planned_labels(frames: pa.Table, plan: LabelPlan) -> tuple[Steering, NDArray[np.bool_]]:
-    """The steering to be learnt of each of a session's frames (N,), as `labels_of` gives it, and a mask of those
-    that are left out: of crashes, of driving backwards, and of a parked car.
+    """The steering to learn for each frame of a session (N,), as from `labels_of`, and a mask (N,) of the frames
+    that are left out: crashes, driving backwards, manoeuvres, and a parked car.
 
-    No label depends on another driver's steering, on the other side of the split, on frames that cannot be used or
-    are tagged `exclude`, or are left out so.
+    No label depends on another driver's steering, on another split, or on frames that are unusable, tagged
+    `exclude` or left out.
     """
     is_odd = _is_odd(frames, plan)
     return labels_of(frames, _is_good(frames), _side(frames, is_odd), plan.smooth_s, plan.shift_s), is_odd
@@ -46,12 +46,12 @@ def planned_labels(frames: pa.Table, plan: LabelPlan) -> tuple[Steering, NDArray
 def planned_speed_mph(
     frames: pa.Table, plan: LabelPlan, ahead_s: float, slower_mph: Sequence[float] = ()
 ) -> NDArray[np.float64]:
-    """The speed to be learnt of each of a session's frames (N,), as `later_speed_mph` gives it; as for
-    `planned_labels`, none depends on anything but its own stretch.
+    """The speed to learn for each frame of a session (N,), as from `later_speed_mph`. Like the labels of
+    `planned_labels`, it depends only on its own stretch.
 
-    `slower_mph` are set speeds of this session's driver, if other drivers had a higher one: where he keeps to it,
-    the road may allow more, and there is no label. (The mean of all speeds driven at a place would be too slow on
-    straights.)
+    `slower_mph` are the set speeds of this session's driver that are below those of other drivers. While the
+    driver keeps such a speed, the road may allow more, so the label is NaN. (The mean of all speeds at a place
+    would be too slow on straights.)
     """
     speed_mph = later_speed_mph(frames, _is_good(frames), _side(frames, _is_odd(frames, plan)), ahead_s)
     for set_mph in slower_mph:
@@ -60,8 +60,8 @@ def planned_speed_mph(
 
 
 def recorded_throttle(frames: pa.Table) -> NDArray[np.float64]:
-    """The throttle less the brake of each frame (N,), -1..1; NaN where they are no such numbers, and throughout a
-    session in which neither is ever touched: no car drives so, they were not recorded."""
+    """The throttle minus the brake of each frame (N,), -1..1; NaN for other values. All NaN if both are 0 in the
+    whole session: then they were not recorded, because no car drives without throttle."""
     pedals = [frames[name].to_numpy() for name in ("throttle", "brake")]
     throttle: NDArray[np.float64] = np.subtract(*pedals)
     has_pedals = any(pedal.any() for pedal in pedals)
@@ -77,7 +77,7 @@ def _is_odd(frames: pa.Table, plan: LabelPlan) -> NDArray[np.bool_]:
 
 
 def _side(frames: pa.Table, is_odd: NDArray[np.bool_]) -> NDArray[np.int8]:
-    """A code (N,) of split, driver, and whether it is left out: no label depends on frames of another code."""
+    """A code (N,) of split, driver and `is_odd`: no label depends on frames with another code."""
     side: NDArray[np.int8] = codes(frames["split"], SPLITS) + 4 * codes(frames["driver"], DRIVERS)
     return side + 16 * is_odd.astype(np.int8)
 
@@ -85,14 +85,14 @@ def _side(frames: pa.Table, is_odd: NDArray[np.bool_]) -> NDArray[np.int8]:
 def labels_of(
     frames: pa.Table, is_usable: NDArray[np.bool_], split: NDArray[np.int8], smooth_s: float, shift_s: float
 ) -> Steering:
-    """The steering to be learnt of each of a session's frames (N,), -1..1; NaN without a label.
+    """The steering to learn for each frame of a session (N,), -1..1; NaN without a label.
 
-    `is_usable` (N,) marks the frames that can be used, `split` (N,) has their side. A row without a usable frame
-    is a border. So is an edge of a drive, a gap in time, and where `split` changes: no label depends
-    on what lies behind a border. Smoothing is the mean over the rows within half of `smooth_s` on either side, as
-    far as the border. Then the label is the steering `shift_s` seconds later (earlier, if negative), between two
-    rows on the line between them; where that lies behind the border, there is no label. With neither, it is as
-    recorded.
+    `is_usable` (N,) marks the usable frames, `split` (N,) has a code of their split (`_side`). A border is a row
+    without a usable frame, an edge of a drive, a gap in time, or a change of `split`: no label depends on frames
+    beyond a border. First, the steering is smoothed: the mean over the rows within half of `smooth_s` on both
+    sides, up to the border. Then the label is the steering `shift_s` seconds later (earlier, if negative),
+    interpolated linearly between rows; NaN if this time is beyond the border. If both are 0, the label is the
+    recorded steering.
     """
     steering: Steering = frames["steering"].to_numpy()
     if (smooth_s == 0 and shift_s == 0) or not len(frames):
@@ -110,8 +110,8 @@ def labels_of(
 def later_speed_mph(
     frames: pa.Table, is_usable: NDArray[np.bool_], split: NDArray[np.int8], ahead_s: float
 ) -> NDArray[np.float64]:
-    """The speed that was driven `ahead_s` after each of a session's frames (N,); NaN where that lies behind a
-    border, which is as for `labels_of`, or where the speed is unknown."""
+    """The speed `ahead_s` seconds after each frame of a session (N,); NaN if this time is beyond a border (see
+    `labels_of`), or if the speed is unknown."""
     speed_mph: NDArray[np.float64] = frames["speed_mph"].to_numpy()
     is_speed = (speed_mph >= SPEED_RANGE_MPH[0]) & (speed_mph <= SPEED_RANGE_MPH[1])  # False for NaN
     speed_mph = np.where(is_speed, speed_mph, np.nan)
@@ -124,16 +124,16 @@ def later_speed_mph(
 
 @dataclass(frozen=True)
 class _Rows:
-    """The rows of a session's frames: the frames of its cameras share one."""
+    """The R rows of a session's N frames. The frames of all cameras at a moment share a row."""
 
-    of_frame: NDArray[np.int32]  # of each frame: its row
-    frame: NDArray[np.int64]  # of each row: one of its frames
-    is_usable: NDArray[np.bool_]
+    of_frame: NDArray[np.int32]  # (N,): the row of each frame
+    frame: NDArray[np.int64]  # (R,): a frame of each row
+    is_usable: NDArray[np.bool_]  # (R,)
     stretches: _Stretches
 
 
 def _rows_of(frames: pa.Table, is_usable: NDArray[np.bool_], split: NDArray[np.int8]) -> _Rows:
-    # a log that was still growing may hold late pictures behind others
+    # sorted by time: a log that was still growing may have late pictures after others
     number, rows = number_distinct(*(frames[name].to_numpy() for name in ("log_time_ns", "row")))
     row_is_usable = np.bincount(number, is_usable, len(rows)) > 0
     drive = frames["drive"].to_numpy()[rows]
@@ -150,15 +150,15 @@ def _rows_of(frames: pa.Table, is_usable: NDArray[np.bool_], split: NDArray[np.i
 
 @dataclass(frozen=True)
 class _Stretches:
-    """Rows between borders; arrays of one length, an element a row."""
+    """Rows between borders; arrays (R,)."""
 
-    time_ns: Times  # never falls, also over borders; differences within a stretch are those of the log
-    first: NDArray[np.int64]  # of the row's stretch: the first row
-    last: NDArray[np.int64]  # and its last one
+    time_ns: Times  # never decreases, also at borders; differences within a stretch are those of the log
+    first: NDArray[np.int64]  # the first row of the row's stretch
+    last: NDArray[np.int64]  # the last row of the row's stretch
 
     @classmethod
     def between(cls, step_ns: Times, is_border: NDArray[np.bool_]) -> _Stretches:
-        """From the times between neighbouring rows, and whether there is a border between them."""
+        """From the times between neighbouring rows, (R - 1,), and a mask of the borders between them, (R - 1,)."""
         time_ns = np.concatenate([[0], np.cumsum(np.where(is_border, 0, step_ns))])
         starts = np.concatenate([[0], np.flatnonzero(is_border) + 1])
         ends = np.append(starts[1:], len(time_ns))
@@ -167,7 +167,7 @@ class _Stretches:
 
 
 def _smoothed(steering: Steering, stretches: _Stretches, reach_ns: int) -> Steering:
-    """The mean over the rows of the same stretch within `reach_ns` of each row."""
+    """The mean steering over the rows of the same stretch within `reach_ns` of each row."""
     time_ns = stretches.time_ns
     begin = np.maximum(np.searchsorted(time_ns, time_ns - reach_ns, side="left"), stretches.first)
     end = np.minimum(np.searchsorted(time_ns, time_ns + reach_ns, side="right"), stretches.last + 1)
@@ -181,13 +181,13 @@ def _smoothed(steering: Steering, stretches: _Stretches, reach_ns: int) -> Steer
 
 
 def _shifted(steering: Steering, stretches: _Stretches, shift_ns: int) -> Steering:
-    """The steering of the same stretch `shift_ns` later; NaN where it has ended by then."""
+    """The steering `shift_ns` later in the same stretch; NaN if the stretch has ended by then."""
     time_ns = stretches.time_ns
     wanted_ns = time_ns + shift_ns
     is_within = (time_ns[stretches.first] <= wanted_ns) & (wanted_ns <= time_ns[stretches.last])
     after = np.clip(np.searchsorted(time_ns, wanted_ns), stretches.first, stretches.last)
     before = np.maximum(after - 1, stretches.first)
-    apart_ns = np.maximum(time_ns[after] - time_ns[before], 1)  # 0 only where both are the first row of a stretch
+    apart_ns = np.maximum(time_ns[after] - time_ns[before], 1)  # 0 only if both are the first row of a stretch
     share = (time_ns[after] - wanted_ns) / apart_ns
     between = steering[after] - share * (steering[after] - steering[before])
     return np.where(is_within, between, np.nan)

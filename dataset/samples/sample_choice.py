@@ -1,4 +1,4 @@
-"""The choice of samples: frames and their mirror images, balanced, and the alterations of their copies."""
+"""Choose the samples: balance frames and their mirror images, and draw the alterations of the copies."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from dataset.steering_bins import bin_of
 
 @dataclass(frozen=True)
 class ChosenSamples:
-    """Samples in the order of the file; arrays of one length."""
+    """Samples in the order of the file; arrays of the same length."""
 
-    frame: NDArray[np.int64]  # among the usable frames of all sessions
+    frame: NDArray[np.int64]  # position among the usable frames of all sessions
     flip: NDArray[np.bool_]
     is_copy: NDArray[np.bool_]
-    alteration: NDArray[np.int8]  # a bit for each of the config's
+    alteration: NDArray[np.int8]  # bit i: `config.alterations[i]`
     seed: NDArray[np.int64]
 
     def between(self, start: int, end: int) -> ChosenSamples:
@@ -30,9 +30,9 @@ class ChosenSamples:
 def choose_samples(
     label: NDArray[np.float64], is_training: NDArray[np.bool_], config: IndexConfig
 ) -> tuple[ChosenSamples, Balance]:
-    """Choose the frames that become samples, how often, and what the copies get.
+    """Choose the frames that become samples, the number of copies, and the alterations of the copies.
 
-    A candidate is a frame, or its mirror image: number frame + flip * frames.
+    A candidate is a frame or its mirror image; its number is frame + flip * frames.
     """
     random = np.random.default_rng(config.seed)
     bins, is_training = _candidates(label, is_training, config)
@@ -44,24 +44,24 @@ def choose_samples(
     before = np.bincount(bins[training], minlength=config.bins)
     candidate = training[balanced.chosen]
     after = np.bincount(bins[candidate], minlength=config.bins)
-    validation = np.flatnonzero(~is_training)  # all of it, once
+    validation = np.flatnonzero(~is_training)  # each validation candidate once
     candidate = np.concatenate([candidate, validation])
     is_copy = np.concatenate([balanced.is_copy, np.zeros(len(validation), np.bool_)])
     per_bin, short = balanced.per_bin, balanced.short
-    del training, balanced, bins, is_training  # of ten million frames, half a gigabyte
+    del training, balanced, bins, is_training  # half a gigabyte for ten million frames
     return _in_order(candidate, is_copy, len(label), config, random), Balance(before, after, per_bin, short)
 
 
 def _candidates(
     label: NDArray[np.float64], is_training: NDArray[np.bool_], config: IndexConfig
 ) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
-    """The bin of each candidate, and whether it is for training."""
+    """The bin of each candidate, and a mask of the candidates for training."""
     bins = bin_of(label, config.bins).astype(np.int16)
     if not config.flip:
         return bins, is_training
     bins = np.concatenate([bins, config.bins - 1 - bins])
     middle = np.concatenate([label == 0, label == 0])
-    bins[middle] = bin_of(np.zeros(1), config.bins)[0]  # its own mirror image
+    bins[middle] = bin_of(np.zeros(1), config.bins)[0]  # a label of 0 stays in its bin when mirrored
     return bins, np.concatenate([is_training, is_training])
 
 
@@ -72,8 +72,9 @@ def _in_order(
     config: IndexConfig,
     random: np.random.Generator,
 ) -> ChosenSamples:
-    """Sort samples by frame, original before mirror image, copies last; and draw the copies' alterations."""
-    key = (candidate % frames) * 4 + (candidate // frames) * 2 + is_copy  # all of a sample
+    """Sort the samples by frame, then original before mirror image, then copies last; draw the copies'
+    alterations."""
+    key = (candidate % frames) * 4 + (candidate // frames) * 2 + is_copy  # frame, flip and is_copy in one integer
     key.sort()
     is_copy = (key & 1) > 0
     alteration, seed = _alterations(is_copy, config, random)
@@ -83,7 +84,7 @@ def _in_order(
 def _alterations(
     is_copy: NDArray[np.bool_], config: IndexConfig, random: np.random.Generator
 ) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
-    """For each sample the bits of its alterations, and their seed; an original has none."""
+    """The bits of the alterations and the seed of each sample; 0 for originals."""
     copies = np.flatnonzero(is_copy)
     alteration = np.zeros(len(is_copy), np.int8)
     for bit in range(len(config.alterations)):

@@ -1,4 +1,4 @@
-"""Samples as arrays, not Python objects: 18 bytes a sample and 24 bytes a picture, so that ten million fit."""
+"""Samples as arrays: 18 bytes for each sample and 24 bytes for each picture, so that ten million fit in memory."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 
 @dataclass(frozen=True)
 class Rows:
-    """Samples, and the pictures that they show. Mirror images and copies show the same picture."""
+    """N samples and their P pictures. An original, its mirror image and copies share a picture."""
 
-    picture: NDArray[np.int32]  # of each sample: which of the pictures
-    flip: NDArray[np.bool_]
-    alteration: NDArray[np.uint8]  # which of `alterations`
-    seed: NDArray[np.int64]  # of the alteration
-    label: NDArray[np.float32]  # steering, -1..1; with other targets (N, K), NaN where a label is not known
-    session: NDArray[np.int32]  # of each picture: which of `sessions`
-    offset: NDArray[np.int64]  # of each picture: for Log.read, as the next two
-    length: NDArray[np.int32]
-    chunk: NDArray[np.int64]
+    picture: NDArray[np.int32]  # (N,): number of the sample's picture
+    flip: NDArray[np.bool_]  # (N,)
+    alteration: NDArray[np.uint8]  # (N,): position in `alterations`
+    seed: NDArray[np.int64]  # (N,): of the alteration
+    label: NDArray[np.float32]  # (N,): steering, -1..1; with other targets (N, K), NaN if a label is unknown
+    session: NDArray[np.int32]  # (P,): position in `sessions`
+    offset: NDArray[np.int64]  # (P,): offset, length and chunk are arguments of Log.read
+    length: NDArray[np.int32]  # (P,)
+    chunk: NDArray[np.int64]  # (P,)
     alterations: tuple[str, ...]  # "" or names joined by "+"
     sessions: tuple[str, ...]
 
@@ -37,11 +37,11 @@ class Rows:
 
 
 def rows_of(table: pa.Table, sources: Mapping[str, object], targets: Sequence[TargetName] = STEERING_ONLY) -> Rows:
-    """Raises ValueError, TypeError or KeyError for values that do not make sense."""
+    """Convert a table of samples to arrays. Raises ValueError, TypeError or KeyError for invalid values."""
     session, sessions = words_as_numbers(table["session"])
     alteration, alterations = words_as_numbers(table["alteration"])
     if unknown := set(sessions) - sources.keys():
-        raise ValueError(f"its session {min(unknown)!r} has no log")
+        raise ValueError(f"session {min(unknown)!r} has no log")
     allowed = {"", *ALTERATIONS}
     if len(alterations) > 255 or any(not allowed.issuperset(names.split("+")) for names in alterations):
         raise ValueError("an unknown alteration")
@@ -76,17 +76,17 @@ def _labels(table: pa.Table, steering: NDArray[np.float64], targets: Sequence[Ta
 
 
 def target_labels(table: pa.Table, target: TargetName) -> NDArray[np.float64]:
-    """The labels (N,) of a target besides steering, in its unit; NaN where they are not known. Raises what
-    `rows_of` does."""
-    column, most = TARGETS[target].label_column, TARGETS[target].most
+    """The labels (N,) of a target other than steering, in its unit; NaN if unknown. Raises the errors of
+    `rows_of`."""
+    column, max_label = TARGETS[target].label_column, TARGETS[target].max_label
     labels = numbers(pc.fill_null(table[column], np.nan), np.float64)
-    if (np.abs(labels) > most).any():  # False for NaN
-        raise ValueError(f"a {column} that is not in -{most:g}..{most:g}")
+    if (np.abs(labels) > max_label).any():  # False for NaN
+        raise ValueError(f"a {column} that is not in -{max_label:g}..{max_label:g}")
     return labels
 
 
 def words_as_numbers(column: pa.ChunkedArray) -> tuple[NDArray[np.int32], tuple[str, ...]]:
-    """A column of words as numbers, and the word of each number."""
+    """Convert a column of words (N,) to numbers (N,). Returns the numbers, and the word of each number."""
     if not pa.types.is_dictionary(column.type):
         column = column.dictionary_encode()
     column = column.unify_dictionaries()

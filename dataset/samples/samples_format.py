@@ -1,4 +1,4 @@
-"""`index/samples.parquet`: its name, version, columns and metadata, on which writers and readers agree."""
+"""The format of `index/samples.parquet`: name, version, columns and metadata."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SAMPLES_NAME: Final = "samples.parquet"
 
 SAMPLES_FORMAT: Final = 5
 READABLE_FORMATS: Final = (4, 5)
-"""4 has no labels of other targets than steering."""
+"""Format 4 has labels of steering only."""
 
 SAMPLES_SCHEMA: Final = pa.schema(
     [
@@ -31,13 +31,13 @@ SAMPLES_SCHEMA: Final = pa.schema(
         pa.field("flip", pa.bool_()),
         pa.field("alteration", pa.string()),  # "", or names joined by "+"
         pa.field("seed", pa.int64()),  # of the alteration
-        pa.field("label", pa.float64()),  # steering to be learnt, of this camera and this side: -1..1
-        pa.field("recorded", pa.float64()),  # the same as it was driven
+        pa.field("label", pa.float64()),  # steering to learn, for this camera and mirrored if `flip`: -1..1
+        pa.field("recorded", pa.float64()),  # the recorded steering, for this camera and mirrored if `flip`
         pa.field("bin", pa.int64()),
         pa.field("split", pa.string()),
-        pa.field("copy", pa.bool_()),  # added to fill up its bin
-        pa.field("later_speed_mph", pa.float64()),  # driven --speed-ahead seconds later; null: unknown
-        pa.field("throttle", pa.float64()),  # less the brake: -1..1; null: unknown
+        pa.field("copy", pa.bool_()),  # added to fill its bin
+        pa.field("later_speed_mph", pa.float64()),  # the speed --speed-ahead seconds later; null: unknown
+        pa.field("throttle", pa.float64()),  # minus the brake: -1..1; null: unknown
     ]
 )
 
@@ -48,15 +48,15 @@ class Balance:
 
     before: NDArray[np.int64]
     after: NDArray[np.int64]
-    per_bin: int  # what the bins were brought to; 0 where nothing was balanced
-    short: dict[int, int]  # bins that the cap left below it, and how many samples they lack
+    per_bin: int  # target for every bin; 0: not balanced
+    short: dict[int, int]  # missing samples of each bin that `--max-uses` kept below the target
 
     def as_dict(self) -> dict[str, Any]:
         return {**asdict(self), "before": self.before.tolist(), "after": self.after.tolist()}
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> Balance:
-        """Raises KeyError, TypeError or ValueError for a dictionary that `as_dict` does not give."""
+        """The inverse of `as_dict`. Raises KeyError, TypeError or ValueError for an invalid dictionary."""
         before, after = (np.array(stored[name], np.int64) for name in ("before", "after"))
         if before.ndim != 1 or before.shape != after.shape or not len(before):
             raise ValueError("not two counts of the same bins")
@@ -66,22 +66,22 @@ class Balance:
 
 @dataclass(frozen=True)
 class SessionCounts:
-    """Frames of a session, by what becomes of them."""
+    """The number of frames of a session by their use."""
 
     frames: int
     training: int
     validation: int
-    gap: int  # between the two
-    excluded: int  # tagged so
-    unusable: int  # steering out of range, or a broken picture
-    unlabelled: int  # so near the end of a stretch that --label-shift finds no steering for it
-    not_asked_for: int  # another camera, or not what --where chooses
-    crashed: int  # of a crash: neither learnt nor measured by, whatever their side of the split
-    not_taken_over: int  # of a drive, and driven neither by an expert nor by a human, with --drives takeovers
-    backwards: int = 0  # as crashed: the car drives backwards
-    manoeuvring: int = 0  # as crashed: the way into a crash, and out of it or of driving backwards
-    parked: int = 0  # as crashed: it stands for long
-    not_measured: int | None = None  # of these four: held out otherwise; None: earlier versions held them out
+    gap: int  # between training and validation
+    excluded: int  # tagged `exclude`
+    unusable: int  # steering outside -1..1, or a broken picture
+    unlabelled: int  # too near the end of a stretch for --label-shift
+    not_asked_for: int  # another camera, or not chosen by --where
+    crashed: int  # in a crash: left out of training and validation
+    not_taken_over: int  # with --drives takeovers: driven neither by an expert nor by a human
+    backwards: int = 0  # left out as well: the car drives backwards
+    manoeuvring: int = 0  # left out as well: before and after a crash, or after driving backwards
+    parked: int = 0  # left out as well: the car stands for long
+    not_measured: int | None = None  # frames of these four kinds in blocks for validation; None: earlier version
 
     @property
     def not_driven(self) -> int:
@@ -94,7 +94,7 @@ COUNT_HEADINGS: Final = {
     "crashed": "crash",
     "not_taken_over": "not taken over",
 }
-"""What counts are called where they are read, if not by their names."""
+"""Headings of the counts whose heading is not their name."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class SessionLabels:
     """The steering habits of a session, and the plan of its labels."""
 
     habits: SteeringHabits
-    lag: SteeringLag | None  # None: not measured, or nothing to measure it by
+    lag: SteeringLag | None  # None: not measured, or not measurable
     plan: LabelPlan
-    set_speeds_mph: tuple[float, ...] = ()  # that the driver was to keep where bends allow; of people, none
-    shared_rows: tuple[int, ...] = ()  # of a standing car, whose pictures another session has, too: not held out
+    set_speeds_mph: tuple[float, ...] = ()  # that the driver keeps where bends allow; empty for people
+    shared_rows: tuple[int, ...] = ()  # rows of a standing car with pictures of another session: not held out

@@ -1,7 +1,4 @@
-"""The balanced index as training reads it: `index/samples.parquet`, the logs that it points into, and its rows.
-
-The rows are arrays, not Python objects: 18 bytes a sample and 24 bytes a picture, so that ten million fit.
-"""
+"""Read the balanced index for training: `index/samples.parquet`, its logs and its rows."""
 
 from __future__ import annotations
 
@@ -31,7 +28,7 @@ from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import log_place, refuse_other_places
 from dataset.missing_index import missing_index
-from dataset.parquet_file import METADATA_KEY, METADATA_MOST_BYTES, read_schema
+from dataset.parquet_file import MAX_METADATA_BYTES, METADATA_KEY, read_schema
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, speed_ahead_s_in
 from dataset.samples.sample_rows import Rows, numbers, rows_of, target_labels, words_as_numbers
 from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA
@@ -40,10 +37,10 @@ from recorder import Log, LogError
 Split = Literal["train", "validation"]
 
 LOADED: Final = ("session", "offset", "length", "chunk", "flip", "alteration", "seed", "label", "split")
-"""The columns that a loader needs."""
+"""The columns that the loader needs."""
 
 FINGERPRINTED: Final = (*LOADED, "camera", "copy", "recorded")
-"""The columns that training and validation depend on."""
+"""The columns on which training and validation depend."""
 
 _CONTENT: Final = ("row", *(name for name in FINGERPRINTED if name not in ("offset", "chunk")))
 
@@ -52,7 +49,7 @@ def loaded_columns(targets: Sequence[TargetName] = STEERING_ONLY) -> tuple[str, 
     return (*LOADED, *(TARGETS[name].label_column for name in targets if name not in STEERING_ONLY))
 
 
-_WORDS: Final = ("session", "camera", "alteration", "split")  # of those, few different ones: read as numbers
+_WORDS: Final = ("session", "camera", "alteration", "split")  # few distinct words: read as dictionaries
 
 _MAX_BYTES: Final = 1 << 34
 
@@ -69,17 +66,17 @@ _UNREADABLE: Final = (
 
 
 class IndexedLog(NamedTuple):
-    path: str  # from the index
-    fingerprint: str  # of its content
-    file: str  # of the file
+    path: str  # relative to the index
+    fingerprint: str  # of the content
+    file: str  # fingerprint of the file
 
 
 class Samples(Closeable):
-    """The samples of one index, and the logs that hold their pictures. Use it as a context manager, or call
-    `close()`.
+    """The samples of an index, and the logs with their pictures. Use it as a context manager, or call `close()`.
 
-    Raises DatasetError if there is no index, if it is damaged, or if a log is not the one that was indexed;
-    PlaceNotAllowedError if the index was not built here and names logs outside of its project.
+    Raises DatasetError if the index is missing or damaged, or if a log has changed since it was indexed;
+    PlaceNotAllowedError if the user did not build the index on this machine, and it names logs outside its
+    project.
     """
 
     def __init__(self, index: Location | str) -> None:
@@ -103,7 +100,7 @@ class Samples(Closeable):
         if version not in READABLE_FORMATS:
             raise DatasetError(f"{self.path}: has format {version}, not {SAMPLES_FORMAT}; run `bc-index` again")
         if has_views:
-            raise DatasetError(f"{self.path}: has views of an earlier version; run `bc-index` again")
+            raise DatasetError(f"{self.path}: has viewpoints of an earlier version; run `bc-index` again")
         refuse_other_places({session: log.path for session, log in self.sources.items()}, index)
         self.logs = open_logs(index, self.sources)
 
@@ -121,24 +118,25 @@ class Samples(Closeable):
 
     @cached_property
     def table(self) -> pa.Table:
-        """All samples with all columns, as they are in the file."""
+        """All samples with all columns of the file."""
         return self._table(None)
 
     def of_split(self, split: Split, columns: Sequence[str] | None = None) -> pa.Table:
-        """The samples of a split; `LOADED` are the columns that a loader needs, in a third of the memory."""
-        return self._table(columns, split=_known(split))
+        """The samples of a split, with all or some columns. The loader needs only `LOADED`, a third of the
+        memory."""
+        return self._table(columns, split=_checked(split))
 
     def rows_of_split(self, split: Split, targets: Sequence[TargetName] = STEERING_ONLY) -> Rows:
         """The samples of a split as arrays."""
         return self.rows(self.of_split(split, loaded_columns(targets)), targets)
 
     def driving_view(self, split: Split) -> pa.Table:
-        """Samples as the car itself sees them: the centre camera, unmirrored and unaltered, each picture once.
+        """The samples as the car sees them: the centre camera, not mirrored, not altered, each picture once.
 
-        Without pictures of the centre camera, those of the others. `label` is as recorded, whatever was learnt:
-        a network is always measured against what was driven.
+        If there are no pictures of the centre camera, those of the others. `label` is the recorded steering: a
+        network is always compared with the recorded driving.
         """
-        plain: dict[str, Any] = {"split": _known(split), "flip": False, "copy": False}
+        plain: dict[str, Any] = {"split": _checked(split), "flip": False, "copy": False}
         center = self._table(None, **plain, camera="center")
         view = center if len(center) else self._table(None, **plain)
         with self._readable():
@@ -146,7 +144,7 @@ class Samples(Closeable):
 
     @cached_property
     def settings(self) -> IndexConfig:
-        """The settings that the index was built with. Raises DatasetError if they are damaged."""
+        """The settings with which the index was built. Raises DatasetError if they are damaged."""
         try:
             return settings_from(IndexConfig, self.metadata["settings"])
         except (KeyError, ValueError) as error:
@@ -154,8 +152,8 @@ class Samples(Closeable):
 
     @cached_property
     def max_steering_deg(self) -> float | None:
-        """The angle of the front wheels at steering 1, in all sessions; None if one does not say it. Raises
-        DatasetError for several."""
+        """The angle of the front wheels at steering 1, in degrees; None if it is unknown in a session. Raises
+        DatasetError if the sessions have different angles."""
         angles_deg = {log.get("max_steering_deg", MAX_STEERING_DEG) for log in self.metadata["logs"].values()}
         if None in angles_deg:
             return None
@@ -166,14 +164,15 @@ class Samples(Closeable):
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256, in hex, of all that training and validation read: which bytes of which logs, how they are
-        mirrored and altered, labels, and the split. It does not depend on where the index and its logs lie.
-        """
+        """SHA-256, in hex, of everything that training and validation read: the logs and the places of their
+        pictures, flips, alterations, labels, and the split. It does not depend on the folders of the index and the
+        logs."""
         return self._fingerprint_of(FINGERPRINTED)
 
     @property
     def content_fingerprint(self) -> str:
-        """A `fingerprint` by rows and cameras instead of bytes: the same for a log that was rewritten."""
+        """Like `fingerprint`, with rows and cameras instead of places in files: equal after a log was
+        rewritten."""
         return self._fingerprint_of(_CONTENT)
 
     def _fingerprint_of(self, columns: Sequence[str]) -> str:
@@ -183,7 +182,7 @@ class Samples(Closeable):
 
     @cached_property
     def _digests(self) -> dict[str, str]:
-        """SHA-256 of each column that a fingerprint depends on."""
+        """SHA-256 of each column on which a fingerprint depends."""
         logs = {session: log.fingerprint for session, log in self.sources.items()}
         digests = {name: hashlib.sha256() for name in dict.fromkeys((*FINGERPRINTED, *_CONTENT))}
         with self._readable():
@@ -196,23 +195,23 @@ class Samples(Closeable):
 
     @property
     def speed_ahead_s(self) -> float:
-        """The time from a sample's picture to the speed that is its label; 0 in an index that does not have it."""
+        """The time in seconds from a picture to the speed that is its label; 0 if the index lacks it."""
         return speed_ahead_s_in(self.metadata.get("settings"))
 
     def missing(self, targets: Sequence[TargetName]) -> list[TargetName]:
-        """The targets among these that have no labels here, as in indexes of earlier versions."""
+        """The targets for which this index has no labels, because an earlier version built it."""
         return [name for name in targets if TARGETS[name].label_column not in self._columns]
 
     def refuse_missing(self, targets: Sequence[TargetName]) -> None:
         """Raise DatasetError if this index has no labels of these targets."""
         if missing := self.missing(targets):
             raise DatasetError(
-                f"{self.path}: of format {self.metadata['format']}, which has no labels of {', '.join(missing)};"
+                f"{self.path}: has format {self.metadata['format']}, without labels of {', '.join(missing)};"
                 " run `bc-index` again"
             )
 
     def targets_fingerprint(self, targets: Sequence[TargetName]) -> str:
-        """SHA-256, in hex, of the labels of the targets besides steering; empty if there are no others."""
+        """SHA-256, in hex, of the labels of the targets other than steering; "" without other targets."""
         others = [name for name in targets if name not in STEERING_ONLY]
         if not others:
             return ""
@@ -223,19 +222,19 @@ class Samples(Closeable):
         return digest.hexdigest()
 
     def target_labels(self, table: pa.Table, target: TargetName) -> NDArray[np.float64]:
-        """The labels (N,) of a target besides steering, in its unit, in samples of this index; NaN where they are
-        not known. Raises DatasetError for what no index holds."""
+        """The labels (N,) of a target other than steering, in its unit, for samples of this index; NaN if unknown.
+        Raises DatasetError for invalid values."""
         with self._readable():
             return target_labels(table, target)
 
     def rows(self, table: pa.Table, targets: Sequence[TargetName] = STEERING_ONLY) -> Rows:
-        """Samples of this index as arrays, `table` with the columns of these targets' labels. Raises DatasetError
-        for what no index holds."""
+        """Convert samples of this index to arrays. `table` needs the label columns of the targets. Raises
+        DatasetError for invalid values."""
         with self._readable():
             return rows_of(table, self.sources, targets)
 
     def _table(self, columns: Sequence[str] | None, **values: str | bool) -> pa.Table:
-        """The rows with these values in these columns."""
+        """The samples that have these values (column=value)."""
         with self._readable():
             return pa.concat_tables(self._matching(columns, **values))
 
@@ -247,16 +246,16 @@ class Samples(Closeable):
                 yield part
 
     def _groups(self, columns: Sequence[str] | None) -> Iterator[pa.Table]:
-        """The samples part by part, the first one empty. Raises what is `_UNREADABLE`.
+        """Yield an empty table, then the samples in row groups. Raises the errors of `_UNREADABLE`.
 
-        Row group by row group: read_table(filters=...) was seen to wait forever on a damaged file.
+        It reads row group by row group, because read_table(filters=...) has hung on a damaged file.
         """
         words = _WORDS if columns else ()
         with pq.ParquetFile(
             self._source(),
             read_dictionary=words,
             page_checksum_verification=True,
-            thrift_string_size_limit=METADATA_MOST_BYTES,
+            thrift_string_size_limit=MAX_METADATA_BYTES,
         ) as file:
             yield file.schema_arrow.empty_table().select(columns or file.schema_arrow.names)
             for group in range(file.num_row_groups):
@@ -264,7 +263,7 @@ class Samples(Closeable):
 
     @contextlib.contextmanager
     def _readable(self) -> Iterator[None]:
-        """Raise DatasetError for what a damaged file raises in the block."""
+        """Raise the errors that a damaged file causes in the block as DatasetError."""
         try:
             yield
         except _UNREADABLE as error:
@@ -272,11 +271,11 @@ class Samples(Closeable):
 
     def _damaged(self, error: Exception) -> DatasetError:
         why = " ".join(str(error).split())
-        return DatasetError(f"{self.path}: damaged ({why}); remove it and give `bc-index`")
+        return DatasetError(f"{self.path}: damaged ({why}); remove it and run `bc-index`")
 
 
 def _fetched(url: Url) -> bytes:
-    """All of an index in a store: small, compared with its pictures."""
+    """Download all of samples.parquet from a store: it is small, compared with the pictures."""
     data = read_bytes(url, _MAX_BYTES)
     if data is None:
         raise missing_index(url.parent)
@@ -284,21 +283,21 @@ def _fetched(url: Url) -> bytes:
 
 
 def open_logs(index: Location, sources: Mapping[str, IndexedLog]) -> dict[str, Log]:
-    """The logs of an index by session.
+    """Open the logs of an index, by session.
 
-    Raises DatasetError for a log that is not the one that was indexed; none is left open then.
+    Raises DatasetError if a log is missing or has changed since it was indexed, and closes the others.
     """
     allow_open_files(len(sources))
-    folder_of = cache(short_path)  # asks the disk about each folder in the path
+    folder_of = cache(short_path)  # cached: it reads each folder of the path from the disk
 
     logs: dict[str, Log] = {}
 
     def open_log(session: str, place: Location) -> None:
         if isinstance(place, Path):
-            place = folder_of(place.parent) / place.name  # also where the index is a passing one
+            place = folder_of(place.parent) / place.name  # a path that stays valid if the index is temporary
             if not place.is_file():
                 raise DatasetError(
-                    f"{place}: the log of session {session} is gone; put it back or run `bc-index` again"
+                    f"{place}: the log of session {session} is missing; put it back or run `bc-index` again"
                 )
         try:
             log = logs[session] = Log(place)
@@ -321,17 +320,17 @@ def open_logs(index: Location, sources: Mapping[str, IndexedLog]) -> dict[str, L
     return {session: logs[session] for session in sources}
 
 
-def _known(split: Split) -> str:
+def _checked(split: Split) -> str:
     if split not in get_args(Split):
-        raise ValueError(f"split is {split!r}; there are {' and '.join(map(repr, get_args(Split)))}")
+        raise ValueError(f"split is {split!r}; expected {' or '.join(map(repr, get_args(Split)))}")
     return split
 
 
-def _hashable(column: pa.ChunkedArray, kind: pa.DataType, stands_for: Mapping[str, str]) -> bytes:
-    """The values of a column as bytes, the same however the file stores them. A word becomes its hash; a word in
-    `stands_for`, the hash of its replacement."""
+def _hashable(column: pa.ChunkedArray, kind: pa.DataType, replacements: Mapping[str, str]) -> bytes:
+    """The values of a column as bytes, independent of their encoding in the file. A word becomes its hash, or the
+    hash of its replacement."""
     if kind != pa.string():
         return numbers(column, kind.to_pandas_dtype()).tobytes()
     number, words = words_as_numbers(column)
-    hashes = [hashlib.sha256(stands_for.get(word, word).encode()).digest()[:8] for word in words]
+    hashes = [hashlib.sha256(replacements.get(word, word).encode()).digest()[:8] for word in words]
     return np.array(hashes, "V8")[number].tobytes()

@@ -1,7 +1,7 @@
-"""`index/samples.parquet`: the balanced index that training reads, one row a sample.
+"""`index/samples.parquet`: the balanced index that training reads, one row for each sample.
 
-Built from the frames files without holding them all: what is balanced is one number a frame, and the samples are
-written session by session.
+It is built without loading all frames files at the same time: balancing needs one number for each frame, and the
+samples are written session by session.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ FROM_FRAMES: Final = ("session", "row", "camera", "log_time_ns", "offset", "leng
 
 @dataclass(frozen=True)
 class _UsableFrames:
-    """The frames of a session that can be used; arrays of one length."""
+    """The usable frames of a session; arrays of the same length."""
 
-    position: NDArray[np.int32]  # in its frames file
-    label: NDArray[np.float64]  # the camera's, unmirrored
-    recorded: NDArray[np.float64]  # the same as it was driven
+    position: NDArray[np.int32]  # in the frames file
+    label: NDArray[np.float64]  # of the frame's camera, not mirrored
+    recorded: NDArray[np.float64]  # the recorded steering, with the same correction for the camera
     is_training: NDArray[np.bool_]
     later_speed_mph: NDArray[np.float64]
-    throttle: NDArray[np.float64]  # less the brake
+    throttle: NDArray[np.float64]  # minus the brake
 
     def taken(self, frame: NDArray[np.int64]) -> _UsableFrames:
-        """Some of the frames, perhaps more than once."""
+        """The frames at these positions, which may be repeated."""
         return _UsableFrames(*(column[frame] for column in vars(self).values()))
 
 
@@ -58,10 +58,11 @@ def write_samples(
     logs: Mapping[str, Mapping[str, Any]],
     labels: Mapping[str, SessionLabels],
 ) -> tuple[Balance, dict[str, SessionCounts]]:
-    """Write the samples of some sessions' frames files: mirrored, labelled, and the training split balanced.
+    """Write the samples of some sessions' frames files, with mirror images and labels. The training split is
+    balanced.
 
-    Validation holds every picture and its mirror image once, unaltered. `logs` (session to log and fingerprint)
-    and `labels` are kept in the file's metadata. Raises DatasetError if no frame can be used.
+    Validation has every picture and its mirror image once, unaltered. `logs` (session to log and fingerprint) and
+    `labels` are written to the file's metadata. Raises DatasetError if no frame can be used.
     """
     condition = Condition(config.where) if config.where is not None else None
     sessions: list[_UsableFrames] = []
@@ -89,7 +90,7 @@ def write_samples(
         pq.ParquetWriter(
             part, SAMPLES_SCHEMA.with_metadata(stored), compression="zstd", write_page_checksum=True
         ) as writer,
-        ThreadPoolExecutor(1) as thread,  # compresses one session's samples while the next one's are made
+        ThreadPoolExecutor(1) as thread,  # compresses the samples of a session while those of the next are made
     ):
         for file, session, first_frame, start, end in zip(
             frames.values(), sessions, np.cumsum(sizes) - sizes, starts.tolist(), ends.tolist(), strict=True
@@ -108,27 +109,25 @@ def write_samples(
 
 
 def _slower_set_speeds_mph(labels: Mapping[str, SessionLabels]) -> dict[str, list[float]]:
-    """The set speeds of each session's driver that are below the highest of all (`planned_speed_mph`)."""
-    fastest_mph = max((mph for of_session in labels.values() for mph in of_session.set_speeds_mph), default=0.0)
-    return {
-        name: [mph for mph in of_session.set_speeds_mph if mph < fastest_mph]
-        for name, of_session in labels.items()
-    }
+    """The set speeds of each session's driver that are below the highest set speed of all
+    (`planned_speed_mph`)."""
+    speeds_mph = {name: session_labels.set_speeds_mph for name, session_labels in labels.items()}
+    fastest_mph = max((mph for session_mph in speeds_mph.values() for mph in session_mph), default=0.0)
+    return {name: [mph for mph in session_mph if mph < fastest_mph] for name, session_mph in speeds_mph.items()}
 
 
 def _nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) -> DatasetError:
-    """The error for sessions without a usable frame: it says why their frames are not used."""
-    chosen = " or not what --where chooses" if config.where is not None else ""
+    """The error for sessions without a usable frame, with the reasons why their frames are not used."""
+    chosen = " or not chosen by --where" if config.where is not None else ""
     shift = f" with --label-shift {config.label_shift_s:g}" if config.label_shift_s else ""
     reasons = {
         "not_asked_for": f"not of a camera {' or '.join(config.cameras)}{chosen}",
         "not_taken_over": (
-            "driven by the network, not taken over (--drives takeovers; while a person holds keys, Udacity's"
-            " simulator sends no pictures: record that in its training mode, or take over with `bc-drive"
-            " --takeover me`)"
+            "driven by the network, not taken over (--drives takeovers; Udacity's simulator sends no pictures"
+            " while a person holds keys: record in its training mode, or take over with `bc-drive --takeover me`)"
         ),
         "excluded": f"tagged {EXCLUDE}",
-        "unusable": "with a picture that is not whole, or steering beyond -1..1",
+        "unusable": "with a broken picture, or steering outside -1..1",
         "unlabelled": f"too near the end of a stretch for a label{shift}",
         "crashed": "of a crash",
         "backwards": "of driving backwards",
@@ -165,7 +164,7 @@ def _usable_frames(
     slower_mph: Sequence[float],
     condition: Condition | None,
 ) -> tuple[_UsableFrames, SessionCounts]:
-    """The frames of a session that can be used, with their labels. `condition` is that of `config.where`."""
+    """The usable frames of a session, with their labels. `condition` is `config.where`, compiled."""
     choice = choose_frames(frames, config, labels, condition)
     at = np.flatnonzero(choice.is_chosen)
     camera = codes(frames["camera"], CAMERAS)
@@ -185,7 +184,7 @@ def _usable_frames(
 def _of_camera(
     steering: NDArray[np.float64], camera: NDArray[np.int8], config: IndexConfig
 ) -> NDArray[np.float64]:
-    """The steering that the pictures of each camera call for: -1..1, never -0.0."""
+    """Correct the steering (N,) for the camera of each frame: -1..1, never -0.0."""
     signs = np.array([CORRECTION_SIGNS.get(name, 0.0) for name in CAMERAS])
     return np.clip(steering + config.side_correction * signs[camera], -1.0, 1.0) + 0.0
 
@@ -193,7 +192,7 @@ def _of_camera(
 def _samples_table(
     frames: pa.Table, session: _UsableFrames, chosen: ChosenSamples, config: IndexConfig
 ) -> pa.Table:
-    """The samples of one session: `frames` and `session` are of each sample."""
+    """The samples of one session. `frames` and `session` have one row for each sample."""
     combinations = [
         "+".join(name for i, name in enumerate(config.alterations) if bits >> i & 1)
         for bits in range(1 << len(config.alterations))

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from common.location import Location, absolute, local_path
-from common.random_access import is_there
+from common.random_access import file_exists
 from common.stored_settings import settings_from
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
 from dataset.errors import PlaceNotAllowedError
@@ -40,7 +40,7 @@ def index_of_run(
     before = logs_of(run)
     logs = [
         str(log_to_open(run, name, before[name]))
-        if name in before and not is_there(sessions / f"{name}.mcap")
+        if name in before and not file_exists(sessions / f"{name}.mcap")
         else name
         for name in fingerprints
     ]
@@ -70,7 +70,7 @@ def logs_with_takeovers(
     logs: list[Location] = []
     for name, fingerprint in fingerprints.items():
         drive = drives / f"{name}.mcap"
-        is_drive = is_there(drive) and not is_there(sessions / drive.name)
+        is_drive = file_exists(drive) and not file_exists(sessions / drive.name)
         logs.append(find_unchanged_log(str(drive) if is_drive else name, sessions, fingerprint))
     return [*logs, *takeovers], replace(settings, drives="takeovers")
 

@@ -96,8 +96,8 @@ def bring_run(run: RunInStore, wanted: Collection[str] | None = None, progress: 
     """A copy of a listed run in the user's cache; with `wanted`, of these files only.
     `progress` gets a line while something is fetched. Raises StoreError."""
     with stored_run_folder(run.url) as folder:
-        folder.bring(objects=run.files.values(), wanted=wanted, progress=progress)
-        return folder.here.absolute()
+        folder.download(objects=run.files.values(), wanted=wanted, progress=progress)
+        return folder.local.absolute()
 
 
 def bring_summaries(runs: Url) -> Iterator[tuple[RunInStore, Path]]:
@@ -129,13 +129,13 @@ def send_results(run: Path) -> bool:
     if not isinstance(place, Url):
         return False  # bc-train copies all of a run of this machine
     with stored_run_folder(place) as folder:
-        return folder.send(only=(RESULTS_FILE,))
+        return folder.upload(only=(RESULTS_FILE,))
 
 
 def stored_run_folder(url: Url, here: Path | None = None, *, waits: bool = True) -> StoredFolder:
     from common.stored_folder import StoredFolder  # an extra
 
-    return StoredFolder(url, here, waits=waits, lines=ADDED_TO)
+    return StoredFolder(url, here, waits=waits, line_files=ADDED_TO)
 
 
 def url_of(name: str | None, runs: Url) -> str | None:

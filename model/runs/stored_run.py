@@ -34,7 +34,7 @@ def bring_run_to(runs: Path, name: str) -> Path:
             f"{local}: exists here, but is not a copy of {stored.url}; move it away, or give another --runs"
         )
     with stored_run_folder(stored.url, local) as folder, progress_bar() as progress:
-        folder.bring(keeps_ours=True, objects=stored.files.values(), progress=progress)
+        folder.download(keeps_local=True, objects=stored.files.values(), progress=progress)
     remember_places(local, local.parent.parent, [Url(stored.url.scheme, stored.url.bucket)])
     return local
 
@@ -88,4 +88,4 @@ class RunCopy:
     def _copy(self) -> None:
         if (self._run / CONFIG).is_file():  # a new run that has learnt nothing is removed
             with stored_run_folder(self._url, self._run, waits=False) as folder:
-                folder.send()
+                folder.upload()

@@ -22,7 +22,7 @@ from common.files import PART_SUFFIX, atomic_file, make_folder, publish, refuse_
 from common.interrupts import uninterrupted
 from common.location import Location, Url
 from common.locks import try_lock
-from common.object_file import LARGEST_READ, ObjectFile
+from common.object_file import MAX_READ_AHEAD, ObjectFile
 from common.object_store import (
     MAX_IN_ONE_REQUEST,
     OnBytes,
@@ -126,7 +126,7 @@ def _is_there(url: Url, size: int, fingerprint: str) -> bool:
 def _parts(log: Path, on_bytes: OnBytes, free: Url | None) -> Iterator[bytes]:
     """The bytes of a file. `free`: an object that must not exist after the last part."""
     with log.open("rb") as stream:
-        while data := stream.read(LARGEST_READ):
+        while data := stream.read(MAX_READ_AHEAD):
             yield data
             on_bytes(len(data))
     if free is None:

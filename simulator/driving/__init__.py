@@ -1,1 +1,1 @@
-"""The car on a track: its physics, its drivers, and the record of its course."""
+"""The car on a track: its physics, its drivers, and the measures of its drive."""

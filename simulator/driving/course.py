@@ -1,4 +1,4 @@
-"""A car on a track, and the measures of its drive: laps, distance from the line, off the road, interventions."""
+"""A car on a track, and the measures of its drive: laps, distance from the centre line, interventions."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _STUCK_PROGRESS_M = 1.0
 
 
 class Road(Protocol):
-    """The road of a track, as far as a course needs it."""
+    """The parts of a track that a course needs."""
 
     @property
     def line(self) -> Centreline: ...
     @property
     def half_width_m(self) -> NDArray[np.float64]:
-        """(N,), one for each point of the centre line."""
+        """Half the width of the road at each point of the centre line, (N,)."""
         ...
 
 
@@ -40,30 +40,30 @@ class CourseMeasures:
     """The measures of a drive, from its start to now."""
 
     elapsed_s: float
-    distance_m: float  # rolled, in any direction
+    distance_m: float  # driven, forwards and in reverse
     laps: float
     interventions: int
     autonomy_percent: float  # 100 * (1 - 6 s * interventions / elapsed s), at least 0
     mean_offset: float  # of |offset| / half width, over time
     max_offset: float
-    steering_per_s: float  # mean |d steering / dt| of the commands: how much the wheel is worked
+    steering_per_s: float  # mean |d steering / dt| of the commands
     mean_speed_mph: float
 
 
 class Course:
     """Drives the vehicle along a road in steps of 0.02 s. It starts at rest on the centre line, at arc length 0.
 
-    Progress is the road's length that the car has covered ON the road: driving back takes it away again, and
-    what is skipped off the road is not made good. Off the road means that the car's centre is farther from the
-    centre line than the road's half width there.
+    Progress is the length of road that the car has covered ON the road: driving back reduces it, and a part that
+    is skipped off the road does not count. The car is off the road if its centre is farther from the centre line
+    than half the width of the road.
     """
 
     line: Centreline
     vehicle: CarState
-    arc_m: float  # where the car is along the road, 0 .. its length
+    arc_m: float  # the car's place along the road, 0 .. length of the road
     offset_m: float  # of the car's centre from the centre line, positive to the left
     interventions: int
-    progress_m: float  # of road covered since the start, in its direction (negative behind the start)
+    progress_m: float  # along the road since the start (negative behind the start)
 
     def __init__(self, road: Road, height_m: Height | None = None) -> None:
         self.line = road.line
@@ -76,7 +76,7 @@ class Course:
         self.start()
 
     def start(self, arc_m: float = 0.0) -> None:
-        """Puts the car at rest on the centre line at ``arc_m`` and starts the measures anew."""
+        """Put the car at rest on the centre line at ``arc_m``, and reset the measures."""
         self._steps = 0
         self._pause_s = 0.0
         self._distance_m = 0.0
@@ -90,7 +90,7 @@ class Course:
         self._put(arc_m, 0.0, 0.0, CarState(0.0, 0.0, 0.0))
 
     def advance(self, steering: float, throttle: float, seconds: float = STEP_S) -> None:
-        """Holds a command (each -1..1, clamped) for ``seconds``, a whole number of 0.02 s steps."""
+        """Hold a command (both values are clamped to -1..1) for ``seconds``, a whole number of 0.02 s steps."""
         steps = round(seconds / STEP_S)
         if steps < 1 or abs(steps * STEP_S - seconds) > 1e-6:
             raise ValueError(f"{seconds} s is not a whole number of {STEP_S} s steps")
@@ -104,24 +104,25 @@ class Course:
             self._measure()
 
     def intervene(self) -> None:
-        """Puts the car at rest on the centre line where it last was on the road, aligned, and counts it."""
+        """Put the car at rest on the centre line, aligned, where it last was on the road. Counts an
+        intervention."""
         self.interventions += 1
         self._put(self._road_arc_m, 0.0, 0.0, CarState(0.0, 0.0, 0.0))
 
     def displace(self, offset_m: float, turn_rad: float, seconds: float) -> None:
-        """Moves the car beside the centre line at its arc length, turned by ``turn_rad`` (left is positive) from
-        the road's direction, with its speed, while the clock (and nothing else) runs on for ``seconds``."""
+        """Move the car to ``offset_m`` from the centre line at its arc length, turned by ``turn_rad`` (left is
+        positive) from the road's direction. The car keeps its speed. Only the clock advances, by ``seconds``."""
         self._pause_s += seconds
         self._put(self.arc_m, offset_m, turn_rad, self.vehicle)
 
     @property
     def time_s(self) -> float:
-        """The simulated clock since the start, displacements included."""
+        """The simulated time since the start, including the time of displacements."""
         return self._steps * STEP_S + self._pause_s
 
     @property
     def half_width_m(self) -> float:
-        """Half the width of the road, where the car is."""
+        """Half the width of the road at the car's place."""
         point: int = round(self.arc_m / self.line.step_m)
         return self._half_width_m[point % len(self._half_width_m)]
 
@@ -136,28 +137,28 @@ class Course:
 
     @property
     def heading_error_rad(self) -> float:
-        """The car's heading less the road's, -pi..pi: positive where it points to the left of the road."""
+        """The car's heading minus the road's, -pi..pi: positive if the car points to the left of the road."""
         error = self.vehicle.heading_rad - self.line.at(self.arc_m).heading_rad
         return math.remainder(error, math.tau)
 
     @property
     def laps(self) -> float:
-        """Laps driven, with the part of the present one."""
+        """The number of laps, including the part of the current lap."""
         return self.progress_m / self.line.length_m
 
     @property
     def whole_laps(self) -> int:
-        """Laps finished: a line that is crossed backwards and again counts once."""
+        """The number of finished laps. Crossing the line backwards and again does not count twice."""
         return int(self._best_progress_m / self.line.length_m)
 
     @property
     def stuck(self) -> bool:
-        """True without progress for ``STUCK_S``: standing, turning in circles or driving the wrong way."""
+        """True after ``STUCK_S`` without progress: the car stands, turns in circles or drives the wrong way."""
         return (self._steps - self._progress_step) * STEP_S >= STUCK_S
 
     @property
     def intervention_due(self) -> bool:
-        """True if the car is off the road or stuck: where a policy without a person's judgement takes over."""
+        """True if the car is off the road or stuck: the rule for interventions without a person's judgement."""
         return self.off_road or self.stuck
 
     @property
@@ -178,9 +179,10 @@ class Course:
 
     @property
     def pose(self) -> Pose:
-        """The rear axle's place, and the attitude of four wheels that stand on the ground.
+        """The place of the rear axle, and the angles of a car with four wheels on the ground.
 
-        Slopes are taken between the axles and between the wheels, so that bumps smaller than the car are smoothed.
+        Pitch and roll are the slopes between the axles and between the wheels, which smooths bumps smaller than
+        the car.
         """
         car = self.vehicle
         cos, sin = math.cos(car.heading_rad), math.sin(car.heading_rad)
@@ -228,8 +230,9 @@ class Course:
         self._offset_sum += offset
         self._max_offset = max(self._max_offset, offset)
         if offset <= 1.0:
-            # The shortest way round the loop. On the inside of a bend the road passes faster than the car moves,
-            # up to a point's spacing at once; a jump from one arm of a hairpin to the other is no driving.
+            # The shortest way around the loop. On the inside of a bend, the arc length grows faster than the car
+            # moves, by up to the spacing of the points. A jump from one arm of a hairpin to the other does not
+            # count.
             gained_m = math.remainder(self.arc_m - arc_before_m, self.line.length_m)
             if on_road_before and abs(gained_m) <= self.line.step_m + 4.0 * moved_m:
                 self.progress_m += gained_m

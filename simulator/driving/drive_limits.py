@@ -1,10 +1,10 @@
-"""What a drive of the built-in simulator may be asked for: its drivers, and how much at most."""
+"""The drivers of the built-in simulator by name, and the limits of a drive."""
 
 from typing import Literal
 
 DriverName = Literal["expert", "keyboard", "mouse"]
 
 MAX_SPEED_MPH = 100
-"""Of a set speed; the car reaches 30."""
+"""Maximum set speed; the car reaches 30 mph."""
 MAX_LAPS = 1000
-"""A lap that is recorded takes some 70 MB."""
+"""A recorded lap needs about 70 MB."""

@@ -1,4 +1,4 @@
-"""The expert driver: pure pursuit of the centre line, at a speed that the bends ahead allow."""
+"""The expert driver: pure pursuit of the centre line, at a speed that is safe for the bends ahead."""
 
 from __future__ import annotations
 
@@ -22,24 +22,25 @@ from simulator.driving.vehicle import (
 from simulator.driving.wandering import Wandering
 from simulator.roads.centreline import Centreline, Floats
 
-# The point that is pursued lies this far ahead. Nearer would keep a hairpin more exactly (this cuts it by 0.15
-# of the half width), but would answer a push with jerks, and a network that imitates them late would weave.
+# The distance to the goal point. A shorter distance would follow hairpins more exactly (this one cuts them by 0.15
+# of the half width), but would correct an offset with jerks, and a network that imitates these with a delay would
+# weave.
 LOOK_AHEAD_M = 4.0
 LOOK_AHEAD_S = 0.6
 
-BEND_MPS2 = 2.5  # lateral acceleration of a brisk driver, a third of the grip: the rest is for corrections
+BEND_MPS2 = 2.5  # lateral acceleration of a brisk driver, a third of the grip; the rest is for corrections
 SLOW_DOWN_MPS2 = 2.0  # planned braking
-_CURVATURE_SPAN_M = 5.0  # curvature is averaged over this length, so that one uneven point slows nobody
+_CURVATURE_SPAN_M = 5.0  # the curvature is averaged over this length, so that a single uneven point has no effect
 _SPEED_GAIN_PER_S = 1.5
 
 
 class Expert:
     """Drives a course along its centre line.
 
-    ``set_speed_mph`` is what it keeps where bends allow. ``noise`` is the standard deviation of the human-like
-    wandering that is added to its steering (0: none; 0.03 is a calm person), drawn from ``seed``: the same seed
-    and course give the same drive. The point that it pursues lies ``LOOK_AHEAD_M`` and the way of ``look_ahead_s``
-    ahead: a driver that reacts late has to look farther.
+    The expert drives at ``set_speed_mph``, and slower in bends. ``noise`` is the standard deviation of human-like
+    noise in the steering (0: none; 0.03: a calm person), which depends on ``seed``: the same seed and course give
+    the same drive. The distance to the goal point is ``LOOK_AHEAD_M`` plus the distance driven in
+    ``look_ahead_s``: a driver that reacts late needs more.
     """
 
     def __init__(
@@ -60,14 +61,14 @@ class Expert:
         self._noise = Wandering(noise, seed)
 
     def control(self, course: Course) -> tuple[float, float]:
-        """The command for the course's present state: steering -1 (left) .. 1 (right), throttle -1 .. 1."""
+        """The command for the course's current state: steering -1 (left) .. 1 (right), throttle -1 .. 1."""
         steering = self._steer(course) + self._noise.at(course.time_s)
         point: int = round(course.arc_m / self._line.step_m)
         throttle = throttle_for(course, self._speed_mps[point % len(self._speed_mps)])
         return min(1.0, max(-1.0, steering)), throttle
 
     def _steer(self, course: Course) -> float:
-        """Pure pursuit (Coulter 1992, CMU-RI-TR-92-01): the arc from the rear axle to a point of the line."""
+        """Pure pursuit (Coulter 1992, CMU-RI-TR-92-01): follow the arc from the rear axle to the goal point."""
         x, y, direction = _predict_rear_axle(course.vehicle)
         speed = abs(course.vehicle.speed_mps)
         arc, _ = self._line.project(x, y, course.arc_m)
@@ -79,34 +80,36 @@ class Expert:
 
 
 def throttle_for(course: Course, speed_mps: float) -> float:
-    """The throttle, -1 .. 1, that brings a course's car to a speed, against the resistances and the slope."""
+    """The throttle, -1 .. 1, that brings the car to a speed, against resistance and slope."""
     speed = course.vehicle.speed_mps
     force = _SPEED_GAIN_PER_S * (speed_mps - speed) + resistance_mps2(speed, course.off_road)
     force += slope_mps2(course.line.at(course.arc_m).slope)
-    # At walking pace a negative throttle would reverse the car.
+    # At walking pace, a negative throttle would reverse the car.
     if force < 0 and speed < 0.5:
         return 0.0
     return min(1.0, max(-1.0, force / (THROTTLE_MPS2 if force > 0 else BRAKE_MPS2)))
 
 
 def plan_speed(line: Centreline, max_mps: float) -> Floats:
-    """(N,) m/s: the speed at each point of the line from which every bend ahead is still met slowly enough.
+    """The maximum speed in m/s at each point of the line, (N,), from which the car can still slow down for all
+    bends ahead.
 
-    In a bend v² = a / curvature; before it v² may be higher by twice the braking times the distance.
+    In a bend, v² = acceleration / curvature; before it, v² may be higher by 2 * braking * distance.
     """
     span = 2 * round(_CURVATURE_SPAN_M / line.step_m / 2) + 1
     curvature = np.mean([np.roll(line.curvature_per_m, k - span // 2) for k in range(span)], axis=0)
     allowed: Floats = np.minimum(max_mps * max_mps, BEND_MPS2 / np.maximum(np.abs(curvature), 1e-6))
     gain = 2.0 * SLOW_DOWN_MPS2 * line.step_m
     planned = allowed.copy()
-    for k in range(1, math.ceil(min(len(allowed), max_mps * max_mps / gain))):  # a lap later it is the same bend
+    for k in range(1, math.ceil(min(len(allowed), max_mps * max_mps / gain))):  # at most a lap ahead
         planned = np.minimum(planned, np.roll(allowed, -k) + k * gain)
     speed: Floats = np.sqrt(planned)
     return speed
 
 
 def _predict_rear_axle(car: CarState) -> tuple[float, float, float]:
-    """The rear axle's place and direction of motion when a command given now takes hold of the wheels."""
+    """The rear axle's place and direction of motion when a command given now takes effect: after the steering
+    lag."""
     turn = car.yaw_rate_radps * STEERING_LAG_S
     middle = car.heading_rad + turn / 2 - car.rear_slip_rad
     way = car.speed_mps * STEERING_LAG_S

@@ -1,4 +1,4 @@
-"""The common base of drivers like people, with keys or a mouse: they look now and then, and react late."""
+"""The base class of drivers like people, with keys or a mouse: they look at intervals, and react with a delay."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from simulator.driving.course import Course
 from simulator.driving.expert import Expert
 from simulator.roads.centreline import Centreline
 
-REACTION_S = 0.2  # on average, from seeing to the finger
-_REACTION_SPREAD = 0.25  # either way, as a share
-_ATTENTION_S = 0.3  # mean time between two looks at where the car goes: exponential, and never more than
-_LONGEST_INATTENTION_S = 0.75
+REACTION_S = 0.2  # mean time from seeing to moving a finger
+_REACTION_SPREAD = 0.25  # share, in both directions
+_ATTENTION_S = 0.3  # mean time between two looks at the road, exponentially distributed
+_MAX_INATTENTION_S = 0.75  # maximum time between two looks
 
-_DEAD_BAND_SPREAD = 0.4  # of its logarithm: people are not always as patient
-_HOLD_ON = 0.7  # of full lock: hands that still want this much let go later than planned
+_DEAD_BAND_SPREAD = 0.4  # standard deviation of the logarithm: people are not equally patient at all times
+_HOLD_ON = 0.7  # share of full lock: if the wanted steering is still more, the release is later than planned
 
-_NEW_DRIVE_S = 0.5  # a clock that jumps by more has left out moments, in which the hands may have done anything
+_NEW_DRIVE_S = 0.5  # if the clock jumps by more, the hands start at rest
 
 
 @dataclass(frozen=True)
 class Act(ABC):
-    """Something that hands do from ``down_s`` to ``up_s``, and the steering that comes of it."""
+    """An action of the hands from ``down_s`` to ``up_s``, and its steering."""
 
-    target: float  # the steering that they go for: below 0 to the left, above to the right
+    target: float  # the intended steering: below 0 to the left, above 0 to the right
     down_s: float
     up_s: float
 
@@ -41,61 +41,61 @@ class Act(ABC):
 
     @abstractmethod
     def steering(self, time_s: float) -> float:
-        """-1 (left) .. 1 (right)."""
+        """The steering at a time, -1 (left) .. 1 (right)."""
 
     @abstractmethod
     def is_over(self, time_s: float) -> bool:
-        """True if the next one can begin."""
+        """True if the next act can begin."""
 
 
 class Person(ABC):
-    """Sees the road and wants what the expert would do there; the hands make of it what they can.
+    """Wants the steering of the expert, and approximates it with acts of the hands.
 
-    ``set_speed_mph`` and ``noise`` are the expert's: what is wanted wanders by ``noise`` before the hands answer.
-    The throttle is the expert's too. The same seed and course give the same drive. Hands move at any moment: call
-    `control` at each step of the simulator.
+    ``set_speed_mph`` and ``noise`` are those of the expert: the noise is in the wanted steering. The throttle is
+    the expert's. The same seed and course give the same drive. The hands may move at any moment: call `control` at
+    every step of the simulator.
     """
 
     look_ahead_s: float
-    """As the expert's, and farther: people react late."""
+    """As for the expert, but larger, because people react late."""
     dead_band: float
-    """Of full lock: the median of what has to be wanted before anything is done."""
+    """The median wanted steering, as a share of full lock, from which the hands act."""
 
     def __init__(self, line: Centreline, set_speed_mph: float, noise: float = 0.0, seed: int = 0) -> None:
         self._wish = Expert(line, set_speed_mph, noise, seed, self.look_ahead_s)
-        self._random = np.random.default_rng([seed, 1])  # beside the wish's, which is drawn from the seed alone
+        self._random = np.random.default_rng([seed, 1])  # independent of the expert's, whose seed is `seed`
         self._time_s = -math.inf
         self._next_look_s = -math.inf
-        self._act: Act | None = None  # the present one, or the last
+        self._act: Act | None = None  # the current or the last act
 
     @property
     def act(self) -> Act | None:
-        """What the hands do, or did last; None before the first act."""
+        """The current or the last act of the hands; None before the first act."""
         return self._act
 
     def wish(self, course: Course) -> tuple[float, float]:
-        """The command that is wanted for the course's present state, whatever the hands make of it."""
+        """The wanted command for the course's current state, without the limits of the hands."""
         return self._wish.control(course)
 
     def control(self, course: Course) -> tuple[float, float]:
-        """The command for the course's present state: steering -1 (left) .. 1 (right), throttle -1 .. 1."""
+        """The command for the course's current state: steering -1 (left) .. 1 (right), throttle -1 .. 1."""
         wanted, throttle = self._wish.control(course)
         now_s = course.time_s
         if not 0.0 <= now_s - self._time_s <= _NEW_DRIVE_S:
-            self._act = None  # the hands are off
+            self._act = None  # the hands start at rest
             self._next_look_s = now_s
         self._time_s = now_s
         if now_s >= self._next_look_s:
             self._look(now_s, wanted)
         steering = self._act.steering(now_s) if self._act else 0.0
-        return steering + 0.0, throttle  # a left key that is let go leaves no -0.0
+        return steering + 0.0, throttle  # + 0.0 converts the -0.0 of a released left key
 
     @abstractmethod
     def _begin(self, down_s: float, wanted: float) -> Act:
         """The act that begins at ``down_s`` towards the steering ``wanted``, -1 (left) .. 1 (right)."""
 
     def _look(self, now_s: float, wanted: float) -> None:
-        """Look, if the hands are free or could let go: until then, it is tried again at each step."""
+        """Look at the road if the hands are free or hold something; otherwise the next step tries again."""
         if self._act is None or self._act.is_over(now_s):
             self._look_again(now_s)
             if abs(wanted) > self._about(self.dead_band, _DEAD_BAND_SPREAD):
@@ -106,19 +106,19 @@ class Person(ABC):
             self._act = replace(self._act, up_s=up_s)
 
     def _look_again(self, after_s: float) -> None:
-        self._next_look_s = after_s + min(_LONGEST_INATTENTION_S, self._random.exponential(_ATTENTION_S))
+        self._next_look_s = after_s + min(_MAX_INATTENTION_S, self._random.exponential(_ATTENTION_S))
 
     def _reaction_s(self) -> float:
         return REACTION_S * self._random.uniform(1.0 - _REACTION_SPREAD, 1.0 + _REACTION_SPREAD)
 
     def _let_go_s(self, planned_s: float, now_s: float, still_wanted: float) -> float:
-        """The time to let go, by the present view: sooner where the car has turned too far already (what is wanted
-        is below 0: the other side), later where it has not turned enough."""
+        """The time to let go: earlier than planned if the car has turned too far (the wanted steering is now to
+        the other side, below 0), later if it has not turned enough."""
         soon_s = now_s + REACTION_S
         if still_wanted < 0.0:
             return min(planned_s, soon_s)
         return max(planned_s, soon_s) if still_wanted > _HOLD_ON else planned_s
 
     def _about(self, value: float, spread: float) -> float:
-        """The value, off by so much: the standard deviation of its logarithm."""
+        """A random value around `value`; `spread` is the standard deviation of its logarithm."""
         return value * math.exp(spread * self._random.standard_normal())

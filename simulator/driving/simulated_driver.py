@@ -1,4 +1,4 @@
-"""Drivers of the built-in simulator: their protocol, and the drivers by name."""
+"""The drivers of the built-in simulator: their interface, and the drivers by name."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from simulator.roads.centreline import Centreline
 
 
 class SimulatedDriver(Protocol):
-    """A driver of a course. `control` is called at each of the simulator's steps."""
+    """A driver of a course. `control` is called at every step of the simulator."""
 
     def control(self, course: Course) -> tuple[float, float]:
         """The command for the course's present state: steering -1 (left) .. 1 (right), throttle -1 .. 1."""
@@ -23,7 +23,7 @@ class SimulatedDriver(Protocol):
 def make_driver(
     name: DriverName, line: Centreline, set_speed_mph: float, noise: float, seed: int
 ) -> SimulatedDriver:
-    """A driver of the road ``line``; ValueError for a speed or a noise without sense."""
+    """A driver of the road ``line``. Raises ValueError for a speed of 0 or less, or a negative noise."""
     match name:
         case "expert":
             return Expert(line, set_speed_mph, noise, seed)

@@ -1,8 +1,8 @@
-"""The car: a bicycle model at 50 Hz in which speed matters.
+"""The car: a bicycle model at 50 Hz that depends on the speed.
 
-The steering turns late and at a bounded rate, the yaw follows the wheels later still, and grip bounds the
-lateral acceleration: a bend that is easy at 10 mph is not at 30. Engine and drag are those of the Udacity
-simulator, measured in published recordings; the tyres are those of an ordinary car.
+The wheels turn with a lag and a limited rate, the yaw rate follows the wheels with another lag, and the grip
+limits the lateral acceleration: a bend that is easy at 10 mph is difficult at 30 mph. Engine and drag are those of
+the Udacity simulator, measured in published recordings; the tyres are those of an ordinary car.
 """
 
 from __future__ import annotations
@@ -19,40 +19,40 @@ WHEELBASE_M = 2.6  # a mid-size car
 AXLE_TO_CENTRE_M = WHEELBASE_M / 2
 MAX_WHEEL_RAD = math.radians(MAX_STEERING_DEG)
 
-# The Udacity simulator turns its wheels at once, which no car does. A quick hand turns a steering wheel by
-# ~900 degrees a second: 60 at the road wheels with a steering ratio of 15.
+# The Udacity simulator turns its wheels at once, unlike a real car. A quick hand turns a steering wheel by ~900
+# degrees a second, which is 60 degrees a second at the front wheels, with a steering ratio of 15.
 STEERING_LAG_S = 0.1
 STEERING_RATE_RADPS = math.radians(60.0)
 
-# Peak friction of tyres on dry asphalt, the cautious end (Wong, Theory of Ground Vehicles, ch. 1).
+# Peak friction of tyres on dry asphalt, a low value (Wong, Theory of Ground Vehicles, ch. 1).
 GRIP = 0.8
-# Cornering stiffness of an axle over its load: 0.2 a degree (Gillespie, Fundamentals of Vehicle Dynamics, ch. 6).
+# Cornering stiffness of an axle / load: 0.2 per degree (Gillespie, Fundamentals of Vehicle Dynamics, ch. 6).
 CORNERING_PER_RAD = 12.0
 
-# Rows of published recordings: at full throttle the speed rises by 5.3 m/s² less drag, whatever the speed, up to
-# the simulator's cap at 30 mph; coasting it falls by 0.10 v + 0.05.
+# From rows of published recordings. With full throttle, the acceleration is 5.3 m/s² minus drag at every speed up
+# to the simulator's maximum of 30 mph. Without throttle, the deceleration is 0.10 v + 0.05.
 THROTTLE_MPS2 = 5.3
 DRAG_PER_S = 0.10
 ROLLING_MPS2 = 0.05
 TOP_SPEED_MPS = 30.0 * MPS_PER_MPH
-BRAKE_MPS2 = 6.0  # hard but within the grip, so that a braking car still steers
+BRAKE_MPS2 = 6.0  # hard, but less than the grip, so that a braking car still steers
 REVERSE_MPS2 = 2.5
 REVERSE_SPEED_MPS = 5.0 * MPS_PER_MPH
-# Soft ground. Full throttle ends near 18 mph there.
+# Soft ground: with full throttle, the car reaches about 18 mph.
 OFF_ROAD_ROLLING_MPS2 = 2.0
 OFF_ROAD_DRAG_PER_S = 0.3
 
-# The engine loses its power over these m/s, so that full throttle balances the drag exactly at the top speed.
+# The engine's power fades to 0 over this range of speeds, so that full throttle equals the drag at the top speed.
 _FADE_MPS = 1.5
 _NO_POWER_MPS = TOP_SPEED_MPS + _FADE_MPS * (DRAG_PER_S * TOP_SPEED_MPS + ROLLING_MPS2) / THROTTLE_MPS2
-_STEERING_SHARE = 1.0 - math.exp(-STEP_S / STEERING_LAG_S)  # of the way to the command in one step
+_STEERING_SHARE = 1.0 - math.exp(-STEP_S / STEERING_LAG_S)  # share of the way to the command in one step
 
 
 @dataclass(frozen=True, slots=True)
 class CarState:
     """Position and motion of the car. Angles and rates are counter-clockwise: positive is LEFT."""
 
-    x_m: float  # of the car's centre, midway between the axles
+    x_m: float  # of the car's centre, in the middle between the axles
     y_m: float
     heading_rad: float  # from +x
     speed_mps: float = 0.0  # along the heading, in the ground plane; negative in reverse
@@ -65,17 +65,17 @@ class CarState:
 
     @property
     def steering(self) -> float:
-        """The wheels' angle as the simulator normalises it: -1 (25 degrees left) .. 1 (25 degrees right)."""
+        """The wheels' angle, normalised as in the simulator: -1 (25 degrees left) .. 1 (25 degrees right)."""
         return -self.wheel_angle_rad / MAX_WHEEL_RAD
 
     @property
     def lateral_mps2(self) -> float:
-        """The acceleration towards the centre of the bend, positive to the left."""
+        """The lateral acceleration, positive to the left."""
         return self.speed_mps * self.yaw_rate_radps
 
     @property
     def rear_slip_rad(self) -> float:
-        """The slip angle of the rear axle, out of the bend: lateral force over cornering stiffness."""
+        """The slip angle of the rear axle, outwards in a bend: lateral force / cornering stiffness."""
         return self.lateral_mps2 / (CORNERING_PER_RAD * GRAVITY_MPS2)
 
 
@@ -85,16 +85,16 @@ def step(
     """The state ``STEP_S`` later.
 
     ``steering`` -1 (left) .. 1 (right) and ``throttle`` -1 .. 1 are clamped to their ranges. Throttle above 0
-    accelerates; below 0 it brakes a car that rolls forward, then reverses it slowly, as in the real simulator.
-    ``slope`` is the ground's rise over run along the heading.
+    accelerates; below 0 it brakes a car that rolls forward, then reverses slowly, as in Udacity's simulator.
+    ``slope`` is the rise over run of the ground along the heading.
     """
     wheel = _turn_wheels(state.wheel_angle_rad, steering)
     speed, tyre_mps2 = _change_speed(state.speed_mps, min(1.0, max(-1.0, throttle)), slope, off_road)
-    # What the tyres spend on driving and braking is missing in the bend (the friction circle).
+    # Driving and braking use a part of the grip, which is not available in a bend (the friction circle).
     grip_mps2 = math.sqrt((GRIP * GRAVITY_MPS2) ** 2 - tyre_mps2**2)
     yaw_rate = _change_yaw_rate(state.yaw_rate_radps, wheel, speed, grip_mps2)
 
-    # Sideways motion of the centre: the rear axle follows the heading but for its slip angle.
+    # Sideways motion of the centre: the rear axle moves along the heading, except for its slip angle.
     slip = speed * yaw_rate / (CORNERING_PER_RAD * GRAVITY_MPS2)
     sideways = AXLE_TO_CENTRE_M * yaw_rate - abs(speed) * slip
     heading = state.heading_rad + yaw_rate * STEP_S / 2  # in the middle of the step
@@ -123,9 +123,9 @@ def slope_mps2(slope: float) -> float:
 
 
 def wheel_angle_for(curvature_per_m: float, speed_mps: float) -> float:
-    """The wheel angle in rad (within +-25 degrees) that holds a bend, understeer included.
+    """The wheel angle in rad (within +-25 degrees) for a bend, including understeer.
 
-    A bend that needs more than nine tenths of the grip gets the angle of one that needs nine tenths.
+    For a bend that needs more than 0.9 of the grip: the angle for a bend that needs 0.9.
     """
     grip_mps2 = GRIP * GRAVITY_MPS2
     kinematic = curvature_per_m
@@ -137,14 +137,14 @@ def wheel_angle_for(curvature_per_m: float, speed_mps: float) -> float:
 
 
 def _turn_wheels(wheel_rad: float, steering: float) -> float:
-    """First-order lag with a bounded rate. Steering to the right is a negative angle."""
+    """The next wheel angle: a first-order lag with a limited rate. Steering to the right is a negative angle."""
     target = -MAX_WHEEL_RAD * min(1.0, max(-1.0, steering))
-    most = STEERING_RATE_RADPS * STEP_S
-    return wheel_rad + min(most, max(-most, (target - wheel_rad) * _STEERING_SHARE))
+    max_turn_rad = STEERING_RATE_RADPS * STEP_S
+    return wheel_rad + min(max_turn_rad, max(-max_turn_rad, (target - wheel_rad) * _STEERING_SHARE))
 
 
 def _change_speed(speed: float, throttle: float, slope: float, off_road: bool) -> tuple[float, float]:
-    """The next speed, and the acceleration that the tyres had to give (magnitude)."""
+    """The next speed, and the magnitude of the acceleration by the tyres."""
     drive, brake = 0.0, 0.0
     if throttle >= 0.0:
         drive = throttle * THROTTLE_MPS2 * min(1.0, max(0.0, (_NO_POWER_MPS - speed) / _FADE_MPS))
@@ -153,22 +153,22 @@ def _change_speed(speed: float, throttle: float, slope: float, off_road: bool) -
     else:
         drive = throttle * REVERSE_MPS2 * max(0.0, 1.0 + speed / REVERSE_SPEED_MPS)
     pushed = speed + (drive - slope_mps2(slope)) * STEP_S
-    # Resistance and brakes stop a car; they never push it the other way.
+    # Resistance and brakes stop the car, but never reverse its direction.
     held = (resistance_mps2(speed, off_road) + brake) * STEP_S
     return math.copysign(max(0.0, abs(pushed) - held), pushed), abs(drive) + brake
 
 
 def _change_yaw_rate(yaw_rate: float, wheel_rad: float, speed: float, grip_mps2: float) -> float:
-    """The yaw rate follows the wheels' (v tan(angle) / wheelbase), bounded by the grip (grip / v).
+    """The next yaw rate: it follows v tan(angle) / wheelbase, limited by the grip (grip / v).
 
-    Its lag is that of the linear bicycle model with yaw inertia m a b and equal axles, v / (stiffness g): none
-    at walking pace, 0.11 s at 30 mph. The hyperbolic tangent stands for the tyre's curve of force over slip.
+    The lag is that of the linear bicycle model with yaw inertia m a b and equal axles, v / (stiffness g): none
+    at walking pace, 0.11 s at 30 mph. The hyperbolic tangent approximates the tyre's force over slip.
     """
     rolling = abs(speed)
     if rolling < 1e-3:
         return 0.0
-    most = grip_mps2 / rolling
-    target = most * math.tanh(speed * math.tan(wheel_rad) / (WHEELBASE_M * most))
+    max_yaw_rate = grip_mps2 / rolling
+    target = max_yaw_rate * math.tanh(speed * math.tan(wheel_rad) / (WHEELBASE_M * max_yaw_rate))
     lag = rolling / (CORNERING_PER_RAD * GRAVITY_MPS2)
     yaw_rate += (target - yaw_rate) * STEP_S / (STEP_S + lag)
-    return min(most, max(-most, yaw_rate))
+    return min(max_yaw_rate, max(-max_yaw_rate, yaw_rate))

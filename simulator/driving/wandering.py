@@ -1,4 +1,4 @@
-"""Hands that wander slowly and without jerks: an Ornstein-Uhlenbeck process, passed once through a lag."""
+"""Slow, smooth noise, like wandering hands: an Ornstein-Uhlenbeck process through a first-order lag."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ LAG_S = 0.2
 
 
 class Wandering:
-    """Smooth noise over time with a given standard deviation; the same seed gives the same."""
+    """Smooth noise over time with the standard deviation `deviation`; the same seed gives the same noise."""
 
     def __init__(self, deviation: float, seed: int) -> None:
-        # The lag takes some of the process's variance away; this much is put in to leave ``deviation``.
+        # The lag reduces the variance of the process. This factor restores the standard deviation.
         self._deviation = deviation * math.sqrt(1.0 + LAG_S / TIME_S)
         self._random = np.random.default_rng(seed)
         self._time_s = 0.0
@@ -22,9 +22,10 @@ class Wandering:
         self._smooth = 0.0
 
     def at(self, time_s: float) -> float:
+        """The noise at a time, which must not be before that of the last call, except at the start of a drive."""
         if self._deviation == 0.0:
             return 0.0
-        # A time that starts again is a new drive.
+        # If the time goes back, a new drive begins.
         passed_s = max(0.0, time_s - self._time_s)
         self._time_s = time_s
         keep = math.exp(-passed_s / TIME_S)

@@ -1,1 +1,1 @@
-"""The real simulator's protocol as its client, and the folder of its recordings."""
+"""A client for the protocol of Udacity's simulator, and a writer for its recordings."""

@@ -1,9 +1,9 @@
-"""Autonomous mode: the built-in simulator connects to a server in the place of the real one.
+"""Autonomous mode: the built-in simulator connects to a server, as Udacity's simulator does.
 
-In lock-step, simulated time stands still until an answer comes, so that a drive depends on the answers alone, and
-not on how fast anybody's machine is. As with the real simulator two telemetries are in flight: the car acts on
-what it saw one step ago. So does an expert whose command is sent with the picture, and who is sent to the wheel:
-one more command of the network comes before his first.
+Simulated time stops until an answer comes, so that a drive depends only on the answers, and not on the speed of
+the machine. As with Udacity's simulator, two telemetries are in flight: a command is for the picture one step
+before. This also holds for the expert, whose command is sent with the picture: after a takeover, one more command
+of the network comes before the expert's first.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from simulator.protocol.client import (
     SteerCommand,
 )
 
-# An expert who takes the wheel at full lock has the car back on the road, and a metre on, within 10 s. A course
-# calls it stuck meanwhile, because progress is made on the road only.
+# An expert who takes over at full lock brings the car back to the road, and a metre farther, within 10 s. During
+# this time the course reports that the car is stuck, because only progress on the road counts.
 RECOVERY_LIMIT_S = 10.0
 
 GIVE_UP_S = 60.0
-"""A car that has not come a metre farther for so long, however often it was put back, never will."""
+"""If the car makes less than a metre of progress in this time, also after it was put back, the drive ends."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,9 @@ class AutonomousDrive:
     track: str
     whole_laps: int
     measures: CourseMeasures
-    gave_up: bool  # before all laps were driven: see `GIVE_UP_S`
-    unreadable: int  # commands that were not numbers
-    trajectory_sha256: str  # of every pose: two drives with the same one went the same way
+    gave_up: bool  # the drive ended before all laps were driven: see `GIVE_UP_S`
+    unreadable: int  # number of commands that were not numbers
+    trajectory_sha256: str  # of all poses: equal if two drives took the same path
 
     def as_dict(self) -> dict[str, Any]:
         values = asdict(self)
@@ -63,17 +63,18 @@ def drive_autonomously(
     progress: Callable[[float], None] = lambda laps: None,
     lost: Callable[[], object] = lambda: None,
 ) -> AutonomousDrive:
-    """Drive `laps` from `start_m` along the track, at `rate_hz` telemetries a second of simulated time, which must
-    divide 50.
+    """Drive `laps` from `start_m` along the track, with `rate_hz` telemetries a second of simulated time.
+    `rate_hz` must divide 50.
 
-    A car that leaves the road or does not get on is put back on the centre line, and that is counted; with
-    `leave_off_road`, only one that has been stuck for `RECOVERY_LIMIT_S`, for its driver may bring it back. So is
-    any car where a command asks for it. A car that gets nowhere for `GIVE_UP_S` ends the drive. With `real_time`,
-    simulated time passes no faster than the clock. With `expert`, each telemetry holds the world too, and what the
-    expert would command where its picture was taken. `progress` is called with the laps driven so far, `lost` when
-    the server has gone, which is then waited for.
+    If the car leaves the road or is stuck, it is put back on the centre line, which counts as an intervention.
+    With `leave_off_road`, this happens only after it was stuck for `RECOVERY_LIMIT_S`, because the driver may
+    bring it back. A command can also request it. The drive ends if the car makes no progress for `GIVE_UP_S`.
 
-    Raises WaitTimeoutError where no server answers.
+    With `real_time`, simulated time is not faster than the clock. With `expert`, each telemetry also has the
+    world, and the expert's command for the picture. `progress` is called with the number of laps so far. `lost` is
+    called when the server has gone; the simulator then waits for a server.
+
+    Raises WaitTimeoutError if no server answers.
     """
     course = simulation.course
     course.start(start_m)
@@ -93,7 +94,9 @@ def drive_autonomously(
         nonlocal command, start_s, farthest_m, farthest_s, gave_up
         if isinstance(received, SteerCommand):
             command = received
-            if real_time:  # after a delay, too: nobody can steer a car that makes up for lost time
+            if (
+                real_time
+            ):  # lost time is not made up after a delay: a person could not steer a car that runs faster
                 start_s = max(start_s, time.monotonic() - course.time_s)
                 time.sleep(max(0.0, start_s + course.time_s - time.monotonic()))
             course.advance(command.steering, command.throttle, step_s)
@@ -109,7 +112,7 @@ def drive_autonomously(
                 return None
         else:
             pose = course.pose
-        # braking does not show in the real simulator's telemetry either
+        # as in Udacity's simulator, the telemetry does not show braking
         throttle = min(max(command.throttle, 0.0), 1.0)
         car = course.vehicle
         steering = min(max(car.steering, -1.0), 1.0)

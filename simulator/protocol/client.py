@@ -1,9 +1,9 @@
-"""The simulator's side of its Socket.IO protocol, byte for byte as the Unity program speaks it.
+"""The simulator's side of the Socket.IO protocol, byte for byte as in Udacity's Unity program.
 
-Observed on the real client's code: it connects by websocket, announces no Socket.IO connection (no `40`), takes
+From the code of the Unity client: it connects by websocket, announces no Socket.IO connection (no `40`), treats
 the server's `0{...}` as a second "open", sends every message in websocket frames of at most 1016 bytes with
 Nagle's algorithm on, formats numbers as strings with four decimals, and answers each `steer` or `manual` with
-exactly one telemetry. A command it cannot read costs that telemetry.
+exactly one telemetry. After a command that it cannot read, it sends no telemetry.
 """
 
 from __future__ import annotations
@@ -24,47 +24,47 @@ from common.car import MAX_STEERING_DEG, Camera
 
 FRAME_BYTES: Final = 1016  # payload of one websocket frame (websocket-sharp's FragmentLength)
 PING_S: Final = 25.0
-CLOSE_S: Final = 3.0  # how long a server may take to close too
-RETRY_S: Final = 0.05  # the real one retries without any delay, about 10,000 times a second
+CLOSE_S: Final = 3.0  # maximum wait for the server to close the connection
+RETRY_S: Final = 0.05  # the Unity client retries without a delay, about 10,000 times a second
 
 
 @dataclass(frozen=True)
 class SimulatorTelemetry:
-    """The telemetry that the simulator sends of one moment."""
+    """The telemetry of a moment."""
 
     steering: float  # -1 (left) .. 1 (right)
     throttle: float  # 0..1
     speed_mph: float
-    jpeg: bytes  # the centre camera's; a PNG is taken, too
-    world: Mapping[str, float] | None = None  # the real simulator never sends one
-    side_pictures: Mapping[Camera, bytes] = field(default_factory=dict)  # nor of the left and right cameras
+    jpeg: bytes  # of the centre camera; may also be a PNG
+    world: Mapping[str, float] | None = None  # not sent by Udacity's simulator
+    side_pictures: Mapping[Camera, bytes] = field(default_factory=dict)  # not sent by Udacity's simulator
 
 
 @dataclass(frozen=True)
 class SteerCommand:
-    steering: float  # -1..1, as sent: not clamped
+    steering: float  # -1..1, not clamped
     throttle: float  # > 0 accelerates, < 0 brakes
-    puts_back: bool = False  # the car, on its line: a person asks for it; the real simulator knows no such field
+    puts_back: bool = False  # a person requests to put the car back on the line; unknown to Udacity's simulator
 
 
 ServerCommand = SteerCommand | Literal["manual"] | None
-"""A message that asks for a telemetry: a command, `manual`, or None where the connection has just opened."""
+"""A message that requests a telemetry: a command, `manual`, or None when the connection has just opened."""
 
 SimulatorMessage = SimulatorTelemetry | Literal["manual", "nothing"] | None
-"""A message of the simulator: a telemetry; "manual" while a human holds a key; "nothing", to go on listening only;
-None to quit."""
+"""A message of the simulator: a telemetry; "manual" while a human holds a key; "nothing": only continue to listen;
+None: quit."""
 
 
 class WaitTimeoutError(Exception):
-    """No server was there within the given time."""
+    """No server answered within the given time."""
 
 
 class NoHostError(Exception):
-    """The host is no name or address of a machine, or a name that cannot be resolved: to wait would not help."""
+    """The host is not a valid name or address, or cannot be resolved: waiting would not help."""
 
 
 class SimulatorClient:
-    """Runs the simulator's loop against a server; a reconnection happens by itself, as in the real one."""
+    """Runs the simulator's loop with a server. It reconnects by itself, as the Unity client does."""
 
     def __init__(
         self,
@@ -76,10 +76,9 @@ class SimulatorClient:
         max_steering_deg: float = MAX_STEERING_DEG,
         in_flight: Literal[1, 2] = 2,
     ) -> None:
-        """``wait_s`` limits the wait for a server that is not there. ``decimal_comma`` writes (and reads) numbers
-        as a machine with such a locale does. ``max_steering_deg`` is how far the wheels turn at steering 1.
-        ``in_flight``: 2 sends the second telemetry before the first answer, as the real one does; with 1, each
-        answer is to the last telemetry."""
+        """``wait_s`` is the maximum wait for a server. ``decimal_comma`` writes and reads numbers as a machine
+        with this locale does. ``max_steering_deg`` is the angle of the wheels at steering 1. ``in_flight`` 2 sends
+        the second telemetry before the first answer, as the Unity client does; 1 waits for each answer."""
         self._address = host.strip("[]"), port
         host = f"[{self._address[0]}]" if ":" in host else host  # IPv6
         self.url = f"ws://{host}:{port}/socket.io/?EIO=4&transport=websocket"
@@ -88,9 +87,9 @@ class SimulatorClient:
         self.max_steering_deg = max_steering_deg
         self.in_flight = in_flight
         self.telemetries = 0  # sent
-        self.steers = 0  # received and understood
+        self.steers = 0  # received and readable
         self.manuals = 0  # received
-        self.bad_steers = 0  # received and not understood: each has cost a telemetry
+        self.bad_steers = 0  # received and unreadable: not answered by a telemetry
         self.connections = 0
 
     def run(
@@ -100,10 +99,10 @@ class SimulatorClient:
     ) -> None:
         """Connect and drive until `next_telemetry` returns None. `lost` is called when the server has gone.
 
-        It is called when a connection opens, once for each telemetry in flight, and then once for each command.
+        `next_telemetry` is called when a connection opens, once for each telemetry in flight, and then once for
+        each command.
 
-        Raises NoHostError at once where there is no such machine, WaitTimeoutError where no server answers for
-        `wait_s`.
+        Raises NoHostError at once if the host does not exist, WaitTimeoutError if no server answers for `wait_s`.
         """
         while self._one_connection(self._connect(), next_telemetry):
             lost()
@@ -113,7 +112,7 @@ class SimulatorClient:
         try:
             socket.getaddrinfo(*self._address, type=socket.SOCK_STREAM)
         except (OSError, ValueError) as error:
-            why = error.strerror if isinstance(error, OSError) else "no name of a machine"
+            why = error.strerror if isinstance(error, OSError) else "not the name of a machine"
             raise NoHostError(f"{self._address[0]}: {why}") from None
         while True:
             try:
@@ -123,7 +122,7 @@ class SimulatorClient:
                     suppress_origin=True,
                     sockopt=((socket.IPPROTO_TCP, socket.TCP_NODELAY, 0),),
                 )
-            except (ValueError, websocket.WebSocketAddressException) as error:  # of an address that is none
+            except (ValueError, websocket.WebSocketAddressException) as error:  # an invalid address
                 raise NoHostError(f"{self._address[0]}: {error}") from None
             except (OSError, websocket.WebSocketException):
                 if time.monotonic() > deadline_s:
@@ -136,7 +135,7 @@ class SimulatorClient:
     def _one_connection(
         self, connection: websocket.WebSocket, next_telemetry: Callable[[ServerCommand], SimulatorMessage]
     ) -> bool:
-        """Drive until the server goes (True: connect again) or there is nothing more to send (False)."""
+        """Drive until the server has gone (returns True: connect again) or everything is sent (returns False)."""
         commands: list[ServerCommand] = [None] * (self.in_flight - 1)  # the first of the two "open" events
         next_ping_s = time.monotonic()
         try:
@@ -175,7 +174,7 @@ class SimulatorClient:
             raise ConnectionResetError("the server has closed the connection")
         elif message.startswith("42"):
             return self._command(message[2:])
-        return []  # "3", "40", "43": nothing to do
+        return []  # "3", "40", "43": ignored
 
     def _command(self, payload: str) -> list[ServerCommand]:
         try:
@@ -192,15 +191,16 @@ class SimulatorClient:
             steering, throttle = (self._number(fields[name]) for name in ("steering_angle", "throttle"))
             steer = SteerCommand(steering, throttle, fields.get("put_back") == "true")
         except (ValueError, TypeError, KeyError, IndexError):
-            self.bad_steers += 1  # the real client throws, swallows it, and this telemetry is lost
+            self.bad_steers += 1  # the Unity client catches its own exception, and sends no telemetry
             return []
         self.steers += 1
         return [steer]
 
     def _number(self, text: object) -> float:
-        """Parse as .NET's float.Parse in the machine's culture: strings only; thousands separators are dropped."""
+        """Parse a number as .NET's float.Parse in the machine's culture: only strings, without thousands
+        separators."""
         if not isinstance(text, str):
-            raise TypeError("the real client wants strings")
+            raise TypeError("the Unity client expects strings")
         decimal, thousands = (",", ".") if self.decimal_comma else (".", ",")
         value = float(text.replace(thousands, "").replace(decimal, "."))
         if not math.isfinite(value):
@@ -225,13 +225,13 @@ class SimulatorClient:
         return f'42["telemetry",{json.dumps(fields, separators=(",", ":"))}]'
 
     def _n4(self, value: float) -> str:
-        """C#'s "N4": thousands separators and four decimals, in the machine's culture."""
+        """Format a number as C#'s "N4": thousands separators and four decimals, in the machine's culture."""
         text = f"{value:,.4f}"
         return text.translate(str.maketrans(",.", ".,")) if self.decimal_comma else text
 
     @staticmethod
     def _close(connection: websocket.WebSocket) -> None:
-        """Close as the library's own `close` does, which swallows a Ctrl-C."""
+        """Close a connection. The library's own `close` would suppress a Ctrl-C."""
         try:
             connection.settimeout(CLOSE_S)
             connection.send_close()

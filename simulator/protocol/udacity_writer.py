@@ -1,4 +1,4 @@
-"""Writing a drive as the real simulator's training mode does: `driving_log.csv` and `IMG/`."""
+"""Write a drive in the format of the training mode of Udacity's simulator: `driving_log.csv` and `IMG/`."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ CSV_CAMERAS: tuple[Camera, ...] = ("center", "left", "right")
 
 
 class UdacityWriter:
-    """A recording being written into `folder`, which must be empty or not exist.
+    """Writes a recording into `folder`, which must be empty or not exist. Use it as a context manager.
 
-    As a context manager it gives the csv its name in the end; if anything was raised, nothing of it stays.
-    Everything raises UserError where the folder cannot be written.
+    At the end of the block, the csv gets its name; if the block raises, all files are removed. All methods raise
+    UserError if the folder cannot be written.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -30,15 +30,15 @@ class UdacityWriter:
         self._images = real_path(folder) / "IMG"
         self._csv_path = folder / "driving_log.csv"
         self._part = files.part_path(self._csv_path)
-        self._made: list[Path] = []
+        self._created: list[Path] = []
         with self._writing():
             if folder.exists() and any(folder.iterdir()):
                 raise UserError(f"{folder}: not empty; a recording needs a new folder")
-            self._made = files.make_folder(self._images)
+            self._created = files.make_folder(self._images)
             try:
                 self._csv = self._part.open("x", encoding="utf-8", newline="")
             except OSError:
-                files.remove_empty(self._made)
+                files.remove_empty(self._created)
                 raise
 
     def row(
@@ -51,12 +51,12 @@ class UdacityWriter:
         brake: float,
         speed_mph: float,
     ) -> None:
-        """One row and its pictures; the time becomes part of their names, to the millisecond."""
+        """Write a row and its pictures. The pictures' names contain the time, in milliseconds."""
         moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=time_ns // 1000)
         stamp = f"{moment:%Y_%m_%d_%H_%M_%S}_{moment.microsecond // 1000:03d}"
         paths = [self._images / f"{camera}_{stamp}.jpg" for camera in CSV_CAMERAS]
         # C# prints floats with seven significant digits, and exponents as E-05
-        speed_mph = abs(speed_mph)  # the simulator's has no sign
+        speed_mph = abs(speed_mph)  # the simulator's speed has no sign
         values = [f"{value:.7g}".replace("e", "E") for value in (steering, throttle, brake, speed_mph)]
         with self._writing():
             for camera, path in zip(CSV_CAMERAS, paths, strict=True):
@@ -64,7 +64,7 @@ class UdacityWriter:
             self._csv.write(",".join([*map(str, paths), *values]) + "\n")
 
     def finish(self) -> None:
-        """Bring all rows to the disk; the csv still has its temporary name."""
+        """Flush all rows to the disk. The csv keeps its temporary name."""
         with self._writing():
             self._csv.flush()
             os.fsync(self._csv.fileno())
@@ -82,15 +82,15 @@ class UdacityWriter:
             files.publish(self._part, self._csv_path, overwrite=False)
 
     def _discard(self) -> None:
-        with contextlib.suppress(OSError):  # what is left in the buffer would meet the full disk again
+        with contextlib.suppress(OSError):  # flushing the buffer fails again if the disk is full
             self._csv.close()
         self._part.unlink(missing_ok=True)
         shutil.rmtree(self._images, ignore_errors=True)
-        files.remove_empty(self._made)
+        files.remove_empty(self._created)
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
-        """Turn an OSError into a UserError of one line."""
+        """Raise an OSError as a UserError of one line."""
         try:
             yield
         except OSError as error:

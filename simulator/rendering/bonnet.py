@@ -1,4 +1,4 @@
-"""The car's own bonnet at the bottom of each camera's picture, placed as in the Udacity simulator's recordings."""
+"""The car's bonnet at the bottom of each camera's picture, as in recordings of Udacity's simulator."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-TOP_PX = 132  # no bonnet above this row
+TOP_PX = 132  # the first row with the bonnet
 PAINT, SHADE, GLOSS = (126, 138, 136), (60, 66, 66), (184, 194, 194)  # BGR
 
 
 def draw_bonnet(camera: str, width_px: int, height_px: int) -> NDArray[np.uint8]:
-    """The lowest rows, from ``TOP_PX`` on: (height - TOP_PX, width, 4) uint8 BGRA, transparent beside the
+    """The lowest rows, from ``TOP_PX`` on: (height - TOP_PX, width, 4) uint8 BGRA, transparent outside the
     bonnet."""
     fine = 4
     x = np.arange(width_px * fine) / fine

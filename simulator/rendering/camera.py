@@ -1,8 +1,8 @@
 """The simulator's three cameras: a height-field ray caster on numpy and OpenCV.
 
-For each pixel the ray caster finds how far away the ground is; that place is looked up in the world's maps.
-Near the road the colour comes from the unrolled road texture, elsewhere from the land's; grain or cobbles
-are laid over both, then haze, then what stands beside the road, and last the bonnet.
+For each pixel, the ray caster computes the distance to the ground; the world's maps have the colour of this place.
+Near the road the colour is from the unrolled road texture, elsewhere from the land's. Then grain or cobbles, haze,
+the props beside the road, and the bonnet are drawn over it.
 """
 
 from __future__ import annotations
@@ -39,38 +39,38 @@ MOUNT_LEFT_M: dict[Camera, float] = {"center": 0.0, "left": 0.9, "right": -0.9}
 
 HAZE_M = 420.0  # the distance at which 63 % of a colour is haze
 GRAIN_TEXEL_M, COBBLE_TEXEL_M, COARSE_TEXEL_M = 0.02, 0.0125, 0.16
-SKY_PER_M = 1e-4  # one over the distance: what is no nearer is sky
-SKY_SPARE_PX = 8  # more rows of sky, which the other cameras of a pose may need
-SHARP_M = 9.0  # up to here the road texture's sharpest level is right
-# The next levels begin at these multiples of it: 1, 2 and 4, as logarithms in single precision round them.
+SKY_PER_M = 1e-4  # 1 / distance: pixels with this or less show the sky
+SKY_SPARE_PX = 8  # additional rows of sky, for the other cameras at the same pose
+SHARP_M = 9.0  # up to this distance, the sharpest level of the road texture is used
+# The next levels begin at these multiples of SHARP_M: 1, 2 and 4, rounded like logarithms in single precision.
 BLURRED_FROM = 1.0, 1.9999999, 3.9999995
 
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Where the pixels of a picture look, level to the ground: the same for all cameras of a pose."""
+    """The directions of a picture's pixels, relative to the horizontal: equal for all cameras at a pose."""
 
-    rotation: NDArray[np.float64]  # takes (ahead, left, up) of the car to the same axes level to the ground
-    side: Field  # (rows, columns): metres to the left, per metre forward
-    up: Field  # metres up, per metre forward
+    rotation: NDArray[np.float64]  # from the car's axes (ahead, left, up) to horizontal axes
+    side: Field  # (rows, columns): metres to the left, per metre ahead
+    up: Field  # (rows, columns): metres up, per metre ahead
     side_range: tuple[float, float]
     up_range: tuple[float, float]
-    table_column: Field  # of the ray caster's answer
-    table_row: Field
+    table_column: Field  # (rows, columns): the pixel's column in the ray caster's result
+    table_row: Field  # (rows, columns)
 
 
 class Renderer:
-    """Renders pictures of one world. No picture depends on those before it."""
+    """Renders pictures of one world. A picture does not depend on earlier pictures."""
 
     def __init__(self, world: WorldMaps) -> None:
         self._world = world
         self._rays = RayCaster(world.height)
         length = np.float32(world.length_m)
-        # A second map of arc lengths, with its seam half a lap away, so that no seam is ever near the car.
+        # Two maps of arc lengths, with seams half a lap apart: the map without a seam near the car is used.
         arcs = world.arc, np.where(world.arc > length / 2, world.arc - length, world.arc)
         self._arcs = tuple(map(with_rim, arcs))
         self._offset = with_rim(world.offset)
-        # OpenCV takes four channels at once; the fourth one, as in the road's texture, is for cobblestones.
+        # OpenCV processes four channels at once; the fourth, as in the road's texture, is for cobblestones.
         self._land = with_rim(np.dstack([world.ground, np.zeros(world.ground.shape[:2], np.uint8)]))
         self._panorama = cv2.cvtColor(world.sky, cv2.COLOR_BGR2BGRA)
         random = np.random.default_rng(3)
@@ -80,8 +80,8 @@ class Renderer:
         self._bonnets = {camera: _bonnet(camera) for camera in MOUNT_LEFT_M}
 
     def render(self, pose: Pose, camera: Camera = "center", scale: float = 1.0) -> Picture:
-        """The picture (160, 320, 3) uint8 BGR that a camera of a car at ``pose`` sees; the same pose, the
-        same bytes. It is ``scale`` times as wide and as high, with the same field of view."""
+        """The picture (160, 320, 3) uint8 BGR of a camera of a car at ``pose``. The same pose gives the same
+        bytes. With ``scale``, it is ``scale`` times as wide and as high, with the same field of view."""
         width, height = round(WIDTH_PX * scale), round(HEIGHT_PX * scale)
         rays = _directions(pose.pitch_rad, pose.roll_rad, scale)
         eye = self._eye(pose, rays, MOUNT_LEFT_M[camera])
@@ -89,7 +89,7 @@ class Renderer:
         at, border = (rays.table_column, rays.table_row), cv2.BORDER_REPLICATE
         inverse = np.asarray(cv2.remap(table, *at, cv2.INTER_LINEAR, borderMode=border), dtype=np.float32)
         shown = np.zeros((height, width, 4), np.uint8)  # BGRA: OpenCV and numpy copy a pixel as one word
-        first = int((inverse > SKY_PER_M).any(axis=1).argmax())  # above it there is nothing but sky
+        first = int((inverse > SKY_PER_M).any(axis=1).argmax())  # all rows above show only sky
         shown[first:] = self._ground(eye, rays.side[first:], inverse[first:], scale)
         self._sky(shown, rays, inverse, pose.heading_rad)
         place = self._world.origin_m + CELL_M * np.array([eye.column, eye.row])
@@ -98,7 +98,7 @@ class Renderer:
             inverse,
             (*place.tolist(), eye.height_m),
             pose.heading_rad,
-            (rays.rotation @ _mount()).T,  # from (ahead, left, up), level to the ground, to the camera's own axes
+            (rays.rotation @ _mount()).T,  # from horizontal axes (ahead, left, up) to the camera's axes
             FOCAL_PX * scale,
         )
         picture = np.asarray(cv2.cvtColor(shown, cv2.COLOR_BGRA2BGR), dtype=np.uint8)
@@ -115,9 +115,9 @@ class Renderer:
         return Eye((x - origin_x) / CELL_M, (y - origin_y) / CELL_M, pose.z_m + up, cos, sin)
 
     def _ground(self, eye: Eye, side: Field, inverse: Field, scale: float) -> Picture:
-        """The ground's colours (BGRA) at every pixel; those of the sky are left for ``_sky``."""
+        """The ground's colours (BGRA) at every pixel. ``_sky`` draws over the pixels of the sky."""
         world = self._world
-        distance = 1.0 / np.clip(inverse, 1 / 400, np.inf)  # np.maximum takes twice as long
+        distance = 1.0 / np.clip(inverse, 1 / 400, np.inf)  # np.maximum would take twice as long
         reach = distance * np.float32(1 / CELL_M)
         column = np.float32(eye.column) + reach * (np.float32(eye.cos) - side * np.float32(eye.sin))
         row = np.float32(eye.row) + reach * (np.float32(eye.sin) + side * np.float32(eye.cos))
@@ -129,9 +129,9 @@ class Renderer:
         beneath = (np.full((1, 1), at, np.float32) for at in (eye.column, eye.row))
         arc_of_car = float(look_up(self._arcs[0], *beneath)[0, 0])
         arcs = self._arcs[0 if 0.25 * lap < arc_of_car < 0.75 * lap else 1]
-        near = slice(int(on_road.any(axis=1).argmax()), None)  # above it there is no road
+        near = slice(int(on_road.any(axis=1).argmax()), None)  # the rows above show no road
         blur = distance[near] * np.float32(1 / (SHARP_M * scale))
-        level = np.sum([blur >= least for least in BLURRED_FROM], axis=0, dtype=np.uint8)
+        level = np.sum([blur >= start for start in BLURRED_FROM], axis=0, dtype=np.uint8)
         texel = (offset[near] + np.float32(REACH_M)) * np.float32(1 / ACROSS_M) - np.float32(0.5)
         arc = np.asarray(cv2.remap(arcs, x[near], y[near], cv2.INTER_LINEAR), dtype=np.float32)
         texel = np.clip(texel, 0, ROAD_COLUMNS - 2) + level * np.float32(ROAD_COLUMNS)
@@ -149,18 +149,18 @@ class Renderer:
         return np.asarray(cv2.merge([*(cv2.convertScaleAbs(plane) for plane in shown), cobbles]), dtype=np.uint8)
 
     def _texture(self, eye: Eye, column: Field, row: Field, distance: Field, cobbles: Picture) -> Field:
-        """The factors of the colours by grain, coarse unevenness and cobblestones; each fades where pixels
-        outgrow it."""
+        """The factors of the colours for grain, coarse unevenness and cobblestones. Each fades with the distance,
+        when a pixel becomes larger than its details."""
 
         def tile(image: Picture, texel_m: float) -> Field:
-            # Counted from a seam of the tiling near the eye: cv2.remap takes no coordinates beyond 32767.
+            # Coordinates relative to a seam of the tiling near the eye: cv2.remap accepts at most 32767.
             scale, size = CELL_M / texel_m, len(image)
             seams = [np.float32(at * scale // size * size) for at in (eye.column, eye.row)]
             x, y = column * np.float32(scale), row * np.float32(scale)
             x -= seams[0]
             y -= seams[1]
-            # cv2.remap would wrap, at a sixth of its speed. Behind the first seam, coordinates are so coarse that
-            # this rounds nothing.
+            # cv2.remap could wrap, but at a sixth of its speed. Beyond the first seam, the coordinates are so
+            # coarse that wrapping them here rounds nothing.
             if min(seams) >= size:
                 _wrap(x, size)
                 _wrap(y, size)
@@ -182,13 +182,13 @@ class Renderer:
         lowest = int(np.flatnonzero(sky.any(axis=1)).max(initial=-1)) + 1
         if lowest == 0:
             return
-        # All cameras of a pose see the same sky: it is kept.
+        # The sky is cached, because all cameras at a pose see the same sky.
         if self._kept_sky[:2] != (rays, heading_rad) or len(self._kept_sky[2]) < lowest:
             self._kept_sky = rays, heading_rad, self._sky_colours(rays, heading_rad, lowest + SKY_SPARE_PX)
         cv2.copyTo(self._kept_sky[2][:lowest], sky[:lowest].view(np.uint8), picture[:lowest])
 
     def _sky_colours(self, rays: Directions, heading_rad: float, height: int) -> Picture:
-        """The upper rows of a picture (``height``, W, 4) uint8 BGRA that shows nothing but sky."""
+        """The upper rows of a picture that shows only sky, (``height``, W, 4) uint8 BGRA."""
         side, up = rays.side[:height], rays.up[:height]
         rows, columns = self._world.sky.shape[:2]
         azimuth = np.arctan(side) + np.float32(heading_rad)
@@ -201,7 +201,8 @@ class Renderer:
 
 
 def _bonnet(camera: Camera, size: tuple[int, int] | None = None) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-    """How much of 255 stays of a picture's lowest rows, and what comes to them."""
+    """For a picture's lowest rows: the share of the picture that stays (0..255), and the bonnet's colours *
+    alpha."""
     bonnet = draw_bonnet(camera, WIDTH_PX, HEIGHT_PX)
     if size is not None:
         bonnet = np.asarray(cv2.resize(bonnet, size), dtype=np.uint8)
@@ -210,7 +211,7 @@ def _bonnet(camera: Camera, size: tuple[int, int] | None = None) -> tuple[NDArra
 
 
 def _wrap(values: Field, period: int) -> None:
-    """Take the values modulo the period: numpy's own takes ten times as long."""
+    """Reduce the values modulo the period, in place: numpy's modulo takes ten times as long."""
     turns = values * np.float32(1 / period)
     np.floor(turns, out=turns)
     turns *= np.float32(period)
@@ -222,8 +223,8 @@ def _directions(pitch_rad: float, roll_rad: float, scale: float) -> Directions:
     cp, sp, cr, sr = np.cos(pitch_rad), np.sin(pitch_rad), np.cos(roll_rad), np.sin(roll_rad)
     pitch = np.array([[cp, 0.0, -sp], [0.0, 1.0, 0.0], [sp, 0.0, cp]])
     roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    rotation = pitch @ roll  # the heading is kept
-    # Each component of a pixel's ray is linear in its column and row.
+    rotation = pitch @ roll  # without the heading
+    # Each component of a pixel's ray is linear in the column and the row.
     rays = (rotation @ _mount()).astype(np.float32)
     right, down = (
         ((np.arange(size) + 0.5 - size / 2) / (FOCAL_PX * scale)).astype(np.float32)
@@ -242,6 +243,6 @@ def _directions(pitch_rad: float, roll_rad: float, scale: float) -> Directions:
 
 
 def _mount() -> NDArray[np.float64]:
-    """Takes the camera's (ahead, left, up) to the car's."""
+    """The rotation from the camera's axes (ahead, left, up) to the car's."""
     cos, sin = np.cos(MOUNT_PITCH_RAD), np.sin(MOUNT_PITCH_RAD)
     return np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])

@@ -1,4 +1,4 @@
-"""The colours of the land, seen from above: one texel per cell."""
+"""The colours of the land, seen from above: one texel for each cell."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from simulator.rendering.props import SUN
 from simulator.rendering.terrain import CELL_M, Terrain, along_road, per_side, smoothstep
 from simulator.roads.track import Track
 
-# BGR, read off published pictures of the Udacity simulator's lake and jungle.
+# BGR, from published pictures of the lake and jungle of Udacity's simulator.
 MEADOW, DRY_GRASS, SAND, EARTH = (42, 118, 128), (92, 158, 172), (112, 168, 196), (62, 112, 176)
 JUNGLE_GRASS, JUNGLE_FLOOR, JUNGLE_ROCK, PALE_ROCK = (44, 92, 76), (26, 40, 34), (56, 70, 68), (118, 158, 172)
 WATER = (168, 138, 96)
@@ -40,7 +40,7 @@ def paint_ground(
     rise_x = cv2.Sobel(terrain.height_m, cv2.CV_32F, 1, 0, scale=1 / (8 * CELL_M))
     rise_y = cv2.Sobel(terrain.height_m, cv2.CV_32F, 0, 1, scale=1 / (8 * CELL_M))
     steep = smoothstep((np.hypot(rise_x, rise_y) - 0.55) / 0.4)
-    # Farther out than that, what is steep is a tree's crown.
+    # Steep ground farther from the road is the top of a tree, not a cliff.
     near_cliff = steep * (1.0 - jungle * smoothstep((beyond - 8.0) / 4.0))
     lay(PALE_ROCK, near_cliff * (1.0 - jungle))
     lay(JUNGLE_ROCK, near_cliff * jungle)
@@ -59,5 +59,5 @@ def paint_ground(
 
 
 def exposure(track: Track) -> Field:
-    """The light of each point of the centre line, 1 in full sun."""
+    """The light at each point of the centre line, (N,); 1: full sun."""
     return along_road(track, np.array([look.light for look in track.looks]), 12.0)

@@ -1,4 +1,4 @@
-"""Smooth random fields and tileable textures, the same for the same generator state."""
+"""Smooth random fields and tileable textures. The same state of the random generator gives the same result."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-# Single precision throughout; numpy's own types lose the width in mixed arithmetic.
+# Always single precision; numpy's own types lose the precision in mixed arithmetic.
 Field = NDArray[np.floating[Any]]
 
 
 def smooth_noise(random: np.random.Generator, shape: tuple[int, int], feature_px: float) -> Field:
-    """A random field (rows, columns) float32 of roughly -1..1 with bumps of about ``feature_px`` cells."""
+    """A random field (rows, columns) float32 in about -1..1, with bumps of about ``feature_px`` cells."""
     rows, columns = (max(2, round(n / feature_px) + 2) for n in shape)
     coarse = random.uniform(-1.0, 1.0, (rows, columns)).astype(np.float32)
     return np.asarray(cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC), dtype=np.float32)
 
 
 def tileable_noise(random: np.random.Generator, size_px: int, feature_px: int) -> Field:
-    """A square (size_px, size_px) float32 of roughly -1..1 that continues seamlessly into copies of itself."""
+    """Noise (size_px, size_px) float32 in about -1..1, which can be tiled without seams."""
     cells = size_px // feature_px
     wrapped = np.pad(random.uniform(-1.0, 1.0, (cells, cells)).astype(np.float32), 2, mode="wrap")
     large = cv2.resize(wrapped, None, fx=feature_px, fy=feature_px, interpolation=cv2.INTER_CUBIC)
@@ -29,7 +29,7 @@ def tileable_noise(random: np.random.Generator, size_px: int, feature_px: int) -
 
 
 def grain_tile(random: np.random.Generator) -> NDArray[np.uint8]:
-    """Asphalt, earth and grass seen from near: (512, 512) uint8, mean 128."""
+    """The grain of asphalt, earth and grass: (512, 512) uint8, mean 128."""
     grain = 34.0 * random.normal(size=(512, 512)).astype(np.float32)
     grain += 26.0 * tileable_noise(random, 512, 4) + 26.0 * tileable_noise(random, 512, 16)
     return _levels(grain)
@@ -46,8 +46,7 @@ def cobble_tile(random: np.random.Generator) -> NDArray[np.uint8]:
     seeds[pixels[:, 1], pixels[:, 0]] = 0
     seeds = np.pad(seeds, 64, mode="wrap")
     _, labels = cv2.distanceTransformWithLabels(seeds, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    # A stone that the padding has cut out twice carries two labels: shades must come from its place, not its
-    # label.
+    # A stone that the padding repeats has two labels: its shade must depend on its place, not on its label.
     rows, columns = np.nonzero(seeds == 0)
     shade = np.zeros(labels.max() + 1, np.float32)
     shade[labels[rows, columns]] = random.uniform(-22.0, 22.0, (512, 512))[rows % 512 - 64, columns % 512 - 64]

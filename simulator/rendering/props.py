@@ -1,4 +1,4 @@
-"""The props beside the road: trees, bushes, boulders and posts, each a flat picture that faces the camera."""
+"""The props beside the road: trees, bushes, boulders and posts. Each is a flat picture that faces the camera."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from simulator.rendering.terrain import CELL_M, Terrain
 from simulator.roads.road_stretches import Floats
 from simulator.roads.track import Track
 
-Sprite = NDArray[np.uint8]  # (rows, columns, 4) BGRA, standing on its lowest row
+Sprite = NDArray[np.uint8]  # (rows, columns, 4) BGRA; the lowest row touches the ground
 
 PINE, PALM, BUSH, BOULDER, POST = range(5)
 HEIGHTS_M = {PINE: (6.0, 12.0), PALM: (4.5, 7.5), BUSH: (0.8, 2.2), BOULDER: (0.8, 2.5), POST: (1.0, 1.0)}
 FROM_EDGE_M = {PINE: (4.0, 45.0), PALM: (3.0, 20.0), BUSH: (2.2, 25.0), BOULDER: (2.5, 20.0), POST: (0.9, 0.9)}
 POSTS_EVERY_M = 18.0
-STEEPEST = 0.9  # rise over run of ground that props stand on
+STEEPEST = 0.9  # maximum rise over run of the ground under a prop
 SIZE_PX = 128
-SUN = (0.5, 0.35, 0.8)  # the direction of the light: east, north, up
+SUN = (0.5, 0.35, 0.8)  # the direction to the sun: east, north, up
 
 
 def place_props(track: Track, terrain: Terrain, random: np.random.Generator) -> Floats:
-    """Stand props along the road: (P, 5) float64 of x, y, z of the foot, height in metres, and kind.
+    """Place props along the road: (P, 5) float64 of x, y, z of the foot, height in metres, and kind.
 
-    Nothing stands on another stretch of the road, in the water, or on a bridge.
+    No prop is on another stretch of the road, in the water, or on a bridge.
     """
     line, rows = track.line, []
     for k in range(len(line.points_m)):
@@ -40,7 +40,7 @@ def place_props(track: Track, terrain: Terrain, random: np.random.Generator) -> 
             elif random.random() > edge.props_per_100m * line.step_m / 100.0:
                 continue
             near, far = FROM_EDGE_M[kind]
-            # More of them near the road, where they are seen.
+            # More props near the road, where they are visible.
             away = track.half_width_m[k] + near + (far - near) * random.random() ** 1.5
             x = line.points_m[k, 0] - side * away * np.sin(line.heading_rad[k])
             y = line.points_m[k, 1] + side * away * np.cos(line.heading_rad[k])
@@ -49,7 +49,7 @@ def place_props(track: Track, terrain: Terrain, random: np.random.Generator) -> 
     column, row = (np.round((props[:, i] - terrain.origin_m[i]) / CELL_M).astype(int) for i in (0, 1))
     props[:, 2] = terrain.height_m[row, column] - 0.05
     clear = terrain.beyond_m[row, column] > np.where(props[:, 4] == POST, 0.7, 2.0)
-    # Nor on a rock face.
+    # No props on rock faces.
     rise = np.hypot(
         *(cv2.Sobel(terrain.height_m, cv2.CV_32F, *d, scale=1 / (8 * CELL_M)) for d in ((1, 0), (0, 1)))
     )
@@ -58,7 +58,8 @@ def place_props(track: Track, terrain: Terrain, random: np.random.Generator) -> 
 
 
 def cast_shadows(track: Track, terrain: Terrain, props: Floats, random: np.random.Generator) -> NDArray[np.uint8]:
-    """The light that the props and the branches over shaded stretches leave: (rows, columns) uint8, 255 is all."""
+    """The light under the shadows of props and of branches over shaded stretches: (rows, columns) uint8; 255: full
+    light."""
     light = np.full(terrain.height_m.shape, 255, np.uint8)
     reach = np.array([-SUN[0], -SUN[1]]) / SUN[2]
 
@@ -87,7 +88,7 @@ def cast_shadows(track: Track, terrain: Terrain, props: Floats, random: np.rando
 
 
 def draw_sprites() -> dict[int, list[Sprite]]:
-    """The pictures of each kind, several variants each, 128 px high."""
+    """The pictures of each kind of prop, up to three variants, 128 px high."""
     random = np.random.default_rng(5)
     painters = {PINE: _pine, PALM: _palm, BUSH: _bush, BOULDER: _boulder, POST: _post}
     return {kind: [paint(random) for _ in range(1 if kind == POST else 3)] for kind, paint in painters.items()}
@@ -96,7 +97,7 @@ def draw_sprites() -> dict[int, list[Sprite]]:
 def _blobs(
     random: np.random.Generator, sprite: Sprite, centres: Floats, radius_px: float, dark: Floats, bright: Floats
 ) -> None:
-    """Foliage: discs, darker first and brighter on top, with the light from above left."""
+    """Draw foliage: discs from dark to bright, one over the other."""
     for depth, (x, y) in enumerate(centres):
         colour = dark + (bright - dark) * (depth / len(centres)) * random.uniform(0.6, 1.0)
         radius = max(1, round(radius_px * random.uniform(0.5, 1.0)))

@@ -1,4 +1,4 @@
-"""Draws the props into a picture: flat, upright, hidden by the ground where it is nearer."""
+"""Draw the props into a picture: flat, upright, and hidden by nearer ground."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from simulator.rendering.props import SIZE_PX, Sprite, draw_sprites
 from simulator.roads.road_stretches import Floats
 
 NEAR_M, FAR_M = 1.5, 150.0
-FADE_M = 30.0  # before FAR_M, over which they appear
-SMALLEST_PX = 3.0
+FADE_M = 30.0  # props fade in over this distance before FAR_M
+MIN_SIZE_PX = 3.0
 
 
 class PropsView:
-    """The props of one world: (P, 5) as placed by ``props.place_props``."""
+    """The props of one world, (P, 5), from ``props.place_props``."""
 
     def __init__(self, props: Floats) -> None:
         self._props = props
@@ -34,7 +34,8 @@ class PropsView:
         to_camera: Floats,
         focal_px: float,
     ) -> None:
-        """Draw, far ones first, into a BGRA picture whose ground is at these inverse forward distances (1/m)."""
+        """Draw the props into a BGRA picture, far props first. ``inverse`` has 1 / distance ahead to the ground
+        (1/m) for each pixel."""
         cos, sin = np.cos(heading_rad), np.sin(heading_rad)
         east, north, up = (self._props[:, :3] - eye_m).T
         ahead, left = east * cos + north * sin, north * cos - east * sin
@@ -46,7 +47,7 @@ class PropsView:
         is_visible = (
             (ahead > NEAR_M)
             & (ahead < FAR_M)
-            & (size_px > SMALLEST_PX)
+            & (size_px > MIN_SIZE_PX)
             & (np.abs(column - width / 2) < width / 2 + size_px)
         )
         seen = np.flatnonzero(is_visible)[np.argsort(-ahead[is_visible], kind="stable")]
@@ -55,7 +56,7 @@ class PropsView:
         sprites = [self._sprites[k][halving] for k, halving in zip(seen.tolist(), halvings.tolist(), strict=True)]
         stamps = _Stamps(sprites, column[seen], row[seen], size_px, (width, height))
         strengths = (np.minimum(1.0, (FAR_M - ahead) / FADE_M) / 255.0).astype(np.float32)
-        # Ground before a prop hides it.
+        # Nearer ground hides a prop.
         free = inverse.ravel()[stamps.place] < (1 / ahead * 1.02)[stamps.sprite]
         colours = stamps.colours(np.bincount(stamps.sprite, free, len(sprites)) > 0)
         alpha = colours[:, 3] * free * strengths[stamps.sprite]
@@ -63,12 +64,12 @@ class PropsView:
 
 
 class _Stamps:
-    """Sprites at their places in a picture. Their pixels (N,) come row by row, one sprite after the other."""
+    """Sprites at their places in a picture. Their N pixels are ordered by sprite, then row by row."""
 
     def __init__(
         self, sprites: list[Sprite], column: Floats, foot: Floats, size_px: Floats, picture_px: tuple[int, int]
     ) -> None:
-        """A sprite's foot is at ``column`` and ``foot``, and it is ``size_px`` high."""
+        """The foot of each sprite is at ``column`` and row ``foot``; its height is ``size_px``."""
         height, width = np.array([sprite.shape[:2] for sprite in sprites]).reshape(-1, 2).T
         scale = size_px / height
         left, top = column - width * scale / 2, foot - size_px
@@ -77,7 +78,7 @@ class _Stamps:
         y1 = np.minimum(picture_px[1], np.ceil(foot)).astype(int)
         self._sprites = sprites
         self._columns, self._rows = np.maximum(0, x1 - x0), np.maximum(0, y1 - y0)
-        # Sub-pixel placement: sprite coordinates of the target's pixel centres.
+        # For sub-pixel placement: the sprite's coordinates at the centres of the picture's pixels.
         self._affine = np.zeros((len(sprites), 2, 3))
         self._affine[:, 0, 0] = self._affine[:, 1, 1] = 1 / scale
         self._affine[:, 0, 2] = (x0 + 0.5 - left) / scale - 0.5
@@ -87,11 +88,11 @@ class _Stamps:
         self.sprite = np.repeat(np.arange(len(sprites)), sizes)  # the number of each pixel's sprite
         within = np.arange(len(self.sprite)) - (self._ends - sizes)[self.sprite]
         row = within // self._columns[self.sprite]
-        rest = (picture_px[0] - self._columns)[self.sprite]  # of a picture's row, beside the sprite
-        self.place = (y0 * picture_px[0] + x0)[self.sprite] + row * rest + within  # in the picture, row by row
+        rest = (picture_px[0] - self._columns)[self.sprite]  # columns of the picture outside the sprite
+        self.place = (y0 * picture_px[0] + x0)[self.sprite] + row * rest + within  # position in the flat picture
 
     def colours(self, is_shown: NDArray[np.bool_]) -> NDArray[np.uint8]:
-        """(N, 4) BGRA; those of sprites that are not shown are 0."""
+        """The pixels' colours, (N, 4) BGRA; 0 for sprites that are not shown."""
         colours = np.zeros((len(self.sprite), 4), np.uint8)
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         columns, rows, ends = self._columns.tolist(), self._rows.tolist(), self._ends.tolist()
@@ -105,13 +106,13 @@ class _Stamps:
 def _blend(
     picture: NDArray[np.uint32], pixels: NDArray[np.int64], colours: NDArray[np.uint32], alpha: Field
 ) -> None:
-    """Lay colours (N,) over the pixels (N,) of a picture (P,), both BGRA as one word. A pixel that occurs twice is
-    blended twice, in this order."""
+    """Blend colours (N,) over the pixels (N,) of a picture (P,); a BGRA colour is one word. If a pixel occurs
+    twice, it is blended twice, in this order."""
     shown = np.flatnonzero(alpha)
     pixels, colours, alpha = pixels[shown], colours[shown], alpha[shown]
     earliest = np.empty(len(picture), np.intp)
     while len(pixels):
-        # What comes first to its pixel is blended at once.
+        # In each round, blend the first remaining colour of every pixel.
         count = np.arange(len(pixels))
         earliest[pixels[::-1]] = count[::-1]
         is_first = earliest[pixels] == count
@@ -127,7 +128,8 @@ def _blend(
 
 
 def _halvings(sprite: Sprite) -> list[Sprite]:
-    """The sprite and its averaged halvings, colours weighted by opacity, so that scaling down does not flicker."""
+    """The sprite at 1, 1/2, 1/4, ... of its size, averaged with colours weighted by opacity, so that small sprites
+    do not flicker."""
     levels = [sprite]
     alpha = sprite[..., 3:].astype(np.float32)
     weighted = np.dstack([sprite[..., :3] * alpha, alpha])

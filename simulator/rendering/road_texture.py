@@ -1,7 +1,7 @@
 """The road's surface, unrolled: a picture over (distance from the centre line, arc length).
 
-Lines, kerbs and stones are painted here at 5 cm across and 25 cm along, so they stay crisp however coarse the
-land's cells are. Copies blurred for the distance stand beside it, so that thin lines do not flicker far away.
+Lines, kerbs and stones are painted with texels of 5 cm across and 25 cm along the road, so that they are sharper
+than the land's cells. Blurred copies for larger distances are next to it, so that thin lines do not flicker.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from simulator.roads.road_stretches import Edge, Look
 from simulator.roads.track import Track
 
 ACROSS_M, ALONG_M = 0.05, 0.25  # one texel
-REACH_M = 9.0  # painted this far from the centre line; beyond it the land's own colours show
+REACH_M = 9.0  # distance from the centre line that is painted; beyond it, the land's colours are used
 COLUMNS = round(2 * REACH_M / ACROSS_M)
-LEVELS = 4  # the blurred copies included; level n is for footprints 2**n texels wide
+LEVELS = 4  # including the blurred copies; level n is for pixels that cover 2**n texels
 DASH_PERIOD_M, DASH_M = 6.0, 3.0
 
 # BGR
@@ -38,10 +38,10 @@ def paint_road(
     light: NDArray[np.uint8],
     random: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """The texture (rows, LEVELS * COLUMNS, 4) uint8: BGR, and how much of the surface is cobblestones (0..255).
+    """The texture (rows, LEVELS * COLUMNS, 4) uint8: BGR, and the share of cobblestones (0..255).
 
-    Row r is at arc length r * length / rows, column c of level 0 ``(c + 0.5) * ACROSS_M - REACH_M`` to the
-    left of the centre line.
+    Row r is at arc length r * length / rows. Column c of level 0 is ``(c + 0.5) * ACROSS_M - REACH_M`` to the left
+    of the centre line.
     """
     line = track.line
     rows = round(line.length_m / ALONG_M)
@@ -78,7 +78,7 @@ def paint_road(
 def _places(
     track: Track, point: NDArray[np.float64], offset: Field, origin_m: tuple[float, float]
 ) -> tuple[Field, Field]:
-    """The cell coordinates of every texel."""
+    """The coordinates (column, row) of every texel in the land's cells."""
     line, count = track.line, np.arange(len(track.line.points_m) + 1)
     closed = np.vstack([line.points_m, line.points_m[:1]])
     heading = np.unwrap(np.append(line.heading_rad, line.heading_rad[0]))
@@ -95,7 +95,7 @@ def _runs(labels: NDArray[np.intp]) -> list[tuple[int, int, int]]:
 
 
 def _band(distance: Field, start_m: float, stop_m: float) -> Field:
-    """1 between two distances, 0 outside, with an edge one texel soft."""
+    """1 between two distances, 0 outside, with soft edges of one texel."""
     inside = np.minimum(distance - start_m, stop_m - distance) / ACROSS_M + 0.5
     return np.asarray(np.clip(inside, 0.0, 1.0), dtype=np.float32)
 
@@ -135,6 +135,6 @@ def _lay_edge(colour: Field, edge: Edge, beyond: Field, stripes: NDArray[np.bool
 
 
 def _blurred(base: NDArray[np.uint8], level: int) -> NDArray[np.uint8]:
-    """The texture averaged over 2**level texels across; along the road half as many, as 25 cm are much already."""
+    """The texture, averaged over 2**level texels across the road and half as many along it, which are longer."""
     size = (2**level + 1, max(1, 2 ** (level - 1)) * 2 - 1)
     return np.asarray(cv2.blur(cv2.copyMakeBorder(base, 4, 4, 0, 0, cv2.BORDER_WRAP), size), dtype=np.uint8)[4:-4]

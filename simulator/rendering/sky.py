@@ -1,4 +1,4 @@
-"""The sky and the far hills: a panorama that turns with the heading and never comes nearer."""
+"""The sky and the far hills: a panorama at infinite distance, which turns with the heading."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-WIDTH_PX, HEIGHT_PX = 2048, 256  # all around; from TOP to BOTTOM in tangents of elevation
+WIDTH_PX, HEIGHT_PX = 2048, 256  # 360 degrees; from TOP to BOTTOM, which are tangents of the elevation
 TOP, BOTTOM = 0.9, -0.1
 HAZE = (200, 184, 166)  # BGR at the horizon
 BLUE = (178, 122, 84)  # BGR overhead
 
 
 def paint_sky(random: np.random.Generator, jungle: float) -> NDArray[np.uint8]:
-    """(HEIGHT_PX, WIDTH_PX, 3) uint8 BGR; the azimuth runs counter-clockwise from east along the columns.
+    """The panorama, (HEIGHT_PX, WIDTH_PX, 3) uint8 BGR. The columns are azimuths, counter-clockwise from east.
 
     ``jungle`` (0..1) makes the hills higher, nearer and darker.
     """

@@ -1,4 +1,4 @@
-"""A track's world, baked into maps that a camera can look things up in."""
+"""A track's world as maps, from which the cameras' pictures are rendered."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from simulator.rendering.terrain import CELL_M, shape_terrain
 from simulator.roads.road_stretches import Floats
 from simulator.roads.track import Track
 
-FORMAT = 3  # of the cache files; raise it when anything that shapes or paints a world changes
+FORMAT = 3  # of the cache files; increase it when the shape or the colours of a world change
 
 
 @dataclass(frozen=True)
 class WorldMaps:
-    """Maps of (rows to the north, columns to the east) square cells of ``CELL_M``; cell [0, 0] is at
+    """Maps of square cells of ``CELL_M``, (rows to the north, columns to the east); cell [0, 0] is at
     ``origin_m``."""
 
     origin_m: Floats  # (2,) east, north
@@ -41,7 +41,7 @@ class WorldMaps:
     props: Floats  # see props.place_props
 
     def height_m(self, x_m: float, y_m: float) -> float:
-        """The height of the ground, bilinear between cells; beyond the map's rim it is the rim's."""
+        """The height of the ground, interpolated bilinearly between cells; beyond the map, that of its rim."""
         rows, columns = self.height.shape
         column = min(max((x_m - self.origin_m[0]) / CELL_M, 0.0), columns - 1.001)
         row = min(max((y_m - self.origin_m[1]) / CELL_M, 0.0), rows - 1.001)
@@ -54,22 +54,21 @@ class WorldMaps:
 
 
 def build_world(track: Track, cache: bool = True) -> WorldMaps:
-    """Bake a track's world, or read it back if an earlier call has.
+    """Build a track's world, or read it from the `users_cache` if an earlier call has built it.
 
-    What is baked is kept in the `users_cache`. A cache that is damaged, old or not writable costs time and
-    nothing else.
+    If the cache is damaged, old or read-only, the world is built again.
     """
     if not cache:
-        return _bake(track)
+        return _build(track)
     path = _cache_file(track)
     world = _load(path)
     if world is None:
-        world = _bake(track)
+        world = _build(track)
         _save(path, world)
     return world
 
 
-def _bake(track: Track) -> WorldMaps:
+def _build(track: Track) -> WorldMaps:
     seed = int.from_bytes(hashlib.sha256(track.name.encode()).digest()[:8], "little")
     random = np.random.default_rng(seed)
     terrain = shape_terrain(track, random)

@@ -1,1 +1,1 @@
-"""Roads by name, as lists of stretches, and made from a seed."""
+"""Roads by name: built-in roads, as lists of stretches, and random roads from a seed."""

@@ -1,8 +1,8 @@
-"""The two built-in roads, and roads made from a seed.
+"""The two built-in roads.
 
-In both built-in roads the first and the second half hold the same kinds of bends and slopes, but not the
-same ones, and some looks are kept for the second half: a network trained on the first half has to generalise
-to drive the lap.
+In both roads, the first and the second half have the same kinds of bends and slopes, but not the same bends and
+slopes, and some looks appear only in the second half: a network trained on the first half has to generalise to
+drive the lap.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LAKE = (
     Stretch(45, 55, 0.0, replace(_LAKE, left=_SHORE, right=_DIRT)),
     Stretch(75, 0, 0.0, _BRIDGE),
     Stretch(50, -40, 0.01, replace(_LAKE, right=_STRIPED, surface="worn", left=Edge("grass", 0.4))),
-    # The second half: worn asphalt, grass edges and the shady wood are longer here.
+    # The second half, with longer stretches of worn asphalt, grass edges and shady wood.
     Stretch(40, 0, 0.01, replace(_LAKE, surface="worn", left=_KERB, right=_DIRT, light=0.85, shade=0.4)),
     Stretch(60, 120, 0.0, replace(_LAKE, surface="worn", left=_STRIPED, right=_DIRT)),
     Stretch(40, 0, -0.01, replace(_LAKE, left=Edge("grass", 0.4), right=_CUT)),

@@ -21,12 +21,12 @@ class Place(NamedTuple):
     y_m: float
     z_m: float
     heading_rad: float  # of the tangent, counter-clockwise from +x
-    curvature_per_m: float  # positive where the road turns left
+    curvature_per_m: float  # positive if the road turns left
     slope: float  # rise over run along the road
 
 
 class Centreline:
-    """A closed curve, resampled every ~0.5 m, driven in the direction of its points.
+    """A closed curve, resampled every ~0.5 m. Cars drive in the direction of its points.
 
     ``points_m`` is (N, 3) float64: x east, y north, z up, in metres, without repeating the first point.
     The arc length ``arc_m`` runs from 0 to ``length_m`` (in the ground plane) and wraps around.
@@ -50,12 +50,12 @@ class Centreline:
         turn = np.roll(self.heading_rad, -1) - np.roll(self.heading_rad, 1)
         self.curvature_per_m: Floats = ((turn + np.pi) % (2 * np.pi) - np.pi) / (2 * self.step_m)
         self.slope: Floats = tangent[:, 2] / (2 * self.step_m)
-        # Lists, because `at` and `project` are called many times a step, and an element of an array takes longer.
+        # Lists, because `at` and `project` are called many times in a step, and elements of arrays are slower.
         columns = (*self.points_m.T, self.heading_rad, self.curvature_per_m, self.slope)
         self._points: list[tuple[float, ...]] = list(zip(*(column.tolist() for column in columns), strict=True))
         self._directions = [(float(np.cos(heading)), float(np.sin(heading))) for heading in self.heading_rad]
         self._reach = round(_NEAR_M / self.step_m)
-        # (2, N + 2 reach), with the points before the first and behind the last: those near a place are a slice
+        # (2, N + 2 reach + 1): the points, extended at both ends, so that the points near any place are a slice
         self._around_m = self.points_m[np.arange(-self._reach, count + self._reach + 1) % count, :2].T.copy()
 
     def at(self, arc_m: float) -> Place:
@@ -76,8 +76,8 @@ class Centreline:
         )
 
     def clearance_m(self, neighbours_m: float) -> float:
-        """The distance of the road from itself: the smallest one between places that are more than
-        ``neighbours_m`` apart along it, to about a metre."""
+        """The smallest distance between places of the road that are more than ``neighbours_m`` apart along the
+        road, to about a metre."""
         plan = self.points_m[::6, :2]
         arc = np.arange(len(plan)) * 6 * self.step_m
         apart = np.abs(arc[:, None] - arc[None])
@@ -86,10 +86,10 @@ class Centreline:
         return float(distance[apart > neighbours_m].min())
 
     def project(self, x_m: float, y_m: float, near_arc_m: float | None = None) -> tuple[float, float]:
-        """The nearest place of the road: (arc_m in 0..length_m, offset_m, positive to the left of it).
+        """The nearest place of the road: (arc_m in 0..length_m, offset_m, positive to the left).
 
-        ``near_arc_m`` limits the search to 30 m either side of that arc length, so that a car stays on its
-        own stretch where the road passes close to itself.
+        ``near_arc_m`` limits the search to 30 m before and after this arc length, so that a car stays on its own
+        stretch if the road passes close to itself.
         """
         count = len(self._points)
         if near_arc_m is None:

@@ -1,4 +1,4 @@
-"""Closed roads made from a seed, for evaluation on roads that were not trained on."""
+"""Random closed roads from a seed, for evaluation on roads that training has not used."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from simulator.roads.road_stretches import Floats, Look
 
 LENGTHS_M = (650.0, 1150.0)
 STRETCHES_M = (35.0, 80.0)
-SMALLEST_RADIUS_M = 14.0
+MIN_RADIUS_M = 14.0
 STEEPEST = 0.09
 CLEARANCE_M = 30.0  # between stretches that are not neighbours along the road
 NEIGHBOURS_M = 80.0
 
 
 def random_road(seed: int) -> tuple[Floats, tuple[Look, ...], NDArray[np.intp]]:
-    """The points (N, 3) of a closed road in metres, its looks, and the number of each point's look.
+    """The points (N, 3) of a closed road in metres, its looks, and the number of each point's look (N,).
 
-    Seen from the origin each direction meets the road once, so it cannot cross itself; drawings that bend
-    too sharply or come too near to themselves are drawn again from the same seed.
+    From the origin, each direction meets the road once, so it cannot cross itself. A road that bends too sharply
+    or comes too near to itself is drawn again, with the same random generator.
     """
     random = np.random.default_rng(seed)
     points = _draw(random)
@@ -49,13 +49,13 @@ def _draw(random: np.random.Generator) -> Floats:
 
 def _drivable(points_m: Floats) -> bool:
     line = Centreline(points_m)
-    if np.abs(line.curvature_per_m).max() > 1 / SMALLEST_RADIUS_M:
+    if np.abs(line.curvature_per_m).max() > 1 / MIN_RADIUS_M:
         return False
     return line.clearance_m(NEIGHBOURS_M) > CLEARANCE_M
 
 
 def _dress(random: np.random.Generator, points_m: Floats) -> tuple[tuple[Look, ...], NDArray[np.intp]]:
-    """Looks for stretches of random lengths."""
+    """Random looks for stretches of random lengths, and the number of each point's look (N,)."""
     steps = np.hypot(*(np.roll(points_m, -1, axis=0) - points_m)[:, :2].T)
     arc = np.cumsum(steps)
     ends = np.cumsum(random.uniform(*STRETCHES_M, size=int(arc[-1] / STRETCHES_M[0]) + 1))
@@ -64,7 +64,7 @@ def _dress(random: np.random.Generator, points_m: Floats) -> tuple[tuple[Look, .
 
 
 def draw_looks(random: np.random.Generator, count: int) -> tuple[Look, ...]:
-    """Looks of the two built-in tracks in a random order, a handful of one track's before the other's."""
+    """Random looks of the two built-in tracks: four looks of one track, then four of the other, and so on."""
     looks: list[Look] = []
     first = int(random.integers(2))
     for k in range(count):

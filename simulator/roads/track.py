@@ -1,4 +1,4 @@
-"""Tracks, and finding them by name: ``lake``, ``mountain``, ``random:SEED`` and ``hairpins:SEED``."""
+"""Tracks by name: ``lake``, ``mountain``, ``random:SEED`` and ``hairpins:SEED``."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ WIDTH_SMOOTHING_M = 4.0
 
 @dataclass(frozen=True)
 class Track:
-    """A closed road and what it looks like.
+    """A closed road and its looks.
 
-    ``half_width_m`` is (N,) float64, for each of the N points of ``line``: from the centre line to the
-    road's edge on either side; a car whose middle is farther out than that is off the road. ``look_index``
-    is (N,), into ``looks``.
+    ``half_width_m``, (N,) float64, is the distance from the centre line to the road's edges at each of the N
+    points of ``line``; a car is off the road if its middle is farther away. ``look_index``, (N,), is the position
+    of each point's look in ``looks``.
     """
 
     name: str
@@ -35,8 +35,8 @@ class Track:
     look_index: NDArray[np.intp]
 
     def fingerprint(self) -> str:
-        """A hash of everything that the track's world is made from."""
-        # The names of Look and Edge, and of their fields, are in it: renamed, a track would be another one.
+        """A hash of everything on which the track's world depends."""
+        # It includes the names of Look and Edge and of their fields: renaming them would change the fingerprint.
         digest = hashlib.sha256(repr((self.name, self.looks)).encode())
         for values in (self.line.points_m, self.half_width_m, self.look_index.astype(np.int64)):
             digest.update(np.ascontiguousarray(values).tobytes())
@@ -44,7 +44,7 @@ class Track:
 
 
 def load_track(name: str) -> Track:
-    """The track called ``lake``, ``mountain``, ``random:SEED`` or ``hairpins:SEED`` (SEED: 0, 1, ...).
+    """The track ``lake``, ``mountain``, ``random:SEED`` or ``hairpins:SEED`` (SEED: 0, 1, ...).
 
     Raises ``ValueError`` for any other name.
     """
@@ -63,7 +63,8 @@ def load_track(name: str) -> Track:
 
 
 def make_track(name: str, points_m: Floats, looks: tuple[Look, ...], index: NDArray[np.intp]) -> Track:
-    """A track from the points (N, 3) of a closed road in metres and the number of each point's look."""
+    """A track from the points (N, 3) of a closed road in metres, its looks, and the number of each point's
+    look."""
     line = Centreline(points_m)
     count = len(line.points_m)
     at = index[np.arange(count) * len(index) // count]

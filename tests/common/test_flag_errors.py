@@ -22,7 +22,7 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
         (bc_train, ["--epochs", "two"], "bc-train: --epochs two: expected a whole number"),
         (bc_train, ["--epochs=two"], "bc-train: --epochs two: expected a whole number"),
         (bc_record, ["a", "--laps", "two"], "bc-record: --laps two: expected a number"),
-        (bc_record, ["a", "--laps"], "bc-record: --laps: expected a number behind it"),
+        (bc_record, ["a", "--laps"], "bc-record: --laps: expected a number after it"),
         (bc_record, ["a", "--speed", "fast"], "bc-record: --speed fast: expected MPH [MPH ...]"),
         (bc_log, [*TRIM, "--rows", "3"], "bc-log: --rows 3: expected two whole numbers"),
         (bc_log, [*TRIM, "--rows", "a", "b", "--force"], "bc-log: --rows a b: expected two whole numbers"),
@@ -40,7 +40,7 @@ def test_what_a_flag_takes_is_said_in_words(
     ("command", "flags", "expected"),
     [
         (bc_log, ["inof"], "bc-log: inof: no such command; did you mean info?; `bc-log --help-all` has all flags"),
-        (bc_log, ["drive"], "bc-log: drive: no such command; there are ls, info, check"),
+        (bc_log, ["drive"], "bc-log: drive: no such command; the commands are ls, info, check"),
         (bc_log, [], "bc-log: which command? One of ls, info, check"),
         (bc_record, ["a", "-from", "b"], "bc-record: -from: no such flag; did you mean --from?"),
         (bc_record, ["a", "--form=b"], "bc-record: --form: no such flag; did you mean --from?"),

@@ -356,7 +356,7 @@ def test_a_track_that_was_driven_twice_with_one_seed_is_said_to_be(
                 writer.vehicle(10**18 + row * 10**8, row, VehicleState(steering=0.1))
     with pytest.raises(DatasetError, match="the same picture in both") as refused:
         build_index(find_logs((), tmp_path), tmp_path / "index", BLOCKS)
-    assert ("`bc-record --seed N` drives otherwise" in str(refused.value)) == is_hinted
+    assert ("`bc-record --seed N` gives another drive" in str(refused.value)) == is_hinted
 
 
 def test_two_sessions_of_one_name_are_refused(tmp_path: Path) -> None:

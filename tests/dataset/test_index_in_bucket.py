@@ -162,7 +162,7 @@ def test_an_upload_that_fails_leaves_an_index_and_the_next_one_mends_it(
 
 def test_logs_of_this_machine_are_not_indexed_there(bucket: Bucket, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, "--sessions", bucket.folder / "sessions", "--index", INDEX) == 2
-    assert "`bc-log copy` it to the store" in " ".join(capsys.readouterr().err.split())
+    assert "copy it to the store with `bc-log copy`" in " ".join(capsys.readouterr().err.split())
     assert files(bucket) == {}
 
 
@@ -182,7 +182,7 @@ def test_a_bucket_may_be_an_index_but_none_that_logs_are_in(
     bucket: Bucket, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert index(place="s3://logs") == 2
-    assert "--index s3://logs/: s3://logs/sessions/0.mcap is in it" in capsys.readouterr().err
+    assert "--index s3://logs/: contains the log s3://logs/sessions/0.mcap" in capsys.readouterr().err
     bucket.folder.with_name("indexes").mkdir()
     for _ in range(2):
         assert index(place="s3://indexes") == 0
@@ -199,7 +199,7 @@ def test_a_record_in_a_copy_names_no_file_elsewhere(bucket: Bucket, tmp_path: Pa
         (tmp_path / "copy").mkdir(exist_ok=True)
         write_record(tmp_path / "copy", StoreRecord(INDEX, {name: copied}))
         with StoredFolder(bucket.url("index"), tmp_path / "copy") as folder:
-            folder.bring()
+            folder.download()
         assert mine.read_text() == "mine"
 
 

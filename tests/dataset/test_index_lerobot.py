@@ -135,6 +135,6 @@ def test_what_cannot_be_exported_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no used row meets --where 'row > 99'"):
         export_index(index, tmp_path / "out", where="row > 99")
     (tmp_path / "one.mcap").unlink()
-    with pytest.raises(DatasetError, match="the log of session one is gone"):
+    with pytest.raises(DatasetError, match="the log of session one is missing"):
         export_index(index, tmp_path / "out")
     assert not (tmp_path / "out").exists()

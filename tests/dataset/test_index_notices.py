@@ -38,7 +38,7 @@ def test_sessions_that_were_not_chosen_are_told_once(capsys: pytest.CaptureFixtu
     for name in ("lake", "mountain", "jungle"):
         log_of(name)
     assert call(main, "lake") == 0
-    told = "index: does not hold jungle, mountain; `bc-index` without names takes in all of sessions"
+    told = "index: does not hold jungle, mountain; `bc-index` without names indexes all of sessions"
     assert told in capsys.readouterr().err
     assert sessions_not_indexed("index", "sessions") == []  # which is what a training asks
     log_of("newer")
@@ -87,7 +87,7 @@ def test_a_path_that_is_no_log_is_told_by_what_may_be_meant(capsys: pytest.Captu
     recording.mkdir(parents=True)
     (recording / "driving_log.csv").touch()
     assert call(main, recording) == 1
-    told = "this is a recording; `bc-record NAME --from 'my simulator/recording'` makes a log of it"
+    told = "this is a recording; `bc-record NAME --from 'my simulator/recording'` converts it to a log"
     assert told in capsys.readouterr().err
 
 

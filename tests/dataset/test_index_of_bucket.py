@@ -129,7 +129,7 @@ def test_two_machines_may_index_one_bucket_at_once(bucket: Bucket, tmp_path: Pat
 def test_an_old_log_costs_all_of_it_and_says_so(bucket: Bucket, capsys: pytest.CaptureFixture[str]) -> None:
     size = mixed(drive(bucket.folder / "old.mcap")).stat().st_size
     assert index_of(bucket.url(), "store") == 0
-    assert f"all of its {size / 1e6:,.0f} MB came here; `bc-log rewrite`" in " ".join(
+    assert f"all {size / 1e6:,.0f} MB were downloaded; `bc-log rewrite`" in " ".join(
         capsys.readouterr().err.split()
     )
     assert size < bucket.bytes_sent < 2.5 * size  # once for where all is, once for the rows

@@ -97,7 +97,7 @@ def test_an_index_of_nothing_says_what_became_of_the_frames(tmp_path: Path) -> N
     path = write_log(tmp_path / "a.mcap", [0.0] * 4 + [1.5] * 3, cameras=["center", "left"])
     with pytest.raises(DatasetError) as raised:
         build_index([path], tmp_path / "index", IndexConfig(where="steering > 1", cameras=("left",)))
-    assert "11 not of a camera left or not what --where chooses, 3 with a picture" in str(raised.value)
+    assert "11 not of a camera left or not chosen by --where, 3 with a broken picture" in str(raised.value)
     for steering in ([0.0] * 4, []):
         empty = write_log(tmp_path / "empty.mcap", steering, cameras=[], overwrite=True)
         with pytest.raises(DatasetError, match="no frame can be used: no session has a picture"):

@@ -102,7 +102,7 @@ def test_an_index_with_views_of_an_earlier_version_is_refused(tmp_path: Path) ->
     with Samples(index) as samples:
         assert samples.settings == IndexConfig()
     rewrite(index / "samples.parquet", settings={**settings, "viewpoints": 2})
-    with pytest.raises(DatasetError, match=r"samples\.parquet: has views.*run `bc-index` again"):
+    with pytest.raises(DatasetError, match=r"samples\.parquet: has viewpoints.*run `bc-index` again"):
         Samples(index)
     build_index([log], index)
     Samples(index).close()
@@ -265,7 +265,7 @@ def test_a_split_without_samples_is_said(cwd: Path, capsys: pytest.CaptureFixtur
 
 
 def test_a_condition_that_depends_on_chance_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="gives other rows each time"):
+    with pytest.raises(DatasetError, match="chooses different rows each time"):
         build_index(
             [write_session(tmp_path / "a.mcap", STEERING)], tmp_path / "index", IndexConfig(where="random() < 0.5")
         )

@@ -454,7 +454,7 @@ def with_metadata(**values: object) -> Callable[[pa.Table], pa.Table]:
 )
 def test_an_index_that_makes_no_sense_is_refused(own: Path, change: Callable[[pa.Table], pa.Table]) -> None:
     edited(own, change)
-    with pytest.raises(DatasetError, match=r"samples\.parquet: damaged.*remove it and give `bc-index`") as caught:
+    with pytest.raises(DatasetError, match=r"samples\.parquet: damaged.*remove it and run `bc-index`") as caught:
         load(own)
     assert "\n" not in str(caught.value)
 

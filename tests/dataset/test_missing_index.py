@@ -25,9 +25,9 @@ def cwd(index: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ("name", "told"),
     [
         ("indx", "bc-train: indx: no index; did you mean index? build it with `bc-index --index indx`"),
-        ("of people", "of people: no index; these are: index; build it with `bc-index --index 'of people'`"),
-        ("plain", "plain: a file; a folder was expected, of an index: `bc-index --index FOLDER` builds one"),
-        ("plain/index", "plain: a file; a folder was expected"),
+        ("of people", "of people: no index; the indexes are index; build it with `bc-index --index 'of people'`"),
+        ("plain", "plain: a file, not the folder of an index; `bc-index --index FOLDER` builds an index"),
+        ("plain/index", "plain: a file, not the folder of an index"),
         ("none/index", "none/index: no index; did you mean index? build it with `bc-index --index none/index`"),
     ],
 )
@@ -43,7 +43,7 @@ def test_training_builds_no_index_of_a_misspelt_name(
 
 def test_a_file_is_no_place_for_an_index(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(bc_index, "--sessions", cwd, "--index", "plain") == 1
-    assert "plain: a file; a folder was expected" in capsys.readouterr().err
+    assert "plain: a file, not the folder of an index" in capsys.readouterr().err
     assert Path("plain").read_text() == "no index"
 
 
@@ -56,9 +56,12 @@ def test_a_run_or_a_folder_of_logs_is_no_place_for_an_index(cwd: Path, capsys: p
     for folder, content in (("run", "a run"), ("logs", "a folder of logs")):
         before = sorted((cwd / folder).iterdir())
         assert call(bc_index, "--sessions", logs, "--index", folder) == 1
-        assert f"{folder}: {content}; an index needs a folder of its own" in capsys.readouterr().err
+        assert f"{folder}: {content}; an index needs its own folder" in capsys.readouterr().err
         assert call(bc_train, "--index", folder, "--network", "small", "--epochs", 1, "--threads", 1) == 1
-        assert f"{folder}: {content}, no index; `bc-index --index FOLDER` builds one" in capsys.readouterr().err
+        assert (
+            f"{folder}: {content}, not an index; `bc-index --index FOLDER` builds an index"
+            in capsys.readouterr().err
+        )
         assert sorted((cwd / folder).iterdir()) == before
 
 

@@ -111,7 +111,7 @@ def test_who_built_an_index_of_logs_elsewhere_is_never_asked(project: Path) -> N
     code = f"from dataset import load; load({str(project / 'index')!r}).close()"
     assert run_code(code, cwd=project / "other").returncode == 0
     shutil.rmtree(project.parent / "cache")  # it may be removed at any time
-    assert "it was not built here" in run_code(code, cwd=project / "other").stderr
+    assert "you did not build the index" in run_code(code, cwd=project / "other").stderr
     assert run(*build, cwd=project).returncode == 0
     assert run_code(code, cwd=project / "other").returncode == 0
 
@@ -133,7 +133,7 @@ def test_the_workbench_shows_why_a_log_is_not_opened(project: Path, opened: Open
     with served(project) as bench:
         answer = bench.get("/index.altered")
         assert answer.status == 422
-        assert "which is not in its project" in answer.text
+        assert "which is outside the index's project" in answer.text
     assert opened.files == []
 
 

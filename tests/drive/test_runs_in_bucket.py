@@ -37,7 +37,7 @@ def test_what_is_measured_of_a_run_is_kept_where_the_run_is(
     bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with StoredFolder(bucket.url("runs/night"), untrained_run(tmp_path / "here/night")) as folder:
-        folder.send()
+        folder.upload()
     write_log(Path("sessions/one.mcap"), STEERING[:30], road)
     measured = "night", "--runs", RUNS, "--session", "one", "--json"
     assert call(bc_eval, *measured) == 3  # untrained: it does not say what it has learnt from
@@ -61,7 +61,7 @@ def test_a_drive_and_its_result_are_kept_in_the_store(
     bucket: Bucket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with StoredFolder(bucket.url("runs/night"), untrained_run(tmp_path / "here/night")) as folder:
-        folder.send()
+        folder.upload()
     capsys.readouterr()
     flags = "--simulator", "lake", "--laps", 0.001, "--drives", DRIVES, "--json"
     assert call(bc_eval, "night", "--runs", RUNS, *flags) == 0

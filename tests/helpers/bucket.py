@@ -33,7 +33,7 @@ class Bucket(FaultyProxy):
 def in_parts_of(patch: pytest.MonkeyPatch, size: int) -> None:
     """Logs are sent in parts of so many bytes, which no store would take."""
     for module in (copy_log, object_store):
-        patch.setattr(module, "LARGEST_READ", size)
+        patch.setattr(module, "MAX_READ_AHEAD", size)
     patch.setattr(localbucket, "MIN_PART_SIZE", 0)
 
 

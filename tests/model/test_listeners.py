@@ -102,7 +102,7 @@ def test_a_file_that_is_not_there_is_told_before_anything_is_trained(
     assert call(main, *flags, f"{tmp_path / 'mime.py'}:Notes") == 1
     assert f"did you mean {tmp_path / 'mine.py'}?" in one_line_in(capsys)
     assert call(main, *flags, "no.py:Notes") == 1
-    assert f"there is no file no.py; give its path from {Path.cwd()}" in one_line_in(capsys)
+    assert f"no file no.py; give its path from {Path.cwd()}" in one_line_in(capsys)
 
 
 @pytest.mark.skipif(not find_spec("mlflow"), reason="MLflow was not tried: `pip install mlflow-skinny` brings it")

@@ -40,7 +40,7 @@ def a_run(folder: Path, seed: int = 0) -> Path:
 def sent(bucket: Bucket, run: Path) -> None:
     """Copy a run to the store, as bc-train does."""
     with StoredFolder(bucket.url(f"runs/{run.name}"), run) as folder:
-        folder.send()
+        folder.upload()
 
 
 def listed(runs: Location | str, capsys: pytest.CaptureFixture[str]) -> list[dict[str, Any]]:
@@ -191,14 +191,14 @@ def test_a_kill_while_lines_of_another_machine_come_loses_none_of_ours(
 
     for number in range(2):
         for path in (ours, theirs):
-            with StoredFolder(bucket.url("run"), path.parent, lines=["results"]) as folder:
-                folder.bring()
+            with StoredFolder(bucket.url("run"), path.parent, line_files=["results"]) as folder:
+                folder.download()
                 with path.open("a") as stream:
                     stream.write(f"{number} of {path.parent.name}\n")
                 if (number, path) == (1, theirs) or number == 0:
-                    folder.send()
+                    folder.upload()
     monkeypatch.setattr(os, "replace", killed)
-    with StoredFolder(bucket.url("run"), ours.parent, lines=["results"]) as folder, pytest.raises(SystemExit):
-        folder.bring()
+    with StoredFolder(bucket.url("run"), ours.parent, line_files=["results"]) as folder, pytest.raises(SystemExit):
+        folder.download()
     monkeypatch.undo()
     assert sorted(ours.read_text().splitlines()) == ["0 of ours", "0 of theirs", "1 of ours", "1 of theirs"]

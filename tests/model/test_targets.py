@@ -379,9 +379,7 @@ def test_a_session_without_speed_is_learnt_for_its_steering_and_named(folder: Pa
 
 
 def test_an_index_of_the_version_before_has_no_labels_of_others(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(
-        DatasetError, match=r"format 4, which has no labels of speed, throttle; run `bc-index` again"
-    ):
+    with pytest.raises(DatasetError, match=r"format 4, without labels of speed, throttle; run `bc-index` again"):
         train(before(folder / "index", tmp_path), tmp_path / "run", QUICK)
 
 
@@ -398,9 +396,9 @@ def test_a_run_of_steering_alone_gives_no_weights_to_one_of_speed(folder: Path, 
 @pytest.mark.parametrize(
     ("settings", "why"),
     [
-        ({"targets": ("speed",)}, "--targets speed: steering first"),
-        ({"targets": ("steering", "steering")}, "--targets steering steering: steering first"),
-        ({"targets": ()}, r"--targets \(none\): steering first"),
+        ({"targets": ("speed",)}, "--targets speed: expected steering first"),
+        ({"targets": ("steering", "steering")}, "--targets steering steering: expected steering first"),
+        ({"targets": ()}, r"--targets \(none\): expected steering first"),
         ({"targets": ("steering", "speed"), "target_weights": (1.0,)}, "one for each of steering, speed"),
         ({"target_weights": (math.nan,)}, "--target-weights: numbers of 0 or more"),
         ({"target_weights": (0.0,)}, "--target-weights: numbers of 0 or more, not all 0"),

@@ -168,7 +168,7 @@ def test_a_store_that_fails_while_a_log_comes_leaves_nothing(
 ) -> None:
     with Samples(indexes[1]) as samples:
         bucket.answer = lambda handler: bool(handler.fail(403, "ExpiredToken"))
-        with pytest.raises(StoreError, match=r"s3://logs: credentials that are not valid \(ExpiredToken\)"):
+        with pytest.raises(StoreError, match=r"s3://logs: the credentials are not valid \(ExpiredToken\)"):
             bring_here(samples.logs.values())
     assert [path.name for path in (tmp_path / "cache" / "logs").iterdir()] == [".lock"]
 

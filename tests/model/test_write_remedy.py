@@ -17,7 +17,7 @@ from model.runs.run_files import run_write_errors
     [
         (errno.ENOSPC, "make room"),
         (errno.EROFS, "choose a folder that you may write to"),
-        (errno.EISDIR, "look at what is there"),
+        (errno.EISDIR, "check the folder"),
     ],
 )
 def test_a_run_that_cannot_be_written_names_the_cause_and_its_remedy(number: int, remedy: str) -> None:

@@ -130,7 +130,7 @@ def test_a_failure_nobody_expects_hides_no_log(
     assert call(main, "ls") == 1
     output = capsys.readouterr()
     assert "tuesday" in output.out
-    assert "sessions/monday.mcap: cannot be looked at (ZeroDivisionError of a library)" in output.err
+    assert "sessions/monday.mcap: cannot be read (ZeroDivisionError of a library)" in output.err
 
 
 def test_a_recording_of_simulated_time_has_the_date_of_its_file(project: Path) -> None:

@@ -74,7 +74,7 @@ def test_a_place_is_a_path_or_a_url() -> None:
     ("text", "meant"), [("s3:/x/a.mcap", "s3://x/a.mcap"), ("file:/a.mcap", "file:///a.mcap")]
 )
 def test_a_url_that_lacks_a_slash_is_told_with_it(text: str, meant: str) -> None:
-    with pytest.raises(UsageError, match=f"{text}: no path; a URL is spelt {meant}"):
+    with pytest.raises(UsageError, match=f"{text}: not a path; the URL is spelt {meant}"):
         location(text)
 
 
@@ -209,7 +209,7 @@ def refused(status: int, code: str) -> Answer:
 @pytest.mark.parametrize(
     ("answer", "told"),
     [
-        (refused(403, "AccessDenied"), r"refuses that to these credentials \(AccessDenied\)"),
+        (refused(403, "AccessDenied"), r"refuses this request with these credentials \(AccessDenied\)"),
         (refused(403, "RequestTimeTooSkewed"), "this machine's clock is wrong"),
         (refused(404, "NoSuchBucket"), "s3://logs: no such bucket"),
         (refused(301, "PermanentRedirect"), "another region: set AWS_REGION"),
@@ -259,7 +259,7 @@ def test_without_credentials_it_says_which_to_set(
     monkeypatch.setenv("AWS_METADATA_ENDPOINT", bucket.endpoint)
     bucket.answer = lambda passing: passing.fail(404, "NotFound")  # a machine that has no role
     assert call(main, "ls", url) == 1
-    assert f"{url}: no credentials that can be used: set {told}" in one_line_in(capsys)
+    assert f"{url}: no usable credentials: set {told}" in one_line_in(capsys)
 
 
 def test_without_the_right_to_list_it_says_so(
@@ -327,7 +327,7 @@ def test_an_endpoint_in_the_usual_file_is_checked_too(
     (tmp_path / "config").write_text("[default]\nendpoint_url = 127.0.0.1:9000\n")
     monkeypatch.setenv("AWS_CONFIG_FILE", str(tmp_path / "config"))
     assert call(main, "ls", "s3://logs") == 1
-    assert "endpoint=127.0.0.1:9000: no endpoint" in one_line_in(capsys)
+    assert "endpoint=127.0.0.1:9000: not an endpoint" in one_line_in(capsys)
 
 
 def test_credentials_are_those_of_the_usual_files(
@@ -506,7 +506,7 @@ def test_new_logs_are_made_on_this_machine(
     assert call(main, command, bucket.url("b.mcap"), "--to", "new.mcap") == 1
     assert "`bc-log copy s3://logs/b.mcap FOLDER`" in one_line_in(capsys)
     assert call(main, command, log, *([log] if command == "merge" else []), "--to", bucket.url("new.mcap")) == 2
-    assert "a place of this machine" in one_line_in(capsys)
+    assert "expected a path of this machine" in one_line_in(capsys)
 
 
 def test_who_tags_at_the_same_moment_is_told_and_nobodys_tags_are_lost(

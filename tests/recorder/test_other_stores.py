@@ -170,12 +170,12 @@ def test_a_folder_is_kept_in_azure_whatever_answers_are_lost(azure: Store, tmp_p
     url = azure.url("run")
     with StoredFolder(url, tmp_path / "one") as folder:
         for content in ("first", "second"):
-            (folder.here / "config.json").write_text(content)
+            (folder.local / "config.json").write_text(content)
             azure.way.fail_first("PUT", Passing.lose)
-            assert folder.send()
+            assert folder.upload()
     with StoredFolder(url, tmp_path / "two") as folder:
-        folder.bring()
-        assert (folder.here / "config.json").read_text() == "second"
+        folder.download()
+        assert (folder.local / "config.json").read_text() == "second"
 
 
 @pytest.mark.long
@@ -183,8 +183,8 @@ def test_a_folder_is_kept_in_azure_whatever_answers_are_lost(azure: Store, tmp_p
     ("url", "key", "told"),
     [
         ("az://nowhere", ACCOUNT_KEY, "az://nowhere: no such bucket"),
-        ("az://logs", "d3Jvbmc=", "the store refuses that to these credentials (AuthorizationFailure)"),
-        ("az://logs", "no base64", "no credentials that can be used: set AZURE_STORAGE_ACCOUNT_NAME"),
+        ("az://logs", "d3Jvbmc=", "the store refuses this request with these credentials (AuthorizationFailure)"),
+        ("az://logs", "no base64", "no usable credentials: set AZURE_STORAGE_ACCOUNT_NAME"),
     ],
 )
 def test_what_azure_refuses_is_one_line(

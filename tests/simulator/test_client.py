@@ -289,4 +289,4 @@ def test_the_built_in_simulator_says_where_its_time_is_not_the_clocks(
         nobody.bind(("127.0.0.1", 0))
         flags = [flag] if flag else []
         assert call(sim_main, "--port", nobody.getsockname()[1], "--wait", 0, *flags) == 1
-    assert ("distances and times in its log" in capsys.readouterr().err) == is_told
+    assert ("distances and times in the log" in capsys.readouterr().err) == is_told

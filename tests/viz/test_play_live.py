@@ -235,9 +235,9 @@ def test_a_viewer_of_another_version_is_refused_and_told_which_is_needed(
 def test_what_is_no_place_for_a_viewer_is_refused_before_anything_begins(tmp_path: Path) -> None:
     (tmp_path / "x.rrd").write_bytes(b"precious")
     for where, says in (
-        ("windwo", "^--viewer windwo: neither window nor web"),
-        ("", "neither window nor web"),
-        ("--web", "neither window nor web"),
+        ("windwo", "^--viewer windwo: expected window, web, a FILE"),
+        ("", "expected window, web, a FILE"),
+        ("--web", "expected window, web, a FILE"),
         (str(tmp_path / "x.rrd"), "exists already"),
     ):
         with pytest.raises(UserError, match=says), preview(tmp_path / "a.mcap", where):

@@ -46,7 +46,7 @@ def test_what_training_leaves_out_is_hatched(browser: Browser, tmp_path: Path) -
     index = tmp_path / "index"
     assert call(dataset.cli.main, "--sessions", tmp_path / "sessions", "--index", index) == 0
     (line,) = not_learnt_in(index)
-    assert "a (40 frames of crashes, 20 frames of manoeuvres about them)" in line
+    assert "a (40 frames of crashes, 20 frames of manoeuvres around these)" in line
     with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/sessions/a") as page:
         open_session(page)
         assert page.inner_text("#not-learnt") == "hatched: 60 rows that training leaves out by default"

@@ -250,7 +250,7 @@ def test_a_store_that_does_not_answer_is_a_line_on_the_page(
     finally:
         hold.set()
     for path in ("/sessions.rows", "/drives.rows", "/index"):
-        wait_until(lambda path=path: "the store refuses that to these credentials" in bench.get(path).text)  # type: ignore[misc]
+        wait_until(lambda path=path: "the store refuses this request" in bench.get(path).text)  # type: ignore[misc]
     bucket.answer = lambda passing: "second.mcap" in passing.path and passing.fail(403, "AccessDenied")
     wait_until(lambda: bench.get("/sessions.rows").text.count("120 rows") == 2)
     wait_until(lambda: "second.mcap: the store refuses" in bench.get("/sessions.rows").text)

@@ -149,7 +149,7 @@ class StoredCopy(Refreshed[Listing]):
             from common.stored_folder import StoredFolder  # an extra
 
             with StoredFolder(self._url, self.folder, waits=True) as stored:
-                stored.bring()
+                stored.download()
         return listing
 
 
