@@ -215,7 +215,7 @@ def test_a_training_killed_before_its_first_checkpoint_begins_again(
     train_killed(index, run)
     assert not list(run.rglob("*.safetensors"))
     assert call(main, "--resume", "run", "--runs", tmp_path) == 0
-    assert "begun again from its seed: it was stopped before anything was saved" in capsys.readouterr().out
+    assert "restarted from its seed: it was stopped before anything was saved" in capsys.readouterr().out
     assert_same(run, whole)
 
 

@@ -363,7 +363,7 @@ def test_settings_of_other_targets_than_its_networks_are_refused(folder: Path, t
     config["training"]["targets"] = ["steering", "speed"]
     (run / "config.json").write_text(json.dumps(config))
     with pytest.raises(
-        RunError, match="answers steering speed throttle, its training settings are of steering speed"
+        RunError, match="answers steering speed throttle, but its training settings are for steering speed"
     ):
         train(folder / "index", run, None, resume=True)
 
@@ -374,7 +374,7 @@ def test_a_session_without_speed_is_learnt_for_its_steering_and_named(folder: Pa
     build_index([silent, told], tmp_path / "index", SETTINGS)
     one = replace(QUICK, targets=("steering", "speed"), epochs=1)
     trained = train(tmp_path / "index", tmp_path / "run", one)
-    assert any("no speed in silent: steering only are learnt there" in each for each in trained.notices)
+    assert any("no speed in silent, which train only steering" in each for each in trained.notices)
     build_index([silent], tmp_path / "index", SETTINGS)
     with pytest.raises(RunError, match="no session has a speed"):
         train(tmp_path / "index", tmp_path / "none", one)

@@ -149,7 +149,7 @@ def test_the_last_epoch_can_be_asked_for_instead_of_the_best(trained: Path) -> N
 def test_a_gpu_that_is_not_there_is_one_line(index: Path, tmp_path: Path) -> None:
     if torch.cuda.is_available():
         pytest.skip("there is one")
-    with pytest.raises(RunError, match="--device cuda: PyTorch finds no GPU here; give --device cpu"):
+    with pytest.raises(RunError, match="--device cuda: PyTorch finds no GPU; give --device cpu"):
         train(index, tmp_path / "run", TrainConfig(device="cuda"))
 
 

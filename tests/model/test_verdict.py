@@ -79,7 +79,8 @@ def test_the_two_lines_of_a_good_network() -> None:
         "better than always predicting the mean:"
         f" on turns (2.50 against {errors.mean.turning_mae_deg:.2f} degrees),"
         f" driving error ({errors.driving_error:.2f} against 2.00); perhaps enough to drive: 30 of 30 networks"
-        " with such an error stayed on built-in roads (89 to 100 %), but their errors are on drives new to them"
+        " with an error like this stayed on built-in roads (89 to 100 %), but their errors are on drives new to"
+        " them"
     )
     assert verdict.lines[1] == (
         f"next: `bc-eval first --simulator lake mountain`: a driving error of {errors.driving_error:.2f} is small"
@@ -95,12 +96,12 @@ def test_the_two_lines_of_a_good_network() -> None:
 
 
 @pytest.mark.parametrize(("frames", "is_few"), [(81, True), (299, True), (300, False)])
-def test_a_verdict_on_few_frames_says_that_it_is_unsure(frames: int, is_few: bool) -> None:
+def test_a_verdict_on_few_frames_says_that_it_is_uncertain(frames: int, is_few: bool) -> None:
     few = measured(0.1, np.linspace(-0.6, 0.6, frames))
-    said = f"; only {frames} frames measured, so these errors are unsure; "
+    said = f"; only {frames} frames measured, so these errors are uncertain; "
     for driven in ((), ({"track": "lake", "set_speed_mph": 10.0, "interventions": 0},)):
         summary = verdict_of(numbers(measured=few, drives=driven)).summary
-        assert (said in summary) is ("unsure" in summary) is is_few
+        assert (said in summary) is ("uncertain" in summary) is is_few
 
 
 def test_a_network_that_is_worse_than_the_mean_says_so_first() -> None:
