@@ -241,7 +241,7 @@ def test_the_tables_show_the_numbers_of_the_json(here: Path, capsys: pytest.Capt
         assert [value.lstrip("+") for value in row[:4]] == expected
     for session in ("a", "b"):
         assert f"{found['sessions'][session]['network']['rmse_deg']:.2f}" in " ".join(lines)
-    assert lines[-1] == "measured on what index holds out"
+    assert lines[-1] == "measured on the frames held out of index"
 
 
 def test_the_name_of_a_run_is_no_markup(
@@ -300,7 +300,7 @@ def test_a_run_is_measured_on_the_index_that_it_was_trained_on(
     found = json.loads(capsys.readouterr().out)
     assert (found["index"], list(found["sessions"])) == ("my index", ["a", "b"])
     assert call(main, "my runs/toy") == 0
-    assert capsys.readouterr().out.splitlines()[-3] == "measured on what my index holds out"
+    assert capsys.readouterr().out.splitlines()[-3] == "measured on the frames held out of my index"
     assert call(main, "my runs/toy", "--index", "index", "--json") == 0
     assert list(json.loads(capsys.readouterr().out)["sessions"]) == ["new"]
     shutil.rmtree("my index")
@@ -316,7 +316,7 @@ def test_a_run_without_a_known_index_uses_that_of_the_folder(
     for told in (None, "", "\0", 7, ["index"]):
         change(run, index=told)
         assert call(main, run) == 0
-        assert capsys.readouterr().out.splitlines()[-3] == "measured on what index holds out"
+        assert capsys.readouterr().out.splitlines()[-3] == "measured on the frames held out of index"
 
 
 def test_without_worst_frames_none_is_shown(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -392,7 +392,7 @@ def test_frames_of_crashes_are_told_apart(here: Path, tmp_path: Path, capsys: py
     assert call(main, "toy", "--session", log) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert f"RMSE without crashes ({len(crash)}) {rmse['others']:.2f}" in said
-    assert f"the verdict is without {len(crash)} frames of crashes and the like" in said
+    assert f"the verdict is without {len(crash)} frames of crashes" in said
     assert f"({rmse['others']:.2f} against" in said
     assert f"({rmse['all']:.2f} against" not in said
     assert call(main, "toy", "--session", "new", "--json") == 0
@@ -506,7 +506,7 @@ def test_a_run_that_does_not_say_what_it_has_learnt_from_is_not_trusted(
     shown = capsys.readouterr()
     assert json.loads(shown.out)["learnt"] is None
     (line,) = shown.err.splitlines()
-    assert "does not say what it was trained on" in line
+    assert "does not record its training data" in line
 
 
 # What cannot be measured

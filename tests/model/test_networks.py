@@ -196,7 +196,7 @@ def test_a_run_starts_only_from_weights_of_the_same_network_and_pictures(index: 
 
 def test_a_run_goes_on_only_with_its_own_network(index: Path, tmp_path: Path) -> None:
     small = train(index, tmp_path / "small", replace(settings("small"), epochs=1)).run
-    with pytest.raises(RunError, match=r"begun with --network small and can continue only so"):
+    with pytest.raises(RunError, match=r"began with --network small and must continue with it"):
         train(index, small, replace(settings("small"), network="pilotnet"), resume=True)
     with pytest.raises(RunError, match=r"begun with --crop-rows None"):
         train(index, small, replace(settings("small"), crop_rows=(40, 20)), resume=True)

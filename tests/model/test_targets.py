@@ -281,7 +281,7 @@ def test_the_speed_of_another_time_is_not_measured_and_that_is_said(folder: Path
     (found,) = evaluate_runs([folder / "run"], tmp_path / "index")
     assert [of.target for of in found.other_targets] == ["throttle"]
     (notice,) = found.notices
-    assert "answers the speed of 1 s later, and the labels are of 0.5 s later" in notice
+    assert "it answers the speed 1 s ahead, and the labels have the speed 0.5 s ahead" in notice
 
     half = replace(QUICK, targets=("steering", "speed"), epochs=1)
     train(tmp_path / "index", tmp_path / "half", half)
@@ -293,7 +293,7 @@ def test_the_speed_of_another_time_is_not_measured_and_that_is_said(folder: Path
     _, second, third = evaluate_runs_on_sessions(runs, [folder / "drive.mcap"])
     assert second.other_targets == by_itself.other_targets
     assert [of.target for of in third.other_targets] == ["throttle"]
-    assert sum("answers the speed of 1 s later" in each for each in third.notices) == 1
+    assert sum("it answers the speed 1 s ahead" in each for each in third.notices) == 1
 
 
 # What goes on from it
