@@ -221,7 +221,7 @@ def clients(rows: int, seconds: float) -> list[float]:
 
 
 def hours_of_use(server: psutil.Process, rows: int, hours: float) -> None:
-    """Request the pictures of three cameras of so many hours of scrubbing. Prints processor time and memory."""
+    """Request the pictures of three cameras for `hours` of scrubbing, and print processor time and memory."""
     pictures = int(hours * 3600 * MOVES_HZ) * len(CAMERAS)
     connection = http.client.HTTPConnection("127.0.0.1", PORT)
     memory_mb, used_s = [server.memory_info().rss / 1e6], cpu_s(server)

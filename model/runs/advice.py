@@ -190,7 +190,7 @@ def has_one_camera(numbers: RunNumbers) -> Advice | None:
 def nothing_stands_out(numbers: RunNumbers) -> Advice:
     if numbers.measured is None:
         return Advice("nothing of it is measured yet", f"bc-eval {numbers.run}")
-    return Advice("nothing in its numbers stands out; more of other roads helps most", _record(numbers))
+    return Advice("nothing in its numbers stands out; recordings of other roads help most", _record(numbers))
 
 
 RULES: Final[tuple[Callable[[RunNumbers], Advice | None], ...]] = (

@@ -161,5 +161,5 @@ def _like(tensor: Tensor, parameter: Tensor, path: Path) -> Tensor:
     if tensor.shape != parameter.shape or tensor.dtype != parameter.dtype:
         raise RunError(f"{path}: {_ANOTHER}")
     if not torch.isfinite(tensor).all():
-        raise RunError(f"{path}: holds numbers that are not finite; train anew with a smaller --rate")
+        raise RunError(f"{path}: holds numbers that are not finite; train again with a smaller --rate")
     return tensor

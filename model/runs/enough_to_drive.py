@@ -79,7 +79,7 @@ def _band(driving_error: float, hand: Hand) -> Band:
 
 
 def wilson_interval(count: int, total: int, z: float = 1.96) -> tuple[float, float]:
-    """The 95 % interval of the share `count` / `total` (E. B. Wilson 1927). It lies within 0..1 for all and none,
+    """The 95 % interval of the share `count` / `total` (E. B. Wilson 1927). It is within 0..1 for all and none,
     too."""
     share, square = count / total, z * z / total
     middle = (share + square / 2) / (1 + square)

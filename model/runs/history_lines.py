@@ -119,7 +119,7 @@ def _text(value: Any) -> str:
 
 def _target(value: Any) -> str:
     if value not in TARGET_NAMES[1:]:
-        raise ValueError("no target besides steering")
+        raise ValueError("not a target other than steering")
     return str(value)
 
 

@@ -293,7 +293,7 @@ class TrainingLoop:
         kept = (
             f"the best earlier epoch is kept: `bc-train --init {run_argument(self.run)}`"
             if self.writer.has_best
-            else "train anew"
+            else "train again"
         )
         epoch, rate = self.position.epoch, self.config.rate
         return RunError(
