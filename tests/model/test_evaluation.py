@@ -592,7 +592,7 @@ def test_a_network_of_no_numbers_is_one_line(run: Path, capsys: pytest.CaptureFi
     assert call(main, run) == 1
     unsealed, line = capsys.readouterr().err.splitlines()
     assert "without checksums" in unsealed
-    assert "not a number" in line
+    assert "not finite" in line
 
 
 def test_an_index_of_somebody_else_is_damaged_in_one_line(here: Path, tmp_path: Path) -> None:
@@ -618,8 +618,8 @@ def test_an_index_of_somebody_else_is_damaged_in_one_line(here: Path, tmp_path: 
         (["--laps", 1], "--laps: only with --simulator"),
         (["--speed", 20, "--force"], "--speed, --force: only with --simulator"),
         (["--drives", "drives"], "--drives: only with --simulator"),
-        (["--simulator", "lake", "--index", "index"], "--index: of recorded frames"),
-        (["--simulator", "lake", "--session", "a", "--worst", 3], "--session, --worst: of recorded frames"),
+        (["--simulator", "lake", "--index", "index"], "--index: only for recorded frames"),
+        (["--simulator", "lake", "--session", "a", "--worst", 3], "--session, --worst: only for recorded frames"),
         (["--simulator"], "--simulator at least one"),
         (["--session"], "--session at least one"),
         (["--session", "a", "--split", "train"], "leave out --index and --split"),
