@@ -198,7 +198,7 @@ def test_a_run_goes_on_only_with_its_own_network(index: Path, tmp_path: Path) ->
     small = train(index, tmp_path / "small", replace(settings("small"), epochs=1)).run
     with pytest.raises(RunError, match=r"began with --network small and must continue with it"):
         train(index, small, replace(settings("small"), network="pilotnet"), resume=True)
-    with pytest.raises(RunError, match=r"begun with --crop-rows None"):
+    with pytest.raises(RunError, match=r"began with --crop-rows None"):
         train(index, small, replace(settings("small"), crop_rows=(40, 20)), resume=True)
 
 

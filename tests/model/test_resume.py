@@ -239,7 +239,7 @@ def test_a_run_without_its_checkpoint_is_not_begun_again(index: Path, stopped: P
 
 
 def test_a_run_goes_on_with_its_own_settings_only(index: Path, stopped: Path) -> None:
-    with pytest.raises(RunError, match=r"begun with --rate 0\.0002 .* --init \S*/stopped$"):
+    with pytest.raises(RunError, match=r"began with --rate 0\.0002 .* --init \S*/stopped$"):
         train(index, stopped, replace(CONFIG, rate=0.1, epochs=9), resume=True)
 
 
@@ -269,7 +269,9 @@ def test_a_run_goes_on_with_as_many_pictures_at_once_as_it_was_begun_with(index:
 def test_a_run_goes_on_with_the_samples_it_was_begun_with_only(stopped: Path, tmp_path: Path) -> None:
     log = write_log(tmp_path / "toy.mcap", STEERING[:30], road, cameras=["center"])
     other = build_index([log], tmp_path / "index", IndexConfig(flip=False, max_uses=1)).path
-    with pytest.raises(RunError, match=r"not the samples .*`bc-train --resume .* --index .*` builds those"):
+    with pytest.raises(
+        RunError, match=r"not the samples .*`bc-train --resume .* --index .*` rebuilds its samples"
+    ):
         train(other, stopped, replace(CONFIG, epochs=9), resume=True)
 
 
@@ -384,7 +386,7 @@ def test_settings_are_those_of_the_named_run_unless_flags_say_otherwise(
     assert call(main, "--resume", "first", *places) == 0
     assert "all its epochs are learnt" in capsys.readouterr().out
     assert call(main, "--resume", "first", "--batch", 4, *places) == 1
-    assert "begun with --batch 8" in capsys.readouterr().err
+    assert "began with --batch 8" in capsys.readouterr().err
     assert call(main, "--resume", "nobody", *places) == 1
     assert "nobody: no run there" in capsys.readouterr().err
     for unfit in (["--like", "first"], ["--init", "first"], ["--name", "other"]):

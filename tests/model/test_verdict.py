@@ -204,7 +204,7 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
                     for each in [epoch(number, 0.2) for number in range(1, 11)]
                 ],
             ),
-            "more of other roads",
+            "recordings of other roads",
             "bc-record more-2 --from ~/recording",
         ),
         (
